@@ -1,0 +1,46 @@
+# make demo   make the environment, render the jelly video
+# make test   make the environment, pass the tests
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
+
+.PHONY: help env demo test test-slow check bench clean
+
+help:
+	@echo "make env | demo | test | test-slow | check | bench | clean"
+
+env: $(STAMP)
+
+# made once; installed again when pyproject.toml changes
+$(STAMP): pyproject.toml
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch $@
+
+demo: env
+	@mkdir -p out
+	@start=$$(date +%s) && $(BIN)/taichi-sim run jelly -o out/jelly.mp4 \
+	  && echo "out/jelly.mp4 took $$(( $$(date +%s) - start )) s"
+
+# Taichi holds one precision per process, so each has its own run
+test: env
+	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m "not slow"
+	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m "not slow"
+
+test-slow: env
+	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m slow
+	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m slow
+
+check: env
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: env
+	$(BIN)/taichi-sim bench
+
+clean:
+	rm -rf $(VENV) build dist out bench_out *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
