@@ -1,0 +1,92 @@
+"""One law for every contact, and how balls with several contacts share their mass between them."""
+
+import taichi as ti
+
+
+@ti.func
+def normal_impulse(u, n, target, mass, held):
+    """New total normal impulse [N s] of a contact that holds `held` so far: it reaches the target speed but never pulls.
+
+    u: relative velocity sum g_i v_i; n: unit normal; mass: 1 / sum w_i g_i^2 s_i [kg]. For a lone contact this is the
+    exact law j = (target - u.n) / W whatever `held` was.
+    """
+    return ti.max(0.0, held + (target - u.dot(n)) * mass)
+
+
+@ti.func
+def sliding_impulse(u, n, mass, slide, bound, slip):
+    """Change of the tangential impulse and its new Coulomb part (a vector that may not exceed `bound`).
+
+    The viscous share `slip` = 1 - exp(-f t) of the sliding speed is taken first, then Coulomb friction opposes the rest;
+    together they at most stop it.
+    """
+    stop = (u.dot(n) * n - u) * mass
+    wanted = slide + (1.0 - slip) * stop
+    size = wanted.norm()
+    if size > bound:
+        wanted *= bound / size
+    return wanted - slide + slip * stop, wanted
+
+
+@ti.func
+def presses(total, mass, threshold):
+    """Whether a contact that holds `total` [N s] has friction: more than rounding leaves where two bodies just part.
+
+    Viscous friction does not fade with the normal impulse, so without this a rounded zero would switch it on or off.
+    """
+    return total > 1e-4 * threshold * mass
+
+
+@ti.func
+def decayed(a):
+    """1 - exp(-a), by its series for small a, where the difference would lose its digits."""
+    return ti.select(a < 0.02, a * (1.0 - a * (0.5 - a * (1.0 / 6.0 - a * (1.0 / 24.0 - a / 120.0)))), 1.0 - ti.exp(-a))
+
+
+@ti.func
+def target_speed(before, restitution, threshold, impacts: ti.template()):
+    """Normal speed that a contact should have after the solve: -e times the speed before (Moreau), 0 for slow ones.
+
+    Where the solve is not for impacts (the short one that ends a step), fast contacts are left for the next as they are.
+
+    Contacts that separate have a target too: with 0 instead, iterated passes gain energy at e = 1.
+    """
+    fast = -restitution * before
+    if ti.static(not impacts):
+        fast = ti.select(restitution > 0.0, ti.min(before, 0.0), 0.0 * before)
+    return ti.select(ti.abs(before) > threshold, fast, 0.0 * before)
+
+
+@ti.func
+def largest_eigenvalue(T):
+    """Largest eigenvalue of a symmetric, positive semi-definite 2x2 or 3x3 matrix."""
+    q = T.trace() / ti.static(T.n)
+    result = q
+    if ti.static(T.n == 2):
+        d = 0.5 * (T[0, 0] - T[1, 1])
+        result = q + ti.sqrt(d * d + T[0, 1] * T[0, 1])
+    else:
+        # Smith 1961: T = q + p B with det(B) = 2 cos(3 phi); the largest root is q + 2 p cos(phi), phi in [0, pi/3]
+        a, b, c = T[0, 0] - q, T[1, 1] - q, T[2, 2] - q
+        x, y, z = T[0, 1], T[0, 2], T[1, 2]
+        p2 = (a * a + b * b + c * c + 2.0 * (x * x + y * y + z * z)) / 6.0
+        if p2 > 0.0:
+            p = ti.sqrt(p2)
+            det = a * (b * c - z * z) - x * (x * c - z * y) + y * (x * z - b * y)
+            r = ti.max(-1.0, ti.min(1.0, 0.5 * det / (p2 * p)))
+            result = q + 2.0 * p * ti.cos(ti.acos(r) / 3.0)
+    return result
+
+
+@ti.func
+def share(T, count, by_tensor: ti.template()):
+    """s of a ball: into how many parts its mass is split. 1 with at most one contact.
+
+    By tensor T = sum n n^T, the sharpest split for which one pass of normal impulses cannot add energy; by count where
+    friction pushes sideways as well.
+    """
+    s = ti.max(1.0, 1.0 * count)
+    if ti.static(by_tensor):
+        if count > 1:
+            s = ti.max(1.0, largest_eigenvalue(T))
+    return s

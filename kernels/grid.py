@@ -1,0 +1,172 @@
+"""A cell-sorted spatial hash in an unbounded world.
+
+Cells are FINE times narrower along x than across. A cell lies in bucket (cx + offset of its row) mod size, so the cells of a
+row are neighbours in the table, and any stretch of a row is one run of the sorted copies. Where the box around all balls
+holds no more cells than the table has buckets, rows follow one another and no two cells share a bucket; else the rows are
+spread by a hash, and different cells may share one. A candidate is accepted only in the row it really lies in (`same_row`),
+so that no pair is found twice; far cells that share a bucket are refused by their distance.
+"""
+
+import taichi as ti
+
+LIMIT = 1 << 28  # cells beyond this are merged: still correct, only slower
+FINE = 3  # a stretch of 2 reach + 1/3 in place of 3 whole cells: two thirds of the candidates
+
+
+@ti.func
+def cell_of(x, grid: ti.template()):
+    """Integer cell of a position."""
+    cell = x * grid.inverse_cell
+    cell[0] *= FINE
+    return ti.cast(ti.max(ti.min(ti.floor(cell), 1.0 * LIMIT), -1.0 * LIMIT), ti.i32)
+
+
+@ti.func
+def row_key(cell):
+    """A mixed number for the row (all coordinates but the first)."""
+    key = ti.u32(0)
+    for a in ti.static(range(1, cell.n)):
+        key = (key ^ ti.cast(cell[a], ti.u32)) * ti.u32(2654435761)
+        key ^= key >> 15
+    return key
+
+
+@ti.func
+def bucket_of(cell, grid: ti.template()):
+    """Bucket of a cell in a table of mask + 1 buckets, a power of two."""
+    key = ti.u32(0)
+    if grid.dense[0] == 1:
+        for a in ti.static(range(1, cell.n)):
+            key += ti.cast(cell[a] - grid.corner[a], ti.u32) * ti.cast(grid.pitch[a], ti.u32)
+        key -= ti.cast(grid.corner[0], ti.u32)
+    else:
+        key = row_key(cell)
+    return ti.cast((ti.cast(cell[0], ti.u32) + key) & ti.cast(grid.mask, ti.u32), ti.i32)
+
+
+@ti.func
+def same_row(a, b):
+    """Whether two cells lie in one row along x."""
+    same = True
+    for k in ti.static(range(1, a.n)):
+        same = same and a[k] == b[k]
+    return same
+
+
+@ti.func
+def prefix_sum(count: ti.template(), start: ti.template(), partial: ti.template(), size, chunk):
+    """start (size + 1) = exclusive sums of count (size); size is a multiple of chunk, or 0: nothing is done. Clears count."""
+    for c in range(size // chunk):
+        total = 0
+        for b in range(c * chunk, (c + 1) * chunk):
+            total += count[b]
+        partial[c] = total
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        running = 0
+        for c in range(size // chunk):
+            total = partial[c]
+            partial[c] = running
+            running += total
+        if size > 0:
+            start[size] = running
+    for c in range(size // chunk):
+        running = partial[c]
+        for b in range(c * chunk, (c + 1) * chunk):
+            start[b] = running
+            running += count[b]
+            count[b] = 0
+
+
+@ti.func
+def sort_run(order: ti.template(), first, last):
+    """Insertion sort of order[first:last]: threads filled it in any order, and sums must not depend on that."""
+    for a in range(first + 1, last):
+        value = order[a]
+        b = a - 1
+        while b >= first and order[b] > value:
+            order[b + 1] = order[b]
+            b -= 1
+        order[b + 1] = value
+
+
+@ti.func
+def plan(grid: ti.template()):
+    """work = how many balls and buckets the loops below handle: all when some ball has moved too far, else none.
+
+    A loop inside an `if` would not be parallel; a loop over nothing is.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        stale = grid.stale[0] if ti.static(grid.skin > 0.0) else 1
+        grid.work[0] = stale * grid.n
+        grid.work[1] = stale * grid.size
+        grid.work[2] = stale * grid.parts
+        grid.stale[0] = 0
+
+
+@ti.func
+def lay_out(ball: ti.template(), grid: ti.template()):
+    """Choose how rows are placed in the table, from the box of cells around all balls."""
+    for c in range(grid.work[2]):
+        low = cell_of(ball[c * grid.part].x, grid)
+        high = low
+        for i in range(c * grid.part + 1, ti.min((c + 1) * grid.part, grid.n)):
+            cell = cell_of(ball[i].x, grid)
+            low = ti.min(low, cell)
+            high = ti.max(high, cell)
+        grid.low[c] = low
+        grid.high[c] = high
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        if grid.work[2] > 0:
+            low = grid.low[0]
+            high = grid.high[0]
+            for c in range(1, grid.work[2]):
+                low = ti.min(low, grid.low[c])
+                high = ti.max(high, grid.high[c])
+            cells = ti.cast(1.0, ti.f64)
+            for a in ti.static(range(grid.dim)):
+                border = ti.static(2 * FINE if a == 0 else 2)  # what a search around a ball may look at
+                grid.corner[a] = low[a] - border
+                grid.pitch[a] = ti.cast(ti.min(cells, 1.0 * LIMIT), ti.i32)
+                cells *= ti.cast(high[a], ti.f64) - low[a] + (2 * border + 1)
+            grid.dense[0] = ti.select(cells <= grid.size, 1, 0)
+
+
+@ti.func
+def build(ball: ti.template(), grid: ti.template()):
+    """Sort the balls into the grid: bucket b holds sorted copies start[b] to start[b + 1], by rising index."""
+    lay_out(ball, grid)
+    for i in range(grid.work[0]):
+        b = bucket_of(cell_of(ball[i].x, grid), grid)
+        grid.origin[i] = ball[i].x
+        grid.bucket[i] = b
+        grid.count[b] += 1
+    prefix_sum(grid.count, grid.start, grid.partial, grid.work[1], grid.chunk)
+    for i in range(grid.work[0]):
+        b = grid.bucket[i]
+        grid.order[grid.start[b] + ti.atomic_add(grid.count[b], 1)] = i
+    for b in range(grid.work[1]):
+        grid.count[b] = 0
+        first = grid.start[b]
+        last = grid.start[b + 1]
+        sort_run(grid.order, first, last)
+        for k in range(first, last):
+            grid.copy[k].x = ball[grid.order[k]].x
+            grid.copy[k].radius = grid.model.radius[grid.order[k]]
+
+
+@ti.func
+def run(grid: ti.template(), bucket, length, piece: ti.template()):
+    """First and last + 1 of the sorted copies in `length` cells from `bucket` on: piece 0, and piece 1 where they go around
+    the end of the table."""
+    first = 0
+    last = 0
+    end = bucket + length
+    if ti.static(piece == 0):
+        first = grid.start[bucket]
+        last = grid.start[ti.min(end, grid.size)]
+    elif end > grid.size:
+        last = grid.start[end - grid.size]
+    return first, last

@@ -1,0 +1,199 @@
+"""Contacts between balls and sticks: found by walking the grid along each stick, kept as rows with up to three balls.
+
+A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie together by stick; each ball has a sorted list
+of the rows it takes part in, so that sums come out the same whatever the threads did.
+"""
+
+import taichi as ti
+
+from .direction import unit
+from .grid import FINE, bucket_of, cell_of, run, same_row
+
+END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
+SLABS = 1 << 16  # cells that one stick may cross
+
+
+@ti.func
+def closest(x, a, b):
+    """Parameter t of the point of the line a + t (b - a) closest to x, and the vector from that point to x."""
+    d = b - a
+    square = d.dot(d)
+    t = 0.0 * square
+    if square > 0.0:
+        t = d.dot(x - a) / square
+    return t, x - a - t * d
+
+
+@ti.func
+def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
+    """Whether ball i touches the inside of a stick. A hit at an end is the ball-ball contact with the ball there."""
+    hit = False
+    if i != one and i != two:
+        t, r = closest(x, ball[one].x, ball[two].x)
+        hit = t > END and t < 1.0 - END and r.dot(r) < radius * radius
+        hit = (
+            hit and sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two] > 0.0
+        )
+        if ti.static(sticks.pairs.has_bodies):
+            hit = hit and (sticks.pairs.body[i] == 0 or sticks.pairs.body[i] != sticks.pairs.body[one])
+    return hit
+
+
+@ti.func
+def slab(grid: ti.template(), a, d, axis, k):
+    """Lowest and highest cell around the piece of a stick a .. a + d that lies in slab k of its longest axis.
+
+    A slab is as thick as a cell across x; along x it holds FINE cells.
+    """
+    reach = grid.largest
+    width = 1.0 / grid.inverse_cell
+    t0 = 0.0 * a[0]
+    t1 = t0 + 1.0
+    for c in ti.static(range(a.n)):
+        if c == axis and d[c] != 0.0:
+            u = (k * width - reach - a[c]) / d[c]
+            v = ((k + 1) * width + reach - a[c]) / d[c]
+            t0 = ti.max(0.0, ti.min(u, v))
+            t1 = ti.min(1.0, ti.max(u, v))
+    low = cell_of(ti.min(a + t0 * d, a + t1 * d) - reach, grid)
+    high = cell_of(ti.max(a + t0 * d, a + t1 * d) + reach, grid)
+    for c in ti.static(range(a.n)):
+        if c == axis:
+            low[c] = k * ti.static(FINE if c == 0 else 1)
+            high[c] = low[c] + ti.static(FINE - 1 if c == 0 else 0)
+    return low, high
+
+
+@ti.func
+def visit(sticks: ti.template(), ball: ti.template(), s, low, high, at, fill: ti.template()):
+    """Count, or write as rows from `at` on, the balls in the cells low..high that touch stick s."""
+    one, two = sticks.one[s], sticks.two[s]
+    found = 0
+    depth = 1
+    if ti.static(low.n == 3):
+        depth = high[2] - low[2] + 1
+    for row in range((high[1] - low[1] + 1) * depth):
+        left = low
+        left[1] = low[1] + row // depth
+        if ti.static(low.n == 3):
+            left[2] = low[2] + row % depth
+        length = high[0] - low[0] + 1
+        bucket = bucket_of(left, sticks.grid)
+        for piece in ti.static(range(2)):
+            first, last = run(sticks.grid, bucket, length, piece)
+            for k in range(first, last):
+                b = sticks.grid.copy[k]
+                i = sticks.grid.order[k]
+                if touches(sticks, ball, i, b.x, b.radius, one, two):
+                    cell = cell_of(b.x, sticks.grid)
+                    if same_row(left, cell) and cell[0] >= low[0] and cell[0] <= high[0]:
+                        if ti.static(fill):
+                            sticks.row[at + found].ball = i
+                            sticks.row[at + found].stick = s
+                        found += 1
+    return found
+
+
+@ti.func
+def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template()):
+    """All balls that touch stick s, slab by slab along its longest axis."""
+    a = ball[sticks.one[s]].x
+    d = ball[sticks.two[s]].x - a
+    axis = 0
+    for c in ti.static(range(1, d.n)):
+        if ti.abs(d[c]) > ti.abs(d[axis]):
+            axis = c
+    cells = ti.select(axis == 0, FINE, 1)  # of a slab
+    low = (cell_of(ti.min(a, a + d) - sticks.grid.largest, sticks.grid) // cells)[axis]
+    high = (cell_of(ti.max(a, a + d) + sticks.grid.largest, sticks.grid) // cells)[axis]
+    if high - low > SLABS:
+        high = low + SLABS
+        ti.atomic_max(sticks.overflow[0], sticks.capacity + 1)
+    found = 0
+    for k in range(low, high + 1):
+        first, last = slab(sticks.grid, a, d, axis, k)
+        found += visit(sticks, ball, s, first, last, at + found, fill)
+    return found
+
+
+@ti.func
+def detect(sticks: ti.template(), ball: ti.template()):
+    """Rows of all sticks, then for each ball the sorted list of its entries 3 row + (0: ball, 1, 2: end)."""
+    sticks.used[0] = 0
+    for s in range(sticks.m):
+        found = walk(sticks, ball, s, 0, False)
+        first = 0
+        if found > 0:
+            first = ti.atomic_add(sticks.used[0], found)
+            if first + found <= sticks.capacity:
+                walk(sticks, ball, s, first, True)
+            else:
+                ti.atomic_max(sticks.overflow[0], first + found)
+    for i in range(sticks.model.n):
+        sticks.number[i] = 0
+    for c in range(ti.min(sticks.used[0], sticks.capacity)):
+        for which in ti.static(range(3)):
+            sticks.number[member(sticks, 3 * c + which)] += 1
+    sticks.entries[0] = 0
+    for i in range(sticks.model.n):
+        sticks.first[i] = ti.atomic_add(sticks.entries[0], sticks.number[i])
+        sticks.number[i] = 0
+    for c in range(ti.min(sticks.used[0], sticks.capacity)):
+        for which in ti.static(range(3)):
+            i = member(sticks, 3 * c + which)
+            sticks.entry[sticks.first[i] + ti.atomic_add(sticks.number[i], 1)] = 3 * c + which
+    for i in range(sticks.model.n):
+        sort_entries(sticks, sticks.first[i], sticks.first[i] + sticks.number[i])
+
+
+@ti.func
+def member(sticks: ti.template(), entry):
+    """The ball of an entry."""
+    row = sticks.row[entry // 3]
+    which = entry % 3
+    return ti.select(which == 0, row.ball, ti.select(which == 1, sticks.one[row.stick], sticks.two[row.stick]))
+
+
+@ti.func
+def sort_entries(sticks: ti.template(), first, last):
+    """Insertion sort by stick, then by place in that stick's rows."""
+    for a in range(first + 1, last):
+        value = sticks.entry[a]
+        stick = sticks.row[value // 3].stick
+        b = a - 1
+        while b >= first and after(sticks, sticks.entry[b], stick, value):
+            sticks.entry[b + 1] = sticks.entry[b]
+            b -= 1
+        sticks.entry[b + 1] = value
+
+
+@ti.func
+def after(sticks: ti.template(), entry, stick, value):
+    """Whether `entry` comes after the entry `value` of `stick`."""
+    mine = sticks.row[entry // 3].stick
+    return mine > stick or (mine == stick and entry > value)
+
+
+@ti.func
+def geometry(sticks: ti.template(), ball: ti.template(), row):
+    """Weights of ball, end one and end two, the normal from stick to ball, and the distance."""
+    one, two = sticks.one[row.stick], sticks.two[row.stick]
+    t, r = closest(ball[row.ball].x, ball[one].x, ball[two].x)
+    t = ti.max(0.0, ti.min(1.0, t))
+    n, d = unit(r, row.stick, row.ball)
+    if d == 0.0:  # the centre lies on the stick: any direction across it
+        n = across(ball[two].x - ball[one].x)
+    return ti.Vector([1.0 + 0.0 * t, t - 1.0, -t]), n, d
+
+
+@ti.func
+def across(d):
+    """A unit vector at right angles to d."""
+    n = d * 0.0
+    if ti.static(d.n == 2):
+        n = ti.Vector([d[1], -d[0]])
+    else:
+        n = ti.Vector([d[1], -d[0], 0.0 * d[0]])
+        if ti.abs(d[2]) > ti.max(ti.abs(d[0]), ti.abs(d[1])):
+            n = ti.Vector([0.0 * d[0], d[2], -d[1]])
+    return n / n.norm()

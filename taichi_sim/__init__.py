@@ -1,0 +1,56 @@
+"""taichi_sim: balls, springs, sticks, walls, cloth and jelly in 2D and 3D.
+
+import taichi_sim as ts
+
+scene = ts.Scene(dim=2, gravity=(0, -10))
+scene.add_balls([[0.0, 1.0]], radius=0.1)
+scene.add_wall((0, 1))
+with ts.Simulation(scene) as sim:
+    sim.run(1.0)
+    print(sim.position)
+"""
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from taichi_sim import shapes
+from taichi_sim.errors import BackendError, SceneError, UnstableError
+from taichi_sim.frame import Frame
+from taichi_sim.rates import spring_from_rates
+from taichi_sim.scene import Scene
+
+if TYPE_CHECKING:
+    from taichi_sim.integrators import Integrator
+    from taichi_sim.scene_file import load_scene
+    from taichi_sim.simulation import Simulation
+
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces itself on standard output
+
+__version__ = "0.1.0"
+__all__ = [
+    "BackendError",
+    "Frame",
+    "Integrator",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "UnstableError",
+    "__version__",
+    "load_scene",
+    "shapes",
+    "spring_from_rates",
+]
+
+_LAZY = {
+    "Integrator": "taichi_sim.integrators",
+    "Simulation": "taichi_sim.simulation",
+    "load_scene": "taichi_sim.scene_file",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Names that bring Taichi or other heavy modules are imported when first used."""
+    if name not in _LAZY:
+        raise AttributeError(f"module 'taichi_sim' has no attribute {name!r}")
+    return getattr(import_module(_LAZY[name]), name)

@@ -1,0 +1,278 @@
+"""The taichi-sim command. It imports nothing heavy before it knows what to do."""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any, Literal
+
+import typer
+
+from taichi_sim import __version__
+from taichi_sim.errors import BackendError, UnstableError
+from taichi_sim.interrupts import INTERRUPTED, TERMINATED, insistent_signals, leave
+
+__all__ = ["main"]
+
+BAD_INPUT, UNSTABLE = 2, 3
+
+main = typer.Typer(
+    help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
+    " simulation(), or the name of a demo.",
+    epilog="Exit status: 0 done, 2 bad input, 3 the simulation became unstable, 130 interrupted.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A TOML file, a Python file, or a demo's name.")]
+Arch = Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal.")]
+Step = Annotated[str | None, typer.Option("--dt", help="Time step in seconds, or auto.")]
+Integrator = Annotated[str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet or rk4.")]
+Precision = Annotated[str | None, typer.Option(help="f32 or f64.")]
+Fps = Annotated[float | None, typer.Option(help="Frames per simulated second.")]
+Duration = Annotated[float | None, typer.Option(help="Simulated seconds.")]
+Threads = Annotated[int | None, typer.Option(help="CPU threads.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
+Out = Annotated[str | None, typer.Option("--out", "-o", help="x.mp4, x.gif, x.npz, or folder/ for PNG frames.")]
+Size = Annotated[str | None, typer.Option(help="Size of the pictures in pixels, like 1280x720.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the frames in a folder that is not empty.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Keep the frames in the folder and write the missing ones.")]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"taichi-sim {__version__}")
+        raise typer.Exit
+
+
+@main.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show it.")] = False,
+) -> None:
+    pass
+
+
+# Commands ----------------------------------------------------------------------------------------------------------
+
+
+@main.command()
+def run(
+    scene: SceneName,
+    out: Out = None,
+    size: Size = None,
+    overwrite: Overwrite = False,
+    resume: Resume = False,
+    arch: Arch = None,
+    dt: Step = None,
+    integrator: Integrator = None,
+    precision: Precision = None,
+    fps: Fps = None,
+    duration: Duration = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate SCENE and write a video, pictures or arrays; without --out show the summary only."""
+    with _plain_errors():
+        from taichi_sim.outputs import export, open_output
+
+        job = _Job(scene, fps=fps, duration=duration, size=size)
+        if round(job.output["fps"] * job.output["duration"]) < 1:
+            raise ValueError("fps times duration is less than one frame; raise one of them")
+        target = None
+        if out is not None:
+            target = open_output(out, fps=job.output["fps"], overwrite=overwrite, resume=resume)
+        elif overwrite or resume:
+            raise ValueError("--overwrite and --resume need --out")
+        try:
+            with job.simulation(arch=arch, dt=dt, integrator=integrator, precision=precision, threads=threads) as sim:
+                summary = export(sim, target, progress=not quiet, **job.output)
+        except BaseException as error:
+            if target is not None and isinstance(error, UnstableError) and target.frames:
+                typer.echo(f"{out}: holds the {target.frames} frames until then", err=True)
+            elif target is not None:
+                target.discard()
+            raise
+        if not quiet:
+            typer.echo("\n".join([*summary.lines(), *([] if out is None else [f"written      {out}"])]))
+
+
+@main.command()
+def view(
+    scene: SceneName,
+    size: Size = None,
+    arch: Arch = None,
+    dt: Step = None,
+    integrator: Integrator = None,
+    precision: Precision = None,
+    fps: Fps = None,
+    duration: Duration = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show SCENE live: space pauses, s steps, r resets, p saves a picture, esc quits."""
+    with _plain_errors():
+        from taichi_sim.outputs.window import require_display, show
+
+        require_display()
+        job = _Job(scene, fps=fps, duration=duration, size=size)
+        options: dict[str, Any] = {"arch": arch, "dt": dt, "integrator": integrator, "precision": precision}
+        options["threads"] = threads
+        fps, size_px, style = (job.output[key] for key in ("fps", "size", "style"))
+        show(lambda: job.simulation(**options), fps=fps, size=size_px, until=duration, style=style)
+
+
+@main.command()
+def check(
+    scene: SceneName,
+    arch: Arch = None,
+    dt: Step = None,
+    integrator: Integrator = None,
+    precision: Precision = None,
+    fps: Fps = None,
+    duration: Duration = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Say which time step is safe for SCENE, and what limits it, before anything runs."""
+    with _plain_errors():
+        job = _Job(scene, fps=fps, duration=duration, size=None)
+        with job.simulation(arch=arch, dt=dt, integrator=integrator, precision=precision, threads=threads) as sim:
+            typer.echo("\n".join(_stability(sim)))
+
+
+@main.command()
+def report(scene: SceneName) -> None:
+    """Speed against error (not in this version)."""
+    _fail(f"report {scene}: is not in this version", BAD_INPUT)
+
+
+@main.command()
+def bench(names: Annotated[list[str] | None, typer.Argument(metavar="[NAME ...]")] = None) -> None:
+    """Run the benchmark, beside its reference implementations."""
+    with _plain_errors():
+        from taichi_sim.reports import bench as benchmark
+
+        benchmark.main(names or [])
+
+
+@main.command(name="demos")
+def list_demos() -> None:
+    """List the built-in scenes, one line each."""
+    with _plain_errors():
+        from taichi_sim.scene_source import built_in, demos
+
+        known = demos()
+        width = max(map(len, known), default=0)
+        for name, file in known.items():
+            typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())
+
+
+# What they share ---------------------------------------------------------------------------------------------------
+
+
+class _Job:
+    """A scene and how to show it: command line over scene file over defaults."""
+
+    def __init__(self, name: str, *, fps: float | None, duration: float | None, size: str | None) -> None:
+        from taichi_sim.scene_source import checked_output, open_scene, resolve
+
+        asked = {"fps": _positive("--fps", fps), "duration": _positive("--duration", duration), "size": _size(size)}
+        self.file = resolve(name)
+        self.scene = open_scene(self.file)
+        of_scene = {} if self.scene is None else checked_output(self.scene.output)
+        chosen = {"fps": 60.0, "duration": 5.0, "size": (1280, 720)} | of_scene
+        chosen |= {key: value for key, value in asked.items() if value is not None}
+        style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}
+        self.output: dict[str, Any] = chosen | {"style": style}
+
+    def simulation(self, *, dt: str | None, integrator: str | None, **process: Any) -> Any:
+        """The Simulation, with the command line's options over the scene's own."""
+        options = {"dt": _step(dt), "integrator": integrator, **process}
+        given = {key: value for key, value in options.items() if value is not None}
+        if self.scene is not None:
+            from taichi_sim.simulation import Simulation
+
+            return Simulation(self.scene, **given)
+        from taichi_sim import backend
+        from taichi_sim.scene_source import open_simulation
+
+        for key in ("dt", "integrator"):
+            if key in given:
+                raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
+        if given:
+            backend.start(**given)
+        return open_simulation(self.file)
+
+
+def _positive(option: str, value: float | None) -> float | None:
+    if value is not None and not 0 < value < float("inf"):
+        raise ValueError(f"{option}: {value:g} is not allowed; it must be a number greater than 0")
+    return value
+
+
+def _step(text: str | None) -> float | Literal["auto"] | None:
+    if text is None or text == "auto":
+        return text  # type: ignore[return-value]
+    try:
+        return _positive("--dt", float(text))
+    except ValueError:
+        raise ValueError(f"--dt: {text!r} is not allowed; it must be a number greater than 0 or auto") from None
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, _, height = text.partition("x")
+    if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
+        raise ValueError(f"--size: {text!r} is not allowed; it must be like 1280x720")
+    if not all(16 <= side <= 8192 for side in (int(width), int(height))):
+        raise ValueError(f"--size: {text!r} is not allowed; each side must be from 16 to 8192")
+    return int(width), int(height)
+
+
+def _stability(sim: Any) -> Iterator[str]:
+    """The lines of the stability report."""
+    limits = sim.stability()
+    yield f"step used             {sim.dt / sim.substeps:.4g} s"
+    for name, value in (("for any shape", limits.dt_any_shape), ("for this shape", limits.dt_present)):
+        yield f"safe {name:17}" + ("no limit" if value == float("inf") else f"{value:.4g} s")
+    for name, index in (("spring", limits.spring), ("ball", limits.ball)):
+        if index is not None:
+            yield f"limited by            {name} {index}"
+    yield f"why                   {limits.reason}"
+
+
+@contextmanager
+def _plain_errors() -> Iterator[None]:
+    """Errors as one line on standard error with the exit status they stand for; warnings as one line, too."""
+    showwarning = warnings.showwarning
+    warnings.showwarning = lambda message, category, *_: typer.echo(f"warning: {message}", err=True)
+    try:
+        with insistent_signals():
+            yield
+    except UnstableError as error:
+        _fail(str(error), UNSTABLE)
+    except (ValueError, BackendError, OSError, ArithmeticError) as error:  # SceneError is a ValueError
+        _fail(str(error), BAD_INPUT)
+    except MemoryError as error:
+        _fail(f"not enough memory for this scene: {error}", BAD_INPUT)
+    except KeyboardInterrupt:
+        typer.echo("taichi-sim: interrupted", err=True)
+        leave(INTERRUPTED)
+    except SystemExit as end:
+        if end.code == TERMINATED:
+            leave(TERMINATED)
+        raise
+    finally:
+        warnings.showwarning = showwarning
+
+
+def _fail(message: str, status: int) -> None:
+    typer.echo(f"taichi-sim: {message}", err=True)
+    raise typer.Exit(status)
+
+
+if __name__ == "__main__":
+    main()

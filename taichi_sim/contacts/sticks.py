@@ -1,0 +1,159 @@
+"""Sticks: springs that balls bounce off."""
+
+import numpy as np
+import taichi as ti
+
+from taichi_sim.contacts.pairs import Pairs
+from taichi_sim.contacts.walls import SLOP
+from taichi_sim.fields import Fields
+from taichi_sim.kernels import contact_law
+from taichi_sim.kernels import sticks as loops
+from taichi_sim.model import Model
+
+__all__ = ["Sticks"]
+
+MINIMUM_CAPACITY = 1 << 16  # rows
+
+
+@ti.data_oriented
+class Sticks:
+    """Ball-stick contacts: the stick is its two end balls, each taking part by how near the hit is."""
+
+    def __init__(self, model: Model, fields: Fields, pairs: Pairs) -> None:
+        scene = model.scene
+        ends = scene.pairs[scene.collides]
+        self.model, self.pairs, self.grid = model, pairs, pairs.grid
+        self.m = len(ends)
+        self.one, self.two = fields.integers(ends[:, 0]), fields.integers(ends[:, 1])
+        self.capacity = max(MINIMUM_CAPACITY if model.n > 64 else self.m * model.n, 4 * (model.n + self.m))
+        self.row = fields.table(
+            {"ball": ti.i32, "stick": ti.i32, "target": fields.real, "held": fields.real}, self.capacity
+        )
+        self.impulse = fields.vectors(self.capacity, model.dim)
+        self.slide = fields.vectors(self.capacity, model.dim)
+        self.entry = fields.integers(3 * self.capacity)
+        self.first, self.number = fields.integers(model.n), fields.integers(model.n)
+        self.used, self.entries, self.overflow = (fields.integers(1) for _ in range(3))
+
+    def names(self) -> list[str]:
+        """What is compiled in, for `Simulation.kernels()`."""
+        return ["sticks"]
+
+    @ti.func
+    def detect(self, ball: ti.template()):
+        """Find all touching ball-stick pairs; the grid is built already."""
+        loops.detect(self, ball)
+
+    @ti.func
+    def measure(self, ball: ti.template(), i):
+        """Sum of n n^T over the rows of ball i, and their number."""
+        T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+        for e in range(self.first[i], self.first[i] + self.number[i]):
+            _, n, _ = loops.geometry(self, ball, self.row[self.entry[e] // 3])
+            T += n.outer_product(n)
+        return T, self.number[i]
+
+    @ti.func
+    def inverse_mass(self, solver: ti.template(), row, g):
+        """sum w_i g_i^2 s_i over the three balls."""
+        one, two = self.one[row.stick], self.two[row.stick]
+        return solver.lightness[row.ball] + solver.lightness[one] * g[1] * g[1] + solver.lightness[two] * g[2] * g[2]
+
+    @ti.func
+    def begin_rows(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
+        """Fix the target speed of every row; nothing is held from before."""
+        for c in range(ti.min(self.used[0], self.capacity)):
+            g, n, _ = loops.geometry(self, ball, self.row[c])
+            u = self.relative_velocity(ball, self.row[c], g).dot(n)
+            law = self.law(self.row[c])
+            self.row[c].target = contact_law.target_speed(u, law.restitution, solver.threshold, impacts)
+            self.row[c].held = 0.0 * u
+            self.slide[c] = 0.0 * n
+
+    @ti.func
+    def solve_rows(self, ball: ti.template(), solver: ti.template(), time):
+        """Further impulse of every row from the present velocities; viscous friction acts for `time` seconds."""
+        for c in range(ti.min(self.used[0], self.capacity)):
+            row = self.row[c]
+            g, n, _ = loops.geometry(self, ball, row)
+            u = self.relative_velocity(ball, row, g)
+            mass = 1.0 / self.inverse_mass(solver, row, g)
+            total = contact_law.normal_impulse(u, n, row.target, mass, row.held)
+            self.impulse[c] = (total - row.held) * n
+            self.row[c].held = total
+            if ti.static(self.model.has_friction):
+                if contact_law.presses(total, mass, solver.threshold):
+                    law = self.law(row)
+                    slip = contact_law.decayed(law.viscous_friction * time)
+                    change, slide = contact_law.sliding_impulse(u, n, mass, self.slide[c], law.friction * total, slip)
+                    self.slide[c] = slide
+                    self.impulse[c] += change
+
+    @ti.func
+    def relative_velocity(self, ball: ti.template(), row, g):
+        """sum g_i v_i of a row."""
+        return ball[row.ball].v + g[1] * ball[self.one[row.stick]].v + g[2] * ball[self.two[row.stick]].v
+
+    @ti.func
+    def law(self, row):
+        """Pair law of a row: the ball's material against that of the stick's first end."""
+        return self.model.laws[
+            self.model.surface[row.ball] * self.model.surfaces + self.model.surface[self.one[row.stick]]
+        ]
+
+    @ti.func
+    def weight(self, ball: ti.template(), entry):
+        """Weight of the ball of an entry in its row."""
+        g, _, _ = loops.geometry(self, ball, self.row[entry // 3])
+        return ti.select(entry % 3 == 0, g[0], ti.select(entry % 3 == 1, g[1], g[2]))
+
+    @ti.func
+    def begin(self, ball: ti.template(), solver: ti.template(), i, impacts: ti.template()):
+        """Nothing is held from before."""
+        return ti.Vector.zero(float, self.model.dim)
+
+    @ti.func
+    def begin_scatter(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
+        """Nothing is held from before."""
+
+    @ti.func
+    def first_pass(self, ball: ti.template(), solver: ti.template(), i, time, impacts: ti.template()):
+        """The rows are begun and solved already."""
+        return self.gather(ball, solver, i, time)
+
+    @ti.func
+    def gather(self, ball: ti.template(), solver: ti.template(), i, time):
+        """Impulse on ball i from all rows it takes part in."""
+        p = ti.Vector.zero(float, self.model.dim)
+        for e in range(self.first[i], self.first[i] + self.number[i]):
+            p += self.weight(ball, self.entry[e]) * self.impulse[self.entry[e] // 3]
+        return p
+
+    @ti.func
+    def scatter(self, ball: ti.template(), solver: ti.template(), time):
+        """Add the impulse of each row to its three balls with atomics."""
+        for c in range(ti.min(self.used[0], self.capacity)):
+            g, _, _ = loops.geometry(self, ball, self.row[c])
+            for which in ti.static(range(3)):
+                solver.push[loops.member(self, 3 * c + which)] += g[which] * self.impulse[c]
+
+    @ti.func
+    def offset(self, ball: ti.template(), solver: ti.template(), i, h):
+        """Push-out of ball i [m] from the sticks it overlaps, or as a stick's end from the balls that overlap it."""
+        q = ti.Vector.zero(float, self.model.dim)
+        for e in range(self.first[i], self.first[i] + self.number[i]):
+            row = self.row[self.entry[e] // 3]
+            g, n, d = loops.geometry(self, ball, row)
+            u = self.relative_velocity(ball, row, g)
+            depth = self.model.radius[row.ball] * (1.0 - SLOP) - d - h * ti.max(0.0, n.dot(u))
+            # near a pinned end the other one is a long lever: no ball is moved by more than the depth
+            one, two = self.one[row.stick], self.two[row.stick]
+            lever = ti.max(self.model.inverse_mass[one] * -g[1], self.model.inverse_mass[two] * -g[2])
+            share = ti.max(0.0, depth) / ti.max(self.inverse_mass(solver, row, g), lever)
+            q += solver.push_out * self.weight(ball, self.entry[e]) * share * n
+        return q * self.model.inverse_mass[i]
+
+
+def has_sticks(model: Model) -> bool:
+    """Whether any spring of the scene collides."""
+    return bool(np.any(model.scene.collides))

@@ -1,0 +1,109 @@
+"""Fields: one tree of Taichi fields that is declared piece by piece, filled once, and freed as a whole."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.errors import SceneError
+
+__all__ = ["Fields"]
+
+
+class Fields:
+    """Collects fields with their first values; `build()` allocates and fills them, `free()` gives the memory back.
+
+    Taichi frees memory only by whole trees, and a process holds few hundred of them: so one per simulation.
+    A field that would be empty gets one unused element, because Taichi has no empty fields.
+    """
+
+    def __init__(self, real: Any) -> None:
+        self.real = real
+        self._builder = ti.FieldsBuilder()
+        self._first: list[tuple[Any, Any]] = []
+        self._tree: Any = None
+        self.bytes = 0
+
+    def _place(self, field: Any, n: int, data: Any, item_bytes: int) -> Any:
+        if n == 0:
+            self._builder.place(field)
+        else:
+            self._builder.dense(ti.i, max(1, n)).place(field)
+        if data is not None:
+            self._first.append((field, data))
+        self.bytes += max(1, n) * item_bytes
+        return field
+
+    @property
+    def _size(self) -> int:
+        return 8 if self.real == ti.f64 else 4
+
+    def _cast(self, data: NDArray) -> NDArray:
+        """A copy in the precision of the run; a number that it cannot hold is refused."""
+        if self.real == ti.f64:
+            return np.ascontiguousarray(data, dtype=np.float64)
+        with np.errstate(over="ignore"):
+            array = np.ascontiguousarray(data, dtype=np.float32)
+        lost = ~np.isfinite(array) | ((array == 0) & (np.asarray(data) != 0))
+        if lost.any():
+            value = np.asarray(data)[lost].flat[0]
+            raise SceneError(f'precision: {value:.4g} does not fit into single precision; use precision "f64"')
+        return array
+
+    def reals(self, data: int | NDArray) -> Any:
+        """A field of reals: n of them, zero, or a copy of data, shape (n,) or (n, dim)."""
+        if isinstance(data, int):
+            return self._place(ti.field(self.real), max(1, data), None, self._size)
+        array = self._cast(data)
+        width = array.shape[1] if array.ndim == 2 else 0
+        field = ti.Vector.field(width, self.real) if width else ti.field(self.real)
+        return self._place(field, max(1, len(array)), array if len(array) else None, self._size * max(1, width))
+
+    def vectors(self, n: int, dim: int) -> Any:
+        """n zero vectors."""
+        return self._place(ti.Vector.field(dim, self.real), max(1, n), None, self._size * dim)
+
+    def integers(self, data: int | NDArray) -> Any:
+        """A field of 32-bit integers: n zeros, or a copy of data, shape (n,)."""
+        n = data if isinstance(data, int) else len(data)
+        array = None if isinstance(data, int) or n == 0 else np.ascontiguousarray(data, dtype=np.int32)
+        return self._place(ti.field(ti.i32), max(1, n), array, 4)
+
+    def cells(self, n: int, dim: int) -> Any:
+        """n zero vectors of 32-bit integers."""
+        return self._place(ti.Vector.field(dim, ti.i32), max(1, n), None, 4 * dim)
+
+    def table(self, columns: dict[str, Any], n: int, data: dict[str, NDArray] | None = None) -> Any:
+        """n rows of a struct, members side by side. columns: name to Taichi type (a scalar or a vector type)."""
+        field = ti.Struct.field(columns)
+        width = sum(getattr(t, "n", 1) * (4 if t == ti.i32 else self._size) for t in columns.values())
+        typed = None
+        if data is not None and n:
+            typed = {
+                name: np.ascontiguousarray(data[name], dtype=np.int32) if t == ti.i32 else self._cast(data[name])
+                for name, t in columns.items()
+            }
+        return self._place(field, max(1, n), typed, width)
+
+    def build(self) -> None:
+        """Allocate everything and copy the first values in."""
+        self._tree = self._builder.finalize()
+        for field, data in self._first:
+            field.from_numpy(data)
+        self._first.clear()
+
+    def abandon(self) -> None:
+        """Undo a construction that failed: a builder left open would make every later simulation fail."""
+        if self._tree is None:
+            field = ti.field(ti.i32)
+            self._builder.place(field)
+            self._tree = self._builder.finalize()
+            field[None] = 0  # a tree that no kernel has touched must not be destroyed
+        self.free()
+
+    def free(self) -> None:
+        """Give the memory back. The fields must not be used after that."""
+        if self._tree is not None:
+            self._tree.destroy()
+            self._tree = None

@@ -1,0 +1,106 @@
+"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks or with atomics."""
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.fields import Fields
+from taichi_sim.kernels import springs as loops
+from taichi_sim.model import Model, incidence
+
+__all__ = ["Springs", "decay_damping"]
+
+BLOCKS = 32  # from here on half of them, one phase, keeps a desktop's threads busy; a fixed number, so that bits do not
+# depend on how many threads there are
+MINIMUM_BLOCK = 64  # balls
+
+
+def decay_damping(model: Model, tau: float) -> NDArray[np.float64]:
+    """Damping coefficients (m,) [N s/m] that let relative speeds decay exponentially over `tau` seconds, stable for any c.
+
+    A ball with s damped springs gives each of them the s-th part of its mass, so that with D = w_i s_i + w_j s_j the sum of
+    all pair impulses -(1 - exp(-c D tau)) u / D can never over-correct (physics: exponential pair halves with split masses).
+    Returned as an equivalent c: tau c' = (1 - exp(-c D tau)) / D.
+    """
+    scene = model.scene
+    c = scene.damping
+    damped = scene.pairs[c > 0]
+    count = np.bincount(damped.ravel(), minlength=model.n)
+    share = (model.inverse_mass_array * count)[scene.pairs].sum(axis=1)
+    rate = share * tau
+    softened = -np.expm1(-c * rate) / np.where(rate > 0, rate, 1.0)
+    return np.where(rate > 0, softened, c)
+
+
+@ti.data_oriented
+class Springs:
+    """The springs of a scene.
+
+    Args:
+        damping: (m,) [N s/m] as the integrator wants it (explicit, or made stable by `decay_damping`).
+        order: "gather", "blocks" (both fixed orders) or "atomic".
+    """
+
+    def __init__(self, model: Model, fields: Fields, damping: NDArray[np.float64], order: str) -> None:
+        scene = model.scene
+        self.n, self.m = model.n, scene.n_springs
+        self.damped = bool(np.any(scene.damping > 0))
+        self.order = order
+        low = scene.pairs.min(axis=1)
+        high = scene.pairs.max(axis=1)
+        if order == "gather":
+            start, other, spring = incidence(scene.pairs, self.n)
+        else:
+            spring = np.lexsort((high, low))
+            other = high[spring]
+            start = np.zeros(self.n + 1, dtype=np.int32)
+            np.cumsum(np.bincount(low, minlength=self.n), out=start[1:])
+        self.start = fields.integers(start)
+        columns = {"other": ti.i32, "stiffness": fields.real, "rest_length": fields.real}
+        data = {"other": other, "stiffness": scene.stiffness[spring], "rest_length": scene.rest_length[spring]}
+        if self.damped:
+            columns["damping"] = fields.real
+            data["damping"] = damping[spring]
+        if order == "atomic":
+            columns["one"] = ti.i32
+            data["one"] = low[spring]
+        self.spring = fields.table(columns, len(spring), data)
+        self.block = max(MINIMUM_BLOCK, bandwidth(model) + 1)
+        self.blocks = -(-self.n // self.block)
+        self.loop = {"gather": loops.gather, "blocks": loops.blocks, "atomic": loops.scatter}[order]
+
+    def names(self) -> list[str]:
+        """What is compiled in, for `Simulation.kernels()`."""
+        return [f"springs.{self.order}"] + (["springs.damping"] if self.damped else [])
+
+    @ti.func
+    def elastic(self, ball: ti.template(), impulse: ti.template(), h):
+        """impulse [N s] = h times the elastic forces."""
+        ti.static(self.loop)(ball, self, impulse, impulse, h, h, True, False, False)
+
+    @ti.func
+    def damp(self, ball: ti.template(), jump: ti.template(), tau):
+        """jump [N s] = tau times the damping forces."""
+        ti.static(self.loop)(ball, self, jump, jump, tau, tau, False, True, False)
+
+    @ti.func
+    def both(self, ball: ti.template(), impulse: ti.template(), jump: ti.template(), h, tau):
+        """Elastic impulses over h into `impulse`, damping impulses over tau into `jump`, in one pass."""
+        ti.static(self.loop)(ball, self, impulse, jump, h, tau, True, self.damped, True)
+
+    @ti.func
+    def total(self, ball: ti.template(), impulse: ti.template(), h):
+        """impulse [N s] = h times the elastic and the damping forces together."""
+        ti.static(self.loop)(ball, self, impulse, impulse, h, h, True, self.damped, False)
+
+
+def bandwidth(model: Model) -> int:
+    """Largest difference between the indices of two balls that a spring joins."""
+    pairs = model.scene.pairs.astype(np.int64)
+    return int(np.abs(pairs[:, 1] - pairs[:, 0]).max()) if len(pairs) else 0
+
+
+def fixed_order(model: Model, cpu: bool) -> str:
+    """The faster fixed order: blocks where springs reach few indices far (each spring once), else gather; GPUs gather."""
+    blocks = model.n // max(MINIMUM_BLOCK, bandwidth(model) + 1)
+    return "blocks" if cpu and blocks >= BLOCKS else "gather"

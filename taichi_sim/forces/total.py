@@ -1,0 +1,96 @@
+"""TotalForce: the sum of all forces of a scene, accumulated from old positions and velocities into impulses.
+
+A force of your own is a small class with one function; it may read any field of the model:
+
+    @ti.data_oriented
+    class Drag:
+        def __init__(self, coefficient):
+            self.coefficient = coefficient  # N s/m
+
+        @ti.func
+        def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+            for i in range(model.n):
+                impulse[i] += -h * self.coefficient * ball[i].v
+
+    Simulation(scene, forces=[Drag(0.1)])
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import taichi as ti
+
+from taichi_sim.fields import Fields
+from taichi_sim.forces.springs import Springs
+from taichi_sim.model import Model
+from taichi_sim.state import State
+
+__all__ = ["TotalForce"]
+
+
+@ti.data_oriented
+class TotalForce:
+    """Gravity, springs and the user's forces. What the scene lacks compiles to nothing."""
+
+    def __init__(
+        self, model: Model, state: State, fields: Fields, springs: Springs | None, extra: Sequence[Any]
+    ) -> None:
+        for force in extra:
+            if not callable(getattr(force, "accumulate", None)):
+                raise ValueError(f"forces: {force!r} has no function accumulate(model, ball, impulse, h, time)")
+        self.model, self.n, self.impulse = model, model.n, state.impulse
+        self.springs, self.extra = springs, list(extra)
+        self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(extra)
+        self.damped = springs is not None and springs.damped
+        if self.damped:
+            self.jump = fields.vectors(model.n, model.dim)
+
+    def names(self) -> list[str]:
+        """What is compiled in, for `Simulation.kernels()`."""
+        names = ["gravity"] if self.model.has_gravity else []
+        names += self.springs.names() if self.springs is not None else []
+        return names + [f"force.{type(force).__name__}" for force in self.extra]
+
+    @ti.func
+    def change(self, i, h):
+        """Velocity change of ball i over h: gravity, and the accumulated impulse of the same h."""
+        dv = ti.Vector.zero(float, self.model.dim)
+        w = self.model.inverse_mass[i]
+        if ti.static(self.model.has_gravity):
+            if w > 0.0:
+                dv += h * self.model.gravity[0]
+        if ti.static(self.has_impulse):
+            dv += w * self.impulse[i]
+        return dv
+
+    @ti.func
+    def _extra(self, ball: ti.template(), h, time):
+        """Add the user's forces; clear first where no springs have written."""
+        if ti.static(self.has_impulse and not self.has_springs):
+            for i in range(self.n):
+                self.impulse[i] = ti.Vector.zero(float, self.model.dim)
+        for force in ti.static(self.extra):
+            force.accumulate(self.model, ball, self.impulse, h, time)
+
+    @ti.func
+    def elastic(self, ball: ti.template(), h, time):
+        """impulse = h times all forces but spring damping."""
+        if ti.static(self.has_springs):
+            self.springs.elastic(ball, self.impulse, h)
+        self._extra(ball, h, time)
+
+    @ti.func
+    def elastic_and_jump(self, ball: ti.template(), h, tau, time):
+        """impulse = h times all forces but spring damping; jump = tau times spring damping; one pass for both."""
+        if ti.static(self.damped):
+            self.springs.both(ball, self.impulse, self.jump, h, tau)
+        elif ti.static(self.has_springs):
+            self.springs.elastic(ball, self.impulse, h)
+        self._extra(ball, h, time)
+
+    @ti.func
+    def total(self, ball: ti.template(), h, time):
+        """impulse = h times all forces, spring damping among them."""
+        if ti.static(self.has_springs):
+            self.springs.total(ball, self.impulse, h)
+        self._extra(ball, h, time)

@@ -1,0 +1,41 @@
+"""Frame: one moment of a simulation as plain NumPy arrays, all that an output or a renderer ever sees."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Frame"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+def _empty(*shape: int, dtype: type = np.float64) -> NDArray:
+    return np.zeros(shape, dtype=dtype)
+
+
+@dataclass(slots=True)
+class Frame:
+    """One moment. n balls, m springs, t triangles, w walls in `dim` dimensions.
+
+    What does not change from frame to frame (radius, springs, triangles, colour, ...) is shared between frames: read only.
+    """
+
+    time: float  # s
+    position: Floats  # (n, dim) m
+    velocity: Floats  # (n, dim) m/s
+    radius: Floats  # (n,) m
+    springs: Ints = field(default_factory=lambda: _empty(0, 2, dtype=np.int32))  # (m, 2) ball indices
+    sticks: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (m,) True: balls bounce off
+    strain: Floats = field(default_factory=lambda: _empty(0))  # (m,) (length - rest) / rest; 0 where rest is 0
+    triangles: Ints = field(default_factory=lambda: _empty(0, 3, dtype=np.int32))  # (t, 3) ball indices
+    colour: Floats = field(default_factory=lambda: _empty(0, 3))  # (n, 3) sRGB in 0..1; (0, 3): the renderer chooses
+    pinned: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (n,)
+    walls: Floats = field(default_factory=lambda: _empty(0, 0))  # (w, dim + 1): unit normal, offset; solid below it
+    energy: tuple[float, float, float, float] | None = None  # J: kinetic, spring, gravity, total
+
+    @property
+    def dim(self) -> int:
+        """2 or 3."""
+        return int(self.position.shape[1])

@@ -1,0 +1,44 @@
+"""What every integrator has."""
+
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.fields import Fields
+from taichi_sim.forces.springs import decay_damping
+from taichi_sim.forces.total import TotalForce
+from taichi_sim.model import Model
+from taichi_sim.state import State
+
+__all__ = ["Integrator"]
+
+
+@ti.data_oriented
+class Integrator:
+    """One method. `order`: of convergence of the phase-space error for smooth scenes.
+
+    `implicit_damping`: spring damping acts in exponential halves that are stable for any coefficient, else it is an
+    explicit force. `allocate` may add fields of the method's own.
+    """
+
+    name = ""
+    order = 0
+    implicit_damping = False
+
+    def damping(self, model: Model, h: float) -> NDArray:
+        """Spring damping (m,) [N s/m] as this method wants it for substeps of h seconds."""
+        return decay_damping(model, 0.5 * h) if self.implicit_damping else model.scene.damping
+
+    def bind(self, model: Model, state: State, forces: TotalForce, contacts: ContactSolver, fields: Fields) -> None:
+        """Take the parts of a simulation. Called once, before the fields exist."""
+        self.model, self.state, self.forces, self.contacts = model, state, forces, contacts
+        self.ball = state.ball
+        self.allocate(fields)
+
+    def allocate(self, fields: Fields) -> None:
+        """Declare fields of the method's own."""
+
+    @ti.func
+    def prime(self, h, time):
+        """Make what a substep expects from the one before: here, the contacts at the present positions."""
+        self.contacts.prime(self.ball)

@@ -1,0 +1,108 @@
+"""Surface meshes: reading them, and the edges and hinges from which springs are made. Imports no Taichi."""
+
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.errors import SceneError
+
+__all__ = ["SUFFIXES", "Surface", "hinge_pairs", "read_surface", "surface_area", "unique_edges"]
+
+SUFFIXES = (".obj", ".ply", ".stl")
+
+
+class Surface(NamedTuple):
+    """A triangle mesh: vertices (n, 3) m and triangles (t, 3) of vertex indices, counter-clockwise from outside."""
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+
+
+def read_surface(path: str | os.PathLike[str]) -> Surface:
+    """Read an OBJ, PLY or STL file; larger polygons become triangles.
+
+    Vertices at the same place become one (an STL file repeats them for each triangle, an OBJ file at texture seams), in
+    the order of their first appearance; triangles that this leaves without area and vertices without a triangle go.
+
+    Raises SceneError for a missing or unreadable file, one without faces, one with vertices that are not finite, and
+    where the package for reading meshes is not installed.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in SUFFIXES:
+        raise SceneError(f"mesh: {str(path)!r} is not allowed; it must be a file that ends in {' '.join(SUFFIXES)}")
+    if not file.is_file():
+        raise SceneError(f"mesh: {str(path)!r} is not there; it must be an existing {file.suffix} file")
+    loaded = _load(file)
+    vertices = np.asarray(getattr(loaded, "vertices", ()), dtype=np.float64)
+    faces = np.asarray(getattr(loaded, "faces", ()), dtype=np.int64)
+    if faces.size == 0 or vertices.size == 0:
+        raise SceneError(f"mesh: {str(path)!r} has no faces; a surface needs at least one triangle")
+    finite = np.isfinite(vertices).all(axis=1)
+    if not finite.all():
+        bad = int(np.argmin(finite))
+        place = vertices[bad].tolist()
+        raise SceneError(
+            f"mesh: {str(path)!r}, vertex {bad} (from 0): {place} is not allowed; it must be finite numbers"
+        )
+    surface = _weld(vertices, faces)
+    if not len(surface.triangles):
+        raise SceneError(f"mesh: {str(path)!r} has no face with an area; a surface needs at least one triangle")
+    return surface
+
+
+def _load(file: Path) -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        raise SceneError('mesh: reading meshes needs one more package: pip install "taichi-sim[mesh]"') from None
+    try:
+        return trimesh.load_mesh(file, process=False, skip_materials=True)
+    except Exception as error:  # a parser for foreign files may raise anything
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise SceneError(
+            f"mesh: {str(file)!r} cannot be read as {file.suffix[1:].upper()} with faces: {reason}"
+        ) from error
+
+
+def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
+    _, first, same = np.unique(
+        vertices + 0.0, axis=0, return_index=True, return_inverse=True
+    )  # + 0.0: no negative zero
+    triangles = first[same.reshape(-1)][faces]
+    flat = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
+    used, compact = np.unique(triangles[~flat], return_inverse=True)
+    return Surface(vertices[used], compact.reshape(-1, 3).astype(np.int32))
+
+
+def unique_edges(triangles: NDArray) -> NDArray[np.int32]:
+    """The edges (e, 2) of triangles (t, 3): each once, lower vertex first, sorted."""
+    if len(triangles) == 0:
+        return np.zeros((0, 2), dtype=np.int32)
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    return np.unique(np.sort(edges, axis=1), axis=0).astype(np.int32)
+
+
+def hinge_pairs(triangles: NDArray) -> NDArray[np.int32]:
+    """The two vertices that face each other across each interior edge, (h, 2): each pair once, lower first, sorted.
+
+    An interior edge is one that exactly two triangles share; where three or more meet there is no single hinge.
+    """
+    if len(triangles) == 0:
+        return np.zeros((0, 2), dtype=np.int32)
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    opposite = np.concatenate([triangles[:, 2], triangles[:, 0], triangles[:, 1]])
+    _, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    edge = edge.reshape(-1)
+    inner = count[edge] == 2
+    by_edge = np.argsort(edge[inner], kind="stable")
+    pairs = np.sort(opposite[inner][by_edge].reshape(-1, 2), axis=1)
+    return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0).astype(np.int32)
+
+
+def surface_area(surface: Surface) -> float:
+    """Sum of the triangles' areas [m^2]."""
+    a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)

@@ -1,0 +1,72 @@
+"""Model: what stays constant while a scene runs, as Taichi fields, and only what some part of the scene needs."""
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.fields import Fields
+from taichi_sim.scene import Scene
+
+__all__ = ["Model"]
+
+
+class Model:
+    """Constant fields of a scene with n balls in `dim` dimensions.
+
+    Attributes that kernels read: `n`, `dim`; `inverse_mass` (n) [1/kg], 0 when pinned; `gravity` (1) [m/s^2]. For contacts,
+    made on demand: `radius` (n) [m], `surface` (n) material index, `laws` (materials^2) restitution, friction, viscous friction
+    for each pair of materials.
+    """
+
+    def __init__(self, scene: Scene, fields: Fields) -> None:
+        self.scene = scene
+        self.fields = fields
+        self.n = scene.n_balls
+        self.dim = scene.dim
+        self.inverse_mass_array: NDArray[np.float64] = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+        self.inverse_mass = fields.reals(self.inverse_mass_array)
+        self.has_gravity = bool(np.any(scene.gravity != 0))
+        self.gravity = fields.reals(scene.gravity[None])
+        self.surfaces = len(scene.materials)
+
+    def add_contact_fields(self) -> None:
+        """Radii, materials and the table of pair laws: what every contact part reads."""
+        scene, fields = self.scene, self.fields
+        self.radius = fields.reals(scene.radius)
+        self.surface = fields.integers(scene.material)
+        e = np.array([m.restitution for m in scene.materials])
+        mu = np.array([m.friction for m in scene.materials])
+        f = np.array([m.viscous_friction for m in scene.materials])
+        self.has_friction = bool(mu.any() or f.any())
+        self.has_restitution = bool(e.any())
+        real = fields.real
+        self.laws = fields.table(
+            {"restitution": real, "friction": real, "viscous_friction": real},
+            self.surfaces**2,
+            {
+                "restitution": np.maximum.outer(e, e).ravel(),
+                "friction": np.sqrt(np.outer(mu, mu)).ravel(),
+                "viscous_friction": np.sqrt(np.outer(f, f)).ravel(),
+            },
+        )
+
+    def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """For each ball the balls that a spring joins it to, as (start (n + 1), other (2 m)), sorted."""
+        return incidence(self.scene.pairs, self.n)[:2]
+
+
+def incidence(pairs: NDArray[np.int32], n: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
+    """For each of n balls its springs: start (n + 1), other end (2 m), spring index (2 m), sorted by the other end."""
+    here = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    other = np.concatenate([pairs[:, 1], pairs[:, 0]])
+    spring = np.tile(np.arange(len(pairs)), 2)
+    order = np.lexsort((spring, other, here))
+    start = np.zeros(n + 1, dtype=np.int32)
+    np.cumsum(np.bincount(here, minlength=n), out=start[1:])
+    return start, other[order].astype(np.int32), spring[order]
+
+
+def phase_type(dim: int, real: object) -> dict[str, object]:
+    """Members of the struct that holds a ball: x [m] and v [m/s] side by side, so that one cache line serves a spring."""
+    vector = ti.types.vector(dim, real)
+    return {"x": vector, "v": vector}

@@ -1,0 +1,40 @@
+"""Where frames go: one output per file. `open_output` picks one by the ending of a name."""
+
+from os import PathLike, fspath
+from pathlib import Path
+
+from taichi_sim.outputs.base import Output
+from taichi_sim.outputs.run import Summary, export
+
+__all__ = ["Output", "Summary", "export", "open_output"]
+
+
+def open_output(
+    path: str | PathLike[str], *, fps: float = 60.0, overwrite: bool = False, resume: bool = False
+) -> Output:
+    """The output for a name: x.mp4 a video, x.gif an animation, x.npz arrays, a name without an ending PNG frames.
+
+    It is opened at once: ValueError for another ending, OSError where it cannot be written. overwrite and resume are
+    for a folder of frames that is not empty; a file is replaced when the new one is complete.
+    """
+    name = fspath(path)
+    suffix = "" if name.endswith(("/", "\\")) or Path(name).is_dir() else Path(name).suffix.lower()
+    if resume and suffix:
+        raise ValueError(f"{name}: only a folder of PNG frames can be resumed")
+    if suffix == ".mp4":
+        from taichi_sim.outputs.video import Video
+
+        return Video(name, fps)
+    if suffix == ".gif":
+        from taichi_sim.outputs.gif import Gif
+
+        return Gif(name, fps)
+    if suffix == ".npz":
+        from taichi_sim.outputs.arrays import Arrays
+
+        return Arrays(name)
+    if suffix == "":
+        from taichi_sim.outputs.png import PngFolder
+
+        return PngFolder(name, overwrite=overwrite, resume=resume)
+    raise ValueError(f"{name}: {suffix!r} is not allowed; use x.mp4, x.gif, x.npz or folder/ for PNG frames")

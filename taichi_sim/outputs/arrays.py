@@ -1,0 +1,81 @@
+"""Positions, velocities and energy over time as NumPy arrays in an .npz file."""
+
+import shutil
+import tempfile
+import zipfile
+from os import PathLike
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.files import PartFile
+from taichi_sim.frame import Frame
+from taichi_sim.outputs.base import Image, Output
+
+__all__ = ["Arrays"]
+
+
+class _Column:
+    """An array that grows along its first axis on disk, so that a long run needs no memory."""
+
+    def __init__(self, folder: str) -> None:
+        self._file: IO[bytes] = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed with the column
+        self._rows = 0
+        self._like: NDArray = np.zeros(0)
+
+    def append(self, row: Any) -> None:
+        self._like = np.asarray(row)
+        self._file.write(self._like.tobytes())
+        self._rows += 1
+
+    def copy_to(self, out: IO[bytes]) -> None:
+        header = {
+            "descr": np.lib.format.dtype_to_descr(self._like.dtype),
+            "fortran_order": False,
+            "shape": (self._rows, *self._like.shape),
+        }
+        np.lib.format.write_array_header_2_0(out, header)
+        self._file.seek(0)
+        shutil.copyfileobj(self._file, out, 1 << 20)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Arrays(Output):
+    """An .npz with time (f,) s, position (f, n, dim) m, velocity (f, n, dim) m/s and energy (f, 4) J.
+
+    The columns of energy are kinetic, spring, gravity, total; nan where the frame does not know them. Frames wait on
+    disk in the target folder, so the file may be larger than the memory.
+    """
+
+    needs_image = False
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self.path = path
+        self._part = PartFile(path)
+        folder = str(self._part.path.parent)
+        self._columns = {name: _Column(folder) for name in ("time", "position", "velocity", "energy")}
+
+    def write(self, index: int, frame: Frame, image: Image | None) -> None:
+        """Append one frame."""
+        energy = (np.nan,) * 4 if frame.energy is None else tuple(frame.energy)
+        rows = {"time": frame.time, "position": frame.position, "velocity": frame.velocity, "energy": energy}
+        for name, row in rows.items():
+            self._columns[name].append(np.asarray(row, dtype=np.float64))
+
+    def finish(self) -> None:
+        """Join the columns into one file."""
+        with zipfile.ZipFile(self._part.file, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+            for name, column in self._columns.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    column.copy_to(member)
+                column.close()
+        self._part.finish()
+
+    def discard(self) -> None:
+        """Delete the unfinished file."""
+        for column in self._columns.values():
+            column.close()
+        self._part.discard()

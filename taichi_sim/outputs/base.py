@@ -1,0 +1,62 @@
+"""What an output is. A new one is a class with these members, in any file: pass the object to `export`.
+
+class Heights(Output):
+    needs_image = False
+
+    def write(self, index, frame, image):
+        print(frame.time, frame.position[:, 1].max())
+"""
+
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.errors import UnstableError
+from taichi_sim.frame import Frame
+
+__all__ = ["Image", "Output"]
+
+Image = NDArray[np.uint8]  # (height, width, 3) sRGB, row 0 at the top
+
+
+class Output:
+    """Takes frames in order of time. As a context manager it is finished on leaving the block.
+
+    It is finished, too, when the simulation became unstable: the frames so far are kept. Any other exception, Ctrl-C
+    among them, discards it, and whatever lay under its name before is still there.
+    """
+
+    needs_image = True  # False: write is called with image None
+    frames = 0  # how many it holds so far; `export` counts
+
+    def wants(self, index: int) -> bool:
+        """Whether frame `index` is still to be written; when it is not, it is neither drawn nor passed."""
+        return True
+
+    def write(self, index: int, frame: Frame, image: Image | None) -> None:
+        """Take frame `index`, counted from 0, and its picture where needs_image."""
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Complete the output: it now lies under its final name."""
+
+    def discard(self) -> None:
+        """Give it up: no trace of it is left."""
+
+    def __enter__(self) -> "Output":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        keep = kind is None or (issubclass(kind, UnstableError) and self.frames > 0)
+        try:
+            if keep:
+                self.finish()
+        except BaseException:
+            keep = False
+            raise
+        finally:
+            if not keep:
+                self.discard()

@@ -1,0 +1,73 @@
+"""A folder of PNG frames through Pillow."""
+
+import os
+import re
+from os import PathLike
+from pathlib import Path
+
+from taichi_sim.files import replacing
+from taichi_sim.frame import Frame
+from taichi_sim.outputs.base import Image, Output
+
+__all__ = ["PngFolder"]
+
+_FRAME = re.compile(r"frame_\d{5,}\.png")
+
+
+class PngFolder(Output):
+    """frame_00000.png, frame_00001.png, ... in a folder, which is made when it is not there; its parent is not.
+
+    Each file is complete when it appears. A folder that holds anything is an error unless overwrite (its frames are
+    deleted at the first write, other files stay) or resume (frames that are there are kept and neither drawn nor
+    written again; use it with the same scene and options). What was written before an error or Ctrl-C stays, for
+    resume.
+    """
+
+    def __init__(self, path: str | PathLike[str], *, overwrite: bool = False, resume: bool = False) -> None:
+        self.path = Path(path)
+        if overwrite and resume:
+            raise ValueError("overwrite and resume exclude each other; give one of them")
+        if not self.path.parent.is_dir():
+            raise FileNotFoundError(f"{self.path}: there is no folder {str(self.path.parent)!r}; make it first")
+        if self.path.exists() and not self.path.is_dir():
+            raise NotADirectoryError(f"{self.path}: is a file; give the name of a folder")
+        made = not self.path.is_dir()
+        if not made and any(self.path.iterdir()) and not (overwrite or resume):
+            raise FileExistsError(f"{self.path}: the folder is not empty; use --overwrite, --resume or another name")
+        self._make_writable()
+        self._made = made
+        frames = [entry for entry in self.path.iterdir() if _FRAME.fullmatch(entry.name)]
+        self._stale = frames if overwrite else []  # deleted at the first write, when nothing can be wrong any more
+        self._there = {entry.name for entry in frames} if resume else set()
+
+    def _make_writable(self) -> None:
+        try:
+            self.path.mkdir(exist_ok=True)
+            with replacing(self.path / "frame_test"):
+                pass
+            (self.path / "frame_test").unlink()
+        except OSError as error:
+            raise OSError(f"{self.path}: cannot be written: {error.strerror or error}") from error
+
+    def wants(self, index: int) -> bool:
+        """Whether the frame is not there yet."""
+        return self._name(index) not in self._there
+
+    def write(self, index: int, frame: Frame, image: Image | None) -> None:
+        """Write one picture."""
+        from PIL import Image as Pictures
+
+        assert image is not None
+        while self._stale:
+            self._stale.pop().unlink(missing_ok=True)
+        with replacing(self.path / self._name(index)) as file:
+            Pictures.fromarray(image).save(file, "PNG", compress_level=1)
+
+    def discard(self) -> None:
+        """Remove the folder if this made it and nothing was written; frames stay."""
+        if self._made and self.path.is_dir() and not any(self.path.iterdir()):
+            os.rmdir(self.path)
+
+    @staticmethod
+    def _name(index: int) -> str:
+        return f"frame_{index:05d}.png"

@@ -1,0 +1,144 @@
+"""From a simulation to an output: the loop over frames, its progress bar and its summary."""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.outputs.base import Output
+
+__all__ = ["Summary", "export"]
+
+
+@dataclass(slots=True)
+class Summary:
+    """What a run did. Energies in J (kinetic, spring, gravity, total), momentum in kg m/s, times in s."""
+
+    frames: int = 0
+    duration: float = 0.0  # simulated
+    wall: float = 0.0  # all of it
+    simulating: float = 0.0
+    drawing: float = 0.0
+    writing: float = 0.0
+    energy_start: tuple[float, ...] = ()
+    energy_end: tuple[float, ...] = ()
+    momentum: tuple[float, ...] = ()  # at the end
+    penetration: float = 0.0  # m, the largest seen at a frame
+
+    def lines(self) -> list[str]:
+        """The summary in words, one line per subject."""
+        lines = [f"frames       {self.frames}, {self.duration:.4g} s simulated"]
+        if self.energy_start:
+            kinetic, spring, gravity, total = self.energy_end
+            lines.append(
+                f"energy       {self.energy_start[3]:.6g} J at the start, {total:.6g} J at the end"
+                f" (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
+            )
+        lines.append(f"momentum     ({', '.join(f'{p:.4g}' for p in self.momentum)}) kg m/s at the end")
+        lines.append(f"penetration  {self.penetration:.3g} m at most")
+        ratio = f": {self.wall / self.duration:.3g} s per simulated second" if self.duration > 0 else ""
+        parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
+        lines.append(f"wall time    {self.wall:.2f} s ({parts}){ratio}")
+        return lines
+
+
+class _Clock:
+    """Adds the time since the last call to one of the summary's fields."""
+
+    def __init__(self, summary: Summary) -> None:
+        self._summary = summary
+        self._last = time.perf_counter()
+
+    def charge(self, field: str) -> None:
+        now = time.perf_counter()
+        setattr(self._summary, field, getattr(self._summary, field) + now - self._last)
+        self._summary.wall += now - self._last
+        self._last = now
+
+
+def export(
+    simulation: Any,
+    output: Output | None,
+    *,
+    fps: float = 60.0,
+    duration: float = 5.0,
+    size: tuple[int, int] = (1280, 720),
+    progress: bool = False,
+    style: Mapping[str, Any] | None = None,
+) -> Summary:
+    """Run a simulation and give its frames to an output, or to none for the summary alone.
+
+    Args:
+        simulation: a `Simulation`; it is run for `duration` [s] from where it is, round(fps x duration) frames.
+        size: of the pictures, (width, height) px. style: further arguments of `Renderer`.
+        progress: a bar on standard error with the time left and the speed against real time.
+    The output is finished here, also when the simulation becomes unstable, and discarded on any other error.
+    """
+    summary = Summary()
+    clock = _Clock(summary)
+    with ExitStack() as stack:
+        if output is not None:
+            stack.enter_context(output)
+        advance = stack.enter_context(_bar(max(1, round(fps * duration)))) if progress else _no_bar
+        renderer: Any = None
+        for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
+            clock.charge("simulating")
+            _observe(summary, simulation, frame)
+            if output is not None and output.wants(index):
+                if output.needs_image and renderer is None:
+                    renderer = stack.enter_context(_renderer(frame, size, style or {}))
+                image = None if renderer is None else renderer.render(frame)
+                clock.charge("drawing")
+                output.write(index, frame, image)
+                output.frames += 1
+                clock.charge("writing")
+            advance(frame.time)
+        summary.duration = duration
+        summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
+    clock.charge("writing")
+    return summary
+
+
+def _no_bar(simulated: float) -> None:
+    pass
+
+
+def _observe(summary: Summary, simulation: Any, frame: Any) -> None:
+    summary.frames += 1
+    summary.penetration = max(summary.penetration, float(simulation.penetration()))
+    if frame.energy is not None:
+        summary.energy_end = tuple(frame.energy)
+        summary.energy_start = summary.energy_start or summary.energy_end
+
+
+def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> Any:
+    from taichi_sim.render import Renderer
+
+    return Renderer(frame, size=size, **style)
+
+
+@contextmanager
+def _bar(total: int) -> Iterator[Any]:
+    """A progress bar on standard error; calling what it yields with the simulated time advances it by one frame."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames,"),
+        TimeRemainingColumn(compact=True),
+        TextColumn("left, {task.fields[speed]:.3g} x real time"),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=total, speed=0.0)
+        begin = time.perf_counter()
+
+        def advance(simulated: float) -> None:
+            progress.update(task, advance=1, speed=simulated / max(1e-9, time.perf_counter() - begin))
+
+        yield advance

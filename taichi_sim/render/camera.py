@@ -1,0 +1,134 @@
+"""Camera: where a 3D picture is seen from, and how to place it so that a scene fills the picture."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.frame import Frame
+
+__all__ = ["Bounds", "Camera", "ground_planes", "robust_bounds", "view_matrix"]
+
+Floats = NDArray[np.float64]
+SAMPLE = 20_000  # balls looked at: enough for a frame, quick for millions
+MARGIN = 1.10
+AZIMUTH, ELEVATION, FOV = 32.0, 19.0, 34.0  # degrees; a three-quarter view
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A perspective camera: eye and target in metres, up a direction, fov the vertical angle of view in degrees."""
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    fov: float = FOV
+
+    def axes(self) -> Floats:
+        """Rows right, up and forward, (3, 3). A view along `up` takes another up."""
+        forward = np.subtract(self.target, self.eye).astype(float)
+        if not np.all(np.isfinite(forward)) or not np.any(forward):
+            raise ValueError(f"camera: eye {self.eye} and target {self.target} must be finite and differ")
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, self.up)
+        if np.linalg.norm(right) < 1e-9 * max(1e-30, float(np.linalg.norm(self.up))):
+            right = np.cross(forward, (0.0, 0.0, -1.0) if abs(forward[2]) < 0.9 else (1.0, 0.0, 0.0))
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(right, forward), forward])
+
+    @classmethod
+    def fit(
+        cls, frame: Frame, aspect: float = 16 / 9, azimuth: float = AZIMUTH, elevation: float = ELEVATION
+    ) -> "Camera":
+        """A camera that shows a 3D frame but far-flung balls, and the walls that are near. Angles in degrees."""
+        points, radius = _content(frame)
+        a, e = math.radians(azimuth), math.radians(elevation)
+        back = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
+        axes = cls(_triple(back), (0.0, 0.0, 0.0)).axes()
+        tall = math.tan(math.radians(FOV) / 2) / MARGIN
+        slopes = np.array([tall * aspect, tall])
+        target = (points.min(axis=0) + points.max(axis=0)) / 2
+        distance = 1.0
+        for _ in range(4):  # place, then shift so that the margins on both sides are equal
+            local = (points - target) @ axes.T
+            need = (np.abs(local[:, :2]) + radius[:, None]) / slopes - local[:, 2:]
+            distance = max(float(need.max()), 1e-30)
+            depth = local[:, 2:] + distance
+            low = ((local[:, :2] - radius[:, None]) / depth).min(axis=0)
+            high = ((local[:, :2] + radius[:, None]) / depth).max(axis=0)
+            target = target + ((low + high) / 2 * distance * 0.7) @ axes[:2]
+        return cls(_triple(target + back * distance), _triple(target))
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """An axis-parallel box about most of a frame. low, high (dim,) m."""
+
+    low: Floats
+    high: Floats
+
+    @property
+    def centre(self) -> Floats:
+        return (self.low + self.high) / 2
+
+    @property
+    def size(self) -> float:
+        """Length of the diagonal, m; never 0."""
+        return max(
+            float(np.linalg.norm(self.high - self.low)), 1e-12 * float(np.abs(self.centre).max(initial=0)), 1e-30
+        )
+
+
+def robust_bounds(position: Floats, radius: Floats) -> tuple[Bounds, NDArray[np.bool_]]:
+    """The box about all balls but far-flung ones, and which of the balls it holds. No ball: the unit box."""
+    dim = position.shape[1]
+    if len(position) == 0:
+        return Bounds(np.full(dim, -0.5), np.full(dim, 0.5)), np.zeros(0, dtype=bool)
+    low, high = np.quantile(position, 0.02, axis=0), np.quantile(position, 0.98, axis=0)
+    reach = 0.75 * max(float((high - low).max()), float(np.median(radius)) * 4)
+    kept = np.all((position >= low - reach) & (position <= high + reach), axis=1)
+    if not kept.any() or len(position) < 30:
+        kept = np.ones(len(position), dtype=bool)
+    r = radius[kept, None]
+    return Bounds((position[kept] - r).min(axis=0), (position[kept] + r).max(axis=0)), kept
+
+
+def ground_planes(frame: Frame) -> Floats:
+    """Walls of a 3D frame that face mostly upward, at most four: (k, 4) unit normal and offset."""
+    if frame.walls.size == 0:
+        return np.zeros((0, 4))
+    walls = np.asarray(frame.walls, dtype=float)
+    return walls[walls[:, 1] > 0.7][:4]
+
+
+def view_matrix(
+    axes: Floats, eye: Floats, scale: float, centre: tuple[float, float], far: float = 0.0
+) -> NDArray[np.float32]:
+    """The 4x4 matrix of the kernels. scale: px at unit depth (perspective) or px per unit (far > 0: parallel)."""
+    matrix = np.zeros((4, 4), dtype=np.float32)
+    matrix[:3, :3] = axes
+    matrix[:3, 3] = -axes @ eye
+    matrix[3] = (scale, *centre, far)
+    return matrix
+
+
+def _triple(vector: Floats) -> tuple[float, float, float]:
+    return float(vector[0]), float(vector[1]), float(vector[2])
+
+
+def _content(frame: Frame) -> tuple[Floats, Floats]:
+    """Points and radii that the picture must hold: a sample of the balls, and their feet on walls that are near."""
+    step = max(1, len(frame.position) // SAMPLE)
+    position, radius = frame.position[::step], frame.radius[::step]
+    bounds, kept = robust_bounds(position, radius)
+    if len(position) == 0:
+        return np.stack([bounds.low, bounds.high]), np.zeros(2)
+    points, sizes = position[kept], radius[kept]
+    for plane in frame.walls if frame.walls.size else ():
+        height = points @ plane[:3] - plane[3]
+        if 0 < height.min() < 1.2 * bounds.size:
+            points = np.concatenate([points, points - height[:, None] * plane[:3]])
+            sizes = np.concatenate([sizes, np.zeros(len(height))])
+    sizes = np.maximum(sizes, 0.02 * bounds.size)
+    return points, sizes

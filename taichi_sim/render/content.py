@@ -1,0 +1,68 @@
+"""What of a frame is drawn: which balls as spheres or discs, which springs as rods, and in which colour."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.frame import Frame
+from taichi_sim.render.palette import body_colours
+
+__all__ = ["Content"]
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """The unchanging part of a frame, ready to draw.
+
+    radius (n,) m, 0 for balls on triangles; colour (n, 3) sRGB; rods: indices of the springs drawn; rod_ends (k, 2);
+    rod_radius (k,) m; rod_stick (k,).
+    """
+
+    source: tuple[NDArray, ...]
+    radius: NDArray[np.float64]
+    colour: NDArray[np.float64]
+    rods: NDArray[np.int64]
+    rod_ends: NDArray[np.int32]
+    rod_radius: NDArray[np.float64]
+    rod_stick: NDArray[np.bool_]
+    triangles: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, frame: Frame, size: float) -> "Content":
+        """size: of the scene in metres, for rods between balls without a radius."""
+        n = len(frame.position)
+        skin = np.zeros(n, dtype=bool)
+        skin[frame.triangles.ravel()] = True
+        springs = frame.springs.reshape(-1, 2)
+        rods = np.flatnonzero(~(skin[springs[:, 0]] | skin[springs[:, 1]]))  # inner ones would poke through
+        ends = np.ascontiguousarray(springs[rods], dtype=np.int32)
+        stick = frame.sticks[rods] if len(frame.sticks) == len(springs) else np.zeros(len(rods), dtype=bool)
+        return cls(
+            source=_source(frame),
+            radius=np.where(skin, 0.0, frame.radius),
+            colour=body_colours(frame),
+            rods=rods,
+            rod_ends=ends,
+            rod_radius=_rod_radius(frame, ends, stick, size),
+            rod_stick=stick,
+            triangles=np.ascontiguousarray(frame.triangles.reshape(-1, 3), dtype=np.int32),
+        )
+
+    def matches(self, frame: Frame) -> bool:
+        """Whether a frame has what this was made from; frames of one simulation share the very arrays."""
+        return all(a is b or np.array_equal(a, b, equal_nan=True) for a, b in zip(self.source, _source(frame)))
+
+
+def _source(frame: Frame) -> tuple[NDArray, ...]:
+    return frame.radius, frame.springs, frame.sticks, frame.triangles, frame.colour, frame.pinned
+
+
+def _rod_radius(frame: Frame, ends: NDArray, stick: NDArray, size: float) -> NDArray[np.float64]:
+    """A share of the thinner ball, a share of the scene where that is nothing, never more than a part of its length."""
+    if len(ends) == 0:
+        return np.zeros(0)
+    thin = np.minimum(frame.radius[ends[:, 0]], frame.radius[ends[:, 1]])
+    length = np.linalg.norm(frame.position[ends[:, 0]] - frame.position[ends[:, 1]], axis=1)
+    thin = np.where(thin > 0, thin, 0.006 * size)
+    return np.minimum(np.where(stick, 0.55, 0.28) * thin, np.where(length > 0, 0.2 * length, np.inf))

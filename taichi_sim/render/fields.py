@@ -1,0 +1,146 @@
+"""The fields of the 3D renderer: Buffers hold the scene, Canvas the picture. Each frees its memory on close()."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.kernels import raster, resolve, shade
+from taichi_sim.render.content import Content
+
+__all__ = ["Buffers", "Canvas"]
+
+SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
+
+
+class Buffers:
+    """Balls, rods and triangles in scene units. `has_*`: what there is of; kernels compile only for that."""
+
+    def __init__(self, content: Content) -> None:
+        n, m, t = len(content.radius), len(content.rods), len(content.triangles)
+        self.capacity = (n, m, t)
+        self.has_spheres = bool(np.any(content.radius > 0))
+        self.has_rods, self.has_triangles = m > 0, t > 0
+        builder = ti.FieldsBuilder()
+        self.ball = _place(builder, ti.Vector.field(4, ti.f32), n)
+        self.colour = _place(builder, ti.Vector.field(3, ti.f32), n)
+        if self.has_rods:
+            self.rod = _place(builder, ti.Vector.field(2, ti.i32), m)
+            self.rod_radius = _place(builder, ti.field(ti.f32), m)
+            self.rod_strain = _place(builder, ti.field(ti.f32), m)
+        if self.has_triangles:
+            self.corner = _place(builder, ti.Vector.field(3, ti.i32), t)
+            self.incident = _place(builder, ti.field(ti.i32), 3 * t)
+            self.start = _place(builder, ti.field(ti.i32), n + 1)
+            self.normal = _place(builder, ti.Vector.field(3, ti.f32), n)
+        self._tree = builder.finalize()
+        self.ball.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
+        self._upload = np.zeros((max(n, 1), 4), dtype=np.float32)
+        self.balls, self.rods, self.triangles = n, m, t
+        self.squares = 0.0  # sum of squared radii
+        self._radius = np.zeros(n, dtype=np.float32)
+
+    def holds(self, content: Content) -> bool:
+        """Whether this content fits and draws the same kinds of things."""
+        n, m, t = len(content.radius), len(content.rods), len(content.triangles)
+        kinds = (bool(np.any(content.radius > 0)), m > 0, t > 0)
+        return self.capacity == (n, m, t) and kinds == (self.has_spheres, self.has_rods, self.has_triangles)
+
+    def load(self, content: Content, colour: NDArray, unit: float) -> None:
+        """Take over what does not change from frame to frame; colour linear."""
+        n = self.balls
+        if n == 0:
+            return
+        self.colour.from_numpy(colour.astype(np.float32))
+        self._radius = (content.radius / unit).astype(np.float32)
+        self.squares = float(np.square(self._radius, dtype=np.float64).sum())
+        if self.has_rods:
+            self.rod.from_numpy(content.rod_ends)
+            self.rod_radius.from_numpy((content.rod_radius / unit).astype(np.float32))
+        if self.has_triangles:
+            corners = content.triangles.ravel()
+            order = np.argsort(corners, kind="stable")
+            start = np.zeros(n + 1, dtype=np.int32)
+            start[1:] = np.cumsum(np.bincount(corners, minlength=n))
+            self.corner.from_numpy(content.triangles)
+            self.incident.from_numpy((order // 3).astype(np.int32))
+            self.start.from_numpy(start)
+
+    def move(self, position: NDArray, origin: NDArray, unit: float, strain: NDArray | None) -> None:
+        """Take over positions (m) and strains."""
+        if self.balls == 0:
+            return
+        np.subtract(position, origin, out=self._upload[:, :3], casting="same_kind")
+        self._upload[:, :3] *= 1.0 / unit
+        self._upload[: self.balls, 3] = self._radius
+        self.ball.from_numpy(self._upload)
+        if self.has_rods and strain is not None:
+            self.rod_strain.from_numpy(strain.astype(np.float32))
+
+    def thin_out(self, view: NDArray, area: float) -> None:
+        """Leave out the farthest spheres of a view beyond a total area (px) of all discs: buried layers deep."""
+        points = self._upload[: self.balls]
+        depth = points[:, :3] @ view[2, :3] + view[2, 3]
+        scale = view[3, 0] / np.maximum(depth, raster.NEAR)
+        order = np.argsort(depth - points[:, 3], kind="stable")
+        covered = np.minimum(np.pi * (points[order, 3] * scale[order]) ** 2, 4 * view[3, 1] * view[3, 2])
+        points[order[np.cumsum(covered) > area], 3] = 0.0
+        self.ball.from_numpy(self._upload)
+
+    def find_normals(self) -> None:
+        raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.balls)
+
+    def close(self) -> None:
+        self._tree.destroy()
+
+
+class _Scene:
+    """What the shading kernels see of Buffers and Canvas."""
+
+    def __init__(self, buffers: Buffers, canvas: "Canvas") -> None:
+        self.__dict__.update({k: v for k, v in vars(buffers).items() if not k.startswith("_")})
+        self.samples, self.shadow_size = canvas.samples, canvas.shadow_side
+        self.has_shadow, self.has_occlusion = canvas.shadow is not None, canvas.openness is not None
+        self.shadow, self.coarse = canvas.shadow, canvas.coarse
+        self.openness, self.open_raw = canvas.openness, canvas.open_raw
+
+
+class Canvas:
+    """Keys of the picture and of the shadow map, colours, and the sky that each pixel sees."""
+
+    def __init__(self, size: tuple[int, int], samples: int, shadow: bool, occlusion: bool) -> None:
+        pixels = size[0] * size[1]
+        self.samples, self.shadow_side = samples, SHADOW_SIDE[samples]
+        builder = ti.FieldsBuilder()
+        self.keys = _place(builder, ti.field(ti.i64), pixels * samples)
+        self.image = _place(builder, ti.Vector.field(3, ti.f32), pixels)
+        self.shadow: Any = _place(builder, ti.field(ti.i64), self.shadow_side**2) if shadow else None
+        cells = (self.shadow_side // shade.CELL) ** 2
+        self.cell: Any = _place(builder, ti.field(ti.f32), cells) if shadow else None
+        self.coarse: Any = _place(builder, ti.field(ti.f32), cells) if shadow else None
+        self.openness: Any = _place(builder, ti.field(ti.f32), pixels) if occlusion else None
+        self.open_raw: Any = _place(builder, ti.field(ti.f32), pixels) if occlusion else None
+        self._tree = builder.finalize()
+        self.image.fill(0.0)  # see Buffers
+        self._out = np.zeros(pixels, dtype=np.int32)
+        self._scene: tuple[Buffers, _Scene] | None = None
+
+    def scene(self, buffers: Buffers) -> Any:
+        """The same object for the same buffers, or kernels would compile again."""
+        if self._scene is None or self._scene[0] is not buffers:
+            self._scene = (buffers, _Scene(buffers, self))
+        return self._scene[1]
+
+    def finish(self, width: int, height: int) -> NDArray[np.uint8]:
+        resolve.finish(self.image, self.samples == 1, width, height, self._out)
+        return np.ascontiguousarray(self._out.view(np.uint8).reshape(height, width, 4)[:, :, :3])
+
+    def close(self) -> None:
+        self._tree.destroy()
+        self._scene = None
+
+
+def _place(builder: Any, field: Any, count: int) -> Any:
+    builder.dense(ti.i, max(count, 1)).place(field)
+    return field

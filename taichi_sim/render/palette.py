@@ -1,0 +1,80 @@
+"""Colours: a harmonious palette, one colour for each connected body, and sRGB to linear."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.frame import Frame
+
+__all__ = ["PALETTE", "body_colours", "components", "to_linear"]
+
+PALETTE = np.array(  # sRGB: coral, amber, teal, blue, cream, rose, sea green, slate blue
+    [
+        [0.91, 0.38, 0.31],
+        [0.95, 0.68, 0.25],
+        [0.16, 0.62, 0.60],
+        [0.20, 0.45, 0.71],
+        [0.93, 0.86, 0.74],
+        [0.83, 0.45, 0.56],
+        [0.47, 0.72, 0.50],
+        [0.38, 0.40, 0.62],
+    ]
+)
+
+GRAINS = np.array([0, 1, 1, 1, 4, 4, 0, 1, 4, 2])  # mostly warm
+CONFETTI = 4000  # bodies
+
+
+def to_linear(colour: NDArray) -> NDArray[np.float64]:
+    """sRGB in 0..1 to linear light."""
+    c = np.clip(np.asarray(colour, dtype=float), 0.0, 1.0)
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def components(count: int, edges: NDArray) -> NDArray[np.int64]:
+    """For each of `count` balls the lowest index that edges (m, 2) connect it to. Hooking and pointer jumping."""
+    label = np.arange(count)
+    a, b = edges[:, 0].astype(np.int64), edges[:, 1].astype(np.int64)
+    while len(a):
+        low, high = np.minimum(label[a], label[b]), np.maximum(label[a], label[b])
+        apart = low != high
+        a, b = a[apart], b[apart]
+        np.minimum.at(label, high[apart], low[apart])
+        while True:
+            above = label[label]
+            if np.array_equal(above, label):
+                break
+            label = above
+    return label
+
+
+def body_colours(frame: Frame) -> NDArray[np.float64]:
+    """sRGB (n, 3): the frame's own colours where it has them, otherwise one of the palette for each connected body."""
+    n = len(frame.position)
+    given = frame.colour if len(frame.colour) == n else np.full((n, 3), np.nan)
+    missing = ~np.all(np.isfinite(given), axis=1)
+    if not missing.any():
+        return np.clip(given, 0.0, 1.0)
+    triangles = frame.triangles
+    label = components(n, np.concatenate([frame.springs, triangles[:, :2], triangles[:, 1:]]).reshape(-1, 2))
+    order = np.cumsum(label == np.arange(n)) - 1  # bodies counted in order of their first ball
+    body = order[label]
+    bodies = int(body.max()) + 1
+    noise = _hash(body)
+    if bodies <= len(PALETTE):
+        index = body
+    elif bodies <= CONFETTI:
+        index = (noise % np.uint64(len(PALETTE))).astype(np.int64)
+    else:  # grains of a few pixels: fewer hues, or the mixture looks grey
+        index = GRAINS[(noise % np.uint64(len(GRAINS))).astype(np.int64)]
+    shade = 0.93 + 0.14 * ((noise >> np.uint64(20)) % np.uint64(16)).astype(float)[:, None] / 16
+    chosen = PALETTE[index] * shade
+    return np.clip(np.where(missing[:, None], chosen, given), 0.0, 1.0)
+
+
+def _hash(index: NDArray) -> NDArray[np.uint64]:
+    """Scrambled bits of an index (the 32-bit finaliser of MurmurHash3)."""
+    mask = np.uint64(0xFFFFFFFF)
+    h = index.astype(np.uint64)
+    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1)):
+        h = ((h ^ (h >> np.uint64(shift))) * np.uint64(factor)) & mask
+    return h

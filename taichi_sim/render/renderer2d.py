@@ -1,0 +1,213 @@
+"""Pictures of 2D frames: discs, rods, triangles and walls with analytic edges."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.frame import Frame
+from taichi_sim.kernels import paint2d, resolve
+from taichi_sim.render.camera import robust_bounds
+from taichi_sim.render.content import Content
+from taichi_sim.render.palette import to_linear
+from taichi_sim.render.tiles import tile_lists
+
+__all__ = ["Renderer2D"]
+
+TOP, BOTTOM = (0.975, 0.975, 0.970), (0.925, 0.935, 0.945)  # sRGB
+COMPRESSED, NEUTRAL, STRETCHED = (0.13, 0.40, 0.67), (0.60, 0.60, 0.62), (0.78, 0.16, 0.17)  # sRGB, colour-blind safe
+FULL_STRAIN = 0.1
+CROWD = 4000  # shapes: from here smaller tiles are faster
+STICK, STICK_ON_DARK = (0.27, 0.29, 0.34), (0.62, 0.65, 0.70)
+MARGIN, EDGE = 0.06, 26.0  # of the picture; px of a wall to show
+THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
+
+
+class Renderer2D:
+    """See `Renderer`. The view is placed by the first frame and stays."""
+
+    def __init__(self, frame: Frame, size: tuple[int, int], background: Any = None) -> None:
+        self.size = size
+        self._low, self._scale, self._extent = _view(frame, size)
+        self._top, bottom = _background(background)
+        self._dark = float(bottom.mean()) < 0.2
+        wall, hatch, edge = (
+            (bottom + shift for shift in (0.05, 0.14, 0.35))
+            if self._dark
+            else (bottom * share for share in (0.72, 0.47, 0.13))
+        )
+        self._look = paint2d.Look(np.stack([self._top, bottom, wall, hatch, edge]).tolist())
+        self._content: Content | None = None
+        self._tree: Any = None
+        self._capacity = (-1, -1)
+        self._out = np.zeros(size[0] * size[1], dtype=np.int32)
+        self._prepare(frame)
+
+    def render(self, frame: Frame) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top."""
+        self._prepare(frame)
+        width, height = self.size
+        shape, low, high = self._shapes(frame)
+        tile = 8 if len(shape) > CROWD else 16
+        entry, start = tile_lists(low, high, self.size, tile)
+        if len(shape):
+            self._shape.from_numpy(shape)
+            self._colour.from_numpy(self._colours(frame))
+        walls = self._walls(frame)
+        if len(walls):
+            self._wall.from_numpy(walls)
+        paint2d.paint(
+            self._shape,
+            self._kind,
+            self._colour,
+            self._wall,
+            self._image,
+            entry,
+            start,
+            self._look,
+            len(walls),
+            tile,
+            width,
+            height,
+        )
+        resolve.finish(self._image, False, width, height, self._out)
+        return np.ascontiguousarray(self._out.view(np.uint8).reshape(height, width, 4)[:, :, :3])
+
+    def close(self) -> None:
+        """Free the fields."""
+        if self._tree is not None:
+            self._tree.destroy()
+            self._tree = None
+        self._content = None
+
+    def _prepare(self, frame: Frame) -> None:
+        walls = len(frame.walls) if frame.walls.size else 0
+        if self._content is not None and self._content.matches(frame) and walls == self._capacity[1]:
+            return
+        content = Content.of(frame, self._extent)
+        self._content = content
+        self._discs = np.flatnonzero(content.radius > 0)
+        self._rods = np.argsort(content.rod_stick, kind="stable")  # springs below sticks
+        self._outline = _outline(content.triangles)
+        counts = (len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
+        if self._capacity != (sum(counts), walls):
+            self._allocate(sum(counts), walls)
+        kind = np.repeat([paint2d.TRIANGLE, paint2d.ROD, paint2d.ROD, paint2d.DISC], counts).astype(np.int32)
+        if len(kind):
+            self._kind.from_numpy(kind)
+        self._base = self._base_colours(content)
+
+    def _allocate(self, shapes: int, walls: int) -> None:
+        if self._tree is not None:
+            self._tree.destroy()
+        builder = ti.FieldsBuilder()
+        self._shape, self._colour = ti.Vector.field(8, ti.f32), ti.Vector.field(3, ti.f32)
+        self._kind, self._wall, self._image = ti.field(ti.i32), ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
+        builder.dense(ti.i, max(shapes, 1)).place(self._shape)
+        builder.dense(ti.i, max(shapes, 1)).place(self._colour)
+        builder.dense(ti.i, max(shapes, 1)).place(self._kind)
+        builder.dense(ti.i, max(walls, 1)).place(self._wall)
+        builder.dense(ti.i, self.size[0] * self.size[1]).place(self._image)
+        self._tree = builder.finalize()
+        self._wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
+        self._capacity = (shapes, walls)
+
+    def _shapes(self, frame: Frame) -> tuple[NDArray[np.float32], NDArray, NDArray]:
+        """Shapes in drawing order, and the corners of their boxes, px."""
+        content = self._content
+        assert content is not None
+        p = (frame.position - self._low) * self._scale
+        p[:, 1] = self.size[1] - p[:, 1]
+        t, o, m, n = len(content.triangles), len(self._outline), len(self._rods), len(self._discs)
+        shape = np.zeros((t + o + m + n, 8), dtype=np.float32)
+        low, high = np.zeros((len(shape), 2)), np.zeros((len(shape), 2))
+        corners = p[content.triangles]
+        shape[:t, :6] = corners.reshape(t, 6)
+        low[:t], high[:t] = corners.min(axis=1, initial=np.inf) - 1, corners.max(axis=1, initial=-np.inf) + 1
+        ends = np.concatenate([self._outline, content.rod_ends[self._rods]])
+        stick = content.rod_stick[self._rods]
+        thinnest = np.where(stick, THINNEST["stick"], THINNEST["spring"])
+        thick = np.maximum(content.rod_radius[self._rods] * self._scale, thinnest)
+        thick = np.concatenate([np.full(o, THINNEST["outline"]), thick])[:, None]
+        rods = slice(t, t + o + m)
+        a, b = p[ends[:, 0]], p[ends[:, 1]]
+        shape[rods, :2], shape[rods, 2:4], shape[rods, 4:5] = a, b, thick
+        shape[t : t + o, 5] = 1.0  # blunt
+        low[rods], high[rods] = np.minimum(a, b) - thick - 1, np.maximum(a, b) + thick + 1
+        discs = slice(t + o + m, None)
+        r = np.maximum(content.radius[self._discs] * self._scale, THINNEST["disc"])[:, None]
+        centre = p[self._discs]
+        shape[discs, :2], shape[discs, 2:3] = centre, r
+        if len(frame.pinned) == len(p):
+            shape[discs, 3] = frame.pinned[self._discs]
+        low[discs], high[discs] = centre - r - 1, centre + r + 1
+        return shape, low, high
+
+    def _base_colours(self, content: Content) -> NDArray[np.float32]:
+        """Linear colours of all shapes; those of springs come with every frame."""
+        colour = to_linear(content.colour)
+        t, o, m = len(content.triangles), len(self._outline), len(self._rods)
+        result = np.zeros((t + o + m + len(self._discs), 3), dtype=np.float32)
+        result[:t] = 0.55 * colour[content.triangles].mean(axis=1) + 0.45 * self._top
+        result[t : t + o] = 0.6 * colour[self._outline[:, 0]]
+        result[t + o : t + o + m] = to_linear(np.array(STICK_ON_DARK if self._dark else STICK))
+        result[t + o + m :] = colour[self._discs]
+        return result
+
+    def _colours(self, frame: Frame) -> NDArray[np.float32]:
+        content = self._content
+        assert content is not None
+        spring = ~content.rod_stick[self._rods]
+        if spring.any() and len(frame.strain) == len(frame.springs):
+            strain = np.tanh(frame.strain[content.rods[self._rods[spring]]] / FULL_STRAIN)[:, None]
+            ends = np.where(strain > 0, to_linear(np.array(STRETCHED)), to_linear(np.array(COMPRESSED)))
+            first = len(content.triangles) + len(self._outline)
+            share = np.abs(strain)
+            self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL)) * (1 - share) + ends * share
+        return self._base
+
+    def _walls(self, frame: Frame) -> NDArray[np.float32]:
+        """Rows (a, b, c): a x + b y + c px above a wall, for pixels counted from the top left."""
+        if frame.walls.size == 0:
+            return np.zeros((0, 3), dtype=np.float32)
+        normal, offset = frame.walls[:, :2], frame.walls[:, 2]
+        constant = (normal @ self._low - offset) * self._scale + normal[:, 1] * self.size[1]
+        return np.column_stack([normal[:, 0], -normal[:, 1], constant]).astype(np.float32)
+
+
+def _view(frame: Frame, size: tuple[int, int]) -> tuple[NDArray, float, float]:
+    """Lower left corner (m), px per metre and size of the content (m): balls but far-flung ones, and near walls."""
+    bounds, kept = robust_bounds(frame.position, frame.radius)
+    low, high = bounds.low.copy(), bounds.high.copy()
+    points = frame.position[kept] if len(kept) else np.stack([low, high])
+    shown = False
+    for wall in frame.walls if frame.walls.size else ():
+        gap = float((points @ wall[:2]).min() - wall[2])
+        if -bounds.size < gap < 1.5 * bounds.size:
+            foot = np.where(wall[:2] < 0, bounds.high, bounds.low)
+            foot = foot - (foot @ wall[:2] - wall[2]) * wall[:2]
+            axis = int(np.argmax(np.abs(wall[:2])))
+            low[axis], high[axis] = min(low[axis], foot[axis]), max(high[axis], foot[axis])
+            shown = True
+    extent = np.maximum(high - low, 1e-9 * bounds.size)
+    border = np.array(size) * MARGIN + (min(EDGE, 0.05 * min(size)) if shown else 0.0)
+    scale = float(((np.array(size) - 2 * border) / extent).min())
+    return (low + high) / 2 - np.array(size) / 2 / scale, scale, bounds.size
+
+
+def _background(background: Any) -> tuple[NDArray, NDArray]:
+    if background is None:
+        return to_linear(np.array(TOP)), to_linear(np.array(BOTTOM))
+    colours = np.asarray(background, dtype=float)
+    if colours.shape not in ((3,), (2, 3)):
+        raise ValueError(f"background: one sRGB colour or a pair (top, bottom) is allowed, not shape {colours.shape}")
+    top, bottom = (colours, colours) if colours.ndim == 1 else colours
+    return to_linear(top), to_linear(bottom)
+
+
+def _outline(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Edges that belong to one triangle only, (k, 2)."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    return unique[count == 1].astype(np.int32).reshape(-1, 2)

@@ -1,0 +1,229 @@
+"""Pictures of 3D frames: balls, rods and triangles with light and shadow, drawn by Taichi kernels alone."""
+
+import math
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.frame import Frame
+from taichi_sim.kernels import raster, resolve, shade
+from taichi_sim.render.camera import Bounds, Camera, ground_planes, robust_bounds, view_matrix
+from taichi_sim.render.content import Content
+from taichi_sim.render.fields import Buffers, Canvas
+from taichi_sim.render.palette import to_linear
+
+__all__ = ["Renderer3D"]
+
+HORIZON, ZENITH = (0.905, 0.915, 0.925), (0.56, 0.65, 0.76)  # sRGB
+PINNED = (0.24, 0.25, 0.28)
+MANY = 150_000  # primitives: from here one sample per pixel and a smoothing pass instead of four samples
+MOST_TESTS = 1.5e8  # ray tests of spheres in one picture
+LAMP_TURN, LAMP_HEIGHT = -58.0, 52.0  # degrees: to the left of the camera, above the ground
+FILL_TURN, FILL_HEIGHT = 65.0, 12.0  # degrees
+
+
+class Renderer3D:
+    """See `Renderer`. Inside, lengths are in units of the scene's size about its centre: f32 suffices."""
+
+    def __init__(
+        self,
+        frame: Frame,
+        size: tuple[int, int],
+        background: Any = None,
+        ambient_occlusion: bool = False,
+        shadow: bool = True,
+        camera: Camera | None = None,
+    ) -> None:
+        self.size = size
+        self.camera = camera or Camera.fit(frame, size[0] / size[1])
+        self._bounds = self._extent(frame)
+        self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
+        self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
+        self._horizon, self._zenith = _background(background)
+        self._lamp = _lamp(self.camera)
+        self._spacing = _nice(self._bounds.size / 6)
+        self._content: Content | None = None
+        self._buffers: Buffers | None = None
+        self._canvas: Canvas | None = None
+        self._prepare(frame)
+
+    def render(self, frame: Frame) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top."""
+        self._prepare(frame)
+        assert self._content is not None
+        assert self._buffers is not None
+        assert self._canvas is not None
+        strain = frame.strain[self._content.rods] if len(frame.strain) == len(frame.springs) else None
+        self._buffers.move(frame.position, self._origin, self._unit, strain)
+        width, height = self.size
+        view = self._view()
+        self._spare(view)
+        planes = ground_planes(frame)
+        planes[:, 3] = (planes[:, 3] - planes[:, :3] @ self._origin) / self._unit
+        eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
+        planes = planes[planes[:, :3] @ eye > planes[:, 3]]
+        matrix = np.zeros((4, 4), dtype=np.float32)
+        matrix[: len(planes)] = planes
+        if self._buffers.has_triangles:
+            self._buffers.find_normals()
+        light = self._cast_shadows(frame) if self._shadow else view
+        keys = self._canvas.keys
+        raster.clear(keys, self._canvas.samples, _on_screen(planes, self.camera.axes(), eye, view), len(planes), width)
+        self._draw(keys, self._canvas.samples, view, width, height, True)
+        scene = self._canvas.scene(self._buffers)
+        if self._ambient_occlusion:
+            resolve.occlude(scene, keys, _mat(view), _vec(eye), _mat(matrix), 0.05, width, height)
+        resolve.resolve(
+            scene,
+            keys,
+            self._canvas.image,
+            _mat(view),
+            _mat(light),
+            _mat(matrix),
+            _vec(eye),
+            self._look_matrix(),
+            width,
+        )
+        return self._canvas.finish(width, height)
+
+    def close(self) -> None:
+        """Free the fields."""
+        for owner in (self._buffers, self._canvas):
+            if owner is not None:
+                owner.close()
+        self._buffers, self._canvas, self._content = None, None, None
+
+    def _prepare(self, frame: Frame) -> None:
+        """Take over what changed beyond positions; allocate again where a frame has more of anything."""
+        if self._content is not None and self._content.matches(frame):
+            return
+        content = Content.of(frame, self._unit)
+        self._content = content
+        if self._buffers is None or not self._buffers.holds(content):
+            if self._buffers is not None:
+                self._buffers.close()
+            self._buffers = Buffers(content)
+        if self._canvas is None:
+            drawn = int(np.count_nonzero(content.radius)) + len(content.rods)
+            samples = 1 if drawn > MANY else 4
+            self._canvas = Canvas(self.size, samples, self._shadow, self._ambient_occlusion)
+        colour = to_linear(content.colour)
+        if len(frame.pinned) == len(colour) and not len(frame.triangles):
+            colour = np.where(frame.pinned[:, None] & (frame.colour.size == 0), to_linear(np.array(PINNED)), colour)
+        self._buffers.load(content, colour, self._unit)
+
+    def _look_matrix(self) -> Any:
+        """Rows: lamp and the spacing of the grid, fill, zenith, horizon."""
+        look = np.zeros((4, 4))
+        look[:, :3] = self._lamp, _fill(self.camera), self._zenith, self._horizon
+        look[0, 3] = self._spacing / self._unit
+        return _mat(look)
+
+    def _view(self) -> NDArray[np.float32]:
+        width, height = self.size
+        eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
+        focal = height / 2 / math.tan(math.radians(self.camera.fov) / 2)
+        return view_matrix(self.camera.axes(), eye, focal, (width / 2, height / 2))
+
+    def _spare(self, view: NDArray[np.float32]) -> None:
+        """Bound the work where balls share one spot and their spheres would be drawn over each other endlessly."""
+        assert self._buffers is not None
+        assert self._canvas is not None
+        distance = np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)) / self._unit
+        shadow = (self._canvas.shadow_side * self._unit / self._bounds.size) ** 2 if self._shadow else 0.0
+        per_square = float(view[3, 0] / distance) ** 2  # px for a unit square at the target
+        tests = self._canvas.samples + shadow / per_square  # for a px of disc
+        if np.pi * self._buffers.squares * per_square * tests > MOST_TESTS:
+            self._buffers.thin_out(view, MOST_TESTS / tests)
+
+    def _draw(self, keys: Any, samples: int, view: NDArray, width: int, height: int, exact: bool) -> None:
+        assert self._buffers is not None
+        b, v = self._buffers, _mat(view)
+        if b.has_spheres:
+            raster.draw_spheres(b.ball, keys, samples, exact, v, width, height, b.balls)
+        if b.has_rods:
+            raster.draw_rods(b.ball, b.rod, b.rod_radius, keys, samples, v, width, height, b.rods)
+        if b.has_triangles:
+            raster.draw_triangles(b.ball, b.corner, keys, samples, v, width, height, b.triangles)
+
+    def _extent(self, frame: Frame) -> Bounds:
+        step = max(1, len(frame.position) // 4096)
+        return robust_bounds(frame.position[::step], frame.radius[::step])[0]
+
+    def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:
+        """Draw the shadow map; return its view. It covers the scene's bounds, which grow in steps as balls spread."""
+        assert self._canvas is not None
+        now = self._extent(frame)
+        low, high = np.minimum(now.low, self._bounds.low), np.maximum(now.high, self._bounds.high)
+        grown = Bounds(low, high)
+        if grown.size > 1.02 * self._bounds.size:
+            pad = 0.15 * grown.size
+            self._bounds = Bounds(low - pad, high + pad)
+        bounds = self._bounds
+        axes = Camera(eye=tuple(self._lamp), target=(0.0, 0.0, 0.0)).axes()
+        side = self._canvas.shadow_side
+        radius = 0.53 * bounds.size / self._unit
+        centre = (bounds.centre - self._origin) / self._unit
+        eye = centre - axes[2] * 3 * radius
+        light = view_matrix(axes, eye, side / 2 / radius, (side / 2, side / 2), far=8 * radius)
+        keys = self._canvas.shadow
+        keys.fill(0)
+        self._draw(keys, 1, light, side, side, False)
+        shade.coarsen(keys, self._canvas.cell, self._canvas.coarse, side)
+        return light
+
+
+def _mat(matrix: NDArray) -> Any:
+    return raster.View(matrix.tolist())
+
+
+def _vec(vector: Any) -> Any:
+    return ti.Vector([float(a) for a in vector], dt=ti.f32)
+
+
+def _lamp(camera: Camera) -> NDArray[np.float64]:
+    """Direction to the key light: from the left, above and a little before the camera."""
+    return _around(camera, LAMP_TURN, LAMP_HEIGHT)
+
+
+def _fill(camera: Camera) -> NDArray[np.float64]:
+    return _around(camera, FILL_TURN, FILL_HEIGHT)
+
+
+def _around(camera: Camera, turn: float, height: float) -> NDArray[np.float64]:
+    """A direction `turn` degrees to the right of the camera's place and `height` degrees above the ground."""
+    axes = camera.axes()
+    flat = np.array([-axes[2][0], 0.0, -axes[2][2]])
+    flat = flat / np.linalg.norm(flat) if np.linalg.norm(flat) > 1e-6 else np.array([0.0, 0.0, 1.0])
+    side = np.array([flat[2], 0.0, -flat[0]])  # to the right of the camera
+    level = flat * math.cos(math.radians(turn)) + side * math.sin(math.radians(turn))
+    return np.array([0.0, math.sin(math.radians(height)), 0.0]) + level * math.cos(math.radians(height))
+
+
+def _nice(length: float) -> float:
+    """The nearest 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(math.log(m * power / length))) * power
+
+
+def _background(background: Any) -> tuple[NDArray, NDArray]:
+    """Linear colours of the horizon and the zenith from None, one sRGB colour, or the pair (top, bottom)."""
+    if background is None:
+        return to_linear(np.array(HORIZON)), to_linear(np.array(ZENITH))
+    colours = np.asarray(background, dtype=float)
+    if colours.shape not in ((3,), (2, 3)):
+        raise ValueError(f"background: one sRGB colour or a pair (top, bottom) is allowed, not shape {colours.shape}")
+    top, bottom = (colours, colours) if colours.ndim == 1 else colours
+    return to_linear(bottom), to_linear(top)
+
+
+def _on_screen(planes: NDArray, axes: NDArray, eye: NDArray, view: NDArray) -> Any:
+    """Rows (a, b, c): closeness a x + b y + c of each plane (unit normal, offset) on the screen."""
+    rows = np.zeros((4, 4), dtype=np.float32)
+    focal, cx, cy = (float(a) for a in view[3, :3])
+    for k, plane in enumerate(planes):
+        right, up, forward = axes @ plane[:3] / (plane[3] - plane[:3] @ eye)
+        rows[k, :3] = right / focal, -up / focal, forward - right * cx / focal + up * cy / focal
+    return _mat(rows)

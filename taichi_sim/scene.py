@@ -1,0 +1,307 @@
+"""Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim import checks
+from taichi_sim.errors import SceneError
+
+__all__ = ["Material", "Scene", "Wall"]
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """How a surface answers. Two that meet: the larger restitution, the geometric mean of the frictions."""
+
+    name: str
+    restitution: float = 0.0  # 0: no bounce, 1: elastic
+    friction: float = 0.0  # Coulomb coefficient
+    viscous_friction: float = 0.0  # 1/s
+    colour: tuple[float, float, float] | None = None  # sRGB, 0 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """A half space, solid where normal . x < offset."""
+
+    normal: tuple[float, ...]  # unit
+    offset: float  # m
+    material: int
+
+
+class _Table:
+    """Columns that grow by whole calls and are joined when read."""
+
+    def __init__(self, **columns: NDArray) -> None:
+        self._parts = {name: [column] for name, column in columns.items()}
+        self.names = tuple(columns)
+        self.rows = 0
+
+    def append(self, n: int, **columns: NDArray) -> None:
+        for name, column in columns.items():
+            self._parts[name].append(column)
+        self.rows += n
+
+    def __getitem__(self, name: str) -> NDArray:
+        parts = self._parts[name]
+        if len(parts) > 1:
+            parts[:] = [np.concatenate(parts)]
+        return parts[0]
+
+
+class Scene:
+    """A world of balls, springs, walls and triangles in 2 or 3 dimensions, SI units.
+
+    Args:
+        dim: 2 or 3.
+        gravity: acceleration (dim,) [m/s^2]; none by default. In 3D the y axis points up.
+
+    Raises SceneError for anything that is not allowed, naming the field and the index; the scene is then unchanged.
+    """
+
+    def __init__(self, dim: int = 2, gravity: ArrayLike | None = None) -> None:
+        if isinstance(dim, bool) or dim not in (2, 3):
+            raise SceneError(f"dim: {dim!r} is not allowed; it must be 2 or 3")
+        self.dim = int(dim)
+        dim = self.dim
+        self.gravity = np.zeros(dim) if gravity is None else checks.vector("gravity", gravity, self.dim)
+        self.materials: list[Material] = [Material("default")]
+        self.walls: list[Wall] = []
+        self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
+        self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
+        self._balls = _Table(
+            position=np.zeros((0, dim)),
+            velocity=np.zeros((0, dim)),
+            mass=np.zeros(0),
+            radius=np.zeros(0),
+            pinned=np.zeros(0, dtype=bool),
+            material=np.zeros(0, dtype=np.int32),
+            body=np.zeros(0, dtype=np.int32),
+            colour=np.zeros((0, 3)),
+        )
+        self._springs = _Table(
+            pairs=np.zeros((0, 2), dtype=np.int32),
+            stiffness=np.zeros(0),
+            damping=np.zeros(0),
+            rest_length=np.zeros(0),
+            collides=np.zeros(0, dtype=bool),
+        )
+        self._triangles = _Table(triangles=np.zeros((0, 3), dtype=np.int32))
+        self._bodies = 0
+
+    # What there is -------------------------------------------------------------------------------------------------
+
+    @property
+    def n_balls(self) -> int:
+        """Number of balls."""
+        return self._balls.rows
+
+    @property
+    def n_springs(self) -> int:
+        """Number of springs, sticks included."""
+        return self._springs.rows
+
+    position = property(lambda self: self._balls["position"], doc="(n, dim) m")
+    velocity = property(lambda self: self._balls["velocity"], doc="(n, dim) m/s; 0 for pinned balls")
+    mass = property(lambda self: self._balls["mass"], doc="(n,) kg")
+    radius = property(lambda self: self._balls["radius"], doc="(n,) m")
+    pinned = property(lambda self: self._balls["pinned"], doc="(n,) bool")
+    material = property(lambda self: self._balls["material"], doc="(n,) index into materials")
+    body = property(lambda self: self._balls["body"], doc="(n,) balls of one body > 0 do not collide; 0: no body")
+    colour = property(lambda self: self._balls["colour"], doc="(n, 3) sRGB in 0..1; nan: the renderer chooses")
+    pairs = property(lambda self: self._springs["pairs"], doc="(m, 2) the balls of each spring")
+    stiffness = property(lambda self: self._springs["stiffness"], doc="(m,) N/m")
+    damping = property(lambda self: self._springs["damping"], doc="(m,) N s/m")
+    rest_length = property(lambda self: self._springs["rest_length"], doc="(m,) m")
+    collides = property(lambda self: self._springs["collides"], doc="(m,) bool; True: a stick that balls bounce off")
+    triangles = property(lambda self: self._triangles["triangles"], doc="(t, 3) balls, counter-clockwise from outside")
+
+    # What can be added ---------------------------------------------------------------------------------------------
+
+    def add_material(
+        self,
+        name: str,
+        restitution: float = 0.0,
+        friction: float = 0.0,
+        viscous_friction: float = 0.0,
+        colour: Sequence[float] | None = None,
+    ) -> str:
+        """Add a material and return its name. restitution 0..1, friction >= 0 (Coulomb), viscous_friction >= 0 [1/s]."""
+        if not isinstance(name, str) or not name:
+            raise SceneError(f"material: {name!r} is not allowed as a name; it must be a text")
+        if any(m.name == name for m in self.materials[1:]):
+            raise SceneError(f"material: {name!r} exists already")
+        where = f"material {name!r}: "
+        new = Material(
+            name,
+            checks.number(where + "restitution", restitution, low=0, high=1),
+            checks.number(where + "friction", friction, low=0),
+            checks.number(where + "viscous_friction", viscous_friction, low=0),
+            None if colour is None else _colour(where + "colour", colour),
+        )
+        if name == "default":
+            self.materials[0] = new
+        else:
+            self.materials.append(new)
+        return name
+
+    def add_balls(
+        self,
+        position: ArrayLike,
+        *,
+        radius: ArrayLike,
+        velocity: ArrayLike = 0.0,
+        mass: ArrayLike = 1.0,
+        material: str = "default",
+        pinned: bool | Sequence[int] | Sequence[bool] | NDArray = False,
+        colour: Sequence[float] | None = None,
+        body: int = 0,
+    ) -> NDArray[np.int32]:
+        """Add n balls and return their indices, shape (n,).
+
+        Args:
+            position: (n, dim) m, or one vector (dim,) for one ball.
+            radius: m, one or one per ball; mass: kg, one or one per ball; both positive.
+            velocity: m/s, one vector or one per ball.
+            material: name of a material added before.
+            pinned: a bool, a bool per ball, or integer positions within this call. A pinned ball never moves.
+            colour: sRGB in 0..1 for all of them.
+            body: balls of the same body > 0 (see new_body) do not collide with each other.
+        """
+        x = checks.vectors("balls.position", checks.many(position, 1), None, self.dim)
+        n = len(x)
+        if isinstance(body, bool) or not isinstance(body, (int, np.integer)) or not 0 <= body < 2**31:
+            raise SceneError(f"balls.body: {body!r} is not allowed; it must be a whole number, 0 or more")
+        held = self._pins(pinned, n)
+        rest = isinstance(velocity, (int, float)) and velocity == 0
+        v = np.zeros_like(x) if rest else checks.vectors("balls.velocity", velocity, n, self.dim)
+        v[held] = 0.0
+        columns = {
+            "position": x,
+            "velocity": v,
+            "mass": checks.per_item("balls.mass", mass, n, positive=True),
+            "radius": checks.per_item("balls.radius", radius, n, positive=True),
+            "pinned": held,
+            "material": np.full(n, self._material("balls.material", material), dtype=np.int32),
+            "body": np.full(n, body, dtype=np.int32),
+            "colour": np.tile(np.full(3, np.nan) if colour is None else _colour("balls.colour", colour), (n, 1)),
+        }
+        first = self.n_balls
+        self._balls.append(n, **columns)
+        return np.arange(first, first + n, dtype=np.int32)
+
+    def add_springs(
+        self,
+        pairs: ArrayLike,
+        *,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        rest_length: ArrayLike | None = None,
+        collides: bool | Sequence[bool] | NDArray = False,
+    ) -> NDArray[np.int32]:
+        """Add m springs and return their indices, shape (m,).
+
+        Args:
+            pairs: (m, 2) ball indices, or one pair.
+            stiffness: N/m, >= 0; damping: N s/m along the spring, >= 0; one or one per spring.
+            rest_length: m, >= 0; None: the present distance.
+            collides: True makes it a stick that balls bounce off; one or one per spring.
+        """
+        ij = checks.indices("springs.pairs", checks.many(pairs, 1), self.n_balls, width=2)
+        m = len(ij)
+        itself = ij[:, 0] == ij[:, 1]
+        if itself.any():
+            k = int(np.argmax(itself))
+            raise SceneError(f"springs.pairs[{k}]: {ij[k].tolist()} joins a ball to itself; give two different balls")
+        if rest_length is None:
+            x = self.position
+            rest = np.linalg.norm(x[ij[:, 1]] - x[ij[:, 0]], axis=1)
+        else:
+            rest = checks.per_item("springs.rest_length", rest_length, m, low=0)
+        columns = {
+            "pairs": ij,
+            "stiffness": checks.per_item("springs.stiffness", stiffness, m, low=0),
+            "damping": checks.per_item("springs.damping", damping, m, low=0),
+            "rest_length": rest,
+            "collides": checks.flags("springs.collides", collides, m),
+        }
+        first = self.n_springs
+        self._springs.append(m, **columns)
+        return np.arange(first, first + m, dtype=np.int32)
+
+    def add_wall(self, normal: ArrayLike, offset: float = 0.0, material: str = "default") -> None:
+        """Add a wall, solid where normal . x < offset [m along the normal]. The normal is normalised."""
+        n = checks.vector("wall.normal", normal, self.dim)
+        largest = float(np.max(np.abs(n)))
+        if largest == 0.0:
+            raise SceneError(f"wall.normal: {n.tolist()} is not allowed; it must have a direction")
+        n = n / largest  # so that squares of huge or tiny numbers stay finite
+        length = float(np.linalg.norm(n))
+        self.walls.append(
+            Wall(
+                tuple((n / length).tolist()),
+                checks.number("wall.offset", offset),
+                self._material("wall.material", material),
+            )
+        )
+
+    def add_triangles(self, triangles: ArrayLike) -> None:
+        """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface."""
+        t = checks.indices("triangles", triangles, self.n_balls, width=3)
+        self._triangles.append(len(t), triangles=t)
+
+    def new_body(self) -> int:
+        """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
+        self._bodies = max(self._bodies, int(self.body.max(initial=0))) + 1
+        return self._bodies
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the scene as TOML; large arrays go to an .npz beside it."""
+        from taichi_sim.scene_file import save_scene  # host files are the outer room: no import at load time
+
+        save_scene(self, path)
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """All columns of balls, springs and triangles under "balls.mass" and the like: what a state file keeps."""
+        tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
+        return {f"{name}.{key}": table[key] for name, table in tables.items() for key in table.names}
+
+    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
+        """Add what `to_arrays` gave, without checks."""
+        tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
+        for name, table in tables.items():
+            columns = {key: arrays[f"{name}.{key}"] for key in table.names}
+            table.append(len(next(iter(columns.values()))), **columns)
+
+    # Checks --------------------------------------------------------------------------------------------------------
+
+    def _material(self, where: str, name: str) -> int:
+        for index, material in enumerate(self.materials):
+            if material.name == name:
+                return index
+        known = ", ".join(repr(m.name) for m in self.materials)
+        raise SceneError(f"{where}: {name!r} is not a material of this scene; there are {known}")
+
+    @staticmethod
+    def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:
+        try:
+            array = np.asarray(pinned)
+        except ValueError:  # rows of different lengths
+            raise SceneError(
+                f"balls.pinned: {pinned!r} is not a bool, a bool per ball, or a list of positions"
+            ) from None
+        if array.dtype == np.bool_:
+            return checks.flags("balls.pinned", array, n)
+        held = np.zeros(n, dtype=bool)
+        held[checks.indices("balls.pinned", array, n)] = True
+        return held
+
+
+def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:
+    rgb = checks.per_item(where, value, 3, low=0, high=1)
+    return (float(rgb[0]), float(rgb[1]), float(rgb[2]))

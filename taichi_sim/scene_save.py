@@ -1,0 +1,131 @@
+"""Scene to TOML, with the large arrays in an .npz beside it. The scene that comes back is the same, bit for bit."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.files import replacing
+from taichi_sim.scene import Scene
+
+__all__ = ["save_scene"]
+
+MOST_INLINE = 200  # numbers; a longer array goes to the .npz
+
+
+class _Arrays:
+    """The arrays that go to the .npz, and the rule which they are."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.arrays: dict[str, NDArray] = {}
+
+    def table(self, prefix: str, columns: dict[str, NDArray], **plain: Any) -> dict[str, Any]:
+        """One TOML table: plain keys, short columns in place, long ones in the file under prefix + key."""
+        table, long = dict(plain), False
+        for key, column in columns.items():
+            if column.size > MOST_INLINE:
+                self.arrays[prefix + key] = column
+                long = True
+            else:
+                table[key] = column.tolist()
+        return table | ({"file": self.name, "prefix": prefix} if long else {})
+
+
+def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write a scene file; arrays of more than 200 numbers go to `<stem>_arrays.npz` beside it. Each is replaced whole.
+
+    Springs and triangles are written as they are, not as the shapes that made them. Raises OSError where the file
+    cannot be written.
+    """
+    import tomli_w
+
+    file = Path(path)
+    arrays_file = file.with_name(file.stem + "_arrays.npz")  # not x.npz, which `run -o` may be asked to write
+    store = _Arrays(arrays_file.name)
+    document = _document(scene, store)
+    text = tomli_w.dumps(document).encode()
+    with replacing(file) as out:
+        out.write(text)
+        if store.arrays:
+            with replacing(arrays_file) as arrays:
+                np.savez(arrays, **store.arrays)  # type: ignore[arg-type]
+
+
+def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
+    document: dict[str, Any] = {"format": 1, "dim": scene.dim, "gravity": scene.gravity.tolist()}
+    for name, table in (("simulation", scene.settings), ("output", scene.output)):
+        if table:
+            document[name] = {key: _plain(value) for key, value in table.items() if value is not None}
+    tables = {
+        "materials": _materials(scene),
+        "balls": _balls(scene, store),
+        "springs": _springs(scene, store),
+        "walls": [
+            {"normal": list(wall.normal), "offset": wall.offset, "material": scene.materials[wall.material].name}
+            for wall in scene.walls
+        ],
+    }
+    if len(scene.triangles):
+        tables["triangles"] = [store.table("triangles_", {"triangles": scene.triangles})]
+    return document | {name: rows for name, rows in tables.items() if rows}
+
+
+def _plain(value: Any) -> Any:
+    """NumPy numbers and tuples as TOML has them."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _materials(scene: Scene) -> list[dict[str, Any]]:
+    rows = []
+    for material in scene.materials:
+        row: dict[str, Any] = {
+            "name": material.name,
+            "restitution": material.restitution,
+            "friction": material.friction,
+            "viscous_friction": material.viscous_friction,
+        }
+        rows.append(row if material.colour is None else row | {"colour": list(material.colour)})
+    return rows
+
+
+def _balls(scene: Scene, store: _Arrays) -> list[dict[str, Any]]:
+    """One table for each run of balls that share material, body and colour, which a table has once."""
+    shared = np.column_stack([scene.material, scene.body, np.nan_to_num(scene.colour, nan=-1.0)])
+    starts = np.flatnonzero(np.any(shared[1:] != shared[:-1], axis=1)) + 1
+    rows = []
+    for number, run in enumerate(np.split(np.arange(scene.n_balls), starts)):
+        if not len(run):
+            continue
+        first = run[0]
+        plain: dict[str, Any] = {"material": scene.materials[scene.material[first]].name}
+        if scene.body[first]:
+            plain["body"] = int(scene.body[first])
+        if not np.isnan(scene.colour[first]).any():
+            plain["colour"] = scene.colour[first].tolist()
+        if scene.pinned[run].all():
+            plain["pinned"] = True
+        columns = {"position": scene.position[run], "mass": _one(scene.mass[run]), "radius": _one(scene.radius[run])}
+        if np.any(scene.velocity[run]):
+            columns["velocity"] = scene.velocity[run]
+        if scene.pinned[run].any() and "pinned" not in plain:
+            columns["pinned"] = np.flatnonzero(scene.pinned[run])
+        rows.append(store.table(f"balls_{number}_", columns, **plain))
+    return rows
+
+
+def _springs(scene: Scene, store: _Arrays) -> list[dict[str, Any]]:
+    if not scene.n_springs:
+        return []
+    columns = {"pairs": scene.pairs, "rest_length": scene.rest_length}
+    columns |= {name: _one(getattr(scene, name)) for name in ("stiffness", "damping", "collides")}
+    return [store.table("springs_", columns)]
+
+
+def _one(column: NDArray) -> NDArray:
+    """One value where all are the same, for the file to be short."""
+    return column[0] if len(column) and np.all(column == column[0]) else column

@@ -1,0 +1,121 @@
+"""Settings: the arguments of Simulation, checked and with every "auto" that depends on the scene alone resolved."""
+
+from copy import copy
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+
+from taichi_sim import backend, checks
+from taichi_sim.scene import Scene
+from taichi_sim.stability import Stability
+
+__all__ = ["Settings"]
+
+DEFAULTS: dict[str, Any] = {
+    "integrator": "verlet",
+    "dt": "auto",
+    "substeps": "auto",
+    "precision": None,
+    "arch": None,
+    "threads": None,
+    "contacts": "auto",
+    "contact_passes": "auto",
+    "accumulate": "auto",
+    "driver": "auto",
+    "spin": "auto",
+}
+WORDS: dict[str, tuple[Any, ...]] = {
+    "contacts": ("auto", "jacobi", "sum", "off"),
+    "accumulate": ("auto", "ordered", "atomic"),
+    "driver": ("auto", "fused", "parallel"),
+    "spin": ("auto", False),
+}
+LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
+MOST_THREADS = 4096
+SAFETY = 0.9  # of the stability bound
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Checked arguments. None for precision, arch, threads: what the process runs, or the default."""
+
+    integrator: Any
+    dt: float | str
+    substeps: int | str
+    precision: str | None
+    arch: str | None
+    threads: int | None
+    contacts: str
+    contact_passes: int | str
+    accumulate: str
+    driver: str
+    spin: Any
+
+    @classmethod
+    def resolve(cls, scene: Scene, given: dict[str, Any]) -> "Settings":
+        """Arguments, else scene.settings, else defaults. Raises ValueError that names the argument and what is allowed."""
+        for name in (*scene.settings, *given):
+            if name not in DEFAULTS:
+                near = get_close_matches(name, DEFAULTS, n=1)
+                hint = f"; did you mean {near[0]!r}?" if near else ""
+                raise ValueError(f"{name}: no such argument; there are {', '.join([*DEFAULTS, 'forces'])}{hint}")
+        values = {**DEFAULTS, **scene.settings, **given}
+        for name, allowed in WORDS.items():
+            if not any(values[name] is word or values[name] == word for word in allowed):
+                words = ", ".join(str(word) for word in allowed)
+                raise ValueError(f"{name}: {values[name]!r} is not allowed; it must be one of {words}")
+        _check_backend(values)
+        values["integrator"] = _integrator(values["integrator"])
+        for name in ("contact_passes", "substeps"):
+            if values[name] != "auto":
+                values[name] = _whole(name, values[name])
+        if values["dt"] != "auto":
+            values["dt"] = checks.number("dt", values["dt"], positive=True)
+        return cls(**values)
+
+    def passes(self, scene: Scene) -> int:
+        """Passes of each contact solve; "auto": 4 for small scenes to 8 for those whose piles can be high, and up to 12 more
+        where balls bounce well: an impulse that has not converged then takes energy for good."""
+        if self.contact_passes != "auto":
+            return int(self.contact_passes)
+        bounce = max(material.restitution for material in scene.materials)
+        more = round(12 * max(0.0, 2.0 * bounce - 1.0))
+        return int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8)) + more
+
+    def time_step(self, safe: Stability) -> tuple[float, int]:
+        """dt [s] and the number of substeps, with "auto" resolved."""
+        substeps = 1 if self.substeps == "auto" else int(self.substeps)
+        if self.dt != "auto":
+            return float(self.dt), substeps
+        if safe.dt_any_shape == 0.0:
+            raise ValueError(f'dt: "auto" finds no safe step: {safe.reason}; give a number, or take another integrator')
+        limit = SAFETY * safe.dt_any_shape * substeps
+        return float(np.minimum(LONGEST_STEP, limit)), substeps
+
+
+def _check_backend(values: dict[str, Any]) -> None:
+    for name, allowed in (("arch", backend.ARCHES), ("precision", backend.PRECISIONS)):
+        if values[name] is not None and values[name] not in allowed:
+            raise ValueError(f"{name}: {values[name]!r} is not allowed; it must be one of {', '.join(allowed)}")
+    if values["threads"] is not None:
+        _whole("threads", values["threads"], MOST_THREADS)
+
+
+def _whole(name: str, value: Any, most: int = 2**31 - 1) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
+        raise ValueError(f"{name}: {value!r} is not allowed; it must be a whole number from 1 to {most}")
+    return int(value)
+
+
+def _integrator(value: Any) -> Any:
+    from taichi_sim.integrators import BUILT_IN, Integrator  # brings Taichi: only when a simulation is made
+
+    if isinstance(value, Integrator):
+        return copy(value)  # one object may serve several simulations
+    for kind in BUILT_IN:
+        if kind.name == value:
+            return kind()
+    names = ", ".join(kind.name for kind in BUILT_IN)
+    raise ValueError(f"integrator: {value!r} is not allowed; it must be one of {names}, or an Integrator")

@@ -1,0 +1,182 @@
+"""What the shapes are made of: checked sizes, lattices, placing, a stiffness that is stable, and the handle."""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim import checks
+from taichi_sim.errors import SceneError
+from taichi_sim.scene import Scene
+
+__all__ = [
+    "Part",
+    "Shape",
+    "Springs",
+    "build",
+    "count",
+    "counts",
+    "lattice_pairs",
+    "moved",
+    "named",
+    "stable_stiffness",
+]
+
+SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
+SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
+DAMPING_RATIO = 0.1  # of critical, for the pair of balls at each spring
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """What a shape added to the scene, as indices into it."""
+
+    balls: NDArray[np.int32]  # (n,)
+    springs: NDArray[np.int32]  # (m,)
+    triangles: NDArray[np.int32]  # (t, 3) balls, counter-clockwise from outside
+
+
+@dataclass(frozen=True, slots=True)
+class Springs:
+    """Springs of one kind within a shape: pairs (m, 2) of its balls, and their stiffness relative to the shape's."""
+
+    pairs: NDArray
+    weight: float
+    stiffness: float | None = None  # N/m; in place of weight times the shape's
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What every shape is told about its balls. mass is that of all of them together [kg], radius that of each [m]."""
+
+    mass: float
+    radius: float
+    pinned: Any
+    material: str
+    colour: Sequence[float] | None
+    self_collision: bool
+
+
+@contextmanager
+def named(shape: str) -> Iterator[None]:
+    """Let the scene's errors speak of the shape's arguments: `cloth.pinned[3]` in place of `balls.pinned[3]`."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(re.sub(r"^(balls|springs|mesh)(?=[.:])", shape, str(error))) from error
+
+
+def counts(where: str, value: Any, n: int, low: int) -> tuple[int, ...]:
+    """n whole numbers of at least `low`. Raises SceneError."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "iu" or array.shape != (n,) or (array < low).any():
+        raise SceneError(f"{where}: {value!r} is not allowed; it must be {n} whole numbers of at least {low}")
+    return tuple(int(k) for k in array)
+
+
+def count(where: str, value: Any, low: int) -> int:
+    """A whole number of at least `low`. Raises SceneError."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
+        raise SceneError(f"{where}: {value!r} is not allowed; it must be a whole number of at least {low}")
+    return int(value)
+
+
+def lattice_pairs(resolution: tuple[int, ...], *offsets: tuple[int, ...]) -> NDArray[np.int64]:
+    """All pairs of points of a lattice that lie one of the offsets apart, (m, 2); the last axis counts fastest."""
+    index = np.arange(int(np.prod(resolution))).reshape(resolution)
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for offset in offsets:
+        here = index[tuple(slice(max(0, -o), max(0, n - max(0, o))) for o, n in zip(offset, resolution))]
+        there = index[tuple(slice(max(0, o), max(0, n - max(0, -o))) for o, n in zip(offset, resolution))]
+        if here.shape == there.shape:
+            pairs.append(np.stack([here.ravel(), there.ravel()], axis=1))
+    return np.concatenate(pairs)
+
+
+def moved(shape: str, points: NDArray, position: Any, rotation: Any, scale: Any) -> NDArray[np.float64]:
+    """Points (n, dim), scaled, then turned about the x, the y and the z axis in this order, then shifted.
+
+    rotation is in degrees, about the shape's own origin: three numbers in 3D, one in 2D.
+    """
+    dim = points.shape[1]
+    factor = checks.number(f"{shape}.scale", scale, positive=True)
+    shift = np.zeros(dim) if position is None else checks.vectors(f"{shape}.position", position, 1, dim)[0]
+    return points * factor @ _turn(f"{shape}.rotation", rotation, dim).T + shift
+
+
+def _turn(where: str, rotation: Any, dim: int) -> NDArray[np.float64]:
+    turn = np.eye(dim)
+    if rotation is None:
+        return turn
+    angles = (
+        [checks.number(where, rotation)] if dim == 2 else checks.vectors(where, rotation, 1, 3)[0].tolist()  # degrees
+    )
+    for axis, angle in enumerate(angles):
+        first, second = (0, 1) if dim == 2 else ((axis + 1) % 3, (axis + 2) % 3)
+        cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        one = np.eye(dim)
+        one[first, first] = one[second, second] = cosine
+        one[first, second], one[second, first] = -sine, sine
+        turn = one @ turn
+    return turn
+
+
+def stable_stiffness(kinds: Sequence[Springs], n: int, mass: float) -> float:
+    """The stiffness k [N/m] of weight 1 that is stable at SAFE_STEP with a margin, for n balls of total mass [kg].
+
+    The bound that holds for every shape (physics section 5) is h^2 max (S_i / m_i + S_j / m_j) < 4 over the springs,
+    S_i the sum of the stiffness at ball i. With S_i = k R_i and all masses mass / n, k = 4 mass / (margin n h^2
+    max(R_i + R_j)).
+    """
+    ends = np.concatenate([kind.pairs for kind in kinds])
+    if not len(ends):
+        return 1.0
+    weight = np.repeat([kind.weight for kind in kinds], [len(kind.pairs) for kind in kinds])
+    row = np.bincount(ends.ravel(), np.repeat(weight, 2), minlength=n)
+    return float(4 * mass / (SAFE_MARGIN * n * SAFE_STEP**2 * row[ends].sum(axis=1).max()))
+
+
+def build(
+    scene: Scene,
+    shape: str,
+    points: NDArray,
+    kinds: Sequence[Springs],
+    triangles: NDArray,
+    part: Part,
+    stiffness: float,
+    damping: float | None,
+) -> Shape:
+    """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls."""
+    n = len(points)
+    each = part.mass / n
+    strength = np.concatenate(
+        [
+            np.full(len(kind.pairs), kind.weight * stiffness if kind.stiffness is None else kind.stiffness)
+            for kind in kinds
+        ]
+        or [np.zeros(0)]
+    )
+    critical = 2 * np.sqrt(strength * each / 2)  # of two balls of equal mass
+    with named(shape):
+        balls = scene.add_balls(
+            points,
+            radius=part.radius,
+            mass=each,
+            material=part.material,
+            pinned=part.pinned,
+            colour=part.colour,
+            body=0 if part.self_collision else scene.new_body(),
+        )
+        pairs = np.concatenate([kind.pairs for kind in kinds] or [np.zeros((0, 2), dtype=np.int64)])
+        springs = scene.add_springs(
+            balls[pairs].reshape(-1, 2),
+            stiffness=strength,
+            damping=DAMPING_RATIO * critical if damping is None else damping,
+        )
+        faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
+        scene.add_triangles(faces)
+    return Shape(balls, springs, faces)

@@ -1,0 +1,317 @@
+"""Simulation: a scene in motion."""
+
+import warnings
+from collections.abc import Iterator, Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim import backend, checks, diagnostics
+from taichi_sim.assembly import Assembly
+from taichi_sim.errors import SceneError, UnstableError
+from taichi_sim.frame import Frame
+from taichi_sim.integrators import BUILT_IN
+from taichi_sim.scene import Scene
+from taichi_sim.settings import Settings
+from taichi_sim.stability import Stability, stability
+from taichi_sim.state import State
+
+__all__ = ["Simulation"]
+
+CHUNK = 256  # substeps between two looks for non-finite balls
+MOST_FRAMES = 10_000_000
+COARSE = 0.01  # of a radius: rounding of positions that shows
+
+
+class Simulation:
+    """Steps a scene through time.
+
+    Args, all optional; what is left out is taken from scene.settings, then from the defaults in parentheses:
+        integrator: a name ("explicit_euler", "symplectic_euler", "verlet", "rk4") or an Integrator ("verlet").
+        dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape ("auto").
+        substeps: parts that each step is divided into, or "auto": 1 ("auto").
+        precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
+        contacts: "auto", "jacobi", "sum", "off" ("auto": jacobi). contact_passes: of each contact solve, or "auto":
+            4 to 8 by size, up to 12 more for restitutions above 0.5 ("auto"). With fewer, a crowd that should bounce
+            elastically loses energy where balls touch several others at once.
+        accumulate: "auto", "ordered", "atomic" ("auto": ordered). driver: "auto", "fused", "parallel" ("auto": by size).
+        spin: "auto" or False; rolling balls are not in this version. forces: your own force objects. threads: CPU threads.
+
+    Precision, arch and threads hold for the whole process. Raises ValueError, SceneError, BackendError; warns when dt is
+    above the safe bound.
+    """
+
+    def __init__(self, scene: Scene, *, forces: Sequence[Any] = (), **settings: Any) -> None:
+        self.scene = scene
+        self.settings = Settings.resolve(scene, settings)
+        self._stability = stability(scene, self.settings.integrator.name)
+        self.dt, self.substeps = self.settings.time_step(self._stability)
+        self._h = self.dt / self.substeps
+        self._warn()
+        s = self.settings
+        self.backend = backend.start(s.arch, s.precision, s.threads)
+        self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN
+        self._parts = Assembly(scene, s, self.backend, self._h, forces)
+        self._warn_of_rounding()
+        self._steps, self._begin = 0, 0.0
+        self._primed = self._closed = False
+        self._still = scene.n_balls == 0
+
+    def _warn(self) -> None:
+        safe = self._stability.dt_any_shape
+        if self._h > safe * (1.0 + 1e-9):
+            warnings.warn(
+                f"dt = {self._h:.6g} s is above the safe bound of {safe:.6g} s for every shape of this scene:"
+                f" {self._stability.reason}",
+                stacklevel=3,
+            )
+
+    def _warn_of_rounding(self) -> None:
+        scene = self.scene
+        if self.backend.precision == "f64" or not scene.n_balls:
+            return
+        far, small = float(np.max(np.abs(scene.position))), float(np.min(scene.radius))
+        rounding = far * float(np.finfo(np.float32).eps)
+        if rounding > COARSE * small:
+            warnings.warn(
+                f"precision: {far:.4g} m from the origin single precision tells positions {rounding:.2g} m apart, and the"
+                f' smallest radius is {small:.2g} m; use precision "f64", or build the scene nearer to the origin',
+                stacklevel=3,
+            )
+
+    @property
+    def _state(self) -> State:
+        if self._closed:  # its memory is gone: touching it would end the process
+            raise RuntimeError("this simulation is closed; make a new one")
+        return self._parts.state
+
+    # Moving on -----------------------------------------------------------------------------------------------------
+
+    def step(self, n: int = 1) -> None:
+        """Advance by n steps of dt. step(0) only compiles. Raises UnstableError, leaving the last good state."""
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
+            raise ValueError(f"step: {n!r} is not allowed; it must be a whole number, 0 or more")
+        if self._still:
+            self._steps += int(n)
+            return
+        self._prime()
+        if n == 0:
+            self._parts.run(0, self._h, self.time)
+        left = int(n)
+        while left:
+            now = min(left, max(1, CHUNK // self.substeps))
+            self._advance(now)
+            left -= now
+
+    def run(self, duration: float) -> None:
+        """Advance by round(duration / dt) steps; duration in seconds."""
+        self.step(round(checks.number("duration", duration, low=0) / self.dt))
+
+    def frames(self, fps: float = 60.0, duration: float = 5.0) -> Iterator[Frame]:
+        """round(fps x duration) frames, the first the present state, each at the step nearest to its time.
+
+        Steps made between two frames count towards the next one.
+        """
+        rate = checks.number("fps", fps, positive=True)
+        count = round(min(rate * checks.number("duration", duration, low=0), 2.0 * MOST_FRAMES))
+        if count > MOST_FRAMES:
+            raise ValueError(
+                f"frames: {rate:g} a second for {duration:g} s are more than {MOST_FRAMES}, the most allowed"
+            )
+        if rate * self.dt > 1.0 + 1e-9:
+            warnings.warn(
+                f"dt = {self.dt:.6g} s is longer than a frame, 1/{rate:g} s: some frames repeat", stacklevel=2
+            )
+        start = self._steps
+        for k in range(count):
+            self.step(max(0, start + round(k / rate / self.dt) - self._steps))
+            yield self.frame()
+
+    def _prime(self) -> None:
+        state = self._state
+        if not self._primed:
+            self._parts.prime(self._h, self.time)
+            self._parts.check_capacity()
+            bad = state.first_bad()  # also compiles the check, so that step(0) leaves nothing to compile
+            if bad is not None:
+                x, v = self.position[bad].tolist(), self.velocity[bad].tolist()
+                raise SceneError(
+                    f"ball {bad}: starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
+                )
+            state.keep()
+            self._primed = True
+
+    def _advance(self, steps: int) -> None:
+        """A chunk of steps, then a look at the result: a bad one is taken back and searched step by step."""
+        self._parts.run(steps * self.substeps, self._h, self.time)
+        try:
+            self._parts.check_capacity()
+        except SceneError:
+            self._state.restore()
+            self._primed = False
+            raise
+        if self._state.first_bad() is None:
+            self._steps += steps
+            self._state.keep()
+            return
+        self._state.restore()
+        self._parts.prime(self._h, self.time)
+        for _ in range(steps):
+            self._parts.run(self.substeps, self._h, self.time)
+            bad = self._state.first_bad()
+            if bad is not None:
+                self._fail(bad)
+            self._steps += 1
+            self._state.keep()
+
+    def _fail(self, ball: int) -> None:
+        self._state.restore()
+        self._primed = False
+        scene, time = self.scene, self.time + self.dt
+        own = np.flatnonzero((scene.pairs == ball).any(axis=1))
+        spring = int(own[np.argmax(scene.stiffness[own] + scene.damping[own])]) if len(own) else None
+        safe = self._stability.dt_any_shape
+        hint = f"; the largest safe step is {safe:.6g} s, this run used {self._h:.6g} s" if np.isfinite(safe) else ""
+        joined = f" at spring {spring}" if spring is not None else ""
+        raise UnstableError(
+            f"ball {ball}{joined} is not finite or left the world at t = {time:.6g} s{hint}; the last good state,"
+            f" t = {self.time:.6g} s, is kept",
+            time,
+            ball,
+            spring,
+            safe if np.isfinite(safe) else None,
+        )
+
+    # Looking at it -------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Seconds since the start: steps x dt."""
+        return self._begin + self._steps * self.dt
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """(n, dim) m, a copy."""
+        return self._state.position
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """(n, dim) m/s, a copy; belongs to the same moment as `position`, after contacts."""
+        return self._state.velocity
+
+    def energy(self) -> diagnostics.Energy:
+        """Kinetic, spring, gravity and total energy [J], computed in float64."""
+        return diagnostics.energy(self.scene, self.position, self.velocity)
+
+    def momentum(self) -> NDArray[np.float64]:
+        """(dim,) kg m/s."""
+        return diagnostics.momentum(self.scene, self.velocity)
+
+    def angular_momentum(self) -> Any:
+        """About the origin [kg m^2/s]: a float in 2D, (3,) in 3D."""
+        return diagnostics.angular_momentum(self.scene, self.position, self.velocity)
+
+    def penetration(self) -> float:
+        """Largest overlap of a ball with a wall or another ball [m]; 0 where contacts are off."""
+        if self._still or not self._parts.contacts.active:
+            return 0.0
+        self._prime()
+        return max(diagnostics.wall_overlap(self.scene, self.position), self._parts.ball_overlap())
+
+    def frame(self) -> Frame:
+        """The present moment as NumPy arrays."""
+        scene, x, v = self.scene, self.position, self.velocity
+        return Frame(
+            time=self.time,
+            position=x,
+            velocity=v,
+            radius=scene.radius,
+            springs=scene.pairs,
+            sticks=scene.collides,
+            strain=diagnostics.strain(scene, x),
+            triangles=scene.triangles,
+            colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
+            pinned=scene.pinned,
+            walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
+            energy=diagnostics.energy(scene, x, v),
+        )
+
+    def stability(self) -> Stability:
+        """The largest safe step, and what limits it."""
+        return self._stability
+
+    def kernels(self) -> list[str]:
+        """The parts that were compiled for this scene; what it lacks is not among them."""
+        return self._parts.names()
+
+    # Changing it ---------------------------------------------------------------------------------------------------
+
+    def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:
+        """Add an impulse (dim,) or (k, dim) [N s] to the balls (k,). Pinned ones do not move."""
+        index = checks.indices("balls", np.atleast_1d(np.asarray(balls)), self.scene.n_balls)
+        p = checks.vectors("impulse", impulse, len(index), self.scene.dim)
+        v = self.velocity
+        w = np.where(self.scene.pinned, 0.0, 1.0 / self.scene.mass)
+        np.add.at(v, index, w[index, None] * p)
+        self._write(self.position, v)
+
+    def set_position(self, position: ArrayLike) -> None:
+        """Replace all positions (n, dim) [m], pinned balls' too."""
+        self._write(checks.vectors("position", position, self.scene.n_balls, self.scene.dim), self.velocity)
+
+    def set_velocity(self, velocity: ArrayLike) -> None:
+        """Replace all velocities (n, dim) [m/s]; pinned balls keep 0."""
+        v = checks.vectors("velocity", velocity, self.scene.n_balls, self.scene.dim)
+        v[self.scene.pinned] = 0.0
+        self._write(self.position, v)
+
+    @property
+    def rounded_off(self) -> tuple[NDArray, NDArray] | None:
+        """What single precision rounded off of position and velocity, both (n, dim), or None where it is not kept."""
+        return self._state.rounded_off
+
+    def resume(
+        self, position: ArrayLike, velocity: ArrayLike, time: float, low: tuple[NDArray, NDArray] | None = None
+    ) -> None:
+        """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
+
+        low: what was `rounded_off`.
+        """
+        n, dim = self.scene.n_balls, self.scene.dim
+        self._steps, self._begin = round(time / self.dt), 0.0
+        if abs(self.time - time) > 1e-9 * time:  # saved with another step: no multiple of this one
+            self._steps, self._begin = 0, time
+        if n:
+            self._write(checks.vectors("position", position, n, dim), checks.vectors("velocity", velocity, n, dim), low)
+
+    def _write(self, x: NDArray, v: NDArray, low: tuple[NDArray, NDArray] | None = None) -> None:
+        if not self._still:
+            self._state.write(x, v, low)
+            self._primed = False
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the scene, all arguments and the present state to an .npz file."""
+        from taichi_sim.state_file import save_state  # an outer room: no import at load time
+
+        save_state(self, path)
+
+    @classmethod
+    def restore(cls, path: str | PathLike[str], **overrides: Any) -> "Simulation":
+        """A simulation as `save` left it; any argument may be replaced."""
+        from taichi_sim.state_file import restore_state
+
+        return restore_state(cls, path, overrides)
+
+    def close(self) -> None:
+        """Free all fields. The simulation cannot be used after that; closing twice does nothing."""
+        if not self._closed:
+            self._closed = True
+            self._parts.free()
+
+    def __enter__(self) -> "Simulation":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,131 @@
+"""State: what changes while a scene runs, as Taichi fields."""
+
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from taichi_sim.fields import Fields
+from taichi_sim.model import Model, phase_type
+
+__all__ = ["State"]
+
+FAR = 1e12  # m; a ball beyond this has left the world
+
+
+@ti.data_oriented
+class State:
+    """`ball` (n) struct with x [m] and v [m/s]; `impulse` (n) [N s], summed from old values; `offset` (n) [m]; `kept`:
+    the last state known to be good; `bad` (1): lowest index of a non-finite ball, or n. `compensated` keeps what single
+    precision rounds off of x and v in `low` and gives it back with the next change (Kahan's sum).
+
+    order: number in the user's scene of each ball stored here, or None where they are the same. What goes in and out below
+    is in the user's order."""
+
+    def __init__(self, model: Model, fields: Fields, compensated: bool, order: np.ndarray | None = None) -> None:
+        scene = model.scene
+        self.order = order
+        self.n, self.dim = model.n, model.dim
+        phase = phase_type(model.dim, fields.real)
+        self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
+        self.kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
+        self.compensated = compensated
+        if compensated:
+            self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
+        self.impulse = fields.vectors(self.n, model.dim)
+        self.bad = fields.integers(1)
+
+    @ti.func
+    def shift(self, i, dx):
+        """x += dx for ball i."""
+        if ti.static(self.compensated):
+            change = dx + self.low[i].x
+            moved = self.ball[i].x + change
+            self.low[i].x = change - (moved - self.ball[i].x)
+            self.ball[i].x = moved
+        else:
+            self.ball[i].x = self.ball[i].x + dx  # a bare += would be atomic
+
+    @ti.func
+    def kick(self, i, dv):
+        """v += dv for ball i."""
+        if ti.static(self.compensated):
+            change = dv + self.low[i].v
+            faster = self.ball[i].v + change
+            self.low[i].v = change - (faster - self.ball[i].v)
+            self.ball[i].v = faster
+        else:
+            self.ball[i].v = self.ball[i].v + dv
+
+    @ti.kernel
+    def _check(self):
+        self.bad[0] = self.n
+        for i in range(self.n):
+            good = True
+            for a in ti.static(range(self.dim)):  # one by one: a comparison with nan is false, a maximum may drop it
+                good = good and ti.abs(self.ball[i].x[a]) < FAR and ti.abs(self.ball[i].v[a]) < FAR
+            if not good:
+                ti.atomic_min(self.bad[0], i)
+
+    @ti.kernel
+    def _copy(self, target: ti.template(), source: ti.template()):
+        for i in range(self.n):
+            target[i] = source[i]
+
+    def first_bad(self) -> int | None:
+        """Index of the first ball that is not finite or has left the world, or None."""
+        if self.n == 0:
+            return None
+        self._check()
+        bad = int(self.bad[0])
+        if bad == self.n:
+            return None
+        return bad if self.order is None else int(self.order[bad])
+
+    def keep(self) -> None:
+        """Remember the present state as good."""
+        self._copy(self.kept, self.ball)
+        if self.compensated:
+            self._copy(self.kept_low, self.low)
+
+    def restore(self) -> None:
+        """Return to the state last kept."""
+        self._copy(self.ball, self.kept)
+        if self.compensated:
+            self._copy(self.low, self.kept_low)
+
+    def write(self, x: np.ndarray, v: np.ndarray, low: tuple[np.ndarray, np.ndarray] | None = None) -> None:
+        """Replace positions and velocities, both (n, dim), and what single precision rounded off of them (0)."""
+        self._copy_in(self.ball, x, v)
+        if self.compensated:
+            self._copy_in(self.low, *(low or (np.zeros_like(x), np.zeros_like(v))))
+
+    def _copy_in(self, table: Any, x: np.ndarray, v: np.ndarray) -> None:
+        for field, values in ((table.x, x), (table.v, v)):
+            stored = values if self.order is None else values[self.order]
+            field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
+
+    def _copy_out(self, field: Any) -> np.ndarray:
+        stored = field.to_numpy()[: self.n]
+        if self.order is None:
+            return stored
+        values = np.empty_like(stored)
+        values[self.order] = stored
+        return values
+
+    @property
+    def rounded_off(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """What single precision rounded off of positions and velocities, both (n, dim), or None where it is not kept."""
+        if not self.compensated:
+            return None
+        return self._copy_out(self.low.x), self._copy_out(self.low.v)
+
+    @property
+    def position(self) -> np.ndarray:
+        """(n, dim) m, a copy in float64."""
+        return self._copy_out(self.ball.x).astype(np.float64)
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """(n, dim) m/s, a copy in float64."""
+        return self._copy_out(self.ball.v).astype(np.float64)

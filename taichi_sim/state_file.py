@@ -1,0 +1,97 @@
+"""Simulation to one .npz file and back: the scene, all arguments, and where everything is."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from os import PathLike
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from taichi_sim import checks
+from taichi_sim.errors import SceneError
+from taichi_sim.files import replacing
+from taichi_sim.scene import Material, Scene, Wall
+
+__all__ = ["restore_state", "save_state"]
+
+FORMAT = 1
+LOW = ("low_position", "low_velocity")  # what single precision rounded off: without it a run goes on with other bits
+
+
+def save_state(simulation: Any, path: str | PathLike[str]) -> None:
+    """Write a simulation. Its integrator must be a built-in one: an object of your own cannot be written to a file.
+
+    What contacts hold from the last step is not kept: a pile that is restored finds it anew within a few steps.
+    """
+    scene = simulation.scene
+    if simulation.has_own_parts:
+        raise ValueError("save: forces or an integrator of your own cannot be written to a file")
+    own = simulation.settings
+    settings = {name.name: getattr(own, name.name) for name in fields(own)}
+    settings.update(
+        integrator=own.integrator.name,
+        dt=simulation.dt,
+        substeps=simulation.substeps,
+        precision=simulation.backend.precision,
+    )
+    about = {
+        "format": FORMAT,
+        "dim": scene.dim,
+        "gravity": scene.gravity.tolist(),
+        "materials": [asdict(material) for material in scene.materials],
+        "walls": [asdict(wall) for wall in scene.walls],
+        "settings": settings,
+        "output": scene.output,
+        "time": simulation.time,
+    }
+    state = {"position": simulation.position, "velocity": simulation.velocity}
+    if simulation.rounded_off is not None:
+        state.update(zip(LOW, simulation.rounded_off))
+    with replacing(path) as file:
+        np.savez(file, about=np.array(json.dumps(about)), **state, **scene.to_arrays())
+
+
+def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, Any]) -> Any:
+    """A `kind` (Simulation) as `save_state` left it, with some arguments replaced. Raises SceneError for another file."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+    except FileNotFoundError:
+        raise SceneError(f"{path}: there is no such file") from None
+    except (BadZipFile, ValueError, EOFError, OSError):
+        raise SceneError(f"{path}: is not a state that Simulation.save wrote") from None
+    try:
+        about = json.loads(str(arrays["about"]))
+        if about["format"] != FORMAT:
+            raise SceneError(f"{path}: format {about['format']!r} is not known; this version reads {FORMAT}")
+        scene = _scene(about, arrays)
+        n, dim = scene.n_balls, scene.dim
+        x, v = (checks.vectors(name, arrays[name], n, dim) for name in ("position", "velocity"))
+        time = checks.number("time", about["time"], low=0)
+        low = None
+        if LOW[0] in arrays:
+            low = (checks.vectors(LOW[0], arrays[LOW[0]], n, dim), checks.vectors(LOW[1], arrays[LOW[1]], n, dim))
+        settings = {key: about["settings"][key] for key in about["settings"]}
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        if isinstance(error, SceneError) and str(error).startswith(str(path)):
+            raise
+        raise SceneError(f"{path}: is not a state that Simulation.save wrote ({error})") from None
+    simulation = kind(scene, **{**settings, **overrides})
+    simulation.resume(x, v, time, low)
+    return simulation
+
+
+def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
+    scene = Scene(about["dim"], about["gravity"])
+    for material in about["materials"]:
+        material["colour"] = material["colour"] and tuple(material["colour"])
+    scene.materials[:] = [Material(**material) for material in about["materials"]]
+    scene.walls.extend(Wall(tuple(w["normal"]), w["offset"], w["material"]) for w in about["walls"])
+    scene.from_arrays(arrays)
+    named = [*scene.material.tolist(), *(wall.material for wall in scene.walls)]
+    if any(not 0 <= index < len(scene.materials) for index in set(named)):
+        raise SceneError(f"a material is named that is none of the {len(scene.materials)} there are")
+    scene.output = about["output"]
+    return scene
