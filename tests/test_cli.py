@@ -1,0 +1,308 @@
+"""The command: what it prints, its exit status, and that bad input writes nothing. Each run is a process of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BALL = """# One ball falls.
+format = 1
+gravity = [0.0, -10.0]
+[simulation]
+dt = 0.01
+precision = "f64"
+arch = "cpu"
+[[balls]]
+position = [[0.0, 1.0]]
+radius = 0.1
+[output]
+fps = 20
+duration = 0.5
+size = [160, 120]
+"""
+
+STIFF = BALL.replace("dt = 0.01", "dt = 0.05").replace(
+    "[output]",
+    """[[balls]]
+position = [[1.0, 1.0], [2.0, 1.1]]
+radius = 0.1
+[[springs]]
+pairs = [[0, 1], [1, 2]]
+stiffness = 10000.0
+rest_length = 0.7
+[output]""",
+)
+
+
+def command(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """taichi-sim with these arguments, run in the folder."""
+    return subprocess.run(
+        [sys.executable, "-m", "taichi_sim.cli", *arguments],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "ball.toml").write_text(BALL)
+    (tmp_path / "stiff.toml").write_text(STIFF)
+    return tmp_path
+
+
+# What works --------------------------------------------------------------------------------------------------------
+
+
+def test_help_is_light(tmp_path):
+    code = (
+        "import sys\nsys.argv = ['taichi-sim', '--help']\nfrom taichi_sim.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "names = ('taichi', 'av', 'trimesh', 'matplotlib', 'pydantic', 'rich', 'PIL')\n"
+        "print([m for m in names if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout.endswith("[]\n")
+    for word in ("run", "view", "check", "report", "bench", "demos", "--version"):
+        assert word in done.stdout
+
+
+def test_version(tmp_path):
+    from taichi_sim import __version__
+
+    done = command(tmp_path, "--version")
+    assert (done.returncode, done.stdout) == (0, f"taichi-sim {__version__}\n")
+
+
+def test_demos_are_listed_with_one_line_each(tmp_path):
+    from taichi_sim.scene_source import built_in, demos
+
+    done = command(tmp_path, "demos")
+    assert done.returncode == 0
+    lines = done.stdout.splitlines()
+    assert [line.split()[0] for line in lines] == list(demos())
+    for file in demos().values():
+        assert built_in(file), f"{file} says nothing about itself in its first line"
+
+
+def test_run_writes_arrays_and_a_summary(folder):
+    done = command(folder, "run", "ball.toml", "-o", "ball.npz")
+    assert (done.returncode, done.stderr) == (0, "")
+    for word in ("frames       10", "energy", "momentum", "penetration", "per simulated second", "ball.npz"):
+        assert word in done.stdout
+    with np.load(folder / "ball.npz") as data:
+        t = data["time"]
+        assert t == pytest.approx(np.arange(10) / 20)
+        assert data["position"][:, 0, 1] == pytest.approx(1 - 5 * t**2, abs=1e-9)
+        assert data["energy"][:, 3] == pytest.approx(np.full(10, 10.0))
+
+
+def test_options_go_over_the_file_and_quiet_is_quiet(folder):
+    done = command(
+        folder, "run", "ball.toml", "-o", "x.npz", "--fps", "10", "--duration", "1", "--quiet", "--dt", "auto"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert np.load(folder / "x.npz")["time"] == pytest.approx(np.arange(10) / 10)
+
+
+def test_run_draws_a_video_without_a_display(folder):
+    import av
+
+    done = command(folder, "run", "ball.toml", "-o", "ball.mp4", DISPLAY="")
+    assert done.returncode == 0, done.stderr
+    with av.open(str(folder / "ball.mp4")) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 10
+    assert frames[0].shape == (120, 160, 3)
+    assert np.abs(frames[0].astype(int) - frames[-1]).max() > 50
+
+
+def test_a_python_scene(folder):
+    (folder / "parts.py").write_text("HEIGHT = 2.0\n")
+    (folder / "s.py").write_text(
+        "import taichi_sim as ts\nfrom parts import HEIGHT\n\ndef scene():\n    scene = ts.Scene(dim=2)\n"
+        "    scene.add_balls([[0, HEIGHT]], radius=0.1)\n    return scene\n"
+    )
+    assert command(folder, "run", "s.py", "-o", "x.npz", "--duration", "0.1").returncode == 0
+    assert np.load(folder / "x.npz")["position"][0, 0, 1] == 2.0
+
+
+def test_a_python_simulation(folder):
+    (folder / "s.py").write_text(
+        "import taichi_sim as ts\n\ndef simulation():\n    scene = ts.Scene(dim=2)\n"
+        "    scene.add_balls([[0, 0]], radius=0.1, velocity=(1, 0))\n    return ts.Simulation(scene, dt=0.01)\n"
+    )
+    assert command(folder, "run", "s.py", "-o", "x.npz", "--fps", "10", "--precision", "f64").returncode == 0
+    assert np.load(folder / "x.npz")["position"][5, 0, 0] == pytest.approx(0.5)
+    done = command(folder, "run", "s.py", "--dt", "0.1")
+    assert done.returncode == 2
+    assert "--dt: s.py makes its own simulation()" in done.stderr
+
+
+def test_check_says_what_is_safe(folder):
+    done = command(folder, "check", "stiff.toml")
+    assert done.returncode == 0
+    assert "safe for any shape" in done.stdout
+    assert "spring 0" in done.stdout
+
+
+# What goes wrong ---------------------------------------------------------------------------------------------------
+
+
+def test_unstable_keeps_the_frames_and_warns_before(folder):
+    done = command(folder, "run", "stiff.toml", "-o", "x.npz", "--duration", "20")
+    assert done.returncode == 3
+    warning, kept, reason = done.stderr.splitlines()
+    assert warning.startswith("warning: dt = 0.05 s is above the safe bound of 0.0115")
+    frames = len(np.load(folder / "x.npz")["time"])
+    assert kept == f"x.npz: holds the {frames} frames until then"
+    assert 0 < frames < 400
+    for word in ("ball ", "spring ", "t = ", "safe step is 0.0115"):
+        assert word in reason
+
+
+REFUSED = [
+    (("run",), "Missing argument 'SCENE'"),
+    (("run", "ball.toml", "--fast"), "No such option: --fast"),
+    (("run", "none.toml"), "none.toml: there is no such file"),
+    (("run", "no_such_demo"), "no_such_demo: is neither a file nor a built-in demo"),
+    (("run", "words.txt"), "'.txt' is not allowed; a scene is a .toml or a .py file"),
+    (("run", "bad.toml"), "bad.toml, line 9: balls[0].mass: -1.0 is not allowed; it must be greater than 0"),
+    (("run", "empty.toml"), "empty.toml: holds no ball"),
+    (("run", "empty.py"), "empty.py: has neither scene() nor simulation()"),
+    (("run", "wrong.py"), "wrong.py, line 4: balls.radius: -1"),
+    (("run", "broken.py"), "broken.py, line 2: SyntaxError"),
+    (("run", "style.py"), "scene.output: fps: 'fast' is not allowed"),
+    (
+        ("run", "ball.toml", "-o", "x.mp4", "--fps", "0.1", "--duration", "1"),
+        "fps times duration is less than one frame",
+    ),
+    (("run", "ball.toml", "--dt", "0"), "--dt: '0' is not allowed; it must be a number greater than 0 or auto"),
+    (("run", "ball.toml", "--dt", "nan"), "--dt: 'nan' is not allowed"),
+    (("run", "ball.toml", "--fps", "-1"), "--fps: -1 is not allowed; it must be a number greater than 0"),
+    (("run", "ball.toml", "--duration", "inf"), "--duration: inf is not allowed"),
+    (("run", "ball.toml", "--size", "big"), "--size: 'big' is not allowed; it must be like 1280x720"),
+    (("run", "ball.toml", "--size", "0x10"), "--size: '0x10' is not allowed; each side must be from 16 to 8192"),
+    (("run", "ball.toml", "--resume"), "--overwrite and --resume need --out"),
+    (("run", "ball.toml", "-o", "x.avi"), "x.avi: '.avi' is not allowed; use x.mp4, x.gif, x.npz or folder/"),
+    (("run", "ball.toml", "-o", "none/x.mp4"), "none/x.mp4: there is no folder 'none'; make it first"),
+    (("run", "ball.toml", "-o", "full"), "full: the folder is not empty; use --overwrite, --resume or another name"),
+    (("view", "ball.toml"), "there is no display for a window; use `taichi-sim run SCENE -o x.mp4` instead"),
+    (("report", "ball.toml"), "report ball.toml: is not in this version"),
+]
+FROM_TAICHI = [
+    (("run", "ball.toml", "-o", "x.mp4", "--arch", "gpu"), "arch: 'gpu' is not allowed; it must be one of auto, cpu"),
+    (("run", "ball.toml", "-o", "x.mp4", "--integrator", "magic"), "integrator: 'magic' is not allowed"),
+    (("run", "ball.toml", "-o", "y/", "--precision", "f16"), "precision: 'f16' is not allowed"),
+    (("run", "ball.toml", "-o", "x.npz", "--threads", "0"), "threads: 0 is not allowed"),
+    (("run", "ball.toml", "-o", "x.npz", "--threads", "99999999999"), "threads: 99999999999 is not allowed"),
+]
+
+
+def write_bad_files(folder: Path) -> None:
+    (folder / "bad.toml").write_text(BALL.replace("position", "mass = -1.0\nposition"))
+    (folder / "empty.toml").write_text("format = 1\n")
+    (folder / "words.txt").write_text("format = 1\n")
+    (folder / "empty.py").write_text("")
+    (folder / "broken.py").write_text("x = 1\ndef scene(:\n")
+    (folder / "wrong.py").write_text(
+        "import taichi_sim as ts\ndef scene():\n    scene = ts.Scene()\n    scene.add_balls([[0, 0]], radius=-1)\n"
+    )
+    (folder / "style.py").write_text(
+        "import taichi_sim as ts\ndef scene():\n    scene = ts.Scene()\n    scene.add_balls([[0, 0]], radius=1)\n"
+        "    scene.output = {'fps': 'fast'}\n    return scene\n"
+    )
+    (folder / "full").mkdir()
+    (folder / "full" / "notes.txt").write_text("mine")
+
+
+def in_one_process(folder: Path, calls: list[tuple[str, ...]], **environment: str) -> list[tuple[int, str, str]]:
+    """Status, output and error text of several commands, run one after the other in one process, for speed."""
+    code = """import contextlib, io, json, sys
+from taichi_sim.cli import main
+results = []
+for arguments in json.loads(sys.argv[1]):
+    sys.argv[1:] = arguments
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code or 0
+    results.append((status, out.getvalue(), err.getvalue()))
+print(json.dumps(results))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(calls)],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return [tuple(result) for result in json.loads(done.stdout)]
+
+
+def test_bad_input_ends_with_one_message_and_writes_nothing(folder):
+    write_bad_files(folder)
+    before = names(folder)
+    cases = REFUSED + FROM_TAICHI
+    results = in_one_process(folder, [arguments for arguments, _ in cases], DISPLAY="", WAYLAND_DISPLAY="")
+    for (arguments, message), (status, out, err) in zip(cases, results):
+        assert status == 2, (arguments, out, err)
+        assert message in err, (arguments, err)
+        assert out == "", arguments
+        assert "Traceback" not in err
+        if not err.startswith("Usage"):
+            assert err.startswith("taichi-sim: ")
+            assert err.count("\n") == 1, err
+    assert [name for name in names(folder) if name != "__pycache__"] == before
+    assert names(folder / "full") == ["notes.txt"]
+
+
+def test_cuda_without_a_gpu(folder):
+    done = command(folder, "run", "ball.toml", "-o", "x.mp4", "--arch", "cuda", CUDA_VISIBLE_DEVICES="")
+    if done.returncode == 0:
+        pytest.skip("there is a GPU")
+    assert done.returncode == 2
+    assert done.stderr == "taichi-sim: arch: 'cuda' was asked for, but no such device works here; use 'cpu' or 'auto'\n"
+    assert names(folder) == ["ball.toml", "stiff.toml"]
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "words"), [(signal.SIGINT, 130, "taichi-sim: interrupted"), (signal.SIGTERM, 143, "")]
+)
+def test_an_interrupt_leaves_no_half_file(folder, number, status, words):
+    running = subprocess.Popen(
+        [sys.executable, "-m", "taichi_sim.cli", "run", "ball.toml", "-o", "x.npz", "--duration", "1e5"],
+        cwd=folder,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job of a shell ignores it
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 60
+    while not any(name.endswith(".part") for name in names(folder)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.3)  # while Taichi starts, which swallows an exception here and there
+    running.send_signal(number)
+    try:
+        _, err = running.communicate(timeout=60)
+    finally:
+        running.kill()  # does nothing to one that has ended
+    assert running.returncode == status
+    assert err.strip() == words
+    assert names(folder) == ["ball.toml", "stiff.toml"]

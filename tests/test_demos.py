@@ -1,0 +1,48 @@
+"""Every built-in scene, run to its end without pictures and judged by its own check."""
+
+from runpy import run_path
+
+import pytest
+
+import taichi_sim as ts
+from taichi_sim.scene_source import built_in, demos, open_scene, resolve
+
+DEMOS = demos()
+
+
+def check_box(sim):
+    """Nothing leaves the box nor overlaps by more than a tenth of a radius, and everything rests."""
+    assert abs(sim.position[:, 0]).max() < 2.3 - 0.05 + 0.005
+    assert sim.penetration() < 0.005
+    assert abs(sim.velocity).max() < 0.05
+    assert sim.energy().kinetic < 1e-4 * sim.energy().gravity
+
+
+CHECKS = {"box": check_box}  # scene files hold no code
+
+
+@pytest.mark.parametrize("name", DEMOS)
+def test_demo_ends_as_its_check_says(name):
+    scene = open_scene(DEMOS[name])
+    assert scene is not None, "a demo defines scene(), so that its output and settings are known"
+    check = CHECKS.get(name) or run_path(str(DEMOS[name]))["check"]
+    with ts.Simulation(scene) as sim:
+        sim.run(scene.output["duration"])
+        check(sim)
+
+
+@pytest.mark.parametrize("name", DEMOS)
+def test_demo_says_in_one_line_what_one_sees(name):
+    line = built_in(DEMOS[name])
+    assert line.endswith(".") or DEMOS[name].suffix == ".toml"
+    assert 20 < len(line) <= 130
+
+
+def test_thread_follows_the_article_in_order():
+    numbers = [int(name.split("/")[1][:2]) for name in DEMOS if name.startswith("thread/")]
+    assert numbers == list(range(1, 17))
+
+
+def test_demos_are_found_by_their_short_names():
+    for name, file in DEMOS.items():
+        assert resolve(name.rsplit("/", 1)[-1]) == file

@@ -1,0 +1,94 @@
+"""Balls stored in another order than the scene's: nobody can tell."""
+
+import numpy as np
+import physics_bits
+import pytest
+from physics_support import F64, each_dim, error, simulate
+
+import taichi_sim as ts
+from taichi_sim import order
+
+H = 1e-3
+
+
+@pytest.fixture
+def always(monkeypatch):
+    monkeypatch.setattr(order, "FROM", 1)
+
+
+def test_small_scenes_and_those_with_springs_stay_as_they_are():
+    scene = ts.Scene(dim=2)
+    scene.add_balls(np.random.default_rng(0).uniform(size=(order.FROM - 1, 2)), radius=0.1)
+    assert order.spatial_order(scene) is None
+    scene.add_balls([[0.0, 0.0]], radius=0.1)
+    assert order.spatial_order(scene) is not None
+    scene.add_springs([[0, 1]], stiffness=1.0)
+    assert order.spatial_order(scene) is None
+
+
+def test_neighbours_lie_near_each_other():
+    rng = np.random.default_rng(1)
+    x = rng.permutation(np.stack(np.unravel_index(np.arange(order.FROM), (200, 100)), axis=1).astype(float))
+    scene = ts.Scene(dim=2)
+    scene.add_balls(x, radius=0.4)
+    sorted_x = x[order.spatial_order(scene)]
+    assert np.median(np.linalg.norm(np.diff(sorted_x, axis=0), axis=1)) < 1.5
+
+
+@each_dim
+def test_a_pile_moves_the_same_in_either_order(dim, monkeypatch):
+    scene = physics_bits.pile(dim)
+    scene.pinned[7], scene.velocity[7] = True, 0.0
+    ends = []
+    for first in (order.FROM, 1):
+        monkeypatch.setattr(order, "FROM", first)
+        with simulate(scene, dt=H) as sim:
+            assert np.array_equal(sim.position, scene.position if F64 else scene.position.astype(np.float32))
+            sim.step(20)
+            ends.append((sim.position, sim.velocity))
+    assert error(ends[1][0], ends[0][0]) < (1e-10 if F64 else 2e-6)
+    assert error(ends[1][1], ends[0][1]) < (1e-9 if F64 else 1e-4)
+    assert np.array_equal(ends[1][0][7], ends[0][0][7])
+
+
+def test_what_is_set_comes_back_and_bad_balls_are_named(always):
+    rng = np.random.default_rng(2)
+    n = 50
+    scene = ts.Scene(dim=2)
+    scene.add_balls(rng.uniform(-50, 50, (n, 2)).round(3), radius=0.01)
+    with simulate(scene, dt=H) as sim:
+        x, v = rng.integers(-50, 50, (n, 2)) + 0.5, rng.integers(-5, 5, (n, 2)) + 0.25
+        sim.set_position(x)
+        sim.set_velocity(v)
+        assert np.array_equal(sim.position, x)
+        assert np.array_equal(sim.velocity, v)
+        v[31] = 1e11, 0.0
+        sim.set_velocity(v)
+        with pytest.raises(ts.UnstableError) as caught:
+            sim.step(100_000)
+        assert caught.value.ball == 31
+
+
+def test_restored_with_the_same_bits(always, tmp_path):
+    scene = ts.Scene(dim=2, gravity=(0.0, -9.81))
+    scene.add_balls(np.random.default_rng(3).uniform(0, 9, (40, 2)), radius=0.05)
+    with simulate(scene, dt=H) as sim:
+        sim.step(30)
+        sim.save(tmp_path / "state.npz")
+        sim.step(30)
+        with ts.Simulation.restore(tmp_path / "state.npz") as again:
+            again.step(30)
+            assert np.array_equal(again.position, sim.position)
+
+
+def test_own_forces_see_the_scenes_own_order(always):
+    class Nothing:
+        def accumulate(self, model, ball, impulse, h, time):
+            pass
+
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[5.0, 0.0], [0.0, 0.0]], radius=0.1)
+    with simulate(scene, forces=[Nothing()], dt=H) as sim:
+        assert sim._parts.state.order is None
+    with simulate(scene, dt=H) as sim:
+        assert sim._parts.state.order.tolist() == [1, 0]

@@ -1,0 +1,263 @@
+"""Outputs: what they hold, that they appear complete or not at all, and the loop that feeds them."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from taichi_sim import Frame, UnstableError
+from taichi_sim.outputs import Output, export, open_output
+
+SIZE = (64, 48)
+NAMES = ["x.mp4", "x.gif", "x.npz", "frames/"]
+
+
+class FakeSimulation:
+    """Two balls in 2D that fall, as far as outputs can tell; frame `fails_at` raises `error`."""
+
+    def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
+        self.fails_at, self.error = fails_at, error
+
+    def frames(self, fps: float, duration: float) -> Iterator[Frame]:
+        for k in range(round(fps * duration)):
+            if k == self.fails_at and self.error is not None:
+                raise self.error
+            t = k / fps
+            yield Frame(
+                time=t,
+                position=np.array([[0.0, -5 * t**2], [1.0, k]]),
+                velocity=np.array([[0.0, -10 * t], [0.0, 0.0]]),
+                radius=np.full(2, 0.1),
+                energy=(1.0, 2.0, 3.0, 6.0 - t),
+            )
+
+    def momentum(self) -> np.ndarray:
+        return np.array([1.0, 2.0])
+
+    def penetration(self) -> float:
+        return 0.25
+
+
+class FakeRenderer:
+    """A picture whose left part is red, right part blue; the border moves with the frame."""
+
+    def __init__(self, frame: Frame, size: tuple[int, int], **style: object) -> None:
+        self.size, self.style = size, style
+
+    def render(self, frame: Frame) -> np.ndarray:
+        image = np.zeros((self.size[1], self.size[0], 3), dtype=np.uint8)
+        border = 2 + round(60 * frame.time) % (self.size[0] - 2)
+        image[:, :border, 0] = 255
+        image[:, border:, 2] = 255
+        return image
+
+    def __enter__(self) -> "FakeRenderer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture(autouse=True)
+def _renderer(monkeypatch):
+    monkeypatch.setattr(
+        "taichi_sim.outputs.run._renderer", lambda frame, size, style: FakeRenderer(frame, size, **style)
+    )
+
+
+def unstable() -> UnstableError:
+    return UnstableError("ball 1 is not finite", 0.1, 1, None, None)
+
+
+def make(folder: Path, name: str, *, fps: float = 60.0, duration: float = 0.5, size=SIZE, **options) -> Output:
+    out = open_output(f"{folder}/{name}", fps=fps, **options)
+    export(FakeSimulation(), out, fps=fps, duration=duration, size=size)
+    return out
+
+
+def pictures(path: Path) -> list[tuple[float, np.ndarray]]:
+    with av.open(str(path)) as container:
+        return [(f.time, f.to_ndarray(format="rgb24")) for f in container.decode(video=0)]
+
+
+def test_video(tmp_path):
+    make(tmp_path, "x.mp4", fps=60)
+    with av.open(str(tmp_path / "x.mp4")) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        assert (stream.width, stream.height) == SIZE
+        assert stream.average_rate == 60
+        assert stream.duration * stream.time_base == pytest.approx(0.5)
+    frames = pictures(tmp_path / "x.mp4")
+    assert [t for t, _ in frames] == pytest.approx([k / 60 for k in range(30)], abs=1e-4)
+    assert frames[10][1][24, 2] == pytest.approx([255, 0, 0], abs=12)
+    assert frames[10][1][24, 60] == pytest.approx([0, 0, 255], abs=12)
+
+
+def test_video_of_odd_size_and_fractional_rate(tmp_path):
+    make(tmp_path, "x.mp4", fps=29.97, duration=0.2, size=(33, 31))
+    frames = pictures(tmp_path / "x.mp4")
+    assert frames[0][1].shape == (32, 34, 3)
+    assert frames[5][0] == pytest.approx(5 / 29.97, abs=1e-4)
+
+
+@pytest.mark.parametrize(("fps", "shown"), [(25, 25), (60, 40), (7, 7)])
+def test_gif_keeps_the_duration(tmp_path, fps, shown):
+    make(tmp_path, "x.gif", fps=fps, duration=1.0)
+    with Image.open(tmp_path / "x.gif") as image:
+        assert image.size == SIZE
+        assert image.info["loop"] == 0
+        times = []
+        for k in range(image.n_frames):
+            image.seek(k)
+            times.append(image.info["duration"])
+    assert len(times) == shown
+    assert sum(times) == 1000
+    assert min(times[:-1]) >= 20
+
+
+def test_png_folder(tmp_path):
+    make(tmp_path, "frames", duration=0.1)
+    files = sorted(p.name for p in (tmp_path / "frames").iterdir())
+    assert files == [f"frame_{k:05d}.png" for k in range(6)]
+    with Image.open(tmp_path / "frames" / files[3]) as image:
+        assert np.asarray(image)[24, [2, 60]].tolist() == [[255, 0, 0], [0, 0, 255]]
+
+
+def test_arrays(tmp_path):
+    make(tmp_path, "x.npz", fps=10, duration=1.0)
+    with np.load(tmp_path / "x.npz") as data:
+        shapes = {name: data[name].shape for name in data.files}
+        assert shapes == {"time": (10,), "position": (10, 2, 2), "velocity": (10, 2, 2), "energy": (10, 4)}
+        assert data["time"] == pytest.approx(np.arange(10) / 10)
+        assert data["position"][:, 1, 1].tolist() == list(range(10))
+        assert data["velocity"][:, 0, 1] == pytest.approx(-np.arange(10.0))
+        assert data["energy"][0].tolist() == [1, 2, 3, 6]
+
+
+def test_summary():
+    summary = export(FakeSimulation(), None, fps=10, duration=1.0)
+    assert summary.frames == 10
+    assert summary.energy_start == (1, 2, 3, 6)
+    assert summary.energy_end[3] == pytest.approx(5.1)
+    assert summary.momentum == (1, 2)
+    assert summary.penetration == 0.25
+    assert summary.wall >= summary.simulating > 0
+    text = "\n".join(summary.lines())
+    for word in ("10, 1 s simulated", "6 J at the start, 5.1 J at the end", "0.25 m", "per simulated second"):
+        assert word in text
+
+
+@pytest.mark.parametrize("name", NAMES[:3])
+def test_nothing_under_the_final_name_before_the_end(tmp_path, name):
+    class Watch(FakeSimulation):
+        def penetration(self) -> float:
+            assert not (tmp_path / name).exists()
+            return 0.0
+
+    export(Watch(), open_output(tmp_path / name), fps=20, duration=0.5, size=SIZE)
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_unstable_keeps_the_frames_so_far(tmp_path):
+    for name in NAMES:
+        out = open_output(f"{tmp_path}/{name}", fps=20)
+        with pytest.raises(UnstableError):
+            export(FakeSimulation(7, unstable()), out, fps=20, duration=1.0, size=SIZE)
+        assert out.frames == 7
+    assert len(pictures(tmp_path / "x.mp4")) == 7
+    assert np.load(tmp_path / "x.npz")["time"].shape == (7,)
+    assert Image.open(tmp_path / "x.gif").n_frames == 7
+    assert len(list((tmp_path / "frames").iterdir())) == 7
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["frames", "x.gif", "x.mp4", "x.npz"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_unstable_at_once_leaves_nothing(tmp_path, name):
+    with pytest.raises(UnstableError):
+        export(FakeSimulation(0, unstable()), open_output(f"{tmp_path}/{name}"), size=SIZE)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", NAMES[:3])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError()], ids=["interrupted", "error"])
+def test_any_other_end_leaves_what_was_there(tmp_path, name, error):
+    (tmp_path / name).write_text("old")
+    with pytest.raises(type(error)):
+        export(FakeSimulation(5, error), open_output(tmp_path / name), size=SIZE)
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "old"
+
+
+def test_an_interrupted_folder_is_resumed(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        export(FakeSimulation(3, KeyboardInterrupt()), open_output(tmp_path / "frames"), duration=0.1, size=SIZE)
+    folder = tmp_path / "frames"
+    kept = {p.name: p.stat().st_mtime_ns for p in folder.iterdir()}
+    assert len(kept) == 3
+    out = make(tmp_path, "frames", duration=0.1, resume=True)
+    assert out.frames == 3
+    assert len(list(folder.iterdir())) == 6
+    assert all((folder / name).stat().st_mtime_ns == time for name, time in kept.items())
+
+
+def test_overwrite_replaces_frames_and_nothing_else(tmp_path):
+    make(tmp_path, "frames", duration=0.2)
+    (tmp_path / "frames" / "notes.txt").write_text("mine")
+    open_output(tmp_path / "frames", overwrite=True).discard()
+    assert len(list((tmp_path / "frames").iterdir())) == 13  # nothing is deleted before the first frame is there
+    make(tmp_path, "frames", duration=0.05, overwrite=True)
+    assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == [
+        "frame_00000.png",
+        "frame_00001.png",
+        "frame_00002.png",
+        "notes.txt",
+    ]
+
+
+def test_names_that_cannot_be_written(tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a.txt").write_text("")
+    (tmp_path / "file").write_text("")
+    for name, error, message in (
+        ("x.avi", ValueError, r"'\.avi' is not allowed; use x\.mp4, x\.gif, x\.npz or folder/"),
+        ("none/x.mp4", FileNotFoundError, "there is no folder"),
+        ("none/frames", FileNotFoundError, "there is no folder"),
+        ("full", FileExistsError, "not empty; use --overwrite"),
+        ("file", NotADirectoryError, "is a file"),
+    ):
+        with pytest.raises(error, match=message):
+            open_output(tmp_path / name)
+    with pytest.raises(ValueError, match="only a folder"):
+        open_output(tmp_path / "x.mp4", resume=True)
+    with pytest.raises(ValueError, match="exclude each other"):
+        open_output(tmp_path / "full", resume=True, overwrite=True)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "full"]
+
+
+def test_an_output_of_the_users_own():
+    """The example of taichi_sim.outputs.base."""
+    heights = []
+
+    class Heights(Output):
+        needs_image = False
+
+        def write(self, index, frame, image):
+            assert image is None
+            heights.append(frame.position[:, 1].max())
+
+    export(FakeSimulation(), Heights(), fps=10, duration=0.5)
+    assert heights == [0, 1, 2, 3, 4]
+
+
+def test_a_picture_stands_upright_in_the_window():
+    from taichi_sim.outputs.window import _upright
+
+    image = np.zeros((2, 3, 3), dtype=np.uint8)
+    image[0, 2] = 255  # top right
+    assert _upright(image).shape == (3, 2, 3)
+    assert _upright(image)[2, 1].tolist() == [1, 1, 1]

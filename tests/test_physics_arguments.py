@@ -1,0 +1,133 @@
+"""Bad arguments of Simulation, and backends that this process cannot have: one message that names what is allowed."""
+
+import pytest
+from physics_support import F64, PRECISION, simulate
+
+import taichi_sim as ts
+from taichi_sim import backend
+
+H = 1e-3
+OTHER = "f32" if F64 else "f64"
+
+
+def falling():
+    scene = ts.Scene(dim=2, gravity=(0.0, -10.0))
+    scene.add_balls([[0.0, 1.0]], radius=0.1)
+    return scene
+
+
+BAD = [
+    ({"integrater": "verlet"}, "integrator"),
+    ({"contact": "off"}, "contacts"),
+    ({"integrator": "verlett"}, "verlet"),
+    ({"integrator": 3}, "integrator"),
+    ({"dt": float("nan")}, "dt"),
+    ({"dt": float("inf")}, "dt"),
+    ({"dt": 0.0}, "dt"),
+    ({"dt": -1e-3}, "dt"),
+    ({"dt": "fast"}, "dt"),
+    ({"dt": [1e-3]}, "dt"),
+    ({"substeps": 0}, "substeps"),
+    ({"substeps": 1.5}, "substeps"),
+    ({"contact_passes": 0}, "contact_passes"),
+    ({"contact_passes": True}, "contact_passes"),
+    ({"contacts": "maybe"}, "jacobi"),
+    ({"accumulate": "fast"}, "ordered"),
+    ({"driver": "both"}, "fused"),
+    ({"spin": "yes"}, "spin"),
+    ({"arch": "abacus"}, "cpu"),
+    ({"precision": "f16"}, "f32"),
+    ({"threads": 0}, "threads"),
+    ({"threads": 1.5}, "threads"),
+    ({"threads": 99_999_999_999}, "threads"),
+]
+
+
+@pytest.mark.parametrize(("settings", "named"), BAD, ids=[f"{k}-{v}" for s, _ in BAD for k, v in s.items()])
+def test_bad_arguments(settings, named):
+    with pytest.raises(ValueError, match=named):
+        ts.Simulation(falling(), **settings)
+    scene = falling()
+    scene.settings = settings  # from a scene file: the same words
+    with pytest.raises(ValueError, match=named):
+        ts.Simulation(scene)
+
+
+def test_unknown_argument_names_the_nearest():
+    with pytest.raises(ValueError, match="did you mean 'precision'"):
+        ts.Simulation(falling(), precison="f32")
+
+
+def test_another_precision_in_the_same_process():
+    with pytest.raises(ts.BackendError, match=r"precision.*process"):
+        ts.Simulation(falling(), precision=OTHER)
+    with pytest.raises(ts.BackendError, match=r"threads.*process"):
+        ts.Simulation(falling(), threads=backend.running().threads + 1)
+    with simulate(falling(), dt=H) as sim:
+        sim.step(10)  # what runs is unharmed
+        assert sim.backend.precision == PRECISION
+
+
+def test_cuda_without_a_gpu():
+    if backend._works("cuda"):
+        pytest.skip("this machine has one")
+    with pytest.raises(ts.BackendError, match="cuda"):
+        ts.Simulation(falling(), arch="cuda")
+
+
+@pytest.mark.parametrize("n", [-1, 1.5, True, "two", float("nan")])
+def test_bad_numbers_of_steps(n):
+    with simulate(falling(), dt=H) as sim:
+        with pytest.raises(ValueError, match="step"):
+            sim.step(n)
+        assert sim.time == 0.0
+
+
+def test_bad_durations_and_rates():
+    with simulate(falling(), dt=H) as sim:
+        for bad in (-1.0, float("nan"), float("inf")):
+            with pytest.raises(ValueError, match="duration"):
+                sim.run(bad)
+        with pytest.raises(ValueError, match="fps"):
+            list(sim.frames(fps=0, duration=1))
+
+
+def test_a_force_without_its_function():
+    with pytest.raises(ValueError, match=r"forces: .*accumulate"):
+        ts.Simulation(falling(), forces=[object()], dt=H)
+
+
+@pytest.mark.parametrize("state", [([1e13, 0.0], [0.0, 0.0]), ([0.0, 0.0], [0.0, 1e13])], ids=["position", "velocity"])
+def test_a_start_outside_the_world(state):
+    with simulate(falling(), dt=H) as sim:
+        sim.set_position([state[0]])
+        sim.set_velocity([state[1]])
+        with pytest.raises(ts.SceneError, match="ball 0: starts at"):
+            sim.step()
+
+
+def test_f32_far_from_the_origin_is_warned_of(recwarn):
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[1e6, 0.0]], radius=0.1)
+    with ts.Simulation(scene, dt=H, precision=PRECISION, arch="cpu"):
+        said = [str(w.message) for w in recwarn if "single precision" in str(w.message)]
+    assert len(said) == (0 if F64 else 1)
+
+
+def test_a_step_longer_than_a_frame_is_warned_of():
+    with simulate(falling(), dt=0.5) as sim, pytest.warns(UserWarning, match="longer than a frame"):
+        assert len(list(sim.frames(fps=10, duration=1.0))) == 10
+
+
+def test_steps_between_frames_count_towards_the_next():
+    with simulate(falling(), dt=H) as sim:
+        times = []
+        for frame in sim.frames(fps=100, duration=0.05):
+            times.append(frame.time)
+            sim.step(15 if len(times) == 1 else 0)
+    assert times == pytest.approx([0.0, 0.015, 0.02, 0.03, 0.04])
+
+
+def test_more_frames_than_anyone_can_use():
+    with simulate(falling(), dt=H) as sim, pytest.raises(ValueError, match="more than 10000000"):
+        next(iter(sim.frames(fps=1e9, duration=1e12)))

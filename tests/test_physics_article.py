@@ -1,0 +1,264 @@
+"""Section 3 of the physics notes: for each row one test that the article's rule fails and ours passes.
+
+The last row, spin, is for a later version.
+"""
+
+import numpy as np
+import pytest
+import reference as ref
+from physics_sticks import stick_run
+from physics_support import EPS, F64, VARIANTS, each_dim, record, simulate, vector
+
+import taichi_sim as ts
+
+H, G, R = 1e-3, 10.0, 0.05
+NEAR = 1e-12 if F64 else 2e-6
+
+
+def one_step(scene, **settings):
+    """Velocities after one step of symplectic Euler: contacts are solved where the balls are at the start."""
+    with simulate(scene, integrator="symplectic_euler", dt=H, **settings) as sim:
+        sim.step()
+        return sim.velocity
+
+
+def touching(dim, v, mass=(1.0, 1.0), **material):
+    """Two balls that overlap a little along the first axis."""
+    scene = ts.Scene(dim=dim)
+    scene.add_material("m", **material)
+    scene.add_balls([vector(dim), vector(dim, 1.98 * R)], radius=R, velocity=v, mass=mass, material="m")
+    return scene
+
+
+@each_dim
+def test_row_1_position_moves_with_velocity(dim):
+    q, v = vector(dim, 1.0, 2.0, 3.0), vector(dim, -0.5, 0.25, 4.0)
+    expected = q + 100 * H * v
+
+    wrong = q
+    for _ in range(100):
+        wrong = ref.wrong_drift(wrong, H)
+    assert np.max(np.abs(wrong - expected)) > 0.1
+
+    scene = ts.Scene(dim=dim)
+    scene.add_balls([q], radius=R, velocity=v)
+    with simulate(scene, dt=H) as sim:
+        sim.step(100)
+        assert np.max(np.abs(sim.position[0] - expected)) < 100 * 4 * EPS
+
+
+@each_dim
+def test_row_2_friction_sees_only_the_relative_velocity(dim):
+    """Two balls that touch, and move sideways together, keep that velocity whatever the friction."""
+    together, n, f = vector(dim, 0.0, 3.0, 1.0), vector(dim, 1.0), 200.0
+    v = np.array([together + 0.5 * n, together - 0.5 * n])
+
+    v1, v2 = ref.wrong_ball_ball(v[0], v[1], n, 0.0, f * H)
+    assert np.max(np.abs(v1 - together)) > 0.1
+    assert np.max(np.abs(v2 - together)) > 0.1
+
+    after = one_step(touching(dim, v, viscous_friction=f, friction=0.5))
+    assert np.max(np.abs(after - together)) < NEAR
+
+
+@each_dim
+def test_row_3_impulse_is_shared_by_inverse_mass(dim):
+    m, n = np.array([1.0, 10.0]), vector(dim, 1.0)
+    v = np.array([1.0 * n, -1.0 * n])
+
+    wrong = np.array(ref.wrong_equal_halves(v[0], v[1], n, 1.0))
+    assert np.max(np.abs(m @ wrong - m @ v)) > 1.0
+
+    after = one_step(touching(dim, v, m, restitution=1.0))
+    assert np.max(np.abs(m @ after - m @ v)) < 10 * NEAR
+    assert abs(m @ np.sum(after**2, axis=1) - m @ np.sum(v**2, axis=1)) < 10 * NEAR
+    pinned = touching(dim, v, m, restitution=1.0)
+    pinned.pinned[1], pinned.velocity[1] = True, 0.0  # it takes nothing, the other all
+    assert np.max(np.abs(one_step(pinned) - np.array([-n, 0 * n]))) < NEAR
+
+
+@each_dim
+def test_row_4_stick_keeps_momentum_and_energy(dim):
+    """e = 1, unit masses: the article keeps 33, 39 and 56 % of the kinetic energy and changes the momentum by j / 3."""
+    run = stick_run(dim, VARIANTS[0])
+    kept = {0.5: 0.33, 0.25: 0.39, 0.0: 0.56}
+    for b, n, t in run.at.worked:
+        v = np.outer([-1.0, 0.0, 0.0], n)
+        wrong = ref.wrong_stick(v, t, n, 1.0)
+        assert abs(np.sum(wrong**2) - kept[t]) < 0.01
+        assert np.linalg.norm(wrong.sum(axis=0) - v.sum(axis=0)) > 0.5
+        after = run.one.v[b]
+        assert abs(np.sum(after**2) - 1.0) < 20 * NEAR
+        assert np.max(np.abs(after.sum(axis=0) - v.sum(axis=0))) < 20 * NEAR
+
+
+@each_dim
+def test_row_5_a_stick_ends_at_its_ends(dim):
+    run = stick_run(dim, VARIANTS[0])
+    (ball, one, two), _ = run.at.beyond
+    x, radius = run.scene.position, run.scene.radius[ball]
+    if dim == 2:  # the article's distance is to the whole line, and in 2D only
+        assert ref.wrong_stick_distance(x[ball], x[one], x[two]) < radius
+    _, nearest = ref.closest_on_segment(x[ball], x[one], x[two])
+    assert np.linalg.norm(x[ball] - nearest) > radius + run.scene.radius[one]
+    assert np.array_equal(run.one.v[[ball, one, two]], run.before[[ball, one, two]])
+
+
+@each_dim
+def test_row_6_friction_never_reverses(dim):
+    """f h = 1.5 and 3: the article's factor 1 - f h reverses, and explodes."""
+    v0 = 2.0
+    for f in (1500.0, 3000.0):
+        wrong = [v0]
+        for _ in range(50):
+            wrong.append(float(ref.wrong_decay(np.array([wrong[-1]]), f, H)[0]))
+        assert min(wrong) < 0.0
+        assert (max(np.abs(wrong)) > 1e6) == (f * H > 2)
+
+        scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+        scene.add_material("rough", viscous_friction=f)
+        scene.add_wall(vector(dim, 0.0, 1.0), material="rough")
+        scene.add_balls([vector(dim, 0.0, R)], radius=R, velocity=vector(dim, v0), material="rough")
+        with simulate(scene, dt=H) as sim:
+            v = record(sim, 10)[1][:, 0, 0]
+        assert np.all(v >= 0.0)
+        assert np.all(np.diff(v) <= 0.0)
+        assert abs(v[1] - v0 * np.exp(-f * H)) < NEAR * v0
+
+
+@each_dim
+def test_row_7_damping_is_stable_for_any_coefficient(dim):
+    """C h = 3, 100 and 1e6 for the relative motion of a pair: momentum kept, the relative speed decays, never reverses."""
+    n = vector(dim, 1.0)
+    for rate in (3.0, 100.0, 1e6):
+        wrong = np.array([1.0])
+        for _ in range(20):
+            wrong = ref.wrong_decay(wrong, rate / H, H)
+        assert abs(wrong[0]) > 1e5
+
+        scene = ts.Scene(dim=dim)
+        b = scene.add_balls([vector(dim), n], radius=0.01, velocity=[-0.25 * n, 0.75 * n], mass=[3.0, 1.0])
+        scene.add_springs([b], stiffness=0.0, damping=0.75 * rate / H)
+        with simulate(scene, dt=H) as sim:
+            v = record(sim, 20)[1]
+        u = v[:, 1, 0] - v[:, 0, 0]
+        assert np.max(np.abs(u[:4] - np.exp(-rate * np.arange(4)))) < NEAR
+        assert np.all(u >= -4 * EPS)
+        assert np.max(np.abs(3.0 * v[:, 0] + v[:, 1])) < 20 * EPS
+
+
+@each_dim
+def test_row_8_many_contacts_share_the_mass(dim):
+    """Two coplanar wall pieces, and a dense pack in one pass: the plain sum over-corrects."""
+    scene = ts.Scene(dim=dim)
+    scene.add_material("ideal", restitution=1.0)
+    for _ in range(2):
+        scene.add_wall(vector(dim, 0.0, 1.0), 0.0, "ideal")
+    scene.add_balls([vector(dim, 0.0, 0.9 * R)], radius=R, velocity=vector(dim, 0.0, -3.0), material="ideal")
+    assert abs(one_step(scene, contacts="sum", contact_passes=1)[0, 1] - 9.0) < 1e-5  # energy x 9
+    assert abs(one_step(scene, contact_passes=1)[0, 1] - 3.0) < 1e-5
+
+    rng = np.random.default_rng(2)
+    scene = ts.Scene(dim=dim)
+    scene.add_material("ideal", restitution=1.0)
+    side = 1.0 if dim == 2 else 0.45
+    x = rng.uniform(0, side, (120, dim))
+    scene.add_balls(x, radius=R, velocity=rng.normal(size=(120, dim)), material="ideal")
+    start = np.sum(scene.velocity**2)
+    assert np.sum(one_step(scene, contacts="sum", contact_passes=1) ** 2) > 1.5 * start
+    assert np.sum(one_step(scene, contact_passes=1) ** 2) < start * (1 + NEAR)
+
+
+@each_dim
+def test_row_9_resting_balls_do_not_jitter(dim):
+    y, v, speeds = 0.0, 0.0, []
+    for _ in range(100):
+        y, v = ref.wrong_resting_step(y, v, G, H, 0.5)
+        speeds.append(abs(v))
+    assert np.max(speeds[50:]) >= 0.5 * G * H
+
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    scene.add_material("m", restitution=0.5)
+    scene.add_wall(vector(dim, 0.0, 1.0), material="m")
+    scene.add_balls([vector(dim, 0.0, R)], radius=R, material="m")
+    with simulate(scene, dt=H) as sim:
+        x, v = record(sim, 100)
+    assert np.all(v == 0.0)
+    assert np.all(x == x[0])
+
+
+@each_dim
+def test_row_10_push_out_gives_no_speed(dim):
+    """Inside the slop nothing moves and the energy stays; deeper, position is corrected and velocity never sees it."""
+    depth = 0.005 * R
+    assert ref.wrong_push_out(-depth) == 0.0  # the energy rises by m g depth at once
+
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    scene.add_wall(vector(dim, 0.0, 1.0))
+    scene.add_balls([vector(dim, 0.0, R - depth), vector(dim, 1.0, 0.7 * R)], radius=R)
+    n = vector(dim, 0.6, 0.8)
+    scene.add_balls([vector(dim, 0.0, 5.0), vector(dim, 0.0, 5.0) + 1.5 * R * n], radius=R, mass=[1.0, 4.0])
+    with simulate(scene, dt=H) as sim:
+        x, v = record(sim, 100)
+    assert np.all(x[:, 0] == x[0, 0])
+    assert np.all(v[:, :2] == 0.0)
+    assert abs(x[-1, 1, 1] - 0.99 * R) < 1e-3 * R
+    centre = 0.2 * x[:, 2] + 0.8 * x[:, 3]  # weighted by 1/m, so their centre of mass falls as if nothing were
+    expected, _ = ref.free_fall("verlet", centre[0], vector(dim), scene.gravity, H, 100)
+    assert np.max(np.abs(centre[-1] - expected)) < 1000 * EPS
+    assert np.max(np.abs(v[:, 3] - v[:, 2])) < 100 * EPS
+    assert np.linalg.norm(x[-1, 3] - x[-1, 2]) > 1.98 * R
+
+
+@each_dim
+def test_row_11_coincident_balls_have_a_direction(dim):
+    with np.errstate(invalid="ignore"):
+        assert np.all(np.isnan(ref.wrong_direction(np.ones(dim), np.ones(dim))))
+
+    scene = ts.Scene(dim=dim)
+    scene.add_balls([np.ones(dim)] * 2, radius=R, mass=[1.0, 3.0])
+    b = scene.add_balls([-np.ones(dim)] * 2, radius=R, mass=[1.0, 3.0])
+    scene.add_springs([b], stiffness=100.0, damping=1.0, rest_length=0.2)
+    with simulate(scene, dt=H) as sim:
+        x, v = record(sim, 200, 10)
+    assert np.all(np.isfinite(x))
+    assert np.all(np.isfinite(v))
+    for i, j in ((0, 1), (2, 3)):
+        assert np.linalg.norm(x[-1, j] - x[-1, i]) > 0.05 * R
+        assert np.max(np.abs(0.25 * x[:, i] + 0.75 * x[:, j] - x[0, i])) < 500 * EPS
+
+
+@each_dim
+def test_row_12_bounces_keep_the_energy(dim):
+    """Fifty elastic bounces: the article's reflection at the end of a step loses or gains; ours ends in the same energy."""
+    height, steps = 0.1, 14_142
+    y, v, wrong = height, 0.0, 0.0
+    for _ in range(steps):
+        y, v = ref.wrong_bounce_step(y, v, G, H, 1.0)
+        wrong = max(wrong, abs((G * y + 0.5 * v * v) / (G * height) - 1))
+    assert wrong > 5e-3
+
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    scene.add_material("ideal", restitution=1.0)
+    scene.add_wall(vector(dim, 0.0, 1.0), material="ideal")
+    scene.add_balls([vector(dim, 0.0, R + height)], radius=R, material="ideal")
+    with simulate(scene, dt=H) as sim:
+        x, v = record(sim, steps, 101)
+    energy = (G * (x[:, 0, 1] - R) + 0.5 * v[:, 0, 1] ** 2) / (G * height)
+    assert np.max(np.abs(energy - 1)) < (1e-9 if F64 else 2e-3)
+
+
+def test_units_of_the_article():
+    """K = 10000 and C = 200 belong to the relative motion of two unit masses: k = K / 2, c = C / 2, exactly critical."""
+    K, C = 10_000.0, 200.0
+    omega, zeta = np.sqrt(K), C / (2 * np.sqrt(K))
+    assert zeta == 1.0
+    scene = ts.Scene(dim=2)
+    b = scene.add_balls([[0, 0], [1.1, 0]], radius=0.01)
+    spring = ts.spring_from_rates(K, C)
+    assert spring == {"stiffness": K / 2, "damping": C / 2}
+    scene.add_springs([b], rest_length=1.0, **spring)
+    with simulate(scene, dt=1e-4) as sim:
+        sim.step(200)
+        stretch = sim.position[1, 0] - sim.position[0, 0] - 1.0
+    assert stretch == pytest.approx(float(ref.damped_oscillator(0.02, omega, 1.0, 0.1, 0.0)[0]), rel=1e-4)

@@ -1,0 +1,188 @@
+"""Two drivers, two ways to accumulate, any number of threads, one result; and the neighbour search against brute force."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import physics_bits
+import pytest
+import reference as ref
+from physics_sticks import stick_run
+from physics_support import EPS, F64, PRECISION, VARIANTS, each_dim, error, exact, relaxed_pass, simulate
+
+import taichi_sim as ts
+from taichi_sim import assembly
+from taichi_sim.contacts.solver import RELAXATION
+
+H = 1e-3
+
+
+@pytest.mark.parametrize("method", ["verlet", "rk4"])
+@each_dim
+def test_cloth_has_the_same_bits_in_both_drivers_and_every_run(dim, method):
+    scene = physics_bits.cloth(dim)
+    settings = {"accumulate": "ordered", "integrator": method, "contacts": "off"}
+    first = physics_bits.digest(scene, 30, PRECISION, driver="fused", **settings)
+    assert physics_bits.digest(scene, 30, PRECISION, driver="parallel", **settings) == first
+    if method == "verlet":
+        assert physics_bits.digest(scene, 30, PRECISION, driver="parallel", **settings) == first
+        scene.mass[50] *= 1 + 4 * EPS  # the hash does see the last bits
+        assert physics_bits.digest(scene, 30, PRECISION, driver="fused", **settings) != first
+
+
+@each_dim
+def test_pile_has_the_same_bits_in_both_drivers_and_every_run(dim):
+    scene = physics_bits.pile(dim)
+    first = physics_bits.digest(scene, 100, PRECISION, driver="fused", accumulate="ordered")
+    for driver in ("parallel", "parallel", "fused") if dim == 2 else ("parallel",):
+        assert physics_bits.digest(scene, 100, PRECISION, driver=driver, accumulate="ordered") == first, driver
+
+
+def test_sticks_have_the_same_bits_in_both_drivers():
+    one, two = stick_run(2, VARIANTS[0]), stick_run(2, VARIANTS[1])
+    assert one.bits == two.bits, f"{np.max(np.abs(one.last.x - two.last.x)):.2e} m apart"
+
+
+def test_one_and_two_threads_have_the_same_bits():
+    def run(threads):
+        command = [sys.executable, str(Path(physics_bits.__file__)), PRECISION, str(threads)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    one = run(1)
+    assert len(one) == 2
+    assert run(2) == one
+
+
+@pytest.mark.parametrize("method", ["verlet", "symplectic_euler"])
+@each_dim
+def test_gather_blocks_and_atomic_agree(dim, method, monkeypatch):
+    """Three orders of one sum, after 100 steps of a cloth."""
+    scene, steps = physics_bits.cloth(dim), 100
+    ends = {}
+    for order in ("blocks", "gather", "atomic"):
+        if order == "gather":
+            monkeypatch.setattr(assembly, "fixed_order", lambda model, cpu: "gather")
+        with simulate(
+            scene, ("atomic" if order == "atomic" else "ordered", "parallel"), integrator=method, dt=H, contacts="off"
+        ) as sim:
+            assert f"springs.{order}" in sim.kernels()
+            sim.step(steps)
+            ends[order] = sim.position, sim.velocity
+    for order in ("gather", "atomic"):
+        # in phase space: velocities in units of omega times the size, where omega^2 = k / m
+        size = float(np.max(np.abs(ends["blocks"][0])))
+        found = max(error(ends[order][k], ends["blocks"][k], size * (1.0, np.sqrt(2000.0))[k]) for k in (0, 1))
+        assert found < exact(steps), f"{order}: {found:.2e}"
+
+
+@each_dim
+def test_atomic_agrees_with_ordered_in_a_pile(dim):
+    """Before collisions multiply the rounding: 20 steps."""
+    scene = physics_bits.pile(dim)
+    ends = []
+    for accumulate in ("ordered", "atomic"):
+        with simulate(scene, (accumulate, "parallel"), dt=H) as sim:
+            sim.step(20)
+            ends.append((sim.position, sim.velocity))
+    assert error(ends[1][0], ends[0][0]) < (1e-10 if F64 else 2e-6)
+    assert error(ends[1][1], ends[0][1]) < (1e-9 if F64 else 1e-4)
+
+
+# Neighbour search -----------------------------------------------------------------------------------------------------
+
+N, TRIALS = 60, 25
+
+
+@pytest.fixture(
+    scope="module",
+    params=[(d, v) for d in (2, 3) for v in (VARIANTS[0], VARIANTS[3])],
+    ids=lambda p: f"{p[0]}d-{p[1][0]}",
+)
+def searching(request):
+    """One simulation, moved to a new random scene for each trial: radii 1 : 20, some balls joined, of one body, pinned."""
+    dim, variant = request.param
+    rng = np.random.default_rng(8)
+    scene = ts.Scene(dim=dim)
+    radius = 0.3 * 20.0 ** -rng.uniform(0, 1, N)
+    scene.add_balls(np.zeros((N - 10, dim)), radius=radius[:-10], mass=10 ** rng.uniform(-1, 1, N - 10))
+    scene.add_balls(np.zeros((10, dim)), radius=radius[-10:], body=scene.new_body())
+    scene.pinned[[3, 4, 5]] = True
+    joined = [(0, 1), (2, 7), (8, 30), (30, 31)]
+    scene.add_springs(joined, stiffness=0.0)
+    with simulate(scene, variant, integrator="symplectic_euler", dt=H, contact_passes=1) as sim:
+        yield dim, scene, sim, rng
+
+
+def _expected(scene, x, v):
+    joined = [tuple(p) for p in scene.pairs]
+    held, body = scene.pinned, scene.body
+    contacts = [
+        c
+        for c in ref.ball_contacts(x, scene.radius, joined)
+        if not (held[c.balls[0]] and held[c.balls[1]])
+        and not (body[c.balls[0]] > 0 and body[c.balls[0]] == body[c.balls[1]])
+    ]
+    w = np.where(held, 0.0, 1.0 / scene.mass)
+    return contacts, relaxed_pass(contacts, v, w, RELAXATION)
+
+
+def test_random_scenes_against_brute_force(searching):
+    """One pass from rest impulses is the reference's; a pair missed, or found twice, would show at once.
+
+    The scene lies around the origin, far in the negative, or far out; it is moved there by set_position.
+    """
+    dim, scene, sim, rng = searching
+    apart = np.outer(np.arange(N) * 10.0 + 1000.0, np.ones(dim))
+    total = 0
+    for trial in range(TRIALS):
+        sim.set_position(apart)  # lets go of the impulses that contacts hold
+        sim.set_velocity(np.zeros((N, dim)))
+        sim.step()
+        size = (2.0, 3.0, 1.2)[trial % 3] * (1.0 if dim == 2 else 0.4)
+        x = rng.uniform(-size, size, (N, dim)) + (
+            (0.0, -123.4, 517.0)[trial % 3] if F64 else (0.0, -3.4, 5.1)[trial % 3]
+        )
+        v = rng.normal(size=(N, dim))
+        v[scene.pinned] = 0.0
+        sim.set_position(x)
+        sim.set_velocity(v)
+        x, v = sim.position, sim.velocity
+        contacts, want = _expected(scene, x, v)
+        total += len(contacts)
+        sim.step()
+        found = np.max(np.abs(sim.velocity - want))
+        assert found < (1e-5 if F64 else 5e-4), f"trial {trial}, {len(contacts)} contacts: {found:.2e} m/s"
+        free = [i for i in range(N) if all(i not in c.balls for c in contacts)]
+        assert np.array_equal(sim.velocity[free], v[free])
+    assert total > 10 * TRIALS
+
+
+def test_pairs_are_found_again_as_balls_move(searching):
+    """Lists are kept while balls move little: steps of a fast gas, each against brute force."""
+    dim, scene, sim, rng = searching
+    sim.set_position(np.outer(np.arange(N) * 10.0 + 1000.0, np.ones(dim)))
+    sim.set_velocity(np.zeros((N, dim)))
+    sim.step()
+    v = rng.normal(size=(N, dim)) * 20.0
+    v[scene.pinned] = 0.0
+    side = 2.0 if dim == 2 else 0.8
+    sim.set_position(rng.uniform(-side, side, (N, dim)))
+    sim.set_velocity(v)
+    met = 0
+    for _ in range(60):
+        x, v = sim.position, sim.velocity
+        contacts, _ = _expected(scene, x, v)
+        approaching = [c for c in contacts if c.normal @ (v[c.balls[1]] - v[c.balls[0]]) < -0.5]
+        sim.step()
+        after = sim.velocity
+        touched = np.unique([i for c in contacts for i in c.balls]).astype(int)
+        others = np.setdiff1d(np.arange(N), touched)
+        assert np.array_equal(after[others], v[others])
+        for c in approaching:
+            i, j = c.balls
+            assert not np.array_equal(after[[i, j]], v[[i, j]])
+        met += len(approaching)
+    assert met > 20

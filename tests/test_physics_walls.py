@@ -1,0 +1,288 @@
+"""Walls: bounces, friction, rest, inclines, corners and wedges against closed forms."""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import reference as ref
+from physics_support import (
+    DIMS,
+    EPS,
+    EXTREMES,
+    F64,
+    METHODS,
+    VARIANTS,
+    each_dim,
+    each_extreme,
+    exact,
+    record,
+    simulate,
+    vector,
+)
+
+import taichi_sim as ts
+
+H, G, R = 1e-3, 10.0, 0.05
+STILL = EPS * G * H  # m/s: one kick of gravity, to its rounding
+WALL_CASES = [(d, m, v) for d in DIMS for m in METHODS for v in (VARIANTS if m == "verlet" else EXTREMES[:1])]
+WALL_IDS = [f"{d}d-{m}-{'-'.join(v)}" for d, m, v in WALL_CASES]
+
+# One floor ------------------------------------------------------------------------------------------------------------
+
+BOUNCES = (0.9, 0.7, 0.5, 0.0)
+COULOMB = (0.1, 0.3, 1.0)
+VISCOUS = (1.0, 50.0, 3000.0)  # 1/s; the last has f h = 3
+SPEED = 2.0  # m/s
+EVERY, STEPS = 10, 3000
+
+
+@functools.cache
+def floor_scene(dim):
+    """Balls of one body, which do not touch each other. The floor's friction is 1, so a pair's is the root of the ball's."""
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    scene.add_wall(vector(dim, 0.0, 2.0), 0.0, scene.add_material("floor", friction=1.0, viscous_friction=1.0))
+    at, body = SimpleNamespace(bounce=[], coulomb=[], viscous=[]), scene.new_body()
+
+    def ball(y, material, v=(), **more):
+        return int(
+            scene.add_balls(
+                [vector(dim, 0.0, y)], radius=R, velocity=vector(dim, *v), material=material, body=body, **more
+            )[0]
+        )
+
+    for e in BOUNCES:
+        at.bounce.append(ball(R + 1.0, scene.add_material(f"e{e}", restitution=e), mass=10 ** (4 * e - 2)))
+    along = (SPEED, 0.0) if dim == 2 else (0.6 * SPEED, 0.0, 0.8 * SPEED)
+    for mu in COULOMB:
+        at.coulomb.append(ball(R, scene.add_material(f"mu{mu}", friction=mu**2), along, mass=3.0))
+    for f in VISCOUS:
+        at.viscous.append(ball(R, scene.add_material(f"f{f}", viscous_friction=f**2), along, mass=0.3))
+    at.resting = ball(R, "e0.5")
+    at.light, at.heavy = ball(R, "e0.9", mass=1e-4), ball(R, "mu0.3", mass=1e4)
+    at.pinned = ball(0.5 * R, "e0.9", pinned=True)
+    return scene, at
+
+
+@pytest.fixture(scope="module", params=WALL_CASES, ids=WALL_IDS)
+def floor(request):
+    dim, method, variant = request.param
+    scene, at = floor_scene(dim)
+    with simulate(scene, variant, integrator=method, dt=H) as sim:
+        x, v = record(sim, STEPS, EVERY)
+    return SimpleNamespace(dim=dim, method=method, at=at, x=x, v=v, t=np.arange(len(x)) * EVERY * H)
+
+
+def test_bounce_heights(floor):
+    """The n-th flight reaches e^(2n) h0; for the first-order methods to the order of their step."""
+    for e, ball in zip(BOUNCES, floor.at.bounce):
+        height = floor.x[:, ball, 1] - R + floor.v[:, ball, 1] ** 2 / (2 * G)
+        fall = np.sqrt(2.0 / G)
+        start, n, seen = -fall, 0, 0
+        exactly = floor.method in (
+            "verlet",
+            "rk4",
+        )  # the others are late by up to a step in each flight and at each bounce
+        while e**n * np.sqrt(2 * G) > 0.2 and start < floor.t[-1]:
+            end = start + 2 * fall * e**n
+            late = 3 * H if exactly else (3 + 2 * n) * H
+            inside = (floor.t > max(start, 0.0) + late) & (floor.t < min(end, floor.t[-1]) - 3 * H)
+            speed = np.sqrt(2 * G) * e**n
+            tolerance = (1e-9 if F64 else 3e-4) if exactly else 3.0 * (n + 1) * G * H / speed
+            found = np.abs(height[inside] / ref.bounces(1.0, G, e, n)[0] - 1)
+            assert np.all(found < tolerance), f"e = {e}, flight {n}: {found.max():.2e}"
+            seen += int(inside.any())
+            start, n = end, n + 1
+            if e == 0.0:
+                break
+        assert seen >= {0.9: 4, 0.7: 4, 0.5: 4, 0.0: 1}[e]
+
+
+def test_bounces_end_at_the_time_of_rest(floor):
+    """sqrt(2 h0 / g) (1 + e) / (1 - e), less what the threshold of 2 g h cuts off; then exactly at rest."""
+    for e, ball in list(zip(BOUNCES, floor.at.bounce))[1:]:
+        expected = ref.bounces(1.0, G, e, 0)[1]
+        moving = np.any(np.abs(floor.v[:, ball]) > STILL, axis=1)
+        last = floor.t[np.flatnonzero(moving)[-1]]
+        cut = 2 * (2 * G * H) / G / (1 - e)
+        bounces = np.log(2 * G * H / np.sqrt(2 * G)) / np.log(e) if e > 0.0 else 0.0
+        shift = (
+            0.0 if floor.method in ("verlet", "rk4") else 2 * H * bounces
+        )  # a step in each flight and at each bounce
+        assert expected - cut - (EVERY + 2) * H - shift < last < expected + 3 * H + shift, (e, last, expected)
+        assert abs(floor.x[-1, ball, 1] - R) < max(1e-5 * R, 4 * EPS)
+
+
+def test_resting_balls_have_speed_0_and_stay(floor):
+    """Exactly 0 for 1 kg; for any mass the rounding of one kick at most, and no drift at all."""
+    assert np.all(floor.v[:, floor.at.resting] == 0.0)
+    for ball in (floor.at.resting, floor.at.light, floor.at.heavy):
+        assert np.max(np.abs(floor.v[:, ball])) <= STILL
+        assert np.all(floor.x[:, ball] == floor.x[0, ball])
+
+
+def test_pinned_ball_takes_nothing(floor):
+    assert np.all(floor.v[:, floor.at.pinned] == 0.0)
+    assert np.all(floor.x[:, floor.at.pinned] == floor.x[0, floor.at.pinned])
+
+
+def test_coulomb_slide_stops_and_stays(floor):
+    for mu, ball in zip(COULOMB, floor.at.coulomb):
+        way = np.linalg.norm(floor.x[:, ball] - floor.x[0, ball], axis=1)
+        speed = np.linalg.norm(floor.v[:, ball], axis=1)
+        stop = SPEED / (mu * G)
+        before, after = floor.t < stop - 2 * H, floor.t > stop + 2 * H
+        assert np.max(np.abs(speed[before] - (SPEED - mu * G * floor.t[before]))) < (
+            1e-10 if F64 else exact(STEPS) * SPEED
+        )
+        assert np.max(np.abs(floor.v[after, ball])) <= STILL
+        assert np.max(np.abs(floor.x[after, ball] - floor.x[-1, ball])) <= 2 * EPS * np.abs(floor.x[-1, ball]).max()
+        expected = ref.coulomb_stop_distance(SPEED, mu, G)
+        first_order = 0.0 if floor.method in ("verlet", "rk4") else SPEED * H  # friction acts between two moves
+        tolerance = mu * G * H**2 + first_order + (0.0 if F64 else exact(STEPS) * expected)
+        assert abs(way[-1] - expected) < tolerance, f"mu = {mu}: {way[-1]:.9f} m, expected {expected:.9f} m"
+
+
+def test_viscous_slide(floor):
+    """v0 exp(-f t) for any f h, exactly; the way to the order of the step."""
+    for f, ball in zip(VISCOUS, floor.at.viscous):
+        speed = np.linalg.norm(floor.v[:, ball], axis=1)
+        expected = np.array([ref.viscous_slide(SPEED, f, t) for t in floor.t])
+        found = np.max(np.abs(speed - expected[:, 0])) / SPEED
+        assert found < exact(STEPS), f"f = {f}: {found:.2e}"
+        way = np.linalg.norm(floor.x[:, ball] - floor.x[0, ball], axis=1)
+        assert np.max(np.abs(way - expected[:, 1])) < SPEED * H
+
+
+@each_dim
+def test_elastic_bounces_keep_the_energy(dim):
+    """Verlet, e = 1, 1000 bounces: 1e-9. The article's reflection at the end of the step does not."""
+    height, h = 0.02, H
+    steps = round(1000 * 2 * np.sqrt(2 * height / G) / h)
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    scene.add_material("ideal", restitution=1.0)
+    scene.add_wall(vector(dim, 0.0, 1.0), 0.0, "ideal")
+    scene.add_balls([vector(dim, 0.0, R + height)], radius=R, velocity=vector(dim, 0.3), material="ideal")
+    start = G * height
+    worst, bounced = 0.0, 0
+    with simulate(scene, dt=h) as sim:
+        for _ in range(500):
+            sim.step(steps // 500)
+            y, v = sim.position[0, 1] - R, sim.velocity[0, 1]
+            bounced += v > 0
+            worst = max(worst, abs((G * y + 0.5 * v * v) / start - 1))
+            assert abs(sim.velocity[0, 0] - 0.3) < 4 * EPS
+    assert bounced > 100
+    assert worst < (1e-9 if F64 else 1e-2), f"{worst:.2e}"
+    y, v, wrong = height, 0.0, 0.0
+    for _ in range(steps):
+        y, v = ref.wrong_bounce_step(y, v, G, h, 1.0)
+        wrong = max(wrong, abs((G * y + 0.5 * v * v) / start - 1))
+    assert wrong > 1e-2
+
+
+# Inclines, corners, wedges, coplanar walls ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+@each_extreme
+@each_dim
+def test_incline_slides_iff_steeper_than_friction(dim, method, variant):
+    """Two planes of 20 and 40 degrees; friction 0.9 and 1.1 of tan(angle). Those that slide have a = g (sin - mu cos)."""
+    if method != "verlet" and variant != VARIANTS[0]:
+        return
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    scene.add_material("plane", friction=1.0)
+    body, found = scene.new_body(), []
+    for angle, side in ((np.radians(20), 1.0), (np.radians(40), -1.0)):
+        n = vector(dim, -side * np.sin(angle), np.cos(angle))
+        down = vector(dim, -side * np.cos(angle), -np.sin(angle))
+        scene.add_wall(n, 0.0, "plane")
+        for part in (0.9, 1.1):
+            mu = part * np.tan(angle)
+            material = scene.add_material(f"{side} {part}", friction=mu**2)
+            b = scene.add_balls([R * n - 5.0 * down], radius=R, material=material, body=body, mass=2.0)
+            found.append((int(b[0]), max(0.0, G * (np.sin(angle) - mu * np.cos(angle))), down))
+    steps = 500
+    with simulate(scene, variant, integrator=method, dt=H) as sim:
+        start = sim.position
+        sim.step(steps)
+        way, v = sim.position - start, sim.velocity
+    t = steps * H
+    for ball, a, down in found:
+        if a == 0.0:
+            assert np.max(np.abs(way[ball])) < (1e-12 if F64 else 1e-6)
+            assert np.max(np.abs(v[ball])) < (1e-12 if F64 else 1e-6)
+        else:
+            order = 0.0 if method in ("verlet", "rk4") else a * t * H  # a step late or early
+            assert abs(way[ball] @ down - a * t * t / 2) < order + (1e-9 if F64 else 1e-4)
+            assert abs(v[ball] @ down - a * t) < (1e-9 if F64 else 1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@each_dim
+def test_corner_brings_to_rest_in_two_passes(dim, method):
+    """Walls along every axis, no restitution: a ball thrown into the corner, and one that lies in it."""
+    scene = ts.Scene(dim=dim, gravity=np.full(dim, -G))
+    for axis in np.eye(dim):
+        scene.add_wall(axis)
+    body = scene.new_body()
+    x = [np.full(dim, R), R + np.arange(1, dim + 1) * 0.02]
+    scene.add_balls(x, radius=R, velocity=[-np.arange(1.0, dim + 1), -np.ones(dim)], body=body)
+    with simulate(scene, integrator=method, dt=H, contact_passes=2) as sim:
+        sim.step(2)
+        assert np.max(np.abs(sim.velocity[0])) < (1e-9 if F64 else 1e-6)
+        sim.step(498)
+        assert np.max(np.abs(sim.velocity)) < (1e-9 if F64 else 1e-6)
+        assert np.max(np.abs(sim.position - R)) < max(1e-5 * R, 4 * EPS)
+
+
+@each_dim
+def test_wedge_of_20_degrees_does_not_eject(dim):
+    half = np.radians(10)
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    for side in (1.0, -1.0):
+        scene.add_wall(vector(dim, side * np.cos(half), np.sin(half)))
+    rest = R / np.sin(half)
+    scene.add_balls(
+        [vector(dim, 0.0, rest), vector(dim, 0.0, rest + 0.3)], radius=R, velocity=[vector(dim, 0.0, -5.0)] * 2, body=1
+    )
+    with simulate(scene, dt=H) as sim:
+        x, v = record(sim, 1500, 5)
+    assert np.max(v[1:, :, 1]) < 0.1, f"{np.max(v[1:, :, 1]):.3f} m/s up, after 5 m/s down"
+    assert np.max(x[:, 0, 1]) < rest + 0.01 * R
+    speed = np.max(np.abs(v[-1]))
+    assert speed < (1e-9 if F64 else 1e-5), f"{speed:.2e} m/s where it should rest"
+    assert np.max(np.abs(x[-1, :, 1] - rest)) < 0.1 * R
+
+
+@pytest.mark.parametrize("method", ["symplectic_euler", "verlet"])
+@each_dim
+def test_two_coplanar_wall_pieces_act_as_one(dim, method):
+    """Bounce, rest and push-out of a ball are those of one wall; the plain sum would turn v into -3 v."""
+    ends = []
+    for copies in (1, 2):
+        scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+        scene.add_material("ideal", restitution=0.8)
+        for _ in range(copies):
+            scene.add_wall(vector(dim, 0.0, 1.0), 0.0, "ideal")
+        y = [R + 0.1, R, 0.9 * R, R]
+        v = [vector(dim), vector(dim), vector(dim), vector(dim, 0.0, -3.0)]
+        scene.add_balls([vector(dim, 0.0, h) for h in y], radius=R, velocity=v, body=1)
+        with simulate(scene, integrator=method, dt=H) as sim:
+            ends.append(record(sim, 300, 20))
+    assert np.max(np.abs(ends[0][0] - ends[1][0])) < (1e-9 if F64 else 1e-5)
+    assert np.max(np.abs(ends[0][1] - ends[1][1])) < (1e-9 if F64 else 1e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_ball_that_lies_in_a_corner_stays_still_at_every_step(method):
+    """Once it lies there: a cycle of two steps would hide from a look at every second one."""
+    scene = ts.Scene(dim=2, gravity=(-G, -G))
+    for axis in np.eye(2):
+        scene.add_wall(axis)
+    scene.add_balls([[R + 0.02, R + 0.04]], radius=R, velocity=[-1.0, -1.0])
+    with simulate(scene, integrator=method, dt=H) as sim:
+        x, v = record(sim, 120)
+    assert np.max(np.abs(v[60:])) < (1e-12 if F64 else 1e-6)
+    assert np.max(np.abs(x[60:] - R)) < max(1e-5 * R, 4 * EPS)

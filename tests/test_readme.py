@@ -1,0 +1,43 @@
+"""What the README shows does what it says."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+import taichi_sim as ts
+
+README = (Path(__file__).parent.parent / "README.md").read_text()
+
+
+def block(language: str) -> str:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)[0]
+
+
+def test_python_example_runs(capsys):
+    names: dict = {}
+    exec(compile(block("python"), "README.md", "exec"), names)
+    assert len(block("python").strip().splitlines()) <= 12
+    numbers = capsys.readouterr().out
+    assert "nan" not in numbers
+    assert numbers.strip()
+
+
+def test_scene_file_is_the_same_scene(tmp_path):
+    (tmp_path / "scene.toml").write_text(block("toml"))
+    from_file = ts.load_scene(tmp_path / "scene.toml")
+    code = block("python").split("with ts.Simulation")[0]
+    names: dict = {}
+    exec(compile(code, "README.md", "exec"), names)
+    made = names["scene"]
+    assert np.array_equal(from_file.position, made.position)
+    assert np.array_equal(from_file.pairs, made.pairs)
+    assert np.array_equal(from_file.pinned, made.pinned)
+    assert from_file.materials == made.materials
+    assert from_file.walls == made.walls
+
+
+def test_linked_files_exist():
+    root = Path(__file__).parent.parent
+    for target in re.findall(r"\]\(([^)#:]+)\)", README):
+        assert (root / target).exists(), target

@@ -1,0 +1,222 @@
+"""Pictures: what is seen where, and that the same frame gives the same picture. Small sizes: compile time dominates."""
+
+import math
+
+import numpy as np
+import pytest
+
+from taichi_sim import backend
+from taichi_sim.frame import Frame
+from taichi_sim.render import Camera, Renderer
+from taichi_sim.render.palette import components
+from taichi_sim.render.tiles import tile_lists
+
+SIZE = (160, 90)
+RED, GREEN = (0.9, 0.05, 0.05), (0.05, 0.8, 0.05)
+FRONT = Camera(eye=(0.0, 0.0, 10.0), target=(0.0, 0.0, 0.0), fov=30.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _backend():
+    if backend.running() is None:
+        backend.start(arch="cpu")
+
+
+def balls(position, radius, colour=(), **more):
+    position = np.asarray(position, dtype=float)
+    return Frame(
+        time=0.0,
+        position=position,
+        velocity=np.zeros_like(position),
+        radius=np.broadcast_to(np.asarray(radius, dtype=float), len(position)).copy(),
+        colour=np.asarray(colour, dtype=float).reshape(-1, 3),
+        **more,
+    )
+
+
+def picture(frame, **options):
+    with Renderer(frame, size=SIZE, **options) as renderer:
+        return renderer.render(frame)
+
+
+def reddish(pixel):
+    r, g, b = (int(a) for a in pixel)
+    return r > 1.5 * g and r > 1.5 * b
+
+
+def greenish(pixel):
+    r, g, b = (int(a) for a in pixel)
+    return g > 1.5 * r and g > 1.5 * b
+
+
+def project(point, camera=FRONT):
+    """Pixel (row, column) of a point, by hand for a camera on the z axis that looks along -z."""
+    focal = SIZE[1] / 2 / math.tan(math.radians(camera.fov) / 2)
+    depth = camera.eye[2] - point[2]
+    return SIZE[1] / 2 - focal * point[1] / depth, SIZE[0] / 2 + focal * point[0] / depth
+
+
+def test_spheres_where_they_belong_and_the_nearer_hides_the_farther():
+    near, far, high = (0.0, 0.0, 1.0), (0.0, 0.0, -3.0), (-1.6, 1.2, 0.0)
+    frame = balls([far, near, high], [0.9, 0.5, 0.4], [GREEN, RED, GREEN])
+    with Renderer(frame, size=SIZE, camera=FRONT) as renderer:
+        image = renderer.render(frame)
+        again = renderer.render(frame)
+    assert image.shape == (SIZE[1], SIZE[0], 3)
+    assert image.dtype == np.uint8
+    assert np.array_equal(image, again)
+    row, column = (int(a) for a in project(near))
+    assert reddish(image[row, column])
+    row, column = (int(a) for a in project(high))
+    assert row < SIZE[1] / 2  # up is up
+    assert column < SIZE[0] / 2  # right is right
+    assert greenish(image[row, column])
+    row, column = (int(a) for a in project((0.0, 0.75, -3.0)))  # the rim of the far one looks out behind the near one
+    assert greenish(image[row, column])
+    for corner in (image[0, 0], image[0, -1], image[-1, 0], image[-1, -1]):
+        assert not reddish(corner)
+        assert not greenish(corner)
+
+
+def test_the_outline_of_a_sphere_has_the_right_size():
+    frame = balls([(0.0, 0.0, 0.0)], 1.0, [RED])
+    image = picture(frame, camera=FRONT).astype(float)
+    covered = np.count_nonzero(image[:, :, 0] > 1.4 * image[:, :, 2])
+    focal = SIZE[1] / 2 / math.tan(math.radians(FRONT.fov) / 2)
+    radius = focal / math.sqrt(10.0**2 - 1.0)  # of the cone that touches the sphere
+    assert covered == pytest.approx(math.pi * radius**2, rel=0.04)
+
+
+def test_a_triangle_is_drawn_whichever_way_it_is_wound():
+    corners = [(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 1.2, 0.0)]
+    seen = []
+    for order in ((0, 1, 2), (0, 2, 1)):
+        frame = balls(corners, 0.3, [RED] * 3, triangles=np.array([order], dtype=np.int32))
+        image = picture(frame, camera=FRONT, shadow=False)
+        assert reddish(image[SIZE[1] // 2, SIZE[0] // 2])
+        low, high = ([int(a) for a in project((-0.7, y, 0.0))] for y in (-0.8, 0.8))
+        assert reddish(image[low[0], low[1]])
+        assert not reddish(image[high[0], high[1]])
+        seen.append(image)
+    corner = [int(a) for a in project((-1.0, -1.2, 0.0))]
+    assert not reddish(seen[0][corner[0], corner[1]])  # corners of triangles are not drawn as balls
+
+
+def test_a_shadow_darkens_the_ground_under_a_ball():
+    frame = balls([(0.0, 1.0, 0.0)], 0.5, [RED], walls=np.array([[0.0, 1.0, 0.0, 0.0]]))
+    camera = Camera(eye=(0.0, 5.0, 7.0), target=(0.0, 0.5, 0.0))
+    lit = picture(frame, camera=camera, shadow=False).astype(int)
+    dark = picture(frame, camera=camera).astype(int)
+    change = lit.sum(axis=2) - dark.sum(axis=2)
+    ground = np.ptp(lit, axis=2) < 20
+    shaded = ground & (change > 60)
+    assert 100 < np.count_nonzero(shaded) < 0.1 * change.size
+    assert np.count_nonzero(ground & (np.abs(change) <= 6)) > 0.7 * change.size  # no dirt on what is lit
+    ball = lit[:, :, 0] > 2 * lit[:, :, 2]
+    assert np.count_nonzero(ball) > 100
+    assert np.count_nonzero(ball & (np.abs(change) > 12)) < 0.05 * np.count_nonzero(ball)  # nor on the ball itself
+    columns = np.nonzero(shaded)[1]
+    assert columns.mean() > SIZE[0] / 2  # the lamp is on the left
+
+
+def test_the_camera_finds_the_scene_and_ignores_one_ball_far_away():
+    rng = np.random.default_rng(0)
+    near = rng.normal(size=(200, 3))
+    camera = Camera.fit(balls(near, 0.1), aspect=16 / 9)
+    stray = Camera.fit(balls(np.vstack([near, [(1e5, 0.0, 0.0)]]), 0.1), aspect=16 / 9)
+    distance = np.linalg.norm(np.subtract(camera.eye, camera.target))
+    assert np.linalg.norm(np.subtract(stray.eye, stray.target)) == pytest.approx(distance, rel=0.2)
+    local = (near - camera.eye) @ camera.axes().T
+    tall = math.tan(math.radians(camera.fov) / 2)
+    screen = np.abs(local[:, :2] / local[:, 2:]) / (tall * 16 / 9, tall)
+    assert np.all(screen < 1.0)
+    assert screen.max() > 0.8
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_odd_frames_are_drawn(dim):
+    ground = np.eye(dim + 1)[1:2] * 1.0
+    rods = np.array([[0, 1], [2, 2], [1, 2]], dtype=np.int32)
+    frame = balls(np.full((3, dim), 1e9), 0.2, [(np.nan,) * 3] * 3, springs=rods, sticks=rods[:, 0] > 0, walls=ground)
+    with Renderer(frame, size=SIZE) as renderer:
+        assert np.ptp(renderer.render(frame)) > 20
+        more = balls(np.zeros((7, dim)), 1e-3, walls=ground, triangles=np.zeros((1, 3), dtype=np.int32))
+        assert renderer.render(more).shape == (SIZE[1], SIZE[0], 3)  # allocates again
+    empty = picture(balls(np.zeros((0, dim)), 0.0))
+    assert empty.shape == (SIZE[1], SIZE[0], 3)
+
+
+def test_a_sphere_around_the_eye_is_left_out():
+    frame = balls([(0.0, 0.0, 10.0), (0.0, 0.0, 9.5), (0.0, 0.0, 0.0)], [1.0, 1.0, 0.5], [GREEN, GREEN, RED])
+    image = picture(frame, camera=FRONT)
+    assert reddish(image[SIZE[1] // 2, SIZE[0] // 2])
+    assert not greenish(image[0, 0])
+
+
+def disc_picture(radius, colour=RED, **more):
+    frame = balls([(0.0, 0.0), (3.0, 0.0)], [radius, radius], [colour] * 2, **more)
+    return frame, picture(frame, background=(1.0, 1.0, 1.0))
+
+
+def test_the_area_of_a_disc():
+    from taichi_sim.render.renderer2d import Renderer2D
+
+    frame, image = disc_picture(0.7, colour=(0.0, 0.0, 0.0))
+    assert tuple(image[0, 0]) == (255, 255, 255)
+    left = image[:, : SIZE[0] // 2, 0].astype(float) / 255
+    linear = np.where(left <= 0.04045, left / 12.92, ((left + 0.055) / 1.055) ** 2.4)
+    painter = Renderer2D(frame, SIZE)
+    scale = painter._scale
+    painter.close()
+    body = np.pi * (0.7 * scale) ** 2
+    dark = np.clip(1.0 - linear, 0, 1)
+    dark[dark > 0.9] = 1.0  # a black disc still has a faint light on it
+    assert dark.sum() == pytest.approx(body, rel=0.01)
+
+
+def test_walls_and_strain_in_a_flat_picture():
+    points = [(-2.0, 0.5), (0.0, 0.5), (2.0, 0.5)]
+    springs = np.array([[0, 1], [1, 2]], dtype=np.int32)
+    frame = balls(
+        points,
+        0.3,
+        springs=springs,
+        sticks=np.zeros(2, dtype=bool),
+        strain=np.array([0.3, -0.3]),
+        walls=np.array([[0.0, 1.0, 0.0]]),
+    )
+    image = picture(frame).astype(int)
+    row = image[:, :, 0].shape[0]
+    assert image[0].sum() > image[row - 3].sum() * 1.1  # the ground is darker, and below
+    stretched = image[:, : SIZE[0] // 2].reshape(-1, 3)
+    pressed = image[:, SIZE[0] // 2 :].reshape(-1, 3)
+    assert np.any((stretched[:, 0] > 150) & (stretched[:, 2] < 70) & (stretched[:, 1] < 70))
+    assert np.any((pressed[:, 2] > 140) & (pressed[:, 0] < 70) & (pressed[:, 1] < 120))
+
+
+def test_bodies_are_connected_sets_of_balls():
+    label = components(7, np.array([[5, 6], [1, 2], [2, 5], [0, 4]]))
+    assert label.tolist() == [0, 1, 1, 3, 0, 1, 1]
+
+
+def test_tiles_list_every_box_once_in_drawing_order():
+    rng = np.random.default_rng(1)
+    low = rng.uniform(-20, 100, size=(60, 2))
+    high = low + rng.uniform(0, 50, size=(60, 2))
+    entry, start = tile_lists(low, high, (100, 70), 16)
+    for ty in range(5):
+        for tx in range(7):
+            tile = ty * 7 + tx
+            first, end = np.array([tx, ty]) * 16.0, np.array([tx + 1, ty + 1]) * 16.0
+            touching = np.flatnonzero(np.all((high >= first) & (low < end), axis=1))
+            assert entry[start[tile] : start[tile + 1]].tolist() == touching.tolist()
+
+
+def test_bad_arguments_are_refused():
+    frame = balls(np.zeros((1, 3)), 1.0)
+    with pytest.raises(ValueError, match="size"):
+        Renderer(frame, size=(0, 10))
+    with pytest.raises(ValueError, match="background"):
+        Renderer(frame, size=SIZE, background=(1.0, 0.0))
+    with pytest.raises(ValueError, match="camera"):
+        Renderer(frame, size=SIZE, camera=Camera((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))

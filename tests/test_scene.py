@@ -1,0 +1,122 @@
+"""Scene: what it holds after each call, and every refusal with the place, the value and what is allowed."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from taichi_sim import Scene, SceneError
+
+NAN, INF = float("nan"), float("inf")
+
+
+def pair(**changes) -> Scene:
+    scene = Scene(dim=2)
+    scene.add_balls(**({"position": [[0, 0], [1, 0]], "radius": 0.1} | changes))
+    return scene
+
+
+def springs(**changes) -> Scene:
+    scene = pair()
+    scene.add_springs(**({"pairs": [[0, 1]], "stiffness": 1.0} | changes))
+    return scene
+
+
+def test_defaults():
+    scene = springs()
+    assert scene.mass.tolist() == [1, 1]
+    assert scene.velocity.tolist() == [[0, 0], [0, 0]]
+    assert scene.pinned.tolist() == [False, False]
+    assert scene.damping.tolist() == [0]
+    assert scene.rest_length.tolist() == [1]
+    assert scene.collides.tolist() == [False]
+    assert scene.gravity.tolist() == [0, 0]
+    material = scene.materials[0]
+    assert (material.restitution, material.friction, material.viscous_friction) == (0, 0, 0)
+
+
+def test_indices_go_on_from_call_to_call():
+    scene = pair()
+    assert scene.add_balls([[2, 0], [3, 0]], radius=0.1).tolist() == [2, 3]
+    assert scene.add_springs([[0, 3]], stiffness=1).tolist() == [0]
+    assert scene.add_springs([1, 2], stiffness=1).tolist() == [1]
+    assert scene.position.shape == (4, 2)
+
+
+def test_one_or_one_per_item():
+    scene = pair(mass=[1, 2], radius=0.5, velocity=(3, 4), pinned=[1])
+    assert scene.mass.tolist() == [1, 2]
+    assert scene.radius.tolist() == [0.5, 0.5]
+    assert scene.pinned.tolist() == [False, True]
+    assert scene.velocity.tolist() == [[3, 4], [0, 0]]  # a pinned ball has velocity 0
+    assert pair(pinned=True).pinned.tolist() == [True, True]
+    assert pair(pinned=[True, False]).pinned.tolist() == [True, False]
+
+
+def test_walls_are_normalised():
+    scene = Scene(dim=2)
+    scene.add_wall((0, 2), 0.5)
+    assert scene.walls[0].normal == (0.0, 1.0)
+    assert scene.walls[0].offset == 0.5
+
+
+REFUSED = [
+    (lambda: Scene(dim=4), "dim: 4 .*2 or 3"),
+    (lambda: Scene(dim=2, gravity=(0, NAN)), "gravity.*nan .*finite"),
+    (lambda: Scene(dim=2, gravity=(0, 1, 2)), "gravity.*does not fit"),
+    (lambda: pair(position=[[0, 0], [1, NAN]]), r"balls\.position\[1\]\[1\]: nan"),
+    (lambda: pair(position=[[0, 0], [INF, 0]]), r"balls\.position\[1\]\[0\]: inf"),
+    (lambda: pair(position=[[0, 0, 0]]), r"balls\.position: shape \(1, 3\)"),
+    (lambda: pair(position="here"), r"balls\.position: 'here'"),
+    (lambda: pair(mass=0), r"balls\.mass: 0.* greater than 0"),
+    (lambda: pair(mass=[1, -1]), r"balls\.mass\[1\]: -1.0 .*greater than 0"),
+    (lambda: pair(mass=[1, 2, 3]), r"balls\.mass: shape \(3,\).* 2 of them"),
+    (lambda: pair(mass=INF), r"balls\.mass: inf"),
+    (lambda: pair(mass=True), r"balls\.mass: True"),
+    (lambda: pair(radius=0), r"balls\.radius: 0.* greater than 0"),
+    (lambda: pair(radius=[0.1, NAN]), r"balls\.radius\[1\]: nan"),
+    (lambda: pair(velocity=[[0, 0], [NAN, 0]]), r"balls\.velocity\[1\]\[0\]: nan"),
+    (lambda: pair(pinned=[2]), r"balls\.pinned\[0\]: 2 .*from 0 to 1"),
+    (lambda: pair(pinned=[-1]), r"balls\.pinned\[0\]: -1"),
+    (lambda: pair(pinned=[0.5]), r"balls\.pinned: .*integers"),
+    (lambda: pair(pinned=[[0], [1, 2]]), r"balls\.pinned: "),
+    (lambda: pair(material="steel"), r"balls\.material: 'steel' .*'default'"),
+    (lambda: pair(colour=(0, 0, 1.5)), r"balls\.colour\[2\]: 1.5 .*from 0 to 1"),
+    (lambda: springs(pairs=[[0, 2]]), r"springs\.pairs\[0\]: \[0, 2\] .*from 0 to 1"),
+    (lambda: springs(pairs=[[0, 1], [1, 1]]), r"springs\.pairs\[1\]: \[1, 1\] joins a ball to itself"),
+    (lambda: springs(pairs=[[0, 1, 1]]), r"springs\.pairs: shape"),
+    (lambda: springs(stiffness=-1), r"springs\.stiffness: -1"),
+    (lambda: springs(damping=NAN), r"springs\.damping: nan"),
+    (lambda: springs(rest_length=[-0.5]), r"springs\.rest_length\[0\]: -0.5"),
+    (lambda: springs(collides=1), r"springs\.collides: 1"),
+    (lambda: springs(collides=[[True], [True, False]]), r"springs\.collides: "),
+    (lambda: Scene(dim=2).add_wall((0, 0)), r"wall\.normal: .*direction"),
+    (lambda: Scene(dim=2).add_wall((0, 1), INF), r"wall\.offset: inf"),
+    (lambda: Scene(dim=2).add_material("a", restitution=2), "restitution: 2.* from 0 to 1"),
+    (lambda: Scene(dim=2).add_material("a", friction=-1), "friction: -1"),
+    (lambda: Scene(dim=2).add_material(""), "material: ''"),
+    (lambda: pair().add_triangles([[0, 1, 2]]), r"triangles\[0\]: \[0, 1, 2\]"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED, ids=[message for _, message in REFUSED])
+def test_refused(call, message):
+    with pytest.raises(SceneError, match=message):
+        call()
+
+
+def test_a_refused_call_changes_nothing():
+    scene = pair()
+    with pytest.raises(SceneError):
+        scene.add_balls([[0, 0]], radius=-1)
+    with pytest.raises(SceneError):
+        scene.add_springs([[0, 1]], stiffness=NAN)
+    assert scene.n_balls == 2
+    assert scene.n_springs == 0
+    assert np.isfinite(scene.position).all()
+
+
+def test_scene_and_shapes_import_no_taichi():
+    code = "import sys, taichi_sim.shapes, taichi_sim.scene_file; print('taichi' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"

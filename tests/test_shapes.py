@@ -1,0 +1,194 @@
+"""Shapes: what they add, that their defaults are stable at 1 ms, and what they refuse."""
+
+import numpy as np
+import pytest
+
+from taichi_sim import Scene, SceneError, shapes
+from taichi_sim.mesh import Surface
+
+TETRAHEDRON = Surface(
+    np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32),
+)
+
+MADE = {
+    "cloth": (3, lambda s: shapes.cloth(s)),
+    "coarse cloth": (3, lambda s: shapes.cloth(s, (2, 1), (2, 2))),
+    "long cloth": (3, lambda s: shapes.cloth(s, (2, 1), (8, 200))),
+    "heavy cloth": (3, lambda s: shapes.cloth(s, mass=50.0)),
+    "shell": (3, lambda s: shapes.cloth(s, mesh=TETRAHEDRON)),
+    "jelly 3D": (3, lambda s: shapes.jelly(s)),
+    "fine jelly 3D": (3, lambda s: shapes.jelly(s, (0.2, 1, 0.4), (20, 40, 30))),
+    "jelly 2D": (2, lambda s: shapes.jelly(s)),
+    "fine jelly 2D": (2, lambda s: shapes.jelly(s, resolution=(100, 90))),
+    "rope 2D": (2, lambda s: shapes.rope(s, (0, 0), (1, 1))),
+    "rope 3D": (3, lambda s: shapes.rope(s, (0, 0, 0), (1, 1, 0), 2)),
+    "wheel 2D": (2, lambda s: shapes.wheel(s, (0, 0), 0.5)),
+    "wheel 3D": (3, lambda s: shapes.wheel(s, (0, 0, 1), 0.5, 40)),
+}
+
+
+def stiffness_bound(scene: Scene, h: float) -> float:
+    """h^2 max (S_i / m_i + S_j / m_j) over the springs; velocity Verlet is stable below 4."""
+    rate = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness, 2), minlength=scene.n_balls) / scene.mass
+    return float(h**2 * rate[scene.pairs].sum(axis=1).max())
+
+
+def area_vectors(x: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = (x[triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a) / 2
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_defaults_are_stable_at_1_ms_with_a_factor_2(name):
+    dim, make = MADE[name]
+    scene = Scene(dim=dim)
+    shape = make(scene)
+    assert stiffness_bound(scene, 1e-3) <= 2.0 * (1 + 1e-12)
+    assert shape.balls.tolist() == list(range(scene.n_balls))
+    assert shape.springs.tolist() == list(range(scene.n_springs))
+    assert np.array_equal(shape.triangles, scene.triangles)
+    assert not scene.pinned.any()
+    assert len(np.unique(scene.body)) == 1
+    assert scene.body[0] > 0
+    assert len(np.unique(np.sort(scene.pairs, axis=1), axis=0)) == scene.n_springs
+    damping_ratio = scene.damping / (2 * np.sqrt(scene.stiffness * scene.mass[0] / 2))
+    assert damping_ratio == pytest.approx(0.1)
+
+
+def test_grid_cloth():
+    scene = Scene(dim=3)
+    sheet = shapes.cloth(scene, (2, 1), (5, 3), mass=3.0, pinned=[0, 12], radius=0.01)
+    assert scene.position[1 * 3 + 2].tolist() == [0.5, 0.0, 1.0]  # ball (1, 2)
+    assert scene.mass.sum() == pytest.approx(3.0)
+    assert np.flatnonzero(scene.pinned).tolist() == [0, 12]
+    assert len(sheet.springs) == (4 * 3 + 5 * 2) + 2 * 4 * 2 + (3 * 3 + 5 * 1)
+    vectors = area_vectors(scene.position, sheet.triangles)
+    assert (vectors[:, 1] > 0).all()
+    assert vectors.sum(axis=0) == pytest.approx([0, 2, 0])
+
+
+def test_default_mass_follows_the_area():
+    scene = Scene(dim=3)
+    shapes.cloth(scene, (2, 3), (4, 4), scale=2.0)
+    assert scene.mass.sum() == pytest.approx(0.2 * 24)
+
+
+def test_mesh_cloth_keeps_coordinates_and_moves():
+    scene = Scene(dim=3)
+    shapes.cloth(scene, mesh=TETRAHEDRON)
+    assert np.array_equal(scene.position, TETRAHEDRON.vertices)
+    assert scene.n_springs == 6  # the edges; each pair that faces across one is an edge itself
+    shapes.cloth(scene, mesh=TETRAHEDRON, position=(0, 0, 5), rotation=(0, 0, 90), scale=2)
+    assert scene.position[5] == pytest.approx([0, 2, 5])  # (1, 0, 0)
+    assert scene.position[6] == pytest.approx([-2, 0, 5])  # (0, 1, 0)
+
+
+def test_bending_springs_of_a_mesh():
+    square = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    scene = Scene(dim=3)
+    shapes.cloth(scene, mesh=square, stiffness=10.0, bending_stiffness=3.0)
+    bending = scene.pairs[scene.stiffness == 3.0]
+    assert bending.tolist() == [[1, 3]]
+    assert (scene.stiffness == 10.0).sum() == 5
+
+
+def test_rotation_is_about_x_then_y_then_z():
+    scene = Scene(dim=3)
+    shapes.cloth(scene, mesh=TETRAHEDRON, rotation=(90, 90, 0))
+    assert scene.position[2] == pytest.approx([1, 0, 0])  # y -> z by x, z -> x by y
+    flat = Scene(dim=2)
+    shapes.jelly(flat, (1, 1), (2, 2), rotation=90, position=(1, 0))
+    assert flat.position[2] == pytest.approx([1, 1])  # ball (1, 0) at (1, 0), turned to (0, 1)
+
+
+def test_jelly_surface_is_closed_and_outward():
+    scene = Scene(dim=3)
+    cube = shapes.jelly(scene, (1, 2, 3), (3, 4, 5))
+    vectors = area_vectors(scene.position, cube.triangles)
+    centres = scene.position[cube.triangles].mean(axis=1)
+    assert vectors.sum(axis=0) == pytest.approx([0, 0, 0], abs=1e-12)
+    assert (vectors * centres).sum() / 3 == pytest.approx(6.0)  # the volume, by Gauss
+    assert scene.mass.sum() == pytest.approx(6000.0)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_jelly_is_elastic_alike_in_all_directions(dim):
+    """Small stretches of a large lattice along an axis and along the diagonal store the same energy."""
+    scene = Scene(dim=dim)
+    shapes.jelly(scene, (1.0,) * dim, (9,) * dim, stiffness=1.0)
+    x = scene.position
+    inner = (np.abs(x[scene.pairs].mean(axis=1) - 0.5) < 0.126).all(axis=1)  # one period, its border counted below
+    on_border = np.isclose(np.abs(x[scene.pairs].mean(axis=1) - 0.5), 0.125)
+    weight = np.where(inner, 0.5 ** on_border.sum(axis=1), 0.0)
+    axis, diagonal = np.eye(dim)[0], np.array([1.0, 1.0, 0.0])[:dim] / np.sqrt(2)
+    stored = []
+    for direction in (axis, diagonal):
+        edge = x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]]
+        change = (edge @ direction) ** 2 / np.linalg.norm(edge, axis=1)  # per unit strain
+        stored.append((weight * scene.stiffness * change**2).sum())
+    assert stored[0] == pytest.approx(stored[1], rel=1e-9)
+
+
+def test_rope_wheel_pile():
+    scene = Scene(dim=2)
+    rope = shapes.rope(scene, (0, 0), (4, 0), 5, bending_stiffness=7.0, pinned=[0])
+    assert scene.position[rope.balls, 0].tolist() == [0, 1, 2, 3, 4]
+    assert (scene.stiffness == 7.0).sum() == 3
+    wheel = shapes.wheel(scene, (2, 3), 0.5, 6, pinned=[0])
+    assert scene.position[wheel.balls[0]].tolist() == [2, 3]
+    assert np.linalg.norm(scene.position[wheel.balls[1:]] - [2, 3], axis=1) == pytest.approx(0.5)
+    assert len(wheel.springs) == 12
+    pile = shapes.pile(scene, (3, 4), 0.1, mass=2.0)
+    assert len(pile.balls) == 12
+    assert not len(pile.springs)
+    assert (scene.body[pile.balls] == 0).all()
+    assert (scene.mass[pile.balls] == 2.0).all()
+    x = scene.position[pile.balls]
+    distance = np.linalg.norm(x[:, None] - x, axis=2) + np.eye(12)
+    assert distance.min() > 0.2  # they do not touch at the start
+
+
+def test_self_collision():
+    scene = Scene(dim=3)
+    shapes.cloth(scene, resolution=(4, 4), self_collision=True)
+    assert (scene.body == 0).all()
+
+
+REFUSED = [
+    (2, lambda s: shapes.cloth(s), "dim = 3"),
+    (3, lambda s: shapes.cloth(s, (1, 1, 1)), r"cloth\.size: .* 2 lengths"),
+    (3, lambda s: shapes.cloth(s, (1, -1)), r"cloth\.size\[1\]: -1.0"),
+    (3, lambda s: shapes.cloth(s, resolution=(1, 4)), r"cloth\.resolution: .*at least 2"),
+    (3, lambda s: shapes.cloth(s, resolution=(4, 4.5)), r"cloth\.resolution"),
+    (3, lambda s: shapes.cloth(s, (1, 1), mesh=TETRAHEDRON), r"cloth\.mesh: takes the place"),
+    (3, lambda s: shapes.cloth(s, mesh="no.obj"), r"cloth\.mesh: 'no.obj' is not there"),
+    (3, lambda s: shapes.cloth(s, mesh=3), r"cloth\.mesh: 3"),
+    (3, lambda s: shapes.cloth(s, mass=0), r"cloth\.mass: 0"),
+    (3, lambda s: shapes.cloth(s, mass=float("nan")), r"cloth\.mass: nan"),
+    (3, lambda s: shapes.cloth(s, radius=-1), r"cloth\.radius: -1"),
+    (3, lambda s: shapes.cloth(s, stiffness=-1), r"cloth\.stiffness: -1"),
+    (3, lambda s: shapes.cloth(s, damping=-1), r"cloth\.damping: -1"),
+    (3, lambda s: shapes.cloth(s, bending_stiffness=-1), r"cloth\.bending_stiffness: -1"),
+    (3, lambda s: shapes.cloth(s, resolution=(4, 4), pinned=[16]), r"cloth\.pinned\[0\]: 16"),
+    (3, lambda s: shapes.cloth(s, material="silk"), r"cloth\.material: 'silk'"),
+    (3, lambda s: shapes.cloth(s, scale=0), r"cloth\.scale: 0"),
+    (3, lambda s: shapes.cloth(s, position=(0, 1)), r"cloth\.position"),
+    (3, lambda s: shapes.cloth(s, rotation=(0, float("inf"), 1)), r"cloth\.rotation\[1\]: inf"),
+    (3, lambda s: shapes.cloth(s, colour=(2, 0, 0)), r"cloth\.colour\[0\]: 2"),
+    (2, lambda s: shapes.jelly(s, (1, 1, 1)), r"jelly\.size: .* 2 lengths"),
+    (2, lambda s: shapes.rope(s, (0, 0), (0, 0)), r"rope\.end: .*differ"),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), 1), r"rope\.n: 1 .*at least 2"),
+    (2, lambda s: shapes.wheel(s, (0, 0), 0.0), r"wheel\.radius: 0"),
+    (2, lambda s: shapes.wheel(s, (0, 0), 1.0, 2), r"wheel\.spokes: 2 .*at least 3"),
+    (2, lambda s: shapes.pile(s, (3, 0), 1.0), r"pile\.resolution"),
+    (2, lambda s: shapes.pile(s, (3, 3), 1.0, jitter=2), r"pile\.jitter: 2"),
+]
+
+
+@pytest.mark.parametrize(("dim", "make", "message"), REFUSED, ids=[message for _, _, message in REFUSED])
+def test_refused_and_the_scene_unchanged(dim, make, message):
+    scene = Scene(dim=dim)
+    with pytest.raises(SceneError, match=message):
+        make(scene)
+    assert scene.n_balls == scene.n_springs == len(scene.triangles) == 0

@@ -1,0 +1,116 @@
+"""Saving a simulation and going on from it."""
+
+import json
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+
+
+def small_scene():
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_material("rubber", restitution=0.5, colour=(0.2, 0.4, 0.8))
+    scene.add_balls([[0, 1], [1, 1]], radius=0.1, velocity=[[0, 0], [0.5, 1]], material="rubber", pinned=[0])
+    scene.add_springs([0, 1], stiffness=100.0, damping=1.0, rest_length=0.5)
+    scene.add_wall((0, 1), -3.0, material="rubber")
+    scene.output = {"fps": 30.0}
+    return scene
+
+
+def test_restored_run_continues_with_the_same_bits(tmp_path):
+    with ts.Simulation(small_scene(), dt=2e-3, integrator="symplectic_euler") as sim:
+        sim.step(100)
+        sim.save(tmp_path / "state.npz")
+        sim.step(50)
+        with ts.Simulation.restore(tmp_path / "state.npz") as again:
+            assert again.time == pytest.approx(0.2)
+            assert again.settings.integrator.name == "symplectic_euler"
+            assert again.scene.materials == sim.scene.materials
+            assert again.scene.output == {"fps": 30.0}
+            kept = np.load(tmp_path / "state.npz")
+            if again.rounded_off is not None:  # single precision
+                assert np.any(kept["low_position"] != 0.0)
+                assert np.array_equal(again.rounded_off[0], kept["low_position"])
+                assert np.array_equal(again.rounded_off[1], kept["low_velocity"])
+            again.step(50)
+            assert np.array_equal(again.position, sim.position)
+            assert np.array_equal(again.velocity, sim.velocity)
+
+
+def test_an_argument_can_be_replaced(tmp_path):
+    with ts.Simulation(small_scene(), dt=2e-3) as sim:
+        sim.step(100)
+        sim.save(tmp_path / "state.npz")
+    with ts.Simulation.restore(tmp_path / "state.npz", dt=1e-3) as again:
+        assert again.dt == 1e-3
+        assert again.time == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("content", [b"not an archive", b""])
+def test_another_file_is_refused(tmp_path, content):
+    path = tmp_path / "other.npz"
+    path.write_bytes(content)
+    with pytest.raises(ts.SceneError, match=r"other\.npz: is not a state"):
+        ts.Simulation.restore(path)
+
+
+def test_a_missing_file_and_a_later_format_are_refused(tmp_path):
+    with pytest.raises(ts.SceneError, match="there is no such file"):
+        ts.Simulation.restore(tmp_path / "none.npz")
+    np.savez(tmp_path / "later.npz", about=np.array(json.dumps({"format": 99})))
+    with pytest.raises(ts.SceneError, match="format 99 is not known"):
+        ts.Simulation.restore(tmp_path / "later.npz")
+
+
+def test_saving_into_a_missing_folder_writes_nothing(tmp_path):
+    with ts.Simulation(small_scene()) as sim, pytest.raises(FileNotFoundError, match="there is no folder"):
+        sim.save(tmp_path / "none" / "state.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def _edited(path, **changes):
+    """The archive with some arrays replaced, or left out where the new one is None."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    about = json.loads(str(arrays.pop("about")))
+    about.update(changes.pop("about", {}))
+    arrays.update(changes)
+    np.savez(path, about=np.array(json.dumps(about)), **{k: v for k, v in arrays.items() if v is not None})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"position": None},
+        {"low_position": np.zeros((2, 2)), "low_velocity": None},
+        {"low_position": np.zeros((2, 2)), "low_velocity": np.zeros((3, 2))},
+        {"velocity": np.zeros((7, 2))},
+        {"position": np.full((2, 2), np.nan)},
+        {"about": {"time": "x"}},
+        {"about": {"walls": [{"normal": [0.0, 1.0], "offset": 0.0, "material": 7}]}},
+        {"about": {"settings": None}},
+    ],
+    ids=str,
+)
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, changes):
+    with ts.Simulation(small_scene(), dt=2e-3) as sim:
+        sim.save(tmp_path / "state.npz")
+    _edited(tmp_path / "state.npz", **changes)
+    with pytest.raises(ts.SceneError, match=r"state\.npz: is not a state"):
+        ts.Simulation.restore(tmp_path / "state.npz")
+
+
+def test_a_folder_is_refused(tmp_path):
+    with pytest.raises(ts.SceneError, match="is not a state"):
+        ts.Simulation.restore(tmp_path)
+
+
+def test_another_step_keeps_the_clock(tmp_path):
+    with ts.Simulation(small_scene(), dt=1e-3) as sim:
+        sim.step(300)
+        sim.save(tmp_path / "state.npz")
+    with ts.Simulation.restore(tmp_path / "state.npz", dt=7e-4) as again:
+        assert again.time == pytest.approx(0.3, rel=1e-12)
+        again.step(10)
+        assert again.time == pytest.approx(0.307, rel=1e-12)
