@@ -45,16 +45,17 @@ def decayed(a):
 
 @ti.func
 def target_speed(before, restitution, threshold, impacts: ti.template()):
-    """Normal speed that a contact should have after the solve: -e times the speed before (Moreau), 0 for slow ones.
+    """Normal speed that a contact should have after the solve: -e times the speed before (Moreau), 0 for slow impacts.
+
+    Contacts that separate have this target too, however slowly: the set as a whole changes the kinetic energy by the sum of
+    lambda (target + before) / 2, which with the target 0 is a gain for each that separates.
 
     Where the solve is not for impacts (the short one that ends a step), fast contacts are left for the next as they are.
-
-    Contacts that separate have a target too: with 0 instead, iterated passes gain energy at e = 1.
     """
     fast = -restitution * before
     if ti.static(not impacts):
         fast = ti.select(restitution > 0.0, ti.min(before, 0.0), 0.0 * before)
-    return ti.select(ti.abs(before) > threshold, fast, 0.0 * before)
+    return ti.select(before < -threshold or before > 0.0, fast, 0.0 * before)
 
 
 @ti.func
