@@ -2,23 +2,38 @@
 
 import taichi as ti
 
+# A soft contact is a damped spring that is solved implicitly, a quarter of a cycle per step and ten times critically damped
+# (Catto, Soft Constraints, 2011): unlike a rigid one it takes energy out of tall piles, and it pushes out what overlaps.
+DAMPING_RATIO = 10.0
+ANGLE = 1.5707963267948966  # omega h: pi / 2
+PUSH = ANGLE / (2.0 * DAMPING_RATIO + ANGLE)  # part of the depth that one step removes
+STIFF = ANGLE * (2.0 * DAMPING_RATIO + ANGLE)
+LEAK = 1.0 / (1.0 + STIFF)  # part of the held impulse that a pass lets go
+SOFT = 1.0 - LEAK  # of the contact's mass
+
 
 @ti.func
-def normal_impulse(u, n, target, mass, held):
+def normal_impulse(u, target, mass, held):
     """New total normal impulse [N s] of a contact that holds `held` so far: it reaches the target speed but never pulls.
 
-    u: relative velocity sum g_i v_i; n: unit normal; mass: 1 / sum w_i g_i^2 s_i [kg]. For a lone contact this is the
-    exact law j = (target - u.n) / W whatever `held` was.
+    u: normal part of the relative velocity sum g_i v_i; mass: 1 / sum w_i g_i^2 s_i [kg]. For a lone contact this is the
+    exact law j = (target - u) / W whatever `held` was.
     """
-    return ti.max(0.0, held + (target - u.dot(n)) * mass)
+    return ti.max(0.0, held + (target - u) * mass)
+
+
+@ti.func
+def soft_impulse(u, target, mass, held):
+    """The same for a soft contact; `target` holds the push-out speed as well."""
+    return ti.max(0.0, SOFT * held + (target - u) * (SOFT * mass))
 
 
 @ti.func
 def sliding_impulse(u, n, mass, slide, bound, slip):
     """Change of the tangential impulse and its new Coulomb part (a vector that may not exceed `bound`).
 
-    The viscous share `slip` = 1 - exp(-f t) of the sliding speed is taken first, then Coulomb friction opposes the rest;
-    together they at most stop it.
+    u: relative velocity of the two surfaces. The viscous share `slip` = 1 - exp(-f t) of the sliding speed is taken first,
+    then Coulomb friction opposes the rest; together they at most stop it.
     """
     stop = (u.dot(n) * n - u) * mass
     wanted = slide + (1.0 - slip) * stop

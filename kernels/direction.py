@@ -25,3 +25,21 @@ def unit(r, i, j):
             else:
                 n[a] = 0.0
     return n, length
+
+
+@ti.func
+def cross(n, p):
+    """n x p: a scalar in 2D."""
+    if ti.static(n.n == 2):
+        return n[0] * p[1] - n[1] * p[0]
+    else:
+        return n.cross(p)
+
+
+@ti.func
+def lever(s, n):
+    """s x n, for a turn s that is a scalar in 2D."""
+    if ti.static(n.n == 2):
+        return ti.Vector([-n[1], n[0]]) * s
+    else:
+        return s.cross(n)

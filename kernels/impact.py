@@ -7,6 +7,7 @@ so an elastic bounce loses nothing. A scheme without acceleration inside the ste
 import taichi as ti
 
 from .contact_law import decayed
+from .direction import cross, lever
 
 IMPACTS = 8  # per ball and step; a wedge that asks for more stops the ball for the rest of the step
 
@@ -34,7 +35,7 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
         u = wall.normal.dot(v)
         pull = wall.normal.dot(a)
         closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining
-        resting = walls.touched[i] > 0 and walls.contact[i * walls.count + k].active
+        resting = walls.touched[i] > 0 and walls.contact[i * walls.count + k].active == 1
         if gap >= -walls.tolerance(x, i) and closest <= 0.0 and not resting:
             t = crossing(ti.max(gap, 0.0), u, pull, 2.0 * remaining)
             if t < time:
@@ -55,10 +56,17 @@ def bounce(walls: ti.template(), i, k, v, a, threshold, h):
     after = v + j * wall.normal
     if ti.static(walls.model.has_friction):
         t = v - u * wall.normal
+        share = 0.0 * u + 1.0
+        if ti.static(walls.model.spins):
+            t -= lever(walls.state.turn[i], wall.normal)
+            share = 1.0 / (1.0 + walls.model.turning)
         speed = t.norm()
         if speed > 0.0:
             slip = ti.select(-u > threshold, decayed(law.viscous_friction * h), 0.0 * u)
-            after -= ti.min(speed, slip * speed + law.friction * j) / speed * t
+            change = ti.min(share * speed, slip * share * speed + law.friction * j) / speed * t
+            after -= change
+            if ti.static(walls.model.spins):
+                walls.state.turn[i] = walls.state.turn[i] + walls.model.turning * cross(wall.normal, change)
     rest = a
     if -u <= threshold or law.restitution == 0.0:
         rest = a - ti.min(0.0, wall.normal.dot(a)) * wall.normal
@@ -72,7 +80,7 @@ def press(walls: ti.template(), i, v, a):
     Those are the contact solve's to undo, friction with them; the path only must not enter the wall meanwhile.
     """
     for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
-        if walls.contact[i * walls.count + k].active:
+        if walls.contact[i * walls.count + k].active == 1:
             n = walls.wall[k].normal
             v -= ti.min(0.0, n.dot(v)) * n
             a -= ti.min(0.0, n.dot(a)) * n

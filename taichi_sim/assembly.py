@@ -7,7 +7,7 @@ import numpy as np
 
 from taichi_sim.backend import Backend
 from taichi_sim.contacts.grid import SKIN, Grid
-from taichi_sim.contacts.pairs import Pairs
+from taichi_sim.contacts.pairs import GAP, Pairs
 from taichi_sim.contacts.solver import ContactSolver
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.walls import Walls
@@ -26,6 +26,7 @@ from taichi_sim.state import State
 __all__ = ["Assembly"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
+MOST_BOUNCE = 0.5  # above that, only split masses are sure never to gain energy
 SLOWEST_BOUNCE = 0.01  # m/s
 
 
@@ -52,6 +53,7 @@ class Assembly:
         if order is not None:
             scene = in_order(scene, order)
         self.model = Model(scene, self.fields)
+        self.model.spins = spins(scene, settings)
         small = scene.n_balls + scene.n_springs <= FUSED_UP_TO
         # Larger scenes are bound by memory, where the rounded-off parts would cost a tenth of the speed.
         self.state = State(self.model, self.fields, compensated=small and backend.precision == "f32", order=order)
@@ -60,7 +62,7 @@ class Assembly:
         self.integrator = settings.integrator
         springs = self._springs(scene, cpu, h)
         self.forces = TotalForce(self.model, self.state, self.fields, springs, forces)
-        self.contacts = self._contacts(scene, settings, h)
+        self.contacts = self._contacts(scene, settings, h, cpu)
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         self.drivers = Drivers(self.integrator)
 
@@ -70,19 +72,25 @@ class Assembly:
         order = "atomic" if self.atomic else fixed_order(self.model, cpu)
         return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
 
-    def _contacts(self, scene: Scene, settings: Settings, h: float) -> ContactSolver:
+    def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactSolver:
         on = settings.contacts != "off" and bool(np.any(~scene.pinned))
         threshold = max(2.0 * float(np.linalg.norm(scene.gravity)) * h, SLOWEST_BOUNCE)
         sticks = on and bool(np.any(scene.collides)) and scene.n_balls > 2
         pairs = on and (sticks or may_collide(scene))
         if pairs or (on and scene.walls):
             self.model.add_contact_fields()
-        wall_part = Walls(self.model, self.fields, threshold) if on and scene.walls else None
         # sticks look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
         skin = 0.0 if sticks or type(settings.integrator) not in BUILT_IN else SKIN
-        warm = self.model.has_gravity or self.forces.has_impulse
-        pair_part = Pairs(self.model, self.fields, Grid(self.model, self.fields, skin), warm) if pairs else None
+        pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0))
+        warm = self.model.has_gravity or pulls or bool(self.forces.extra)
+        # only what rests is soft, and that takes gravity: a rigid contact is exact for two balls
+        soft = self.model.has_gravity and pairs and settings.integrator.relaxes and settings.contacts != "sum"
+        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0) if pairs else None
+        pair_part = Pairs(self.model, self.fields, grid, warm, soft) if grid is not None else None
+        walled = on and bool(scene.walls)
+        wall_part = Walls(self.model, self.state, self.fields, threshold, soft) if walled else None
         stick_part = Sticks(self.model, self.fields, pair_part) if sticks and pair_part is not None else None
+        rule = self._rule(scene, settings, cpu)
         return ContactSolver(
             self.model,
             self.state,
@@ -91,12 +99,27 @@ class Assembly:
             pair_part,
             stick_part,
             threshold=threshold,
-            passes=settings.passes(scene),
-            rule="sum" if settings.contacts == "sum" else "jacobi",
-            atomic=self.atomic,
+            h=h,
+            passes=settings.passes(scene, rule),
+            rule=rule,
+            atomic=self.atomic or (settings.accumulate == "auto" and not cpu),  # blocks are too few for a GPU
             serial=self.fused,
             warm=warm,
+            soft=soft,
         )
+
+    def _rule(self, scene: Scene, settings: Settings, cpu: bool) -> str:
+        """A fixed order of pairs is what Gauss-Seidel is made of; atomics and GPUs take all at once. It needs half the passes,
+        but what bounces well can gain energy from it."""
+        if settings.contacts != "auto":
+            if settings.contacts == "gauss_seidel" and (self.atomic or not cpu):
+                why = "accumulate: 'atomic'" if self.atomic else "a GPU"
+                raise ValueError(
+                    f"contacts: 'gauss_seidel' changes velocities in a fixed order, which {why} does not have"
+                )
+            return settings.contacts
+        bounce = max(material.restitution for material in scene.materials)
+        return "gauss_seidel" if cpu and not self.atomic and bounce <= MOST_BOUNCE else "jacobi"
 
     def names(self) -> list[str]:
         """What was compiled in."""
@@ -130,6 +153,13 @@ class Assembly:
     def free(self) -> None:
         """Give all memory back."""
         self.fields.free()
+
+
+def spins(scene: Scene, settings: Settings) -> bool:
+    """Whether balls turn: "auto" where Coulomb friction can make them."""
+    if settings.contacts == "off" or settings.spin is False:
+        return False
+    return settings.spin is True or any(material.friction > 0 for material in scene.materials)
 
 
 def may_collide(scene: Scene) -> bool:

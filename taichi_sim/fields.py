@@ -64,6 +64,14 @@ class Fields:
         """n zero vectors."""
         return self._place(ti.Vector.field(dim, self.real), max(1, n), None, self._size * dim)
 
+    def matrices(self, n: int, dim: int) -> Any:
+        """n zero matrices (dim, dim)."""
+        return self._place(ti.Matrix.field(dim, dim, self.real), max(1, n), None, self._size * dim * dim)
+
+    def turns(self, n: int, dim: int) -> Any:
+        """n zero turns: a scalar each in 2D, a vector in 3D."""
+        return self.reals(n) if dim == 2 else self.vectors(n, 3)
+
     def integers(self, data: int | NDArray) -> Any:
         """A field of 32-bit integers: n zeros, or a copy of data, shape (n,)."""
         n = data if isinstance(data, int) else len(data)

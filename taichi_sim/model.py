@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 from taichi_sim.fields import Fields
 from taichi_sim.scene import Scene
 
-__all__ = ["Model"]
+__all__ = ["TURNING", "Model"]
+
+TURNING = {2: 2.0, 3: 2.5}  # m r^2 / I of a disc, of a solid sphere
 
 
 class Model:
@@ -15,7 +17,7 @@ class Model:
 
     Attributes that kernels read: `n`, `dim`; `inverse_mass` (n) [1/kg], 0 when pinned; `gravity` (1) [m/s^2]. For contacts,
     made on demand: `radius` (n) [m], `surface` (n) material index, `laws` (materials^2) restitution, friction, viscous friction
-    for each pair of materials.
+    for each pair of materials. `spins`: whether balls turn; `turning`: m r^2 / I of a ball.
     """
 
     def __init__(self, scene: Scene, fields: Fields) -> None:
@@ -28,6 +30,8 @@ class Model:
         self.has_gravity = bool(np.any(scene.gravity != 0))
         self.gravity = fields.reals(scene.gravity[None])
         self.surfaces = len(scene.materials)
+        self.spins = False
+        self.turning = TURNING[self.dim]
 
     def add_contact_fields(self) -> None:
         """Radii, materials and the table of pair laws: what every contact part reads."""
@@ -38,6 +42,7 @@ class Model:
         mu = np.array([m.friction for m in scene.materials])
         f = np.array([m.viscous_friction for m in scene.materials])
         self.has_friction = bool(mu.any() or f.any())
+        self.has_viscous = bool(f.any())
         self.has_restitution = bool(e.any())
         real = fields.real
         self.laws = fields.table(

@@ -33,8 +33,6 @@ SHAPES: dict[str, Callable[..., shapes.Shape]] = {
 }
 LATER: dict[str, tuple[Any, ...]] = {  # values and tables that the design promises for later
     "simulation.integrator": ("xpbd", "implicit_euler", "tr_bdf2"),
-    "simulation.contacts": ("gauss_seidel",),
-    "simulation.spin": (True,),
     "": ("colliders",),
 }
 
@@ -54,11 +52,11 @@ class Simulation(Strict):
     integrator: Literal["explicit_euler", "symplectic_euler", "verlet", "rk4"] = "verlet"
     precision: Literal["f32", "f64"] = "f32"
     arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = "auto"
-    contacts: Literal["auto", "jacobi", "sum", "off"] = "auto"
+    contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = "auto"
     contact_passes: PositiveInt | Literal["auto"] = "auto"
     accumulate: Literal["auto", "ordered", "atomic"] = "auto"
     driver: Literal["auto", "fused", "parallel"] = "auto"
-    spin: Literal["auto", False] = "auto"
+    spin: Literal["auto", True, False] = "auto"
     substeps: PositiveInt | Literal["auto"] = "auto"
     threads: PositiveInt = 1
 

@@ -31,13 +31,16 @@ class Simulation:
     Args, all optional; what is left out is taken from scene.settings, then from the defaults in parentheses:
         integrator: a name ("explicit_euler", "symplectic_euler", "verlet", "rk4") or an Integrator ("verlet").
         dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape ("auto").
-        substeps: parts that each step is divided into, or "auto": 1 ("auto").
+        substeps: parts that each step is divided into, or "auto": 1, and up to 8 where loose balls can pile up ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
-        contacts: "auto", "jacobi", "sum", "off" ("auto": jacobi). contact_passes: of each contact solve, or "auto":
-            4 to 8 by size, up to 12 more for restitutions above 0.5 ("auto"). With fewer, a crowd that should bounce
-            elastically loses energy where balls touch several others at once.
-        accumulate: "auto", "ordered", "atomic" ("auto": ordered). driver: "auto", "fused", "parallel" ("auto": by size).
-        spin: "auto" or False; rolling balls are not in this version. forces: your own force objects. threads: CPU threads.
+        contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU for restitutions up to 0.5,
+            else jacobi). contact_passes: of each contact solve, or "auto": 2 by gauss_seidel, 4 to 8 by jacobi, up to 12
+            more for restitutions above 0.5 ("auto"). With fewer, a crowd that should bounce elastically loses energy where
+            balls touch several others at once.
+        accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
+        driver: "auto", "fused", "parallel" ("auto": by size).
+        spin: True, False or "auto": where a material has Coulomb friction ("auto"). forces: your own force objects.
+            threads: CPU threads.
 
     Precision, arch and threads hold for the whole process. Raises ValueError, SceneError, BackendError; warns when dt is
     above the safe bound.
@@ -47,7 +50,7 @@ class Simulation:
         self.scene = scene
         self.settings = Settings.resolve(scene, settings)
         self._stability = stability(scene, self.settings.integrator.name)
-        self.dt, self.substeps = self.settings.time_step(self._stability)
+        self.dt, self.substeps = self.settings.time_step(scene, self._stability)
         self._h = self.dt / self.substeps
         self._warn()
         s = self.settings
@@ -201,9 +204,18 @@ class Simulation:
         """(n, dim) m/s, a copy; belongs to the same moment as `position`, after contacts."""
         return self._state.velocity
 
+    def _spin(self) -> NDArray[np.float64]:
+        return self.surface_speed / self.scene.radius[:, None]
+
+    @property
+    def angular_velocity(self) -> NDArray[np.float64]:
+        """1/s, counter-clockwise: (n,) in 2D, (n, 3) in 3D, a copy; 0 where balls do not spin."""
+        spin = self._spin()
+        return spin[:, 0] if self.scene.dim == 2 else spin
+
     def energy(self) -> diagnostics.Energy:
         """Kinetic, spring, gravity and total energy [J], computed in float64."""
-        return diagnostics.energy(self.scene, self.position, self.velocity)
+        return diagnostics.energy(self.scene, self.position, self.velocity, self._spin())
 
     def momentum(self) -> NDArray[np.float64]:
         """(dim,) kg m/s."""
@@ -211,7 +223,7 @@ class Simulation:
 
     def angular_momentum(self) -> Any:
         """About the origin [kg m^2/s]: a float in 2D, (3,) in 3D."""
-        return diagnostics.angular_momentum(self.scene, self.position, self.velocity)
+        return diagnostics.angular_momentum(self.scene, self.position, self.velocity, self._spin())
 
     def penetration(self) -> float:
         """Largest overlap of a ball with a wall or another ball [m]; 0 where contacts are off."""
@@ -235,7 +247,7 @@ class Simulation:
             colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
             pinned=scene.pinned,
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
-            energy=diagnostics.energy(scene, x, v),
+            energy=diagnostics.energy(scene, x, v, self._spin()),
         )
 
     def stability(self) -> Stability:
@@ -272,12 +284,22 @@ class Simulation:
         """What single precision rounded off of position and velocity, both (n, dim), or None where it is not kept."""
         return self._state.rounded_off
 
+    @property
+    def surface_speed(self) -> NDArray[np.float64]:
+        """Radius times angular velocity [m/s], (n, 1) in 2D, (n, 3) in 3D, a copy; 0 where balls do not spin."""
+        return self._state.surface_speed
+
     def resume(
-        self, position: ArrayLike, velocity: ArrayLike, time: float, low: tuple[NDArray, NDArray] | None = None
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        time: float,
+        low: tuple[NDArray, NDArray] | None = None,
+        surface_speed: NDArray | None = None,
     ) -> None:
         """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
 
-        low: what was `rounded_off`.
+        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin.
         """
         n, dim = self.scene.n_balls, self.scene.dim
         self._steps, self._begin = round(time / self.dt), 0.0
@@ -285,6 +307,8 @@ class Simulation:
             self._steps, self._begin = 0, time
         if n:
             self._write(checks.vectors("position", position, n, dim), checks.vectors("velocity", velocity, n, dim), low)
+            if surface_speed is not None:
+                self._state.write_turn(surface_speed)
 
     def _write(self, x: NDArray, v: NDArray, low: tuple[NDArray, NDArray] | None = None) -> None:
         if not self._still:

@@ -17,7 +17,8 @@ FAR = 1e12  # m; a ball beyond this has left the world
 class State:
     """`ball` (n) struct with x [m] and v [m/s]; `impulse` (n) [N s], summed from old values; `offset` (n) [m]; `kept`:
     the last state known to be good; `bad` (1): lowest index of a non-finite ball, or n. `compensated` keeps what single
-    precision rounds off of x and v in `low` and gives it back with the next change (Kahan's sum).
+    precision rounds off of x and v in `low` and gives it back with the next change (Kahan's sum). `turn` (n), where balls spin:
+    radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
 
     order: number in the user's scene of each ball stored here, or None where they are the same. What goes in and out below
     is in the user's order."""
@@ -34,6 +35,9 @@ class State:
             self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
         self.impulse = fields.vectors(self.n, model.dim)
         self.bad = fields.integers(1)
+        self.spins = model.spins
+        if self.spins:
+            self.turn, self.kept_turn = fields.turns(self.n, model.dim), fields.turns(self.n, model.dim)
 
     @ti.func
     def shift(self, i, dx):
@@ -85,12 +89,16 @@ class State:
     def keep(self) -> None:
         """Remember the present state as good."""
         self._copy(self.kept, self.ball)
+        if self.spins:
+            self._copy(self.kept_turn, self.turn)
         if self.compensated:
             self._copy(self.kept_low, self.low)
 
     def restore(self) -> None:
         """Return to the state last kept."""
         self._copy(self.ball, self.kept)
+        if self.spins:
+            self._copy(self.turn, self.kept_turn)
         if self.compensated:
             self._copy(self.low, self.kept_low)
 
@@ -99,6 +107,13 @@ class State:
         self._copy_in(self.ball, x, v)
         if self.compensated:
             self._copy_in(self.low, *(low or (np.zeros_like(x), np.zeros_like(v))))
+
+    def write_turn(self, turn: np.ndarray) -> None:
+        """Replace the speeds (n, 1 or 3) [m/s] with which surfaces turn; nothing where balls do not spin."""
+        if self.spins:
+            stored = turn if self.order is None else turn[self.order]
+            shaped = stored[:, 0] if self.dim == 2 else stored
+            self.turn.from_numpy(shaped.astype(np.float64 if self.turn.dtype == ti.f64 else np.float32))
 
     def _copy_in(self, table: Any, x: np.ndarray, v: np.ndarray) -> None:
         for field, values in ((table.x, x), (table.v, v)):
@@ -129,3 +144,11 @@ class State:
     def velocity(self) -> np.ndarray:
         """(n, dim) m/s, a copy in float64."""
         return self._copy_out(self.ball.v).astype(np.float64)
+
+    @property
+    def surface_speed(self) -> np.ndarray:
+        """Radius times angular velocity, (n, 1) in 2D, (n, 3) in 3D [m/s], a copy in float64; 0 where balls do not spin."""
+        width = 1 if self.dim == 2 else 3
+        if not self.spins:
+            return np.zeros((self.n, width))
+        return self._copy_out(self.turn).astype(np.float64).reshape(self.n, width)

@@ -49,6 +49,8 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     state = {"position": simulation.position, "velocity": simulation.velocity}
     if simulation.rounded_off is not None:
         state.update(zip(LOW, simulation.rounded_off))
+    if np.any(simulation.surface_speed):
+        state["surface_speed"] = simulation.surface_speed
     with replacing(path) as file:
         np.savez(file, about=np.array(json.dumps(about)), **state, **scene.to_arrays())
 
@@ -73,13 +75,16 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         low = None
         if LOW[0] in arrays:
             low = (checks.vectors(LOW[0], arrays[LOW[0]], n, dim), checks.vectors(LOW[1], arrays[LOW[1]], n, dim))
+        turning = None
+        if "surface_speed" in arrays:
+            turning = checks.vectors("surface_speed", arrays["surface_speed"], n, 1 if dim == 2 else 3)
         settings = {key: about["settings"][key] for key in about["settings"]}
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         if isinstance(error, SceneError) and str(error).startswith(str(path)):
             raise
         raise SceneError(f"{path}: is not a state that Simulation.save wrote ({error})") from None
     simulation = kind(scene, **{**settings, **overrides})
-    simulation.resume(x, v, time, low)
+    simulation.resume(x, v, time, low, turning)
     return simulation
 
 

@@ -19,15 +19,15 @@ PART = 1024  # balls whose box one thread measures at a time
 class Grid:
     """Cells as wide as the largest ball, so that every pair that may touch lies in neighbouring rows. Memory is O(balls).
 
-    Pairs are looked for with radii enlarged by `skin` times, and stay listed until some ball has moved by that part of its own
-    radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
+    Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
+    its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
     """
 
-    def __init__(self, model: Model, fields: Fields, skin: float) -> None:
+    def __init__(self, model: Model, fields: Fields, skin: float, gap: float) -> None:
         self.model = model
         self.n, self.dim = model.n, model.dim
         largest = float(np.max(model.scene.radius))
-        self.skin, self.enlarged = skin, 1.0 + skin
+        self.skin, self.enlarged = skin, 1.0 + skin + gap
         self.margin = 1.001  # for rounded coordinates
         self.inverse_cell = 1.0 / (2.0 * largest * self.enlarged * self.margin)
         self.largest = largest

@@ -1,23 +1,27 @@
-"""ContactSolver: all contacts of a scene at once, impulses accumulated from old velocities and applied at the end of a pass.
+"""ContactSolver: all contacts of a scene, pass by pass, each pair once and in a fixed order.
 
-Each ball splits its mass between its contacts (see kernels.contact_law.share), so that a pass never adds energy and passes
-converge; the plain sum of the article ("sum") over-corrects wherever a ball has several contacts.
+"jacobi": impulses are accumulated from old velocities and applied at the end of a pass. Each ball splits its mass between its
+contacts (see kernels.contact_law.share), so that a pass never adds energy and passes converge; the plain sum of the article
+("sum") over-corrects wherever a ball has several contacts. "gauss_seidel": each contact changes the velocities that the next
+one sees, which needs half the passes.
 """
 
+import numpy as np
 import taichi as ti
 
 from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law
+from taichi_sim.kernels import contact_law, sweeps
 from taichi_sim.model import Model
 from taichi_sim.state import State
 
 __all__ = ["ContactSolver"]
 
-RELAXATION = 1.3  # of a pass; below 2 passes converge, above 1.3 friction could make one add energy
+RELAXATION = 1.3  # of a split-mass pass; below 2 passes converge, above 1.3 friction could make one add energy
 PUSH_OUT = 0.5  # part of the remaining depth that one step removes
+FASTEST_PUSH = 20.0  # of the threshold speed: soft contacts do not push out faster
 
 
 @ti.data_oriented
@@ -26,10 +30,11 @@ class ContactSolver:
 
     Args:
         walls, pairs, sticks: the kinds of contact that the scene has, or None.
-        threshold: m/s, approach speed below which nothing bounces.
-        passes: of the solve before the move. rule: "jacobi" or "sum". atomic: add impulses with atomics.
+        threshold: m/s, approach speed below which nothing bounces. h: seconds per substep.
+        passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
-        which carries the load of piles but can give a little energy to fast crowds; pointless where no force acts.
+        which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
+        overlap is undone by offsets.
     """
 
     def __init__(
@@ -42,49 +47,95 @@ class ContactSolver:
         sticks: Sticks | None,
         *,
         threshold: float,
+        h: float,
         passes: int,
         rule: str,
         atomic: bool,
         serial: bool,
         warm: bool,
+        soft: bool,
     ) -> None:
         self.model, self.state, self.n = model, state, model.n
         self.walls, self.pairs, self.sticks = walls, pairs, sticks
         self.searched = [part for part in (pairs, sticks) if part is not None]
         self.parts = [part for part in (walls, pairs, sticks) if part is not None]
-        self.gathered = [part for part in self.parts if part is walls or not atomic]
-        self.scattered = [part for part in self.searched if atomic]
         self.active = bool(self.parts)
-        self.threshold, self.push_out, self.relaxation, self.warm = threshold, PUSH_OUT, RELAXATION, warm
-        self.passes, self.split, self.serial = passes, rule == "jacobi", serial
+        self.threshold, self.push_out, self.relaxation = threshold, PUSH_OUT, RELAXATION
+        self.fastest_push = FASTEST_PUSH * threshold
+        self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
+        self.warm, self.soft = warm, soft and pairs is not None
+        self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
+        self.by_tensor = self.split and not model.has_friction
+        self.spins = model.spins
+        self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
+        self.tangential = 1.0 / (1.0 + model.turning)
+        self.sums = self.has_sticks or not self.in_turn  # some impulses are accumulated before they are applied
+        self.has_offset = self.active and (not self.soft or self.has_sticks or self.has_walls)
         if self.active:
-            self.lightness = fields.reals(self.n)  # 1/kg: inverse mass of the part of a ball that each contact gets
-            self.push, self.offset = fields.vectors(self.n, model.dim), fields.vectors(self.n, model.dim)
+            self.h = fields.reals(np.array([h]))
+            self.before = fields.vectors(self.n, model.dim)  # velocities before a solve
+            if self.has_offset:
+                self.offset = fields.vectors(self.n, model.dim)
+            if self.sums:
+                self.push = fields.vectors(self.n, model.dim)
+                self.lightness = fields.reals(self.n)  # 1/kg: inverse mass of the part of a ball that each contact gets
+                self.count = fields.integers(self.n)
+                if self.by_tensor:
+                    self.tensor = fields.matrices(self.n, model.dim)
+                if self.spins:
+                    self.twist = fields.turns(self.n, model.dim)
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
-        rule = "contacts.jacobi" if self.split else "contacts.sum"
-        return [rule, *(name for part in self.parts for name in part.names())] if self.active else []
+        return [f"contacts.{self.rule}", *(name for part in self.parts for name in part.names())] if self.active else []
 
     @ti.func
     def refresh(self, ball: ti.template()):
         """Find the contacts at the present positions, and how each ball splits its mass between them."""
-        if ti.static(self.active):
-            if ti.static(self.has_grid):
-                self.pairs.grid.build(ball)
-            for part in ti.static(self.searched):
-                part.detect(ball)
+        if ti.static(self.has_grid):
+            self.pairs.grid.build(ball)
+        for part in ti.static(self.searched):
+            part.detect(ball)
+        if ti.static(self.has_grid):
+            if ti.static(self.pairs.counts):
+                for i in range(self.n):
+                    self.pairs.met[i] = 0
             for i in range(self.n):
-                T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
-                count = 0
-                for part in ti.static(self.parts):
-                    t, c = part.measure(ball, i)
-                    if ti.static(self.split):
-                        T += t
-                        count += c
-                s = contact_law.share(T, count, not self.model.has_friction)
-                self.lightness[i] = s * self.model.inverse_mass[i]
+                self.pairs.measure(ball, i)
+        if ti.static(self.has_walls):
+            for i in range(self.n):
+                crowded = False
+                if ti.static(self.walls.crowds):
+                    crowded = self.pairs.met[i] > 0
+                self.walls.measure(ball, i, crowded)
+        if ti.static(self.active and self.sums):
+            self._split(ball)
+
+    @ti.func
+    def _split(self, ball: ti.template()):
+        """Count what is accumulated: with "gauss_seidel" only sticks."""
+        for i in range(self.n):
+            self.count[i] = 0
+            if ti.static(self.by_tensor):
+                self.tensor[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+        if ti.static(self.has_grid and self.split):
+            sweeps.sweep(self, ball, 0.0, sweeps.SHARE)
+        for i in range(self.n):
+            count = self.count[i]
+            T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+            if ti.static(self.by_tensor):
+                T = self.tensor[i]
+            if ti.static(self.has_walls and self.split):
+                t, c = self.walls.shares(ball, i)
+                T += t
+                count += c
+            if ti.static(self.has_sticks and self.rule != "sum"):
+                t, c = self.sticks.shares(ball, i)
+                T += t
+                count += c
+            s = contact_law.share(T, count, not self.model.has_friction)
+            self.lightness[i] = s * self.model.inverse_mass[i]
 
     @ti.func
     def prime(self, ball: ti.template()):
@@ -98,77 +149,90 @@ class ContactSolver:
         """Change velocities so that nothing approaches; friction acts for `time` seconds. Without `impacts` only slow
         contacts are held, so that velocities reported at the end of a step are at rest where balls rest."""
         if ti.static(self.active):
-            if ti.static(self.warm):
-                self.begin(ball, impacts)
-            else:
-                self.first_pass(ball, time, impacts)
-            done = ti.static(0 if self.warm else 1)
+            self._begin(ball, impacts)
+            if ti.static(self.has_grid and self.warm):
+                self._pass(ball, time, sweeps.HOLD)
+            self._pass(ball, time, sweeps.FIRST if impacts else sweeps.LAST)
             if ti.static(self.serial):
-                for k in range(done, passes):
-                    self.one_pass(ball, ti.select(k == 0, time, 0.0))
+                for _ in range(1, passes):
+                    self._pass(ball, 0.0, sweeps.NEXT)
             else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
-                for k in ti.static(range(done, passes)):
-                    self.one_pass(ball, ti.select(k == 0, time, 0.0))
+                for _ in ti.static(range(1, passes)):
+                    self._pass(ball, 0.0, sweeps.NEXT)
 
     @ti.func
-    def first_pass(self, ball: ti.template(), time, impacts: ti.template()):
-        """Fix the target speeds and make the first pass, where nothing is held from before."""
-        if ti.static(self.has_sticks):
-            self.sticks.begin_rows(ball, self, impacts)
-            self.sticks.solve_rows(ball, self, time)
-        for i in range(self.n):
-            p = ti.Vector.zero(float, self.model.dim)
-            for part in ti.static(self.gathered):
-                p += part.first_pass(ball, self, i, time, impacts)
-            self.push[i] = p
-        for part in ti.static(self.scattered):
-            part.begin_scatter(ball, self, impacts)
-            part.scatter(ball, self, time)
-        self.apply()
+    def relax(self, ball: ti.template(), time):
+        """The pass after the move, where the impulses held are applied already: takes back what pushing out added."""
+        if ti.static(self.soft):
+            for i in range(self.n):
+                self.before[i] = ball[i].v
+            self._pass(ball, time, sweeps.RELAX)
 
     @ti.func
-    def begin(self, ball: ti.template(), impacts: ti.template()):
-        """Fix the target speeds, and apply the impulses that contacts hold from before."""
+    def _begin(self, ball: ti.template(), impacts: ti.template()):
+        """Note the velocities that target speeds depend on, and apply what walls hold from before."""
         if ti.static(self.has_sticks):
             self.sticks.begin_rows(ball, self, impacts)
         for i in range(self.n):
-            p = ti.Vector.zero(float, self.model.dim)
-            for part in ti.static(self.gathered):
-                p += part.begin(ball, self, i, impacts)
-            self.push[i] = p
-        for part in ti.static(self.scattered):
-            part.begin_scatter(ball, self, impacts)
-        self.apply()
+            self.before[i] = ball[i].v
+            if ti.static(self.has_walls):
+                self.walls.begin(ball, self, i, impacts)
 
     @ti.func
-    def one_pass(self, ball: ti.template(), time):
-        """Accumulate the impulses of all contacts from old velocities, then apply them."""
-        if ti.static(self.has_sticks):
+    def _pass(self, ball: ti.template(), time, stage: ti.template()):
+        """One pass over all contacts: pairs, then walls; sticks are always accumulated from old velocities."""
+        sticks = ti.static(
+            self.has_sticks and stage != sweeps.HOLD and stage != sweeps.RELAX
+        )  # those two are for soft contacts
+        if ti.static(sticks):
             self.sticks.solve_rows(ball, self, time)
-        for i in range(self.n):
-            p = ti.Vector.zero(float, self.model.dim)
-            for part in ti.static(self.gathered):
-                p += part.gather(ball, self, i, time)
-            self.push[i] = p
-        for part in ti.static(self.scattered):
-            part.scatter(ball, self, time)
-        self.apply()
+        if ti.static(self.sums):
+            for i in range(self.n):
+                p = ti.Vector.zero(float, self.model.dim)
+                t = sweeps.zero_turn(self)
+                if ti.static(sticks):
+                    p, t = self.sticks.gather(ball, self, i)
+                if ti.static(self.in_turn):
+                    self.apply(i, p, t)
+                else:
+                    self.push[i] = p
+                    if ti.static(self.spins):
+                        self.twist[i] = t
+        if ti.static(self.has_grid):
+            sweeps.sweep(self, ball, time, stage)
+        if ti.static((self.has_walls and stage != sweeps.HOLD) or not self.in_turn):
+            for i in range(self.n):
+                p, t = ti.Vector.zero(float, self.model.dim), sweeps.zero_turn(self)
+                if ti.static(self.has_walls and stage != sweeps.HOLD):
+                    p, t = self.walls.gather(ball, self, i, time)
+                if ti.static(not self.in_turn):
+                    p += self.push[i]
+                    if ti.static(self.spins):
+                        t += self.twist[i]
+                self.apply(i, p, t)
 
     @ti.func
-    def apply(self):
-        """v += w p for the impulses just accumulated."""
-        for i in range(self.n):
-            self.state.kick(i, self.model.inverse_mass[i] * self.push[i])
+    def apply(self, i, p, t):
+        """v += w p, and the same for turns."""
+        w = self.model.inverse_mass[i]
+        self.state.kick(i, w * p)
+        if ti.static(self.spins):
+            self.state.turn[i] = self.state.turn[i] + (self.turning * w) * t
 
     @ti.func
     def separate(self, ball: ti.template(), h):
         """Accumulate the offsets that undo overlap; `move` applies them. Velocities never see them."""
-        if ti.static(self.active):
+        if ti.static(self.has_offset):
             for i in range(self.n):
                 d = ti.Vector.zero(float, self.model.dim)
-                for part in ti.static(self.parts):
-                    d += part.offset(ball, self, i, h)
+                if ti.static(self.has_sticks):
+                    d += self.sticks.offset(ball, self, i, h)
                 self.offset[i] = d
+            if ti.static(self.has_grid and not self.soft):
+                sweeps.sweep(self, ball, h, sweeps.OFFSET)
+            if ti.static(self.has_walls):
+                for i in range(self.n):
+                    self.offset[i] = self.offset[i] + self.walls.offset(ball, self, i, h)
 
     @ti.func
     def move(self, ball: ti.template(), i, v, a, h):
@@ -177,7 +241,7 @@ class ContactSolver:
         drift = v
         if ti.static(self.has_walls):
             shift, drift = self.walls.move(i, ball[i].x, v, a, h)
-        if ti.static(self.active):
+        if ti.static(self.has_offset):
             shift += self.offset[i]
         if ti.static(self.has_grid):
             self.pairs.grid.watch(i, ball[i].x + shift)

@@ -8,6 +8,8 @@ from taichi_sim.contacts.walls import SLOP
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import contact_law
 from taichi_sim.kernels import sticks as loops
+from taichi_sim.kernels.direction import cross, lever
+from taichi_sim.kernels.sweeps import zero_turn
 from taichi_sim.model import Model
 
 __all__ = ["Sticks"]
@@ -45,7 +47,7 @@ class Sticks:
         loops.detect(self, ball)
 
     @ti.func
-    def measure(self, ball: ti.template(), i):
+    def shares(self, ball: ti.template(), i):
         """Sum of n n^T over the rows of ball i, and their number."""
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         for e in range(self.first[i], self.first[i] + self.number[i]):
@@ -77,17 +79,23 @@ class Sticks:
             row = self.row[c]
             g, n, _ = loops.geometry(self, ball, row)
             u = self.relative_velocity(ball, row, g)
-            mass = 1.0 / self.inverse_mass(solver, row, g)
-            total = contact_law.normal_impulse(u, n, row.target, mass, row.held)
+            inverse = self.inverse_mass(solver, row, g)
+            mass = 1.0 / inverse
+            total = contact_law.normal_impulse(u.dot(n), row.target, mass, row.held)
             self.impulse[c] = (total - row.held) * n
             self.row[c].held = total
             if ti.static(self.model.has_friction):
-                if contact_law.presses(total, mass, solver.threshold):
-                    law = self.law(row)
-                    slip = contact_law.decayed(law.viscous_friction * time)
-                    change, slide = contact_law.sliding_impulse(u, n, mass, self.slide[c], law.friction * total, slip)
-                    self.slide[c] = slide
-                    self.impulse[c] += change
+                law = self.law(row)
+                slip = 0.0 * mass
+                if ti.static(self.model.has_viscous):
+                    if contact_law.presses(total, mass, solver.threshold):
+                        slip = contact_law.decayed(law.viscous_friction * time)
+                if ti.static(solver.spins):
+                    u -= lever(solver.state.turn[row.ball], n)
+                    mass = 1.0 / (inverse + solver.turning * solver.lightness[row.ball])
+                change, slide = contact_law.sliding_impulse(u, n, mass, self.slide[c], law.friction * total, slip)
+                self.slide[c] = slide
+                self.impulse[c] = (total - row.held) * n + change
 
     @ti.func
     def relative_velocity(self, ball: ti.template(), row, g):
@@ -108,34 +116,17 @@ class Sticks:
         return ti.select(entry % 3 == 0, g[0], ti.select(entry % 3 == 1, g[1], g[2]))
 
     @ti.func
-    def begin(self, ball: ti.template(), solver: ti.template(), i, impacts: ti.template()):
-        """Nothing is held from before."""
-        return ti.Vector.zero(float, self.model.dim)
-
-    @ti.func
-    def begin_scatter(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """Nothing is held from before."""
-
-    @ti.func
-    def first_pass(self, ball: ti.template(), solver: ti.template(), i, time, impacts: ti.template()):
-        """The rows are begun and solved already."""
-        return self.gather(ball, solver, i, time)
-
-    @ti.func
-    def gather(self, ball: ti.template(), solver: ti.template(), i, time):
-        """Impulse on ball i from all rows it takes part in."""
-        p = ti.Vector.zero(float, self.model.dim)
+    def gather(self, ball: ti.template(), solver: ti.template(), i):
+        """Impulse and twist on ball i from all rows it takes part in. The ends of a stick, being points of it, take no twist."""
+        p, t = ti.Vector.zero(float, self.model.dim), zero_turn(solver)
         for e in range(self.first[i], self.first[i] + self.number[i]):
-            p += self.weight(ball, self.entry[e]) * self.impulse[self.entry[e] // 3]
-        return p
-
-    @ti.func
-    def scatter(self, ball: ti.template(), solver: ti.template(), time):
-        """Add the impulse of each row to its three balls with atomics."""
-        for c in range(ti.min(self.used[0], self.capacity)):
-            g, _, _ = loops.geometry(self, ball, self.row[c])
-            for which in ti.static(range(3)):
-                solver.push[loops.member(self, 3 * c + which)] += g[which] * self.impulse[c]
+            c = self.entry[e] // 3
+            p += self.weight(ball, self.entry[e]) * self.impulse[c]
+            if ti.static(solver.spins):
+                if self.entry[e] % 3 == 0:
+                    _, n, _ = loops.geometry(self, ball, self.row[c])
+                    t -= cross(n, self.impulse[c])
+        return p, t
 
     @ti.func
     def offset(self, ball: ti.template(), solver: ti.template(), i, h):

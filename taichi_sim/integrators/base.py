@@ -17,12 +17,14 @@ __all__ = ["Integrator"]
 class Integrator:
     """One method. `order`: of convergence of the phase-space error for smooth scenes.
 
-    `implicit_damping`: spring damping acts in exponential halves that are stable for any coefficient, else it is an
-    explicit force. `allocate` may add fields of the method's own.
+    `relaxes`: its substep ends with a contact pass that takes back what soft contacts add to velocities when they push out
+    overlap; without it contacts are rigid. `implicit_damping`: spring damping acts in exponential halves that are stable for
+    any coefficient, else it is an explicit force. `allocate` may add fields of the method's own.
     """
 
     name = ""
     order = 0
+    relaxes = False
     implicit_damping = False
 
     def damping(self, model: Model, h: float) -> NDArray:

@@ -14,6 +14,7 @@ class RK4(Integrator):
     """Order 4, four force passes per step, spring damping explicit; loses a little energy for omega h < 2.828."""
 
     name, order = "rk4", 4
+    relaxes = True
 
     def allocate(self, fields: Fields) -> None:
         """`stage`: where forces are asked next; `sum` (as x and v): the weighted change over the step."""

@@ -12,6 +12,7 @@ class SymplecticEuler(Integrator):
     """Order 1, energy bounded for omega h < 2; spring damping explicit. The article's method."""
 
     name, order = "symplectic_euler", 1
+    relaxes = True
 
     @ti.func
     def substep(self, h, time):
@@ -30,3 +31,4 @@ class SymplecticEuler(Integrator):
             self.state.shift(i, shift)
             self.ball[i].v = drift
         self.contacts.refresh(self.ball)
+        self.contacts.relax(self.ball, 0.0)

@@ -18,6 +18,7 @@ class Verlet(Integrator):
     """
 
     name, order = "verlet", 2
+    relaxes = True
     implicit_damping = True
 
     @ti.func

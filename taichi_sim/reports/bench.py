@@ -275,11 +275,19 @@ def renderer(quick: bool) -> Report:
     return report
 
 
+def pile(quick: bool) -> Report:
+    """10 000 discs that have fallen into a box, friction and spin, 240 Hz."""
+    from taichi_sim.reports.piles import pile_report
+
+    return pile_report(quick)
+
+
 CASES: dict[str, Callable[[bool], Report]] = {
     "springs": springs,
     "contacts": contacts,
     "shuffled": shuffled,
     "small": small,
+    "pile": pile,
     "renderer": renderer,
 }
 

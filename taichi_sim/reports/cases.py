@@ -10,10 +10,12 @@ __all__ = [
     "Cloth",
     "HalfSprings",
     "Pack",
+    "Pile",
     "box_of_discs",
     "cloth_case",
     "half_springs",
     "pack_case",
+    "pile_case",
     "random_pack",
 ]
 
@@ -58,6 +60,18 @@ class Box(NamedTuple):
     velocity: Floats  # (n, 2) m/s
     radius: float  # m
     restitution: float
+    side: float  # m
+    gravity: tuple[float, float]  # m/s^2
+    dt: float  # s
+
+
+class Pile(NamedTuple):
+    """Discs of unit mass on a loose lattice that fall into a box open above, its floor at y = 0, its walls at x = 0 and side."""
+
+    position: Floats  # (n, 2) m
+    radius: float  # m
+    restitution: float
+    friction: float
     side: float  # m
     gravity: tuple[float, float]  # m/s^2
     dt: float  # s
@@ -126,3 +140,12 @@ def box_of_discs(n: int = 100, seed: int = 0) -> Box:
     gap = 1.0 / side - 2 * radius
     position = (np.stack([i, j], axis=1) + 0.5) / side + rng.uniform(-gap / 2, gap / 2, (n, 2))
     return Box(position, rng.standard_normal((n, 2)), radius, 0.5, 1.0, (0.0, -10.0), 1e-3)
+
+
+def pile_case(n: int, seed: int = 0) -> Pile:
+    """As many columns as rows, 0.12 m apart and jittered by 8 mm; radius 0.05 m, restitution and friction 0.3, 240 Hz."""
+    columns = int(np.ceil(np.sqrt(n)))
+    row, column = np.divmod(np.arange(n), columns)
+    jitter = np.random.default_rng(seed).uniform(-0.008, 0.008, (n, 2))
+    position = 0.12 * (np.stack([column, row], axis=1) + 0.5) + jitter
+    return Pile(position, 0.05, 0.3, 0.3, 0.12 * columns, (0.0, -10.0), 1 / 240)

@@ -6,11 +6,11 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.reports.cases import Box, Cloth, Pack
+from taichi_sim.reports.cases import Box, Cloth, Pack, Pile
 from taichi_sim.scene import Scene
 from taichi_sim.simulation import Simulation
 
-__all__ = ["ContactPass", "Ours", "cloth_scene", "pack_scene", "small_step", "springs_step"]
+__all__ = ["ContactPass", "Ours", "cloth_scene", "pack_scene", "pile_step", "small_step", "springs_step"]
 
 
 class Ours:
@@ -21,8 +21,8 @@ class Ours:
 
     def reset(self) -> None:
         """Back to the start, compiled and primed."""
-        self.simulation.set_position(self.simulation.scene.position)
-        self.simulation.set_velocity(self.simulation.scene.velocity)
+        scene, still = self.simulation.scene, np.zeros_like(self.simulation.surface_speed)
+        self.simulation.resume(scene.position, scene.velocity, 0.0, None, still)
         self.simulation.step(0)
 
     def step(self, steps: int) -> None:
@@ -89,3 +89,13 @@ def small_step(box: Box, driver: str, **settings: Any) -> Ours:
     for normal, offset in (((1, 0), 0.0), ((-1, 0), -box.side), ((0, 1), 0.0), ((0, -1), -box.side)):
         scene.add_wall(normal, offset, material="disc")
     return Ours(scene, dt=box.dt, driver=driver, **settings)
+
+
+def pile_step(pile: Pile, **settings: Any) -> Ours:
+    """Discs that fall into an open box, with the program's own defaults."""
+    scene = Scene(dim=2, gravity=pile.gravity)
+    scene.add_material("disc", restitution=pile.restitution, friction=pile.friction)
+    scene.add_balls(pile.position, radius=pile.radius, material="disc")
+    for normal, offset in (((0, 1), 0.0), ((1, 0), 0.0), ((-1, 0), -pile.side)):
+        scene.add_wall(normal, offset, material="disc")
+    return Ours(scene, dt=pile.dt, **settings)
