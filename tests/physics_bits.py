@@ -55,6 +55,12 @@ def digest(scene, steps, precision, **settings):
 
 if __name__ == "__main__":
     precision, threads = sys.argv[1], int(sys.argv[2])
-    for scene, steps, contacts in ((cloth(2), 50, "off"), (pile(2), 60, "auto")):
-        settings = {"driver": "parallel", "accumulate": "ordered", "threads": threads, "contacts": contacts}
+    for scene, steps, contacts in ((cloth(2), 50, "off"), (pile(2), 60, "jacobi"), (pile(2), 1000, "gauss_seidel")):
+        settings = {
+            "driver": "parallel",
+            "accumulate": "ordered",
+            "threads": threads,
+            "contacts": contacts,
+            "contact_passes": 2,
+        }
         print(digest(scene, steps, precision, **settings))

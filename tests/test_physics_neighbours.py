@@ -11,15 +11,17 @@ H = 1e-3
 
 
 def touching(sim):
-    """All pairs (i, j) that the lists name, each from both its ends."""
-    pairs = sim._parts.contacts.pairs
+    """All pairs (i, j), i < j, that the lists name as touching."""
+    pairs, n = sim._parts.contacts.pairs, sim.scene.n_balls
     first, number, other = (f.to_numpy() for f in (pairs.first, pairs.touching, pairs.link.other))
-    return [(i, int(j)) for i in range(sim.scene.n_balls) for j in other[first[i] : first[i] + number[i]]]
+    own = int(pairs.turn[0]) * n
+    listed = [(i, int(j)) for i in range(n) for j in other[first[own + i] : first[own + i] + number[own + i]]]
+    return [(min(pair), max(pair)) for pair in listed]
 
 
 def brute_force(x, radius):
     d = np.linalg.norm(x[:, None] - x[None], axis=2)
-    return {(i, j) for i, j in zip(*np.nonzero(d < radius[:, None] + radius[None])) if i != j}
+    return {(i, j) for i, j in zip(*np.nonzero(d < radius[:, None] + radius[None])) if i < j}
 
 
 @pytest.mark.parametrize("far", [0.0, 1e3, 1e5], ids=["together", "apart", "far_apart"])
@@ -40,7 +42,7 @@ def test_rows_side_by_side_or_spread(dim, far):
     assert dense == (1 if far == 0.0 and dim == 2 else 0)
     assert len(found) == len(set(found))
     assert set(found) == brute_force(x, scene.radius)
-    assert len(found) > n
+    assert len(found) > n // 2
 
 
 def test_a_crowded_cell_is_sorted_whatever_the_threads_did():

@@ -12,7 +12,7 @@ mirror = np.lexsort((rack[:, 1], -rack[:, 0].round(6)))
 
 def scene():
     scene = ts.Scene(dim=2)
-    scene.settings = {"dt": 0.001}
+    scene.settings = {"dt": 0.001, "contacts": "jacobi"}
     scene.output = {"fps": 60, "duration": 1.5, "size": (1280, 720)}
     scene.add_material("clay", restitution=0.5)
     scene.add_balls(rack, radius=0.1, material="clay")

@@ -1,0 +1,148 @@
+"""Piles of spinning balls, and the two solvers against each other."""
+
+import numpy as np
+import pytest
+from physics_support import EPS, F64, VARIANTS, each_dim, simulate, vector
+
+import taichi_sim as ts
+from taichi_sim import diagnostics
+
+G, R = 10.0, 0.05
+SOLVERS = ("gauss_seidel", "jacobi")
+each_solver = pytest.mark.parametrize("contacts", SOLVERS)
+
+
+def box_of_balls(dim, columns, rows, **material):
+    """A loose lattice, slightly disordered, above the floor of a box."""
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    scene.add_material("m", **material)
+    side = [columns, rows, columns][:dim]
+    x = np.stack(np.unravel_index(np.arange(np.prod(side)), side), axis=1) + 0.5
+    x = 2.4 * R * x + np.random.default_rng(1).uniform(-0.15 * R, 0.15 * R, x.shape)
+    scene.add_balls(x, radius=R, material="m")
+    scene.add_wall(vector(dim, 0.0, 1.0), 0.0, "m")
+    for axis in (0, 2)[: dim - 1]:
+        normal = np.eye(dim)[axis]
+        scene.add_wall(normal, 0.0, "m")
+        scene.add_wall(-normal, -2.4 * R * columns, "m")
+    return scene
+
+
+@pytest.mark.parametrize("method", ["explicit_euler", "verlet"])
+@each_dim
+def test_a_sliding_ball_ends_rolling(dim, method):
+    """At 2/3 of its speed (disc) or 5/7 (sphere), with the surface at rest where it touches: friction acts until then."""
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    scene.add_material("rough", friction=0.5)
+    scene.add_wall(vector(dim, 0.0, 1.0), 0.0, "rough")
+    scene.add_balls([vector(dim, 0.0, R)], radius=R, velocity=vector(dim, 3.0), mass=2.0, material="rough")
+    with simulate(scene, dt=1e-3, integrator=method) as sim:
+        sim.step(100)
+        sliding = 3.0 - 0.5 * G * 0.1
+        assert abs(sim.velocity[0, 0] - sliding) < (1e-9 if F64 else 1e-4)
+        sim.step(900)
+        v, spin = sim.velocity[0], sim.angular_velocity[0]
+        # one step's friction is what remains undecided when sliding ends
+        assert abs(v[0] - 3.0 * (2 / 3 if dim == 2 else 5 / 7)) < (1e-9 if F64 else 1e-4)
+        turning = spin if dim == 2 else spin[2]
+        assert abs(v[0] + R * turning) < (1e-9 if F64 else 1e-4)
+        inertia = 2.0 * R**2 * (0.5 if dim == 2 else 0.4)
+        want = 0.5 * 2.0 * v[0] ** 2 + 0.5 * inertia * turning**2
+        assert abs(sim.energy().kinetic - want) < 1e-6 * want
+
+
+@each_solver
+@each_dim
+def test_friction_with_spin_keeps_angular_momentum(dim, contacts):
+    """Rough balls that collide in empty space: momentum and angular momentum, that of their spin included."""
+    rng = np.random.default_rng(4)
+    scene = ts.Scene(dim=dim)
+    scene.add_material("rough", restitution=0.5, friction=0.6)
+    n = 120
+    x = rng.uniform(-0.4, 0.4, (n, dim)) * (1.0 if dim == 2 else 0.6)
+    scene.add_balls(
+        x, radius=0.03, velocity=rng.normal(size=(n, dim)) - 4 * x, mass=10 ** rng.uniform(-1, 1, n), material="rough"
+    )
+    m = scene.mass
+    # at the old positions, where the impulses acted: the offsets that undo overlap turn the system
+    with simulate(scene, dt=1e-3, integrator="symplectic_euler", contacts=contacts) as sim:
+        x, p, L = sim.position, sim.momentum(), sim.angular_momentum()
+        sim.step(1)
+        change = diagnostics.angular_momentum(scene, x, sim.velocity, sim.angular_velocity.reshape(n, -1)) - L
+        assert np.max(np.abs(sim.angular_velocity)) > 1.0
+        size = float(m @ np.linalg.norm(sim.velocity, axis=1))
+        assert np.max(np.abs(sim.momentum() - p)) < 64 * EPS * size
+        assert np.max(np.abs(change)) < 64 * EPS * size
+
+
+def test_both_solvers_converge_to_the_same_velocities():
+    """Rigid contacts without friction have one solution: many passes of either find it."""
+    rng = np.random.default_rng(7)
+    scene = ts.Scene(dim=2)
+    scene.add_balls(rng.uniform(0, 0.8, (60, 2)), radius=R, velocity=rng.normal(size=(60, 2)))
+    ends = []
+    for contacts in SOLVERS:
+        with simulate(scene, dt=1e-3, integrator="symplectic_euler", contacts=contacts, contact_passes=3000) as sim:
+            sim.step(1)
+            ends.append(sim.velocity)
+    assert np.max(np.abs(ends[0] - scene.velocity)) > 0.5
+    assert np.max(np.abs(ends[1] - ends[0])) < (1e-7 if F64 else 1e-3)
+
+
+@each_dim
+def test_a_pile_comes_to_rest(dim):
+    """Dropped loosely into a box, with friction and spin: it lies still, hardly overlaps, and nothing has left it."""
+    scene = box_of_balls(dim, 10 if dim == 2 else 5, 20 if dim == 2 else 10, restitution=0.3, friction=0.3)
+    n = scene.n_balls
+    with simulate(scene, dt=1 / 240) as sim:
+        assert sim.substeps == 3
+        assert "contacts.gauss_seidel" in sim.kernels()
+        top = sim.position[:, 1].mean()
+        deepest = 0.0
+        for _ in range(40):
+            sim.step(30)
+            deepest = max(deepest, sim.penetration())
+        assert deepest < 0.1 * R, f"{deepest / R:.3f} r"
+        assert sim.energy().kinetic < 1e-5 * n * G * R
+        x = sim.position
+        sim.step(240)
+        drift = np.max(np.abs(sim.position - x), axis=1)
+        assert np.quantile(drift, 0.95) < 1e-3 * R  # one on top may roll
+        assert np.max(drift) < R
+        assert x[:, 1].mean() < 0.95 * top
+        assert np.min(x[:, [0, -1]]) > 0.99 * R
+
+
+def test_what_spins_is_saved(tmp_path):
+    scene = box_of_balls(2, 4, 5, friction=0.4)
+    with simulate(scene, dt=1e-3) as sim:
+        sim.step(250)
+        sim.save(tmp_path / "state.npz")
+        spin = sim.angular_velocity
+        assert np.max(np.abs(spin)) > 0.1
+        with ts.Simulation.restore(tmp_path / "state.npz") as again:
+            assert np.array_equal(again.angular_velocity, spin)
+            assert again.energy() == sim.energy()
+
+
+def test_settings_of_the_solver():
+    smooth, rough = box_of_balls(2, 2, 2), box_of_balls(2, 2, 2, friction=0.1)
+    lively = box_of_balls(2, 2, 2, restitution=0.9)
+    for scene, settings, rule, spins in (
+        (smooth, {}, "gauss_seidel", False),
+        (rough, {}, "gauss_seidel", True),
+        (rough, {"spin": False}, "gauss_seidel", False),
+        (smooth, {"spin": True}, "gauss_seidel", True),
+        (lively, {}, "jacobi", False),
+        (lively, {"contacts": "gauss_seidel"}, "gauss_seidel", False),
+    ):
+        with simulate(scene, dt=1e-3, **settings) as sim:
+            assert f"contacts.{rule}" in sim.kernels()
+            assert sim._parts.state.spins == spins
+    with simulate(smooth, VARIANTS[2], dt=1e-3) as sim:
+        assert "contacts.jacobi" in sim.kernels()
+    with pytest.raises(ValueError, match=r"contacts: 'gauss_seidel' .* accumulate: 'atomic'"):
+        simulate(smooth, VARIANTS[2], dt=1e-3, contacts="gauss_seidel")
+    for dt, substeps in ((1e-3, 1), (1 / 240, 3), (1 / 60, 8)):
+        with simulate(smooth, dt=dt) as sim:
+            assert sim.substeps == substeps
