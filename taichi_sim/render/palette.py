@@ -1,11 +1,13 @@
 """Colours: a harmonious palette, one colour for each connected body, and sRGB to linear."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
 
-__all__ = ["PALETTE", "body_colours", "components", "to_linear"]
+__all__ = ["PALETTE", "background_colours", "body_colours", "components", "to_linear"]
 
 PALETTE = np.array(  # sRGB: coral, amber, teal, blue, cream, rose, sea green, slate blue
     [
@@ -28,6 +30,17 @@ def to_linear(colour: NDArray) -> NDArray[np.float64]:
     """sRGB in 0..1 to linear light."""
     c = np.clip(np.asarray(colour, dtype=float), 0.0, 1.0)
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+def background_colours(given: Any, top: Any, bottom: Any) -> tuple[NDArray, NDArray]:
+    """Linear colours of top and bottom from None (the defaults), one sRGB colour, or the pair (top, bottom)."""
+    if given is None:
+        return to_linear(np.array(top)), to_linear(np.array(bottom))
+    colours = np.asarray(given, dtype=float)
+    if colours.shape not in ((3,), (2, 3)):
+        raise ValueError(f"background: one sRGB colour or a pair (top, bottom) is allowed, not shape {colours.shape}")
+    top, bottom = (colours, colours) if colours.ndim == 1 else colours
+    return to_linear(top), to_linear(bottom)
 
 
 def components(count: int, edges: NDArray) -> NDArray[np.int64]:

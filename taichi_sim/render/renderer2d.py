@@ -10,7 +10,7 @@ from taichi_sim.frame import Frame
 from taichi_sim.kernels import paint2d, resolve
 from taichi_sim.render.camera import robust_bounds
 from taichi_sim.render.content import Content
-from taichi_sim.render.palette import to_linear
+from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 
 __all__ = ["Renderer2D"]
@@ -30,7 +30,7 @@ class Renderer2D:
     def __init__(self, frame: Frame, size: tuple[int, int], background: Any = None) -> None:
         self.size = size
         self._low, self._scale, self._extent = _view(frame, size)
-        self._top, bottom = _background(background)
+        self._top, bottom = background_colours(background, TOP, BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
         wall, hatch, edge = (
             (bottom + shift for shift in (0.05, 0.14, 0.35))
@@ -194,16 +194,6 @@ def _view(frame: Frame, size: tuple[int, int]) -> tuple[NDArray, float, float]:
     border = np.array(size) * MARGIN + (min(EDGE, 0.05 * min(size)) if shown else 0.0)
     scale = float(((np.array(size) - 2 * border) / extent).min())
     return (low + high) / 2 - np.array(size) / 2 / scale, scale, bounds.size
-
-
-def _background(background: Any) -> tuple[NDArray, NDArray]:
-    if background is None:
-        return to_linear(np.array(TOP)), to_linear(np.array(BOTTOM))
-    colours = np.asarray(background, dtype=float)
-    if colours.shape not in ((3,), (2, 3)):
-        raise ValueError(f"background: one sRGB colour or a pair (top, bottom) is allowed, not shape {colours.shape}")
-    top, bottom = (colours, colours) if colours.ndim == 1 else colours
-    return to_linear(top), to_linear(bottom)
 
 
 def _outline(triangles: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -12,7 +12,7 @@ from taichi_sim.kernels import raster, resolve, shade
 from taichi_sim.render.camera import Bounds, Camera, ground_planes, robust_bounds, view_matrix
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import Buffers, Canvas
-from taichi_sim.render.palette import to_linear
+from taichi_sim.render.palette import background_colours, to_linear
 
 __all__ = ["Renderer3D"]
 
@@ -41,7 +41,7 @@ class Renderer3D:
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
-        self._horizon, self._zenith = _background(background)
+        self._zenith, self._horizon = background_colours(background, ZENITH, HORIZON)
         self._lamp = _lamp(self.camera)
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Content | None = None
@@ -206,17 +206,6 @@ def _nice(length: float) -> float:
     """The nearest 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(length))
     return min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(math.log(m * power / length))) * power
-
-
-def _background(background: Any) -> tuple[NDArray, NDArray]:
-    """Linear colours of the horizon and the zenith from None, one sRGB colour, or the pair (top, bottom)."""
-    if background is None:
-        return to_linear(np.array(HORIZON)), to_linear(np.array(ZENITH))
-    colours = np.asarray(background, dtype=float)
-    if colours.shape not in ((3,), (2, 3)):
-        raise ValueError(f"background: one sRGB colour or a pair (top, bottom) is allowed, not shape {colours.shape}")
-    top, bottom = (colours, colours) if colours.ndim == 1 else colours
-    return to_linear(bottom), to_linear(top)
 
 
 def _on_screen(planes: NDArray, axes: NDArray, eye: NDArray, view: NDArray) -> Any:
