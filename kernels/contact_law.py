@@ -59,6 +59,16 @@ def decayed(a):
 
 
 @ti.func
+def viscous_share(model: ti.template(), law, total, mass, threshold, time):
+    """Part of the sliding speed that viscous friction takes in `time` seconds from a contact that holds `total` [N s]."""
+    share = 0.0 * mass
+    if ti.static(model.has_viscous):
+        if presses(total, mass, threshold):
+            share = decayed(law.viscous_friction * time)
+    return share
+
+
+@ti.func
 def target_speed(before, restitution, threshold, impacts: ti.template()):
     """Normal speed that a contact should have after the solve: -e times the speed before (Moreau), 0 for slow impacts.
 

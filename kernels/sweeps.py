@@ -167,9 +167,8 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, e, v, turn, time, sta
             if total > 0.0 or slide.dot(slide) > 0.0:
                 law = law_of(solver.pairs, i, j)
                 slip = 0.0 * mass
-                if ti.static(stage != NEXT and solver.model.has_viscous):
-                    if contact_law.presses(total, mass, solver.threshold):
-                        slip = contact_law.decayed(law.viscous_friction * time)
+                if ti.static(stage != NEXT):
+                    slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold, time)
                 if ti.static(solver.spins):
                     u -= solver.pairs.row[c].arm * lever(turn + solver.state.turn[j], n)
                     mass *= solver.tangential

@@ -86,10 +86,7 @@ class Sticks:
             self.row[c].held = total
             if ti.static(self.model.has_friction):
                 law = self.law(row)
-                slip = 0.0 * mass
-                if ti.static(self.model.has_viscous):
-                    if contact_law.presses(total, mass, solver.threshold):
-                        slip = contact_law.decayed(law.viscous_friction * time)
+                slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold, time)
                 if ti.static(solver.spins):
                     u -= lever(solver.state.turn[row.ball], n)
                     mass = 1.0 / (inverse + solver.turning * solver.lightness[row.ball])

@@ -181,10 +181,7 @@ class Walls:
                 self.contact[c].impulse = now
                 if ti.static(self.model.has_friction):
                     law = self.law(i, k)
-                    slip = 0.0 * mass
-                    if ti.static(self.model.has_viscous):
-                        if contact_law.presses(now, mass, self.threshold):
-                            slip = contact_law.decayed(law.viscous_friction * time)
+                    slip = contact_law.viscous_share(self.model, law, now, mass, self.threshold, time)
                     u = v
                     if ti.static(solver.spins):
                         u -= lever(turn, n)
