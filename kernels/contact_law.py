@@ -44,6 +44,14 @@ def sliding_impulse(u, n, mass, slide, bound, slip):
 
 
 @ti.func
+def sliding_impulse_2d(u, mass, slide, bound, slip):
+    """The same in 2D, where the one direction along the surface makes speed u and impulses scalars."""
+    stop = -u * mass
+    wanted = ti.max(-bound, ti.min(bound, slide + (1.0 - slip) * stop))
+    return wanted - slide + slip * stop, wanted
+
+
+@ti.func
 def presses(total, mass, threshold):
     """Whether a contact that holds `total` [N s] has friction: more than rounding leaves where two bodies just part.
 

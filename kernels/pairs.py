@@ -6,7 +6,6 @@ that are longer than any pair reaches: see kernels.sweeps.
 
 import taichi as ti
 
-from .direction import unit
 from .grid import bucket_of, cell_of, run, same_row
 
 
@@ -98,7 +97,16 @@ def forget(pairs: ti.template(), e):
         pairs.link[e].target = 0.0
         pairs.link[e].push = -1.0
     if ti.static(pairs.model.has_friction):
-        pairs.link[e].slide = ti.Vector.zero(float, pairs.model.dim)
+        pairs.link[e].slide = zero_slide(pairs)
+
+
+@ti.func
+def zero_slide(pairs: ti.template()):
+    """No impulse along the surface: a scalar in 2D, a vector in 3D."""
+    if ti.static(pairs.model.dim == 2):
+        return ti.cast(0.0, float)
+    else:
+        return ti.Vector.zero(float, 3)
 
 
 @ti.func
@@ -122,7 +130,8 @@ def recall(pairs: ti.template(), i, j, at):
                     pairs.link[at].push = pairs.link[e].push
                 if ti.static(pairs.model.has_friction):
                     slide = pairs.link[e].slide
-                    pairs.link[at].slide = slide if ti.static(which == 0) else -slide
+                    # a scalar along the normal turned by 90 degrees is the same seen from the other ball
+                    pairs.link[at].slide = slide if ti.static(which == 0 or pairs.model.dim == 2) else -slide
 
 
 @ti.func
@@ -175,45 +184,9 @@ def search(pairs: ti.template()):
 
 
 @ti.func
-def measure(pairs: ti.template(), ball: ti.template(), i):
-    """Normals and depths of the listed pairs of ball i that touch, or nearly; moves these to the front of its list.
-
-    So the passes need not ask which touch: what touches changes little from step to step, but not from entry to entry.
-    """
-    a = ball[i].x
-    radius = pairs.model.radius[i]
-    own = pairs.turn[0] * pairs.model.n + i
-    half = pairs.turn[0] * pairs.capacity
-    begin = pairs.first[own]
-    end = begin
-    for e in range(begin, begin + pairs.number[i]):
-        link = pairs.link[e]
-        r = ball[link.other].x - a
-        sum = radius + pairs.model.radius[link.other]
-        reach = sum * (1.0 + pairs.gap)
-        if r.dot(r) < reach * reach:
-            n, d = unit(r, i, link.other)
-            pairs.row[end - half].normal = n
-            pairs.row[end - half].depth = sum - d
-            if ti.static(pairs.model.spins):
-                pairs.row[end - half].arm = d / sum
-            if e > end:
-                pairs.link[e] = pairs.link[end]
-                pairs.link[end] = link
-            end += 1
-            if ti.static(pairs.counts):
-                ti.atomic_add(pairs.met[link.other], 1)
-        elif ti.static(pairs.warm):
-            forget(pairs, e)
-    pairs.touching[own] = end - begin
-    if ti.static(pairs.counts):
-        ti.atomic_add(pairs.met[i], end - begin)
-
-
-@ti.func
 def law_of(pairs: ti.template(), i, j):
     """Pair law of two balls."""
-    which = 0
-    if ti.static(pairs.model.surfaces > 1):
+    which = ti.static(pairs.only_law)
+    if ti.static(pairs.only_law < 0):
         which = pairs.model.surface[i] * pairs.model.surfaces + pairs.model.surface[j]
     return pairs.model.laws[which]

@@ -8,14 +8,14 @@ one that does all in turn, also where each pair changes velocities at once (Gaus
 import taichi as ti
 
 from . import contact_law
-from .direction import cross, lever
-from .pairs import law_of
+from .direction import cross, lever, unit
+from .pairs import forget, law_of, zero_slide
 
 GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
 
-# What a sweep does. HOLD applies the impulses held from before; FIRST is the first pass of a solve, NEXT a later one; LAST
-# belongs to the short solve at the end of a step, RELAX follows a move without one; SHARE counts contacts; OFFSET undoes overlap.
-HOLD, FIRST, NEXT, LAST, RELAX, SHARE, OFFSET = range(7)
+# What a sweep does. MEASURE finds which pairs touch and sums what they hold from before; FIRST is the first pass of a solve,
+# NEXT a later one; LAST belongs to the short solve at the end of a step, RELAX follows a move without one; OFFSET undoes overlap.
+MEASURE, FIRST, NEXT, LAST, RELAX, OFFSET = range(6)
 
 
 @ti.func
@@ -46,34 +46,130 @@ def block(solver: ti.template(), ball: ti.template(), b, time, stage: ti.templat
 @ti.func
 def row_of(solver: ti.template(), ball: ti.template(), i, time, stage: ti.template()):
     """The pairs that ball i lists."""
-    own = solver.pairs.turn[0] * solver.n + i
-    begin = solver.pairs.first[own]
-    end = begin + solver.pairs.touching[own]
-    if ti.static(stage == SHARE):
-        share(solver, i, begin, end)
-    elif ti.static(stage == OFFSET):
-        offset(solver, ball, i, begin, end, time)
-    elif ti.static(solver.in_turn):
-        solve_in_turn(solver, ball, i, begin, end, time, stage)
+    if ti.static(stage == MEASURE):
+        measure(solver, solver.pairs, ball, i)
     else:
-        solve_at_once(solver, ball, i, begin, end, time, stage)
+        own = solver.pairs.turn[0] * solver.n + i
+        half = solver.pairs.turn[0] * solver.pairs.capacity
+        begin = solver.pairs.first[own] - half
+        end = begin + solver.pairs.touching[own]
+        if ti.static(stage == OFFSET):
+            offset(solver, ball, i, begin, end, half, time)
+        elif ti.static(solver.in_turn):
+            solve_in_turn(solver, ball, i, begin, end, half, time, stage)
+        else:
+            solve_at_once(solver, ball, i, begin, end, half, time, stage)
 
 
 @ti.func
-def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, time, stage: ti.template()):
+def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i):
+    """Normals and depths of the listed pairs of ball i that touch, or nearly; moves these to the front of its list.
+
+    So the passes need not ask which touch: what touches changes little from step to step, but not from entry to entry.
+    Sums the changes of velocity that the impulses held from before make, and how many pairs touch each ball.
+    """
+    x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
+    own = pairs.turn[0] * solver.n + i
+    half = pairs.turn[0] * pairs.capacity
+    begin = pairs.first[own]
+    end = begin
+    total, twist = ti.Vector.zero(float, solver.model.dim), zero_turn(solver)
+    for e in range(begin, begin + pairs.number[i]):
+        link = pairs.link[e]
+        j = link.other
+        r = ball[j].x - x
+        sum = radius + solver.model.radius[j]
+        reach = sum * (1.0 + pairs.gap)
+        if r.dot(r) < reach * reach:
+            n, d = unit(r, i, j)
+            c = end - half
+            pairs.row[c].normal = n
+            pairs.row[c].depth = sum - d
+            if ti.static(not solver.split):
+                pairs.row[c].mass = 1.0 / (w + solver.model.inverse_mass[j])
+            if ti.static(solver.spins):
+                pairs.row[c].arm = d / sum
+            if e > end:
+                pairs.link[e] = pairs.link[end]
+                pairs.link[end] = link
+            if ti.static(solver.warm):
+                p = held_impulse(solver, ball, i, j, end, n)
+                total += p
+                add(solver, solver.carry, j, -solver.model.inverse_mass[j] * p)
+                if ti.static(solver.spins):
+                    t = torque(solver, c, p)
+                    twist += t
+                    add(solver, solver.carry_turn, j, (solver.turning * solver.model.inverse_mass[j]) * t)
+            if ti.static(solver.counts):
+                add(solver, solver.count, j, 1)
+            if ti.static(solver.by_tensor):
+                T = n.outer_product(n)
+                add(solver, solver.tensor, i, T)
+                add(solver, solver.tensor, j, T)
+            end += 1
+        elif ti.static(solver.warm):
+            forget(pairs, e)
+    pairs.touching[own] = end - begin
+    if ti.static(solver.warm):
+        add(solver, solver.carry, i, w * total)
+        if ti.static(solver.spins):
+            add(solver, solver.carry_turn, i, (solver.turning * w) * twist)
+    if ti.static(solver.counts):
+        add(solver, solver.count, i, end - begin)
+
+
+@ti.func
+def held_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
+    """Impulse [N s] on ball i that its contact with j in link e holds from before, along the present normal."""
+    held = solver.pairs.link[e].impulse
+    if ti.static(solver.split and solver.model.has_restitution):
+        target = solver.pairs.link[e].target
+        if target > 0.0:  # it bounced, nothing presses it together: a split mass could not take the impulse back
+            if (ball[j].v - ball[i].v).dot(n) > 0.9 * target:
+                held = 0.0
+                forget_impulse(solver.pairs, e)
+    p = -held * n
+    if ti.static(solver.model.has_friction):
+        slide = solver.pairs.link[e].slide
+        if ti.static(solver.model.dim == 2):
+            p -= slide * tangent(n)
+        else:
+            slide -= slide.dot(n) * n
+            solver.pairs.link[e].slide = slide
+            p -= slide
+    return p
+
+
+@ti.func
+def forget_impulse(pairs: ti.template(), e):
+    """Link e holds no impulse any more."""
+    pairs.link[e].impulse = 0.0
+    if ti.static(pairs.model.has_friction):
+        pairs.link[e].slide = zero_slide(pairs)
+
+
+@ti.func
+def tangent(n):
+    """The normal turned by 90 degrees."""
+    return ti.Vector([-n[1], n[0]])
+
+
+@ti.func
+def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, half, time, stage: ti.template()):
     """Each pair changes the velocities that the next one sees."""
     v = ball[i].v
     w = solver.model.inverse_mass[i]
     turn = zero_turn(solver)
     if ti.static(solver.spins):
         turn = solver.state.turn[i]
-    for e in range(begin, end):
+    for c in range(begin, end):
+        e = c + half
         j = solver.pairs.link[e].other
-        p = pair(solver, ball, i, j, e, v, turn, time, stage)
+        p = pair(solver, ball, i, j, e, c, v, turn, time, stage)
         v += w * p
         ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
         if ti.static(solver.spins):
-            t = solver.turning * torque(solver, e, p)
+            t = solver.turning * torque(solver, c, p)
             turn += w * t
             solver.state.turn[j] = solver.state.turn[j] + solver.model.inverse_mass[j] * t
     ball[i].v = v
@@ -82,20 +178,21 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
 
 
 @ti.func
-def solve_at_once(solver: ti.template(), ball: ti.template(), i, begin, end, time, stage: ti.template()):
+def solve_at_once(solver: ti.template(), ball: ti.template(), i, begin, end, half, time, stage: ti.template()):
     """All pairs see the old velocities; impulses are summed in `push` and `twist`, to be applied at the end."""
     v = ball[i].v
     total = ti.Vector.zero(float, solver.model.dim)
     turn, twist = zero_turn(solver), zero_turn(solver)
     if ti.static(solver.spins):
         turn = solver.state.turn[i]
-    for e in range(begin, end):
+    for c in range(begin, end):
+        e = c + half
         j = solver.pairs.link[e].other
-        p = pair(solver, ball, i, j, e, v, turn, time, stage)
+        p = pair(solver, ball, i, j, e, c, v, turn, time, stage)
         total += p
         add(solver, solver.push, j, -p)
         if ti.static(solver.spins):
-            t = torque(solver, e, p)
+            t = torque(solver, c, p)
             twist += t
             add(solver, solver.twist, j, t)
     add(solver, solver.push, i, total)
@@ -113,9 +210,8 @@ def zero_turn(solver: ti.template()):
 
 
 @ti.func
-def torque(solver: ti.template(), e, p):
-    """What impulse p on the lister of link e does to the turn of either ball, in units of its radius."""
-    c = e - solver.pairs.turn[0] * solver.pairs.capacity
+def torque(solver: ti.template(), c, p):
+    """What impulse p on the lister of the contact in row c does to the turn of either ball, in units of its radius."""
     return solver.pairs.row[c].arm * cross(solver.pairs.row[c].normal, p)
 
 
@@ -129,63 +225,54 @@ def add(solver: ti.template(), table: ti.template(), i, change):
 
 
 @ti.func
-def pair(solver: ti.template(), ball: ti.template(), i, j, e, v, turn, time, stage: ti.template()):
-    """Further impulse [N s] on ball i (at velocity v, turn) from its pair with j in link e; -impulse acts on j."""
-    c = e - solver.pairs.turn[0] * solver.pairs.capacity
+def pair(solver: ti.template(), ball: ti.template(), i, j, e, c, v, turn, time, stage: ti.template()):
+    """Further impulse [N s] on ball i (at velocity v, turn) from its pair with j in link e, row c; -impulse acts on j."""
     n = solver.pairs.row[c].normal
     held = solver.pairs.link[e].impulse
-    p = ti.Vector.zero(float, solver.model.dim)
-    if ti.static(stage == HOLD):
-        if ti.static(solver.split and solver.model.has_restitution):
-            target = solver.pairs.link[e].target
-            if target > 0.0:  # it bounced, nothing presses it together: a split mass could not take the impulse back
-                if (solver.before[j] - solver.before[i]).dot(n) > 0.9 * target:
-                    held = 0.0
-                    solver.pairs.link[e].impulse = held
-                    if ti.static(solver.model.has_friction):
-                        solver.pairs.link[e].slide = 0.0 * n
-        p = -held * n
-        if ti.static(solver.model.has_friction):
-            slide = solver.pairs.link[e].slide
-            slide -= slide.dot(n) * n
-            solver.pairs.link[e].slide = slide
-            p -= slide
-    else:
+    if ti.static(stage != NEXT and not solver.warm):
+        held = 0.0
+    u = ball[j].v - v
+    if ti.static(stage != NEXT):
+        prepare(solver, i, j, e, c, n, u, stage)
+    total = normal(solver, e, c, u.dot(n), held, stage)
+    solver.pairs.link[e].impulse = ti.max(0.0, total)
+    p = (held - total) * n
+    if ti.static(solver.model.has_friction):
+        mass = solver.pairs.row[c].mass
+        slide = solver.pairs.link[e].slide
         if ti.static(stage != NEXT and not solver.warm):
-            held = 0.0
-        u = ball[j].v - v
+            slide = zero_slide(solver.pairs)
+        law = law_of(solver.pairs, i, j)
+        slip = 0.0 * mass
         if ti.static(stage != NEXT):
-            prepare(solver, i, j, e, c, n, u, stage)
-        total = normal(solver, e, c, u.dot(n), held, stage)
-        solver.pairs.link[e].impulse = ti.max(0.0, total)
-        p = (held - total) * n
-        if ti.static(solver.model.has_friction):
-            mass = solver.pairs.row[c].mass
-            slide = solver.pairs.link[e].slide
-            if ti.static(stage != NEXT and not solver.warm):
-                slide = ti.Vector.zero(float, solver.model.dim)
-            if total > 0.0 or slide.dot(slide) > 0.0:
-                law = law_of(solver.pairs, i, j)
-                slip = 0.0 * mass
-                if ti.static(stage != NEXT):
-                    slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold, time)
-                if ti.static(solver.spins):
-                    u -= solver.pairs.row[c].arm * lever(turn + solver.state.turn[j], n)
-                    mass *= solver.tangential
-                change, slide = contact_law.sliding_impulse(u, n, mass, slide, law.friction * ti.max(0.0, total), slip)
-                p -= change
+            slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold, time)
+        arm = 0.0 * mass
+        if ti.static(solver.spins):
+            arm = solver.pairs.row[c].arm
+            mass *= solver.tangential
+        bound = law.friction * ti.max(0.0, total)
+        if ti.static(solver.model.dim == 2):
+            s = tangent(n).dot(u)
+            if ti.static(solver.spins):
+                s -= arm * (turn + solver.state.turn[j])
+            change, slide = contact_law.sliding_impulse_2d(s, mass, slide, bound, slip)
             solver.pairs.link[e].slide = slide
+            p -= change * tangent(n)
+        elif total > 0.0 or slide.dot(slide) > 0.0:
+            if ti.static(solver.spins):
+                u -= arm * lever(turn + solver.state.turn[j], n)
+            change, slide = contact_law.sliding_impulse(u, n, mass, slide, bound, slip)
+            solver.pairs.link[e].slide = slide
+            p -= change
     return p
 
 
 @ti.func
 def prepare(solver: ti.template(), i, j, e, c, n, u, stage: ti.template()):
-    """Mass of a contact, and its target speed from the velocities before the solve."""
-    alone = solver.model.inverse_mass[i] + solver.model.inverse_mass[j]
-    mass = 1.0 / alone
+    """Mass of a contact where it is split, and its target speed from the velocities before the solve."""
     if ti.static(solver.split):
-        mass = ti.min(solver.relaxation / (solver.lightness[i] + solver.lightness[j]), mass)
-    solver.pairs.row[c].mass = mass
+        alone = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
+        solver.pairs.row[c].mass = ti.min(solver.relaxation / (solver.lightness[i] + solver.lightness[j]), alone)
     if ti.static(solver.model.has_restitution or solver.soft):
         speed = (solver.before[j] - solver.before[i]).dot(n)
         restitution = 0.0 * speed
@@ -196,9 +283,9 @@ def prepare(solver: ti.template(), i, j, e, c, n, u, stage: ti.template()):
             depth = solver.pairs.row[c].depth
             fast = speed < -solver.threshold  # an impact: never soft
             if depth <= 0.0:  # it may close the gap, but not go on; what bounces does so when it touches
-                target = ti.min(target, ti.select(fast and restitution > 0.0, speed, depth / solver.h[0]))
+                target = ti.min(target, ti.select(fast and restitution > 0.0, speed, depth * solver.rate[0]))
             if ti.static(stage == FIRST):
-                push = ti.min(contact_law.PUSH * depth / solver.h[0], solver.fastest_push)
+                push = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push)
                 solver.pairs.link[e].push = ti.select(fast or depth <= 0.0, -1.0, push)
             else:
                 target = ti.max(target, solver.pairs.link[e].target)  # what bounced keeps its speed
@@ -226,25 +313,11 @@ def normal(solver: ti.template(), e, c, u, held, stage: ti.template()):
 
 
 @ti.func
-def share(solver: ti.template(), i, begin, end):
-    """Add what the pairs of ball i contribute to the split of masses: their number, and sum n n^T where that is used."""
-    for e in range(begin, end):
-        j = solver.pairs.link[e].other
-        add(solver, solver.count, i, 1)
-        add(solver, solver.count, j, 1)
-        if ti.static(solver.by_tensor):
-            n = solver.pairs.row[e - solver.pairs.turn[0] * solver.pairs.capacity].normal
-            T = n.outer_product(n)
-            add(solver, solver.tensor, i, T)
-            add(solver, solver.tensor, j, T)
-
-
-@ti.func
-def offset(solver: ti.template(), ball: ti.template(), i, begin, end, h):
+def offset(solver: ti.template(), ball: ti.template(), i, begin, end, half, h):
     """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
-    for e in range(begin, end):
-        j = solver.pairs.link[e].other
-        row = solver.pairs.row[e - solver.pairs.turn[0] * solver.pairs.capacity]
+    for c in range(begin, end):
+        j = solver.pairs.link[c + half].other
+        row = solver.pairs.row[c]
         depth = row.depth - solver.pairs.slop * ti.min(solver.model.radius[i], solver.model.radius[j])
         depth -= h * ti.max(0.0, row.normal.dot(ball[j].v - ball[i].v))
         lightness = solver.model.inverse_mass[i] + solver.model.inverse_mass[j]

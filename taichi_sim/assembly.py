@@ -106,6 +106,7 @@ class Assembly:
             serial=self.fused,
             warm=warm,
             soft=soft,
+            tames=pairs and may_gain(scene, rule, warm),
         )
 
     def _rule(self, scene: Scene, settings: Settings, cpu: bool) -> str:
@@ -160,6 +161,12 @@ def spins(scene: Scene, settings: Settings) -> bool:
     if settings.contacts == "off" or settings.spin is False:
         return False
     return settings.spin is True or any(material.friction > 0 for material in scene.materials)
+
+
+def may_gain(scene: Scene, rule: str, warm: bool) -> bool:
+    """Whether a contact solve could add energy: not where little bounces, nor with split masses from nothing."""
+    lively = max(material.restitution for material in scene.materials) > MOST_BOUNCE
+    return lively and (rule == "gauss_seidel" or (rule == "jacobi" and warm))
 
 
 def may_collide(scene: Scene) -> bool:

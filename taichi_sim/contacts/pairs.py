@@ -42,7 +42,7 @@ class Pairs:
         vector = ti.types.vector(model.dim, fields.real)
         columns = {"other": ti.i32, "impulse": fields.real}
         if model.has_friction:
-            columns["slide"] = vector
+            columns["slide"] = fields.real if model.dim == 2 else vector  # in 2D along the normal turned by 90 degrees
         if model.has_restitution or soft:
             columns["target"] = fields.real
         if soft:
@@ -55,9 +55,8 @@ class Pairs:
         self.turn, self.overlap = fields.integers(1), fields.reals(1)
         self.number = fields.integers(model.n)
         self.first, self.touching = fields.integers(halves * model.n), fields.integers(halves * model.n)
-        self.counts = soft and bool(scene.walls)
-        if self.counts:
-            self.met = fields.integers(model.n)  # pairs of each ball that touch, whoever lists them
+        kinds = np.unique(scene.material)
+        self.only_law = int(kinds[0]) * (model.surfaces + 1) if len(kinds) == 1 else -1  # of balls of one material
         self.has_bodies = bool(np.any(scene.body > 0))
         if self.has_bodies:
             self.body = fields.integers(scene.body)
@@ -74,11 +73,6 @@ class Pairs:
     def detect(self, ball: ti.template()):
         """List all pairs within reach, where the last list no longer holds; the grid is built already."""
         loops.search(self)
-
-    @ti.func
-    def measure(self, ball: ti.template(), i):
-        """Normals and depths of the pairs that ball i lists."""
-        loops.measure(self, ball, i)
 
     @ti.kernel
     def _deepest(self, ball: ti.template()):

@@ -13,7 +13,7 @@ from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, sweeps
+from taichi_sim.kernels import contact_law, sweeps, swept, taming
 from taichi_sim.model import Model
 from taichi_sim.state import State
 
@@ -21,6 +21,7 @@ __all__ = ["ContactSolver"]
 
 RELAXATION = 1.3  # of a split-mass pass; below 2 passes converge, above 1.3 friction could make one add energy
 PUSH_OUT = 0.5  # part of the remaining depth that one step removes
+THIN = 0.5  # of the smallest radius: what moves further may cross a stick
 FASTEST_PUSH = 20.0  # of the threshold speed: soft contacts do not push out faster
 
 
@@ -34,7 +35,7 @@ class ContactSolver:
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
         which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
-        overlap is undone by offsets.
+        overlap is undone by offsets. tames: no solve may add kinetic energy, see kernels.taming.
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class ContactSolver:
         serial: bool,
         warm: bool,
         soft: bool,
+        tames: bool,
     ) -> None:
         self.model, self.state, self.n = model, state, model.n
         self.walls, self.pairs, self.sticks = walls, pairs, sticks
@@ -61,9 +63,10 @@ class ContactSolver:
         self.parts = [part for part in (walls, pairs, sticks) if part is not None]
         self.active = bool(self.parts)
         self.threshold, self.push_out, self.relaxation = threshold, PUSH_OUT, RELAXATION
-        self.fastest_push = FASTEST_PUSH * threshold
         self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
         self.warm, self.soft = warm, soft and pairs is not None
+        self.tames = tames
+        self.fastest_push = 0.0 if tames else FASTEST_PUSH * threshold  # what pushes out would count as a gain
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.by_tensor = self.split and not model.has_friction
@@ -71,20 +74,41 @@ class ContactSolver:
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
         self.tangential = 1.0 / (1.0 + model.turning)
         self.sums = self.has_sticks or not self.in_turn  # some impulses are accumulated before they are applied
-        self.has_offset = self.active and (not self.soft or self.has_sticks or self.has_walls)
+        self.has_offset = self.active and (not self.soft or tames or self.has_sticks or self.has_walls)
+        self.counts = self.split or (
+            walls is not None and walls.crowds
+        )  # pairs that touch each ball, whoever lists them
         if self.active:
-            self.h = fields.reals(np.array([h]))
-            self.before = fields.vectors(self.n, model.dim)  # velocities before a solve
+            self.rate = fields.reals(np.array([1.0 / h]))
+            self.before = fields.vectors(self.n, model.dim)  # velocities before a solve; displacements in a move
+            if self.has_grid:  # see kernels.swept
+                self.fast, self.longest = fields.integers(3), fields.reals(1)
+                self.stop, self.sooner = (
+                    fields.reals(self.n),
+                    fields.reals(self.n),
+                )  # part of its step that a ball makes
+            if self.has_sticks:
+                self.thin = fields.reals(np.array([(THIN * float(np.min(model.scene.radius))) ** 2]))
             if self.has_offset:
                 self.offset = fields.vectors(self.n, model.dim)
+            if tames:
+                self.parts_of_energy = -(-self.n // taming.PART)
+                self.energy = fields.table({"linear": ti.f64, "square": ti.f64}, self.parts_of_energy + 1)
+                if self.spins:
+                    self.before_turn = fields.turns(self.n, model.dim)
             if self.sums:
                 self.push = fields.vectors(self.n, model.dim)
                 self.lightness = fields.reals(self.n)  # 1/kg: inverse mass of the part of a ball that each contact gets
-                self.count = fields.integers(self.n)
                 if self.by_tensor:
                     self.tensor = fields.matrices(self.n, model.dim)
                 if self.spins:
                     self.twist = fields.turns(self.n, model.dim)
+            if self.counts:
+                self.count = fields.integers(self.n)
+            if self.warm and self.has_grid:
+                self.carry = fields.vectors(self.n, model.dim)  # changes of velocity by what pairs hold from before
+                if self.spins:
+                    self.carry_turn = fields.turns(self.n, model.dim)
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
@@ -94,48 +118,55 @@ class ContactSolver:
     def refresh(self, ball: ti.template()):
         """Find the contacts at the present positions, and how each ball splits its mass between them."""
         if ti.static(self.has_grid):
+            swept.stop(self, ball)
             self.pairs.grid.build(ball)
         for part in ti.static(self.searched):
             part.detect(ball)
         if ti.static(self.has_grid):
-            if ti.static(self.pairs.counts):
+            if ti.static(self.warm or self.counts):
                 for i in range(self.n):
-                    self.pairs.met[i] = 0
-            for i in range(self.n):
-                self.pairs.measure(ball, i)
+                    self._clear(i)
+            sweeps.sweep(self, ball, 0.0, sweeps.MEASURE)
         if ti.static(self.has_walls):
             for i in range(self.n):
                 crowded = False
                 if ti.static(self.walls.crowds):
-                    crowded = self.pairs.met[i] > 0
+                    crowded = self.count[i] > 0
                 self.walls.measure(ball, i, crowded)
         if ti.static(self.active and self.sums):
-            self._split(ball)
+            for i in range(self.n):
+                self.lightness[i] = self._parts_of(ball, i) * self.model.inverse_mass[i]
 
     @ti.func
-    def _split(self, ball: ti.template()):
-        """Count what is accumulated: with "gauss_seidel" only sticks."""
-        for i in range(self.n):
+    def _clear(self, i):
+        """Nothing is summed yet of what pairs do to ball i."""
+        if ti.static(self.counts):
             self.count[i] = 0
-            if ti.static(self.by_tensor):
-                self.tensor[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+        if ti.static(self.by_tensor):
+            self.tensor[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+        if ti.static(self.warm):
+            self.carry[i] = ti.Vector.zero(float, self.model.dim)
+            if ti.static(self.spins):
+                self.carry_turn[i] = sweeps.zero_turn(self)
+
+    @ti.func
+    def _parts_of(self, ball: ti.template(), i):
+        """Into how many parts ball i splits its mass: by all that is accumulated, with "gauss_seidel" only sticks."""
+        count = 0
+        T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         if ti.static(self.has_grid and self.split):
-            sweeps.sweep(self, ball, 0.0, sweeps.SHARE)
-        for i in range(self.n):
             count = self.count[i]
-            T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
             if ti.static(self.by_tensor):
                 T = self.tensor[i]
-            if ti.static(self.has_walls and self.split):
-                t, c = self.walls.shares(ball, i)
-                T += t
-                count += c
-            if ti.static(self.has_sticks and self.rule != "sum"):
-                t, c = self.sticks.shares(ball, i)
-                T += t
-                count += c
-            s = contact_law.share(T, count, not self.model.has_friction)
-            self.lightness[i] = s * self.model.inverse_mass[i]
+        if ti.static(self.has_walls and self.split):
+            t, c = self.walls.shares(ball, i)
+            T += t
+            count += c
+        if ti.static(self.has_sticks and self.rule != "sum"):
+            t, c = self.sticks.shares(ball, i)
+            T += t
+            count += c
+        return contact_law.share(T, count, not self.model.has_friction)
 
     @ti.func
     def prime(self, ball: ti.template()):
@@ -150,8 +181,6 @@ class ContactSolver:
         contacts are held, so that velocities reported at the end of a step are at rest where balls rest."""
         if ti.static(self.active):
             self._begin(ball, impacts)
-            if ti.static(self.has_grid and self.warm):
-                self._pass(ball, time, sweeps.HOLD)
             self._pass(ball, time, sweeps.FIRST if impacts else sweeps.LAST)
             if ti.static(self.serial):
                 for _ in range(1, passes):
@@ -159,6 +188,8 @@ class ContactSolver:
             else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
                 for _ in ti.static(range(1, passes)):
                     self._pass(ball, 0.0, sweeps.NEXT)
+            if ti.static(self.tames):
+                taming.tame(self, ball)
 
     @ti.func
     def relax(self, ball: ti.template(), time):
@@ -166,24 +197,50 @@ class ContactSolver:
         if ti.static(self.soft):
             for i in range(self.n):
                 self.before[i] = ball[i].v
+                self._mark(ball, i)
             self._pass(ball, time, sweeps.RELAX)
 
     @ti.func
     def _begin(self, ball: ti.template(), impacts: ti.template()):
-        """Note the velocities that target speeds depend on, and apply what walls hold from before."""
+        """Note the velocities that target speeds depend on, and apply what contacts hold from before."""
         if ti.static(self.has_sticks):
             self.sticks.begin_rows(ball, self, impacts)
         for i in range(self.n):
             self.before[i] = ball[i].v
+            if ti.static(self.tames and self.spins):
+                self.before_turn[i] = self.state.turn[i]
             if ti.static(self.has_walls):
                 self.walls.begin(ball, self, i, impacts)
+            if ti.static(self.has_grid and self.warm):
+                self.state.kick(i, self.carry[i])
+                if ti.static(self.spins):
+                    self.state.turn[i] = self.state.turn[i] + self.carry_turn[i]
+                if ti.static(not impacts):
+                    self._mark(ball, i)
+
+    # After the solve that ends a step pairs hold other impulses, but nothing has moved: the next solve, which starts by
+    # applying what is held, needs no sweep for that if `carry` follows. Meanwhile it is the velocity without its own part.
+
+    @ti.func
+    def _mark(self, ball: ti.template(), i):
+        """Before the sweep: what the velocity of ball i would be without what pairs hold."""
+        if ti.static(self.warm):
+            self.carry[i] = ball[i].v - self.carry[i]
+            if ti.static(self.spins):
+                self.carry_turn[i] = self.state.turn[i] - self.carry_turn[i]
+
+    @ti.func
+    def _carry(self, ball: ti.template(), i):
+        """After the sweep: what pairs hold now."""
+        self.carry[i] = ball[i].v - self.carry[i]
+        if ti.static(self.spins):
+            self.carry_turn[i] = self.state.turn[i] - self.carry_turn[i]
 
     @ti.func
     def _pass(self, ball: ti.template(), time, stage: ti.template()):
         """One pass over all contacts: pairs, then walls; sticks are always accumulated from old velocities."""
-        sticks = ti.static(
-            self.has_sticks and stage != sweeps.HOLD and stage != sweeps.RELAX
-        )  # those two are for soft contacts
+        sticks = ti.static(self.has_sticks and stage != sweeps.RELAX)  # that one is for soft contacts
+        closes = ti.static(self.has_grid and self.warm and stage in (sweeps.LAST, sweeps.RELAX))
         if ti.static(sticks):
             self.sticks.solve_rows(ball, self, time)
         if ti.static(self.sums):
@@ -192,6 +249,10 @@ class ContactSolver:
                 t = sweeps.zero_turn(self)
                 if ti.static(sticks):
                     p, t = self.sticks.gather(ball, self, i)
+                if ti.static(closes):  # no pair holds these
+                    self.carry[i] = self.carry[i] + self.model.inverse_mass[i] * p
+                    if ti.static(self.spins):
+                        self.carry_turn[i] = self.carry_turn[i] + (self.turning * self.model.inverse_mass[i]) * t
                 if ti.static(self.in_turn):
                     self.apply(i, p, t)
                 else:
@@ -200,16 +261,20 @@ class ContactSolver:
                         self.twist[i] = t
         if ti.static(self.has_grid):
             sweeps.sweep(self, ball, time, stage)
-        if ti.static((self.has_walls and stage != sweeps.HOLD) or not self.in_turn):
+        if ti.static(self.has_walls or not self.in_turn or closes):
             for i in range(self.n):
                 p, t = ti.Vector.zero(float, self.model.dim), sweeps.zero_turn(self)
-                if ti.static(self.has_walls and stage != sweeps.HOLD):
+                if ti.static(self.has_walls):
                     p, t = self.walls.gather(ball, self, i, time)
                 if ti.static(not self.in_turn):
-                    p += self.push[i]
+                    twist = sweeps.zero_turn(self)
                     if ti.static(self.spins):
-                        t += self.twist[i]
-                self.apply(i, p, t)
+                        twist = self.twist[i]
+                    self.apply(i, self.push[i], twist)
+                if ti.static(closes):
+                    self._carry(ball, i)
+                if ti.static(self.has_walls):
+                    self.apply(i, p, t)
 
     @ti.func
     def apply(self, i, p, t):
@@ -228,7 +293,7 @@ class ContactSolver:
                 if ti.static(self.has_sticks):
                     d += self.sticks.offset(ball, self, i, h)
                 self.offset[i] = d
-            if ti.static(self.has_grid and not self.soft):
+            if ti.static(self.has_grid and (self.tames or not self.soft)):
                 sweeps.sweep(self, ball, h, sweeps.OFFSET)
             if ti.static(self.has_walls):
                 for i in range(self.n):
@@ -245,4 +310,5 @@ class ContactSolver:
             shift += self.offset[i]
         if ti.static(self.has_grid):
             self.pairs.grid.watch(i, ball[i].x + shift)
+            swept.note(self, i, shift)
         return shift, drift

@@ -148,9 +148,9 @@ class Walls:
                 target = contact_law.target_speed(u, self.law(i, k).restitution, self.threshold, impacts)
                 if ti.static(self.crowds):
                     if crowded and gap > self.tolerance(ball[i].x, i):
-                        soon = target > 0.0 and gap + u * solver.h[0] < 0.0
+                        soon = target > 0.0 and gap * solver.rate[0] + u < 0.0
                         if not soon:  # it may come to the wall, but not go on
-                            target = -gap / solver.h[0]
+                            target = -gap * solver.rate[0]
                 self.contact[c].target = target
                 p = self.contact[c].impulse * n
                 if ti.static(self.model.has_friction):
