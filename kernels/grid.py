@@ -103,6 +103,7 @@ def plan(grid: ti.template()):
         grid.work[1] = stale * grid.size
         grid.work[2] = stale * grid.parts
         grid.stale[0] = 0
+        grid.searches[0] = grid.searches[0] + stale
 
 
 @ti.func

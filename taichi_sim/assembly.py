@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.backend import Backend
 from taichi_sim.contacts.grid import SKIN, Grid
 from taichi_sim.contacts.pairs import GAP, Pairs
 from taichi_sim.contacts.solver import ContactSolver
 from taichi_sim.contacts.sticks import Sticks
+from taichi_sim.contacts.survey import Survey
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.drivers import Drivers
 from taichi_sim.errors import SceneError
@@ -63,6 +65,7 @@ class Assembly:
         springs = self._springs(scene, cpu, h)
         self.forces = TotalForce(self.model, self.state, self.fields, springs, forces)
         self.contacts = self._contacts(scene, settings, h, cpu)
+        self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         self.drivers = Drivers(self.integrator)
 
@@ -135,10 +138,15 @@ class Assembly:
         """Advance the fields. 0 substeps compile the fused driver; the parallel one compiles with its first."""
         self.drivers.run(substeps, h, time, self.fused)
 
-    def ball_overlap(self) -> float:
-        """Largest overlap of two balls [m]; 0 where they do not collide."""
+    def survey(self) -> NDArray[np.float64]:
+        """Tally (7,) of all contacts, see kernels.survey; they must be active."""
+        assert self._survey is not None
+        return self._survey.look(self.state.ball)
+
+    def searches(self) -> int:
+        """How often neighbours were looked for."""
         pairs = self.contacts.pairs
-        return 0.0 if pairs is None else pairs.deepest(self.state.ball)
+        return 0 if pairs is None else int(pairs.grid.searches[0])
 
     def check_capacity(self) -> None:
         """Raise where contacts were found that did not fit: never silently fewer of them."""

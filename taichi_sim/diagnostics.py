@@ -1,13 +1,24 @@
-"""Energy, momentum and overlap of a scene in a given state, in float64 NumPy: slow, plain, and independent of the kernels."""
+"""Energy and momentum of a scene in a given state, in float64 NumPy: slow, plain, and independent of the kernels; and what
+a look at its contacts says."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.frame import Contacts
 from taichi_sim.scene import Scene
 
-__all__ = ["Energy", "angular_momentum", "energy", "inertia", "momentum", "strain", "wall_overlap"]
+__all__ = [
+    "Energy",
+    "angular_momentum",
+    "contacts",
+    "energy",
+    "inertia",
+    "largest_speed",
+    "momentum",
+    "strain",
+]
 
 Floats = NDArray[np.float64]
 
@@ -65,11 +76,25 @@ def strain(scene: Scene, x: Floats) -> Floats:
     return np.divide(length - rest, rest, out=np.zeros_like(rest), where=rest > 0)
 
 
-def wall_overlap(scene: Scene, x: Floats) -> float:
-    """Largest overlap [m] of a ball that can move with a wall; 0 with none."""
-    free = ~scene.pinned
-    deepest = 0.0
-    for wall in scene.walls:
-        depth = wall.offset + scene.radius - x @ np.array(wall.normal)
-        deepest = max(deepest, float(np.max(depth[free], initial=0.0)))
-    return deepest
+def largest_speed(v: Floats) -> float:
+    """Speed of the fastest ball [m/s]; 0 with none."""
+    return float(np.sqrt(np.max(np.sum(v * v, axis=1), initial=0.0)))
+
+
+def contacts(tally: Floats | None, passes: int, substeps: int, fastest: float, searches: int) -> Contacts:
+    """Contacts from a tally (7,) as kernels.survey describes it, or None for no contact at all."""
+    number, depths, parts, squares, deepest, part, left = np.zeros(7) if tally is None else tally
+    many = max(number, 1.0)
+    return Contacts(
+        number=int(number),
+        penetration=float(deepest),
+        mean_penetration=float(depths / many),
+        relative_penetration=float(part),
+        mean_relative_penetration=float(parts / many),
+        residual=float(left),
+        rms_residual=float(np.sqrt(squares / many)),
+        passes=passes,
+        substeps=substeps,
+        largest_speed=fastest,
+        searches=searches,
+    )

@@ -23,7 +23,7 @@ class Fields:
         self._builder = ti.FieldsBuilder()
         self._first: list[tuple[Any, Any]] = []
         self._tree: Any = None
-        self.bytes = 0
+        self._bytes: dict[int, int] = {}  # by the identity of a field
 
     def _place(self, field: Any, n: int, data: Any, item_bytes: int) -> Any:
         if n == 0:
@@ -32,8 +32,17 @@ class Fields:
             self._builder.dense(ti.i, max(1, n)).place(field)
         if data is not None:
             self._first.append((field, data))
-        self.bytes += max(1, n) * item_bytes
+        self._bytes[id(field)] = max(1, n) * item_bytes
         return field
+
+    @property
+    def bytes(self) -> int:
+        """Memory of all fields together."""
+        return sum(self._bytes.values())
+
+    def size(self, field: Any) -> int:
+        """Bytes of one field; 0 for what is none of these."""
+        return self._bytes.get(id(field), 0)
 
     @property
     def _size(self) -> int:

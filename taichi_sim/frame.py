@@ -1,11 +1,12 @@
 """Frame: one moment of a simulation as plain NumPy arrays, all that an output or a renderer ever sees."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Frame"]
+__all__ = ["Contacts", "Frame"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -13,6 +14,23 @@ Ints = NDArray[np.int32]
 
 def _empty(*shape: int, dtype: type = np.float64) -> NDArray:
     return np.zeros(shape, dtype=dtype)
+
+
+class Contacts(NamedTuple):
+    """The contacts of one moment: balls that overlap another ball or a stick, and balls at most 1e-5 of their radius from a
+    wall (a ball at rest lies on the surface). Two pinned balls, and a pinned one at a wall, are no contact."""
+
+    number: int
+    penetration: float  # m, the largest overlap
+    mean_penetration: float  # m, over all contacts
+    relative_penetration: float  # the largest as a part of the smaller radius
+    mean_relative_penetration: float
+    residual: float  # m/s: the largest normal speed with which two that touch still approach. What arrived just now counts too
+    rms_residual: float  # m/s, root of the mean square over all contacts
+    passes: int  # of each solve
+    substeps: int  # solves in a step
+    largest_speed: float  # m/s, of a ball
+    searches: int  # for neighbours, since the simulation was made
 
 
 @dataclass(slots=True)
@@ -34,6 +52,7 @@ class Frame:
     pinned: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (n,)
     walls: Floats = field(default_factory=lambda: _empty(0, 0))  # (w, dim + 1): unit normal, offset; solid below it
     energy: tuple[float, float, float, float] | None = None  # J: kinetic, spring, gravity, total
+    contacts: Contacts | None = None  # what `Simulation.contacts` said; only exports ask
 
     @property
     def dim(self) -> int:

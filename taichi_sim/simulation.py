@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import backend, checks, diagnostics
 from taichi_sim.assembly import Assembly
 from taichi_sim.errors import SceneError, UnstableError
-from taichi_sim.frame import Frame
+from taichi_sim.frame import Contacts, Frame
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
@@ -225,12 +225,19 @@ class Simulation:
         """About the origin [kg m^2/s]: a float in 2D, (3,) in 3D."""
         return diagnostics.angular_momentum(self.scene, self.position, self.velocity, self._spin())
 
-    def penetration(self) -> float:
-        """Largest overlap of a ball with a wall or another ball [m]; 0 where contacts are off."""
-        if self._still or not self._parts.contacts.active:
-            return 0.0
+    def contacts(self) -> Contacts:
+        """Number and depth of the contacts, what the solver left of approach speeds, and what it did; all 0 where contacts
+        are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile."""
+        fastest = diagnostics.largest_speed(self.velocity)
+        parts = self._parts
+        if self._still or not parts.contacts.active:
+            return diagnostics.contacts(None, 0, self.substeps, fastest, 0)
         self._prime()
-        return max(diagnostics.wall_overlap(self.scene, self.position), self._parts.ball_overlap())
+        return diagnostics.contacts(parts.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches())
+
+    def penetration(self) -> float:
+        """Largest overlap of a ball with a wall, a stick or another ball [m]; 0 where contacts are off."""
+        return self.contacts().penetration
 
     def frame(self) -> Frame:
         """The present moment as NumPy arrays."""

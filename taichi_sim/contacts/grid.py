@@ -40,7 +40,7 @@ class Grid:
         self.bucket = fields.integers(self.n)
         self.order = fields.integers(self.n)
         self.origin = fields.vectors(self.n, model.dim)
-        self.stale, self.work = fields.integers(1), fields.integers(3)
+        self.stale, self.work, self.searches = fields.integers(1), fields.integers(3), fields.integers(1)
         self.part = PART
         self.parts = -(-self.n // PART)
         self.low, self.high = (fields.cells(self.parts, model.dim) for _ in range(2))

@@ -1,7 +1,5 @@
 """Pairs: contacts between balls, found through the grid and kept, each once, in lists for all passes of a step."""
 
-from typing import Any
-
 import numpy as np
 import taichi as ti
 
@@ -9,6 +7,8 @@ from taichi_sim.contacts.grid import Grid
 from taichi_sim.contacts.walls import SLOP
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import pairs as loops
+from taichi_sim.kernels import survey
+from taichi_sim.kernels.direction import unit
 from taichi_sim.model import Model
 
 __all__ = ["Pairs"]
@@ -52,7 +52,7 @@ class Pairs:
         if model.spins:
             columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
         self.row = fields.table(columns, self.capacity)
-        self.turn, self.overlap = fields.integers(1), fields.reals(1)
+        self.turn = fields.integers(1)
         self.number = fields.integers(model.n)
         self.first, self.touching = fields.integers(halves * model.n), fields.integers(halves * model.n)
         kinds = np.unique(scene.material)
@@ -74,17 +74,16 @@ class Pairs:
         """List all pairs within reach, where the last list no longer holds; the grid is built already."""
         loops.search(self)
 
-    @ti.kernel
-    def _deepest(self, ball: ti.template()):
-        self.overlap[0] = 0.0
-        for i in range(self.model.n):
-            own = self.turn[0] * self.model.n + i
-            for e in range(self.first[own], self.first[own] + self.touching[own]):
-                j = self.link[e].other
-                d = (ball[j].x - ball[i].x).norm()
-                ti.atomic_max(self.overlap[0], self.model.radius[i] + self.model.radius[j] - d)
-
-    def deepest(self, ball: Any) -> float:
-        """Largest overlap [m] of two balls, of those found when contacts were last looked for."""
-        self._deepest(ball)
-        return float(self.overlap[0])
+    @ti.func
+    def survey(self, ball: ti.template(), i):
+        """Tally of the pairs that ball i lists and that overlap; see kernels.survey."""
+        total = survey.nothing()
+        begin = self.first[self.turn[0] * self.model.n + i]
+        for e in range(begin, begin + self.number[i]):
+            j = self.link[e].other
+            one, two = self.model.radius[i], self.model.radius[j]
+            n, d = unit(ball[j].x - ball[i].x, i, j)
+            if d < one + two:
+                u = (ball[j].v - ball[i].v).dot(n)
+                total = survey.join(total, survey.one(one + two - d, ti.min(one, two), u))
+        return total

@@ -6,7 +6,7 @@ import taichi as ti
 from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.walls import SLOP
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law
+from taichi_sim.kernels import contact_law, survey
 from taichi_sim.kernels import sticks as loops
 from taichi_sim.kernels.direction import cross, lever
 from taichi_sim.kernels.sweeps import zero_turn
@@ -140,6 +140,19 @@ class Sticks:
             share = ti.max(0.0, depth) / ti.max(self.inverse_mass(solver, row, g), lever)
             q += solver.push_out * self.weight(ball, self.entry[e]) * share * n
         return q * self.model.inverse_mass[i]
+
+    @ti.func
+    def survey(self, ball: ti.template(), i):
+        """Tally of the sticks that ball i touches."""
+        total = survey.nothing()
+        for e in range(self.first[i], self.first[i] + self.number[i]):
+            if self.entry[e] % 3 == 0:
+                row = self.row[self.entry[e] // 3]
+                g, n, d = loops.geometry(self, ball, row)
+                u = self.relative_velocity(ball, row, g).dot(n)
+                depth = self.model.radius[i] - d
+                total = survey.join(total, survey.one(ti.max(0.0, depth), self.model.radius[i], u))
+        return total
 
 
 def has_sticks(model: Model) -> bool:

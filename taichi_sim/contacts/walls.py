@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, impact
+from taichi_sim.kernels import contact_law, impact, survey
 from taichi_sim.kernels.direction import cross, lever
 from taichi_sim.kernels.sweeps import zero_turn
 from taichi_sim.model import Model
@@ -210,3 +210,14 @@ class Walls:
             if depth > 0.0:
                 d += solver.push_out * depth * share * n
         return d
+
+    @ti.func
+    def survey(self, ball: ti.template(), i):
+        """Tally of the walls that ball i touches; one that rests lies on the surface, give or take rounding."""
+        total = survey.nothing()
+        for k in range(ti.select(self.model.inverse_mass[i] > 0.0, self.count, 0)):
+            gap = self.gap(ball[i].x, i, k)
+            if gap <= self.tolerance(ball[i].x, i):
+                u = self.wall[k].normal.dot(ball[i].v)
+                total = survey.join(total, survey.one(ti.max(0.0, -gap), self.model.radius[i], u))
+        return total

@@ -1,4 +1,4 @@
-"""Positions, velocities and energy over time as NumPy arrays in an .npz file."""
+"""Positions, velocities, energy and contacts over time as NumPy arrays in an .npz file."""
 
 import shutil
 import tempfile
@@ -14,6 +14,8 @@ from taichi_sim.frame import Frame
 from taichi_sim.outputs.base import Image, Output
 
 __all__ = ["Arrays"]
+
+NAMES = ("time", "position", "velocity", "energy", "contacts", "penetration", "residual", "largest_speed")
 
 
 class _Column:
@@ -44,10 +46,11 @@ class _Column:
 
 
 class Arrays(Output):
-    """An .npz with time (f,) s, position (f, n, dim) m, velocity (f, n, dim) m/s and energy (f, 4) J.
+    """An .npz with time (f,) s, position (f, n, dim) m, velocity (f, n, dim) m/s, energy (f, 4) J, and of the contacts their
+    number contacts (f,), penetration (f, 2) m, residual (f,) m/s and largest_speed (f,) m/s.
 
-    The columns of energy are kinetic, spring, gravity, total; nan where the frame does not know them. Frames wait on
-    disk in the target folder, so the file may be larger than the memory.
+    The columns of energy are kinetic, spring, gravity, total, those of penetration largest and mean; nan where the frame does
+    not know them. Frames wait on disk in the target folder, so the file may be larger than the memory.
     """
 
     needs_image = False
@@ -56,13 +59,18 @@ class Arrays(Output):
         self.path = path
         self._part = PartFile(path)
         folder = str(self._part.path.parent)
-        self._columns = {name: _Column(folder) for name in ("time", "position", "velocity", "energy")}
+        self._columns = {name: _Column(folder) for name in NAMES}
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Append one frame."""
         energy = (np.nan,) * 4 if frame.energy is None else tuple(frame.energy)
-        rows = {"time": frame.time, "position": frame.position, "velocity": frame.velocity, "energy": energy}
-        for name, row in rows.items():
+        number, deep, left, speed = np.nan, (np.nan, np.nan), np.nan, np.nan
+        if frame.contacts is not None:
+            now = frame.contacts
+            number, deep = float(now.number), (now.penetration, now.mean_penetration)
+            left, speed = now.residual, now.largest_speed
+        rows = (frame.time, frame.position, frame.velocity, energy, number, deep, left, speed)
+        for name, row in zip(NAMES, rows, strict=True):
             self._columns[name].append(np.asarray(row, dtype=np.float64))
 
     def finish(self) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from taichi_sim.frame import Contacts, Frame
 from taichi_sim.outputs.base import Output
 
 __all__ = ["Summary", "export"]
@@ -26,7 +27,12 @@ class Summary:
     energy_start: tuple[float, ...] = ()
     energy_end: tuple[float, ...] = ()
     momentum: tuple[float, ...] = ()  # at the end
-    penetration: float = 0.0  # m, the largest seen at a frame
+    contacts: Contacts | None = None  # at the end; None where the scene has none
+    most_contacts: int = 0  # the largest values seen at a frame
+    penetration: float = 0.0  # m
+    relative_penetration: float = 0.0  # of the smaller radius
+    residual: float = 0.0  # m/s
+    largest_speed: float = 0.0  # m/s
 
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""
@@ -38,7 +44,16 @@ class Summary:
                 f" (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
             )
         lines.append(f"momentum     ({', '.join(f'{p:.4g}' for p in self.momentum)}) kg m/s at the end")
-        lines.append(f"penetration  {self.penetration:.3g} m at most")
+        if self.contacts is not None:
+            now = self.contacts
+            lines.append(
+                f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.passes} passes in each of"
+                f" {now.substeps} substeps, {now.searches} searches; residual {self.residual:.3g} m/s at most"
+            )
+            lines.append(
+                f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
+                f" mean {now.mean_penetration:.3g} m at the end; largest speed {self.largest_speed:.3g} m/s"
+            )
         ratio = f": {self.wall / self.duration:.3g} s per simulated second" if self.duration > 0 else ""
         parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){ratio}")
@@ -86,7 +101,8 @@ def export(
         renderer: Any = None
         for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
             clock.charge("simulating")
-            _observe(summary, simulation, frame)
+            frame.contacts = simulation.contacts()
+            _observe(summary, frame)
             if output is not None and output.wants(index):
                 if output.needs_image and renderer is None:
                     renderer = stack.enter_context(_renderer(frame, size, style or {}))
@@ -106,9 +122,14 @@ def _no_bar(simulated: float) -> None:
     pass
 
 
-def _observe(summary: Summary, simulation: Any, frame: Any) -> None:
+def _observe(summary: Summary, frame: Frame) -> None:
     summary.frames += 1
-    summary.penetration = max(summary.penetration, float(simulation.penetration()))
+    now = frame.contacts
+    if now is not None and now.passes:
+        summary.contacts = now
+        summary.most_contacts = max(summary.most_contacts, now.number)
+        for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
+            setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
     if frame.energy is not None:
         summary.energy_end = tuple(frame.energy)
         summary.energy_start = summary.energy_start or summary.energy_end

@@ -38,6 +38,7 @@ class Report:
     rows: list[tuple[str, list[float], float]] = field(default_factory=list)  # name, seconds per step, units per step
     goals: dict[str, str] = field(default_factory=dict)  # by row name
     notes: list[str] = field(default_factory=list)
+    samples: int = REPEATS  # times in each row
 
     def ratio(self, name: str) -> float:
         """Median time of this row over that of the first, the program's own: above 1 the program is faster."""
@@ -276,10 +277,24 @@ def renderer(quick: bool) -> Report:
 
 
 def pile(quick: bool) -> Report:
-    """10 000 discs that have fallen into a box, friction and spin, 240 Hz."""
+    """10 000 discs that have fallen into a box, friction and spin, 240 Hz, six seeds."""
     from taichi_sim.reports.piles import pile_report
 
     return pile_report(quick)
+
+
+def small_pile(quick: bool) -> Report:
+    """The same with 100 discs."""
+    from taichi_sim.reports.piles import pile_report
+
+    return pile_report(quick, few=True)
+
+
+def granular(quick: bool) -> Report:
+    """A million balls at rest in a box, friction and spin, beside LAMMPS."""
+    from taichi_sim.reports.granular import granular_report
+
+    return granular_report(quick)
 
 
 CASES: dict[str, Callable[[bool], Report]] = {
@@ -288,6 +303,8 @@ CASES: dict[str, Callable[[bool], Report]] = {
     "shuffled": shuffled,
     "small": small,
     "pile": pile,
+    "small_pile": small_pile,
+    "granular": granular,
     "renderer": renderer,
 }
 
@@ -316,7 +333,7 @@ def head_line() -> str:
         cc = compiler()
     except PeerMissingError:
         cc = "no C compiler"
-    packages = ", ".join(of(name) for name in ("taichi-sim", "taichi", "numpy", "warp-lang"))
+    packages = ", ".join(of(name) for name in ("taichi-sim", "taichi", "numpy", "warp-lang", "pymunk", "lammps"))
     load = f", load before {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     day = datetime.date.today().isoformat()
     return f"{_processor()}, {os.cpu_count()} CPUs{load} | Python {platform.python_version()}, {packages}, {cc} | {day}"

@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 __all__ = [
     "Box",
     "Cloth",
+    "Grains",
     "HalfSprings",
     "Pack",
     "Pile",
     "box_of_discs",
     "cloth_case",
+    "granular_case",
     "half_springs",
     "pack_case",
     "pile_case",
@@ -75,6 +77,18 @@ class Pile(NamedTuple):
     side: float  # m
     gravity: tuple[float, float]  # m/s^2
     dt: float  # s
+
+
+class Grains(NamedTuple):
+    """Balls of unit mass in a box open above, its floor at y = 0, its walls at x, z = 0 and side."""
+
+    position: Floats  # (n, 3) m
+    radius: float  # m
+    restitution: float
+    friction: float
+    side: float  # m
+    gravity: float  # m/s^2
+    dt: float  # s, for the program; each layer then sinks in by 2.4e-5 of the radius for each layer above it
 
 
 def cloth_case(n: int, seed: int = 0) -> Cloth:
@@ -149,3 +163,16 @@ def pile_case(n: int, seed: int = 0) -> Pile:
     jitter = np.random.default_rng(seed).uniform(-0.008, 0.008, (n, 2))
     position = 0.12 * (np.stack([column, row], axis=1) + 0.5) + jitter
     return Pile(position, 0.05, 0.3, 0.3, 0.12 * columns, (0.0, -10.0), 1 / 240)
+
+
+def granular_case(n: int, seed: int = 0) -> Grains:
+    """Close-packed layers, about as high as wide, 1 % of a radius apart and jittered by 1 %: they touch after a short fall."""
+    radius = 0.05
+    cell = 2.01 * radius * np.sqrt(2.0)  # holds four balls
+    count = int(np.ceil((n / 4) ** (1 / 3) - 1e-9))
+    corner = np.stack(np.unravel_index(np.arange(count**3), (count,) * 3), axis=1)
+    within = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5]])
+    position = cell * (corner[:, None] + within).reshape(-1, 3)
+    position = position[np.argsort(position[:, 1], kind="stable")][:n] + 1.01 * radius
+    position += np.random.default_rng(seed).uniform(-0.01 * radius, 0.01 * radius, position.shape)
+    return Grains(position, radius, 0.3, 0.3, (count - 0.5) * cell + 2.02 * radius, 10.0, 1 / 1280)

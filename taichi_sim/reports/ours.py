@@ -6,11 +6,21 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.reports.cases import Box, Cloth, Pack, Pile
+from taichi_sim.reports.cases import Box, Cloth, Grains, Pack, Pile
 from taichi_sim.scene import Scene
 from taichi_sim.simulation import Simulation
 
-__all__ = ["ContactPass", "Ours", "cloth_scene", "pack_scene", "pile_step", "small_step", "springs_step"]
+__all__ = [
+    "ContactPass",
+    "OurPile",
+    "Ours",
+    "cloth_scene",
+    "granular_step",
+    "pack_scene",
+    "pile_step",
+    "small_step",
+    "springs_step",
+]
 
 
 class Ours:
@@ -91,11 +101,33 @@ def small_step(box: Box, driver: str, **settings: Any) -> Ours:
     return Ours(scene, dt=box.dt, driver=driver, **settings)
 
 
-def pile_step(pile: Pile, **settings: Any) -> Ours:
+class OurPile(Ours):
+    """A Runner for piles of one kind; `start` chooses which."""
+
+    def start(self, pile: Pile) -> None:
+        """From the start of this pile on, compiled and primed."""
+        still = np.zeros_like(self.simulation.surface_speed)
+        self.simulation.resume(pile.position, np.zeros_like(pile.position), 0.0, None, still)
+        self.simulation.step(0)
+
+
+def pile_step(pile: Pile, **settings: Any) -> OurPile:
     """Discs that fall into an open box, with the program's own defaults."""
     scene = Scene(dim=2, gravity=pile.gravity)
     scene.add_material("disc", restitution=pile.restitution, friction=pile.friction)
     scene.add_balls(pile.position, radius=pile.radius, material="disc")
     for normal, offset in (((0, 1), 0.0), ((1, 0), 0.0), ((-1, 0), -pile.side)):
         scene.add_wall(normal, offset, material="disc")
-    return Ours(scene, dt=pile.dt, **settings)
+    return OurPile(scene, dt=pile.dt, **settings)
+
+
+def granular_step(grains: Grains, passes: int) -> Ours:
+    """Balls in an open box, one substep of `passes` passes a step."""
+    scene = Scene(dim=3, gravity=(0.0, -grains.gravity, 0.0))
+    scene.add_material("grain", restitution=grains.restitution, friction=grains.friction)
+    scene.add_balls(grains.position, radius=grains.radius, material="grain")
+    scene.add_wall((0, 1, 0), 0.0, material="grain")
+    for axis in (0, 2):
+        scene.add_wall(np.eye(3)[axis], 0.0, material="grain")
+        scene.add_wall(-np.eye(3)[axis], -grains.side, material="grain")
+    return Ours(scene, dt=grains.dt, substeps=1, contact_passes=passes)

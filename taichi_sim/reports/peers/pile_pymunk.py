@@ -19,7 +19,12 @@ class PilePymunk:
     """Pymunk multiplies the elasticities and frictions of two shapes, so each gets the root, and a wall 1 and the root."""
 
     def __init__(self, pile: Pile, *, iterations: int, hashed: bool) -> None:
-        self._pile, self._iterations, self._hashed = pile, iterations, hashed
+        self._iterations, self._hashed = iterations, hashed
+        self.start(pile)
+
+    def start(self, pile: Pile) -> None:
+        """From the start of this pile on."""
+        self._pile = pile
         self.reset()
 
     def reset(self) -> None:

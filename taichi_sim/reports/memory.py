@@ -1,0 +1,29 @@
+"""Where the memory of a simulation goes: bytes of every field that it has declared."""
+
+from typing import Any
+
+from taichi_sim.simulation import Simulation
+
+__all__ = ["breakdown"]
+
+
+def breakdown(simulation: Simulation) -> dict[str, int]:
+    """Bytes of each field, the largest first, by the name of the object that made it and its own, like "Pairs.link"."""
+    parts = simulation._parts
+    found: dict[str, int] = {}
+    seen: set[int] = set()
+
+    def visit(owner: Any) -> None:
+        for name, value in vars(owner).items():
+            if id(value) in seen:
+                continue
+            size = parts.fields.size(value)
+            if size:
+                seen.add(id(value))
+                found[f"{type(owner).__name__}.{name}"] = size
+            elif type(value).__module__.startswith("taichi_sim.") and hasattr(value, "__dict__"):
+                seen.add(id(value))
+                visit(value)
+
+    visit(parts)
+    return dict(sorted(found.items(), key=lambda item: -item[1]))

@@ -1,0 +1,145 @@
+"""What a simulation says of its contacts, against brute force in float64, in both drivers, and against stacks done by hand."""
+
+import numpy as np
+import pytest
+import reference
+from physics_support import EPS, F64, VARIANTS, as_stored, each_dim, simulate, vector
+
+import taichi_sim as ts
+from taichi_sim.outputs import export, open_output
+from taichi_sim.reports.memory import breakdown
+
+G, R = 10.0, 0.05
+CLOSE = 1e-11 if F64 else 2e-5
+
+
+def crowd(dim, n=60, sticks=4):
+    """Balls of mixed radii, some pinned, some joined to sticks, in a room with two walls."""
+    rng = np.random.default_rng(7)
+    scene = ts.Scene(dim=dim)
+    scene.add_material("m", restitution=0.4)
+    scene.add_balls(
+        rng.uniform(-1.0, 1.0, (n, dim)),
+        velocity=rng.standard_normal((n, dim)),
+        radius=rng.uniform(0.08, 0.25, n) * (1.0 if dim == 2 else 1.6),
+        pinned=rng.random(n) < 0.2,
+        material="m",
+    )
+    scene.add_springs(np.arange(2 * sticks).reshape(-1, 2), stiffness=1.0, collides=True)
+    scene.add_wall(vector(dim, 0.6, 0.8), -0.7, "m")
+    scene.add_wall(-np.eye(dim)[-1], -0.8, "m")
+    return scene
+
+
+def by_brute_force(scene, x, v):
+    """Number, largest and mean overlap, the same as parts of the smaller radius, largest and RMS approach speed."""
+    x, v, radius = as_stored(x), as_stored(v), as_stored(scene.radius)
+    free = ~scene.pinned
+    walls = [(as_stored(w.normal), float(as_stored(w.offset))) for w in scene.walls]
+    found = [
+        *reference.ball_contacts(x, radius, scene.pairs),
+        *reference.stick_contacts(x, radius, scene.pairs[scene.collides]),
+        *reference.wall_contacts(x, radius, walls),
+    ]
+    found = [c for c in found if np.any(free[list(c.balls)])]
+    depth = np.array([c.depth for c in found])
+    # a stick has no thickness: only the ball that touches it has a radius
+    small = np.array([np.min(radius[list(c.balls)][: 1 if len(c.balls) == 3 else 2]) for c in found])
+    left = np.array([max(0.0, -c.normal @ (np.array(c.g) @ v[list(c.balls)])) for c in found])
+    part = depth / small
+    return len(found), depth.max(), depth.mean(), part.max(), part.mean(), left.max(), np.sqrt(np.mean(left**2))
+
+
+@pytest.mark.parametrize("variant", VARIANTS[:2], ids="-".join)
+@each_dim
+def test_random_scenes_equal_brute_force(dim, variant):
+    scene = crowd(dim)
+    rng = np.random.default_rng(8)
+    with simulate(scene, variant, dt=1e-3) as sim:
+        assert sum(breakdown(sim).values()) == sim._parts.fields.bytes  # no field without a name
+        for _ in range(12):
+            said, want = sim.contacts(), by_brute_force(scene, sim.position, sim.velocity)
+            assert said.number == want[0] > 20
+            np.testing.assert_allclose(said[1:7], want[1:], rtol=CLOSE, atol=CLOSE)
+            assert said.penetration == sim.penetration()
+            assert said.largest_speed == pytest.approx(np.linalg.norm(sim.velocity, axis=1).max())
+            sim.set_position(rng.uniform(-1.2, 1.2, scene.position.shape))
+            sim.set_velocity(rng.standard_normal(scene.position.shape))
+
+
+@pytest.fixture(scope="module")
+def stack():
+    """Five discs over each other on a floor."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_balls([[0.3, (2 * k + 1) * R] for k in range(5)], radius=R)
+    scene.add_wall((0.0, 1.0), 0.0)
+    with simulate(scene, dt=1e-3, substeps=2, contact_passes=3) as sim:
+        yield sim
+
+
+def test_a_stack_set_up_by_hand(stack):
+    """Overlaps of 1, 2, 3 and 4 hundredths of a radius, 5 with the floor; the second ball falls, the upper two rise."""
+    height = R * np.cumsum([0.95, *(2.0 - 0.01 * np.arange(1, 5))])
+    v = np.zeros((5, 2))
+    v[1, 1], v[3, 1], v[4, 1] = -0.2, 0.4, 0.1
+    stack.set_position([[0.3, y] for y in height])
+    stack.set_velocity(v)
+    before = stack.contacts().searches
+    said = stack.contacts()
+    assert said.searches == before  # to ask is no step
+    assert (said.number, said.passes, said.substeps) == (5, 3, 2)
+    rounding = 8 * EPS
+    assert said.penetration == pytest.approx(0.05 * R, abs=rounding)
+    assert said.mean_penetration == pytest.approx(0.03 * R, abs=rounding)
+    assert said.relative_penetration == pytest.approx(0.05, abs=rounding / R)
+    assert said.mean_relative_penetration == pytest.approx(0.03, abs=rounding / R)
+    # on the first ball the second falls with 0.2 m/s, to the fifth the fourth rises with 0.3
+    assert said.residual == pytest.approx(0.3, abs=rounding)
+    assert said.rms_residual == pytest.approx(np.sqrt((0.2**2 + 0.3**2) / 5), abs=rounding)
+    assert said.largest_speed == pytest.approx(0.4, abs=rounding)
+
+
+def test_a_stack_that_has_come_to_rest(stack):
+    stack.set_position([[0.3, (2 * k + 1) * R] for k in range(5)])
+    stack.set_velocity(np.zeros((5, 2)))
+    stack.run(1.0)
+    said, y = stack.contacts(), stack.position[:, 1]
+    depth = 2 * R - np.diff(y)
+    assert said.number == 5  # the lowest ball rests on the surface of the floor
+    assert np.all(np.diff(depth) < 0.0)
+    assert said.penetration == pytest.approx(depth[0], abs=20 * EPS)
+    assert said.mean_penetration == pytest.approx((depth.sum() + max(0.0, R - y[0])) / 5, abs=20 * EPS)
+    assert 0.0 < said.relative_penetration < 0.01
+    assert said.residual < 1e-4
+    assert said.largest_speed < 1e-4
+    stack.step(100)
+    assert stack.contacts().searches == said.searches  # nothing moves by the skin
+
+
+def test_without_contacts_there_are_none():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 0.0], [0.1, 0.0]], radius=0.1, velocity=[[3.0, 4.0], [0.0, 0.0]])
+    with simulate(scene, dt=1e-3, contacts="off") as sim:
+        assert sim.contacts() == (0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 1, 5.0, 0)
+    with simulate(ts.Scene(dim=3), dt=1e-3) as sim:
+        assert sim.contacts().number == 0
+        assert sim.contacts().largest_speed == 0.0
+
+
+def test_frames_of_an_export_hold_what_the_simulation_says(stack, tmp_path):
+    stack.set_position([[0.3, (2.1 * k + 1.5) * R] for k in range(5)])
+    stack.set_velocity(np.zeros((5, 2)))
+    summary = export(stack, open_output(tmp_path / "x.npz"), fps=50, duration=0.2)
+    last = stack.contacts()
+    with np.load(tmp_path / "x.npz") as data:
+        assert data["contacts"][0] == 0
+        assert data["contacts"][-1] == last.number > 0
+        assert data["penetration"][-1].tolist() == [last.penetration, last.mean_penetration]
+        assert data["residual"][-1] == last.residual
+        assert data["largest_speed"] == pytest.approx(np.linalg.norm(data["velocity"], axis=2).max(axis=1))
+        assert summary.penetration == data["penetration"][:, 0].max()
+        assert summary.residual == data["residual"].max()
+        assert summary.most_contacts == data["contacts"].max()
+    assert summary.contacts == last
+    assert f"{last.number} at the end" in "\n".join(summary.lines())
+    assert stack.frame().contacts is None  # a frame by itself does not cost a look
