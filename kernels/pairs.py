@@ -8,6 +8,9 @@ import taichi as ti
 
 from .grid import bucket_of, cell_of, run, same_row
 
+ENDLESS = 2**31 - 1  # what `overflow` says where cells hold so many pairs that none were looked for
+FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
+
 
 @ti.func
 def may_touch(pairs: ti.template(), i, j):
@@ -140,10 +143,15 @@ def search(pairs: ti.template()):
 
     The lists of a block of balls lie one behind the other in the room of that block; what it cannot hold goes to a pool at
     the end, where its place depends on the threads, but not what it holds. What does not fit there is counted and not kept;
-    the host then stops with an error. New and old lists take turns in the two halves of the memory where impulses are kept.
+    the host then makes more room and repeats the steps. New and old lists take turns in the two halves of the memory where
+    impulses are kept.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
+        if pairs.grid.crowd[0] > pairs.grid.most[0]:
+            pairs.overflow[0] = ENDLESS
+            pairs.grid.worst[0] = ti.max(pairs.grid.worst[0], pairs.grid.crowd[0])
+            pairs.grid.work[0] = 0
         if pairs.grid.work[0] > 0:
             if ti.static(pairs.warm):
                 pairs.turn[0] = 1 - pairs.turn[0]
@@ -163,7 +171,9 @@ def search(pairs: ti.template()):
                 found, far = settle(pairs, k, at, found)
                 at += found
             else:
-                used = pairs.pool + ti.atomic_add(pairs.used[0], found + 1)
+                used = FULL
+                if pairs.used[0] < FULL - pairs.pool:
+                    used = pairs.pool + ti.atomic_add(pairs.used[0], found + 1)
                 if used + found < pairs.capacity:
                     first = half + used
                     nearby(pairs, k, first, found)

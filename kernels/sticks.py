@@ -8,6 +8,7 @@ import taichi as ti
 
 from .direction import unit
 from .grid import FINE, bucket_of, cell_of, run, same_row
+from .pairs import ENDLESS, FULL
 
 END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
 SLABS = 1 << 16  # cells that one stick may cross
@@ -108,7 +109,7 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
     high = (cell_of(ti.max(a, a + d) + sticks.grid.largest, sticks.grid) // cells)[axis]
     if high - low > SLABS:
         high = low + SLABS
-        ti.atomic_max(sticks.overflow[0], sticks.capacity + 1)
+        sticks.overflow[0] = ENDLESS
     found = 0
     for k in range(low, high + 1):
         first, last = slab(sticks.grid, a, d, axis, k)
@@ -120,11 +121,12 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
 def detect(sticks: ti.template(), ball: ti.template()):
     """Rows of all sticks, then for each ball the sorted list of its entries 3 row + (0: ball, 1, 2: end)."""
     sticks.used[0] = 0
-    for s in range(sticks.m):
+    for s in range(ti.select(sticks.grid.work[0] > 0, sticks.m, 0)):  # none where the grid gave up
         found = walk(sticks, ball, s, 0, False)
-        first = 0
+        first = FULL
         if found > 0:
-            first = ti.atomic_add(sticks.used[0], found)
+            if sticks.used[0] < FULL:
+                first = ti.atomic_add(sticks.used[0], found)
             if first + found <= sticks.capacity:
                 walk(sticks, ball, s, first, True)
             else:

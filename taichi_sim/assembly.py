@@ -1,11 +1,12 @@
 """Assembly: from a scene and settings to model, state, forces, contacts, integrator and drivers, with only what is needed."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim import memory
 from taichi_sim.backend import Backend
 from taichi_sim.contacts.grid import SKIN, Grid
 from taichi_sim.contacts.pairs import GAP, Pairs
@@ -19,6 +20,7 @@ from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs, fixed_order
 from taichi_sim.forces.total import TotalForce
 from taichi_sim.integrators import BUILT_IN
+from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
 from taichi_sim.order import in_order, spatial_order
 from taichi_sim.scene import Scene
@@ -30,12 +32,37 @@ __all__ = ["Assembly"]
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
 MOST_BOUNCE = 0.5  # above that, only split masses are sure never to gain energy
 SLOWEST_BOUNCE = 0.01  # m/s
+MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
+GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
+PAIR_BYTES = 64  # about what a listed pair takes
+SPARE = 1.5  # room made, in units of what was found too much
+
+
+class Room(NamedTuple):
+    """Entries that contacts are known to need: links of pairs, rows of sticks."""
+
+    pairs: int = 0
+    sticks: int = 0
+
+
+USUAL = Room()
 
 
 class Assembly:
     """All parts of one simulation. h: seconds per substep."""
 
-    def __init__(self, scene: Scene, settings: Settings, backend: Backend, h: float, forces: Sequence[Any]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Settings,
+        backend: Backend,
+        h: float,
+        forces: Sequence[Any],
+        room: Room = USUAL,
+    ) -> None:
+        self.arguments = (scene, settings, backend, h, forces)
+        self.backend = backend
+        self.room = room
         cpu = backend.arch == "cpu"
         if settings.driver == "fused" and not cpu:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
@@ -88,11 +115,14 @@ class Assembly:
         warm = self.model.has_gravity or pulls or bool(self.forces.extra)
         # only what rests is soft, and that takes gravity: a rigid contact is exact for two balls
         soft = self.model.has_gravity and pairs and settings.integrator.relaxes and settings.contacts != "sum"
-        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0) if pairs else None
-        pair_part = Pairs(self.model, self.fields, grid, warm, soft) if grid is not None else None
+        most = self._spare_bytes() // PAIR_BYTES
+        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
+        pair_part = Pairs(self.model, self.fields, grid, warm, soft, self.room.pairs) if grid is not None else None
         walled = on and bool(scene.walls)
         wall_part = Walls(self.model, self.state, self.fields, threshold, soft) if walled else None
-        stick_part = Sticks(self.model, self.fields, pair_part) if sticks and pair_part is not None else None
+        stick_part = (
+            Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
+        )
         rule = self._rule(scene, settings, cpu)
         return ContactSolver(
             self.model,
@@ -148,16 +178,60 @@ class Assembly:
         pairs = self.contacts.pairs
         return 0 if pairs is None else int(pairs.grid.searches[0])
 
-    def check_capacity(self) -> None:
-        """Raise where contacts were found that did not fit: never silently fewer of them."""
-        for part in self.contacts.searched:
-            needed = int(part.overflow[0])
-            if needed > part.capacity:
+    def lacking(self) -> Room | None:
+        """Entries that contacts need where they did not all fit since the last call, else None."""
+        found = {}
+        for name in Room._fields:
+            part = getattr(self.contacts, name)
+            if part is not None and (entries := int(part.overflow[0])) > part.capacity:
                 part.overflow[0] = 0
-                raise SceneError(
-                    f"contacts: {needed} entries were found, but there is room for {part.capacity}: too many balls lie within"
-                    " reach of each other, or a stick is longer than 65536 balls"
-                )
+                found[name] = entries
+        return self.room._replace(**found) if found else None
+
+    def with_room(self, needed: Room) -> "Assembly":
+        """The same parts, compiled anew, with lists for what is needed and half as much again. This one is freed.
+
+        Positions, velocities and spin go over; impulses that contacts hold do not. Raises SceneError, and changes nothing,
+        where that takes more than MEMORY_SHARE of the free memory, or more entries than numbers of 32 bits count.
+        """
+        room = {}
+        for name in Room._fields:
+            part, entries = getattr(self.contacts, name), getattr(needed, name)
+            if part is not None and entries > part.capacity:
+                if entries == ENDLESS:
+                    raise SceneError(self._endless(name))
+                limit = max(part.capacity, int(min(part.most, self._spare_bytes() // part.bytes_each)))
+                if entries > limit:
+                    raise SceneError(
+                        f"contacts: {part.what} need {entries} entries, but there is memory for {limit}"
+                        f" ({limit * part.bytes_each / 2**30:.3g} GiB): too many balls lie in each other"
+                    )
+                entries = min(limit, int(SPARE * entries))
+            room[name] = entries
+        state = self.state
+        x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
+        self.free()
+        larger = Assembly(*self.arguments, room=Room(**room))
+        larger.state.write(x, v, low)
+        larger.state.write_turn(turn)
+        return larger
+
+    def _endless(self, name: str) -> str:
+        """What to say where counting itself would take too long."""
+        if name == "sticks":
+            return "contacts: a stick is longer than 65536 balls; divide it, or make the largest ball larger"
+        pairs = self.contacts.pairs
+        assert pairs is not None
+        return (
+            f"contacts: {float(pairs.grid.worst[0]):.2g} pairs of balls lie in the same cells of {pairs.grid.width:.3g} m, but"
+            f" there is memory for {float(pairs.grid.most[0]):.2g}: too many balls lie in each other"
+        )
+
+    def _spare_bytes(self) -> int:
+        """Bytes that lists of contacts may take."""
+        if self.backend.arch != "cpu":
+            return GPU_MEMORY
+        return int(MEMORY_SHARE * (memory.available() + self.fields.bytes))
 
     def free(self) -> None:
         """Give all memory back."""

@@ -135,8 +135,8 @@ class Simulation:
     def _prime(self) -> None:
         state = self._state
         if not self._primed:
-            self._parts.prime(self._h, self.time)
-            self._parts.check_capacity()
+            self._prime_parts()
+            state = self._state
             bad = state.first_bad()  # also compiles the check, so that step(0) leaves nothing to compile
             if bad is not None:
                 x, v = self.position[bad].tolist(), self.velocity[bad].tolist()
@@ -146,24 +146,35 @@ class Simulation:
             state.keep()
             self._primed = True
 
-    def _advance(self, steps: int) -> None:
-        """A chunk of steps, then a look at the result: a bad one is taken back and searched step by step."""
+    def _prime_parts(self) -> None:
+        """Find contacts at the present positions, with as much room as they need."""
+        self._parts.prime(self._h, self.time)
+        while (needed := self._parts.lacking()) is not None:
+            self._parts = self._parts.with_room(needed)
+            self._parts.prime(self._h, self.time)
+
+    def _run(self, steps: int) -> int | None:
+        """Run the parts, and look for a ball that is not finite. Where contacts did not fit, the steps are repeated from the
+        last good state with more room."""
         self._parts.run(steps * self.substeps, self._h, self.time)
-        try:
-            self._parts.check_capacity()
-        except SceneError:
+        while (needed := self._parts.lacking()) is not None:
             self._state.restore()
             self._primed = False
-            raise
-        if self._state.first_bad() is None:
+            self._parts = self._parts.with_room(needed)
+            self._prime()
+            self._parts.run(steps * self.substeps, self._h, self.time)
+        return self._state.first_bad()
+
+    def _advance(self, steps: int) -> None:
+        """A chunk of steps, then a look at the result: a bad one is taken back and searched step by step."""
+        if self._run(steps) is None:
             self._steps += steps
             self._state.keep()
             return
         self._state.restore()
-        self._parts.prime(self._h, self.time)
+        self._prime_parts()
         for _ in range(steps):
-            self._parts.run(self.substeps, self._h, self.time)
-            bad = self._state.first_bad()
+            bad = self._run(1)
             if bad is not None:
                 self._fail(bad)
             self._steps += 1

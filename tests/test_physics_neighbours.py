@@ -1,22 +1,26 @@
 """The spatial hash from inside: rows side by side or spread by a hash, cells crowded by several threads, overlaps reported."""
 
+import resource
+
 import numpy as np
 import pytest
 import taichi as ti
 from physics_support import F64, VARIANTS, each_dim, simulate
 
 import taichi_sim as ts
+from taichi_sim import memory
+from taichi_sim.contacts import pairs, sticks
 
 H = 1e-3
 
 
 def touching(sim):
     """All pairs (i, j), i < j, that the lists name as touching."""
-    pairs, n = sim._parts.contacts.pairs, sim.scene.n_balls
-    first, number, other = (f.to_numpy() for f in (pairs.first, pairs.touching, pairs.link.other))
-    own = int(pairs.turn[0]) * n
+    lists, n = sim._parts.contacts.pairs, sim.scene.n_balls
+    first, number, other = (f.to_numpy() for f in (lists.first, lists.touching, lists.link.other))
+    own = int(lists.turn[0]) * n
     listed = [(i, int(j)) for i in range(n) for j in other[first[own + i] : first[own + i] + number[own + i]]]
-    return [(min(pair), max(pair)) for pair in listed]
+    return [(min(both), max(both)) for both in listed]
 
 
 def brute_force(x, radius):
@@ -105,15 +109,89 @@ def test_few_large_balls_do_not_fill_the_lists_of_small_ones():
         assert sim._parts.contacts.pairs.number.to_numpy()[:5000].max() == 0
 
 
-def test_too_many_neighbours_leave_the_last_good_state():
+def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
+    """A patch of discs that closes up, with hardly any room at first: what found too little is repeated, spin and all."""
+    i, j = np.divmod(np.arange(100), 10)
+    x = np.stack([i + 0.5 * j, np.sqrt(0.75) * j], axis=1) * 0.26
+    x -= x.mean(axis=0)
     scene = ts.Scene(dim=2)
-    scene.add_balls(np.zeros((2000, 2)), radius=0.1)
+    scene.add_balls(x, radius=0.1)
+    monkeypatch.setattr(pairs, "PER_BALL", {2: 1})
+    monkeypatch.setattr(pairs, "POOL", 0)
+    spin = np.random.default_rng(0).standard_normal((100, 1))
+    settings = {"dt": H, "spin": True, "contact_passes": 1}
+    with simulate(scene, **settings) as sim:
+        first = sim._parts
+        sim.resume(x, -2.0 * x, 0.0, None, spin)
+        steps = 0
+        while sim._parts is first:
+            sim.step(20)
+            steps += 20
+        assert 20 < steps < 300
+        assert first.fields._tree is None  # the old memory is free
+        after = sim.position, sim.surface_speed
+    monkeypatch.undo()
+    with simulate(scene, **settings) as sim:
+        first = sim._parts
+        sim.resume(x, -2.0 * x, 0.0, None, spin)
+        sim.step(steps)
+        assert sim._parts is first
+        assert np.allclose(sim.position, after[0], rtol=0.0, atol=1e-13 if F64 else 1e-6)
+        assert np.array_equal(sim.surface_speed, after[1])
+
+
+def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):
+    """2000 balls within reach of each other are refused where memory is short, before or after their pairs are counted."""
+    scene = ts.Scene(dim=2)
+    scene.add_balls(np.arange(2000)[:, None] * [1.0, 0.0], radius=0.1)
+    crowd = 1e-5 * scene.position
     with simulate(scene, dt=H) as sim:
-        for _ in range(2):
-            with pytest.raises(ts.SceneError, match=r"contacts: .* room for"):
-                sim.step(5)
-        assert sim.time == 0.0
-        assert np.array_equal(sim.position, scene.position)
+        grid = sim._parts.contacts.pairs.grid
+        enough = grid.most[0]
+        with monkeypatch.context() as patch:
+            patch.setattr(memory, "available", lambda: 1 << 20)
+            for most, words in (
+                (enough, r"pairs .* need 200\d{4} entries, .* memory for \d{7} "),
+                (1e5, "2e.06 pairs .* same cells"),
+            ):
+                grid.most[0] = most
+                sim.set_position(crowd)
+                for _ in range(2):
+                    with pytest.raises(ts.SceneError, match=r"contacts: .*" + words):
+                        sim.step(5)
+                assert sim.time == 0.0
+                assert np.allclose(sim.position, crowd)
+        grid.most[0] = enough
+        assert sim.penetration() == pytest.approx(0.2 - 1e-5, rel=1e-5)
+        found = sim._parts.contacts.pairs
+        assert int(np.sum(found.number.to_numpy()[:2000])) == 1999 * 1000
+        assert found.grid is not grid
+
+
+def test_rows_of_sticks_grow(monkeypatch):
+    """Twenty sticks through a hundred balls that touch each of them."""
+    monkeypatch.setattr(sticks, "MINIMUM_CAPACITY", 1)
+    scene = ts.Scene(dim=2)
+    ends = scene.add_balls(np.array([[-5.0, 0.0], [5.0, 0.0]] * 20), radius=0.001, pinned=True)
+    scene.add_balls(np.linspace(-4.0, 4.0, 100)[:, None] * [1.0, 0.0], radius=0.03)
+    scene.add_springs(ends.reshape(-1, 2), stiffness=1.0, collides=True)
+    with simulate(scene, dt=H) as sim:
+        assert sim.penetration() == 0.0
+        part = sim._parts.contacts.sticks
+        assert int(part.used[0]) == 2000
+        assert 2000 <= part.capacity < 4000
+
+
+@pytest.mark.slow
+def test_a_million_balls_in_a_cell_are_refused():
+    """Their pairs would fill terabytes: that is said before any is stored, and before time goes into sorting them."""
+    scene = ts.Scene(dim=2)
+    scene.add_balls(np.random.default_rng(0).uniform(0.1, 0.2, (1_000_000, 2)), radius=1.0)
+    with simulate(scene, VARIANTS[1], dt=H) as sim:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        with pytest.raises(ts.SceneError, match=r"5e\+11 pairs of balls lie in the same cells"):
+            sim.step(1)
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB
 
 
 def test_own_integrator_that_moves_balls_itself_still_meets_contacts():

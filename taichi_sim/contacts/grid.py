@@ -21,16 +21,17 @@ class Grid:
 
     Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
     its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
+    Nothing is looked for while cells hold more than `most` pairs.
     """
 
-    def __init__(self, model: Model, fields: Fields, skin: float, gap: float) -> None:
+    def __init__(self, model: Model, fields: Fields, skin: float, gap: float, most: int) -> None:
         self.model = model
         self.n, self.dim = model.n, model.dim
         largest = float(np.max(model.scene.radius))
         self.skin, self.enlarged = skin, 1.0 + skin + gap
         self.margin = 1.001  # for rounded coordinates
         self.inverse_cell = 1.0 / (2.0 * largest * self.enlarged * self.margin)
-        self.largest = largest
+        self.largest, self.width = largest, 1.0 / self.inverse_cell
         self.size = max(64, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * self.n)))))
         self.mask = self.size - 1
         self.chunk = 64 if self.size < 4096 else 1024
@@ -41,6 +42,8 @@ class Grid:
         self.order = fields.integers(self.n)
         self.origin = fields.vectors(self.n, model.dim)
         self.stale, self.work, self.searches = fields.integers(1), fields.integers(3), fields.integers(1)
+        self.crowd, self.worst = fields.reals(1), fields.reals(1)  # pairs in crowded cells: in the last search, in any
+        self.most = fields.reals(np.array([float(most)]))
         self.part = PART
         self.parts = -(-self.n // PART)
         self.low, self.high = (fields.cells(self.parts, model.dim) for _ in range(2))

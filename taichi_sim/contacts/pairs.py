@@ -25,17 +25,21 @@ class Pairs:
 
     `link` holds the other ball and what the contact holds from step to step: its impulse [N s] and, with friction, the impulse
     along the surface. `row` holds what only one step needs: normal, depth [m], mass [kg], target speed [m/s]. warm: contacts
-    start from the impulses of the step before. soft: they are damped springs, see kernels.contact_law.
+    start from the impulses of the step before. soft: they are damped springs, see kernels.contact_law. room: links that are
+    known to be needed.
     """
 
-    def __init__(self, model: Model, fields: Fields, grid: Grid, warm: bool, soft: bool) -> None:
+    what = "pairs of balls within reach of each other"
+
+    def __init__(self, model: Model, fields: Fields, grid: Grid, warm: bool, soft: bool, room: int = 0) -> None:
         scene = model.scene
         self.model, self.grid, self.warm, self.soft = model, grid, warm, soft
         self.slop, self.gap = SLOP, GAP if soft else 0.0
         self.block = BLOCK
         self.room = BLOCK * PER_BALL[model.dim]
         self.pool = -(-model.n // BLOCK) * self.room
-        self.capacity = self.pool + max(model.n, min(model.n**2, POOL))
+        self.capacity = max(room, self.pool + max(model.n, min(model.n**2, POOL)))
+        before = fields.bytes
         self.used, self.overflow = fields.integers(1), fields.integers(1)
         self.furthest, self.length, self.blocks = fields.integers(1), fields.integers(1), fields.integers(1)
         halves = 2 if warm else 1
@@ -52,6 +56,8 @@ class Pairs:
         if model.spins:
             columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
         self.row = fields.table(columns, self.capacity)
+        self.most = loops.FULL // halves
+        self.bytes_each = (fields.bytes - before) / self.capacity
         self.turn = fields.integers(1)
         self.number = fields.integers(model.n)
         self.first, self.touching = fields.integers(halves * model.n), fields.integers(halves * model.n)

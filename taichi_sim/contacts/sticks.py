@@ -15,25 +15,33 @@ from taichi_sim.model import Model
 __all__ = ["Sticks"]
 
 MINIMUM_CAPACITY = 1 << 16  # rows
+MOST = 1 << 29  # rows; each has three entries
 
 
 @ti.data_oriented
 class Sticks:
-    """Ball-stick contacts: the stick is its two end balls, each taking part by how near the hit is."""
+    """Ball-stick contacts: the stick is its two end balls, each taking part by how near the hit is. room: rows known to be
+    needed."""
 
-    def __init__(self, model: Model, fields: Fields, pairs: Pairs) -> None:
+    what = "balls that touch sticks"
+    most = MOST
+
+    def __init__(self, model: Model, fields: Fields, pairs: Pairs, room: int = 0) -> None:
         scene = model.scene
         ends = scene.pairs[scene.collides]
         self.model, self.pairs, self.grid = model, pairs, pairs.grid
         self.m = len(ends)
         self.one, self.two = fields.integers(ends[:, 0]), fields.integers(ends[:, 1])
-        self.capacity = max(MINIMUM_CAPACITY if model.n > 64 else self.m * model.n, 4 * (model.n + self.m))
+        usual = max(MINIMUM_CAPACITY if model.n > 64 else self.m * model.n, 4 * (model.n + self.m))
+        self.capacity = max(room, usual)
+        before = fields.bytes
         self.row = fields.table(
             {"ball": ti.i32, "stick": ti.i32, "target": fields.real, "held": fields.real}, self.capacity
         )
         self.impulse = fields.vectors(self.capacity, model.dim)
         self.slide = fields.vectors(self.capacity, model.dim)
         self.entry = fields.integers(3 * self.capacity)
+        self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number = fields.integers(model.n), fields.integers(model.n)
         self.used, self.entries, self.overflow = (fields.integers(1) for _ in range(3))
 

@@ -1,0 +1,36 @@
+"""How much memory this process may still take."""
+
+import os
+from pathlib import Path
+
+__all__ = ["available"]
+
+UNKNOWN = 4 << 30  # bytes, where the system does not say
+GROUPS = (  # a container's limit and what it uses, in the two ways that Linux has
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
+
+
+def available() -> int:
+    """Bytes that can be taken before the machine swaps or the container's limit is met."""
+    free = [_machine()]
+    for limit, used in GROUPS:
+        try:
+            free.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
+        except (OSError, ValueError):  # no such group, or no limit ("max")
+            continue
+    return max(0, min(free))
+
+
+def _machine() -> int:
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) << 10
+    except OSError:
+        pass
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return UNKNOWN
