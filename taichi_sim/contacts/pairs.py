@@ -55,7 +55,7 @@ class Pairs:
         self.turn, self.overlap = fields.integers(1), fields.reals(1)
         self.number = fields.integers(model.n)
         self.first, self.touching = fields.integers(halves * model.n), fields.integers(halves * model.n)
-        self.counts = soft and bool(scene.walls)
+        self.counts = soft and bool(scene.walls or scene.colliders)
         if self.counts:
             self.met = fields.integers(model.n)  # pairs of each ball that touch, whoever lists them
         self.has_bodies = bool(np.any(scene.body > 0))
