@@ -1,4 +1,4 @@
-"""Moving a ball through a step with impacts on walls at their exact times.
+"""Moving a ball through a step with impacts on walls and colliders at their exact times.
 
 Within a step the path is a parabola from x with start velocity v - a h / 2 and acceleration a: exact for constant forces,
 so an elastic bounce loses nothing. A scheme without acceleration inside the step passes a = 0 and moves on a straight line.
@@ -6,22 +6,12 @@ so an elastic bounce loses nothing. A scheme without acceleration inside the ste
 
 import taichi as ti
 
+from .colliders import distance, first_collider, local, surface_velocity, world
 from .contact_law import decayed
 from .direction import cross, lever
+from .parabola import crossing
 
 IMPACTS = 8  # per ball and step; a wedge that asks for more stops the ball for the rest of the step
-
-
-@ti.func
-def crossing(gap, v, a, never):
-    """First time at which gap + v t + a t^2 / 2 falls to 0, or `never`. gap >= 0."""
-    t = never
-    square = v * v - 2.0 * a * gap
-    if v < 0.0 and square >= 0.0:
-        t = 2.0 * gap / (ti.sqrt(square) - v)  # no cancellation for a slow fall
-    elif v >= 0.0 and a < 0.0:
-        t = (v + ti.sqrt(square)) / -a
-    return t
 
 
 @ti.func
@@ -29,7 +19,7 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
     """Earliest wall hit by ball i within `remaining` seconds: its number or -1, and the time."""
     hit = -1
     time = remaining
-    for k in range(walls.count):
+    for k in range(walls.planes):
         wall = walls.wall[k]
         gap = wall.normal.dot(x) - wall.offset - walls.model.radius[i]
         u = wall.normal.dot(v)
@@ -45,20 +35,19 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
 
 
 @ti.func
-def bounce(walls: ti.template(), i, k, v, a, threshold, h):
-    """Velocity and acceleration of ball i after wall k: reflected above the threshold speed, else resting on it."""
-    wall = walls.wall[k]
-    law = walls.law(i, k)
-    u = wall.normal.dot(v)
+def bounce(walls: ti.template(), i, n, law, v, a, threshold, h):
+    """Velocity, from the surface, and acceleration of ball i after it met a surface with the normal n: reflected above the
+    threshold speed, else resting on it."""
+    u = n.dot(v)
     j = -u
     if -u > threshold:
         j = -(1.0 + law.restitution) * u
-    after = v + j * wall.normal
+    after = v + j * n
     if ti.static(walls.model.has_friction):
-        t = v - u * wall.normal
+        t = v - u * n
         share = 0.0 * u + 1.0
         if ti.static(walls.model.spins):
-            t -= lever(walls.state.turn[i], wall.normal)
+            t -= lever(walls.state.turn[i], n)
             share = 1.0 / (1.0 + walls.model.turning)
         speed = t.norm()
         if speed > 0.0:
@@ -66,11 +55,27 @@ def bounce(walls: ti.template(), i, k, v, a, threshold, h):
             change = ti.min(share * speed, slip * share * speed + law.friction * j) / speed * t
             after -= change
             if ti.static(walls.model.spins):
-                walls.state.turn[i] = walls.state.turn[i] + walls.model.turning * cross(wall.normal, change)
+                walls.state.turn[i] = walls.state.turn[i] + walls.model.turning * cross(n, change)
     rest = a
     if -u <= threshold or law.restitution == 0.0:
-        rest = a - ti.min(0.0, wall.normal.dot(a)) * wall.normal
+        rest = a - ti.min(0.0, n.dot(a)) * n
     return after, rest
+
+
+@ti.func
+def strike(walls: ti.template(), i, k, x, v, a, after, threshold, h):
+    """Velocity and acceleration of ball i after it met collider k `after` seconds into the step, and whether it rests on it."""
+    d, n, _ = distance(walls.colliders, k, local(walls.colliders, k, x, after))
+    n = world(walls.colliders, k, n, after)
+    own = surface_velocity(walls.colliders, k, x - d * n, after)
+    law = walls.law_with(i, walls.colliders.shape[k].surface)
+    u = n.dot(v - own)
+    speed, pull = v, a
+    rests = u >= -threshold or law.restitution == 0.0
+    if u < 0.0:
+        speed, pull = bounce(walls, i, n, law, v - own, a, threshold, h)
+        speed += own
+    return speed, pull, rests
 
 
 @ti.func
@@ -81,8 +86,14 @@ def press(walls: ti.template(), i, v, a):
     """
     for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
         if walls.contact[i * walls.count + k].active == 1:
-            n = walls.wall[k].normal
-            v -= ti.min(0.0, n.dot(v)) * n
+            n = walls.normal(i, k)
+            if ti.static(walls.has_colliders):
+                least = 0.0 * v[0]
+                if k >= walls.planes:  # a surface that falls away is followed
+                    least = ti.min(0.0, walls.contact[i * walls.count + k].target)
+                v -= ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
+            else:
+                v -= ti.min(0.0, n.dot(v)) * n
             a -= ti.min(0.0, n.dot(a)) * n
     return v, a
 
@@ -95,13 +106,32 @@ def move(walls: ti.template(), i, x, v, a, h, threshold):
     speed = along - 0.5 * h * pull
     shift = h * along
     touched = False
+    settled = -1  # the collider on which it came to rest within this step
     for _ in range(IMPACTS):
         if remaining > 0.0:
             start = ti.select(touched, shift, 0.0 * shift)
             hit, t = first_wall(walls, i, x + start, speed, pull, remaining)
-            if hit >= 0:
+            other = -1
+            if ti.static(walls.has_colliders):
+                other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled)
+            if other != -1:
                 shift = start + t * (speed + 0.5 * t * pull)
-                speed, pull = bounce(walls, i, hit, speed + t * pull, pull, threshold, h)
+                speed += t * pull
+                if ti.static(walls.has_colliders):
+                    if other >= 0:
+                        speed, pull, rests = strike(
+                            walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
+                        )
+                        settled = ti.select(rests, other, settled)
+                        remaining -= t
+                    else:
+                        remaining = 0.0
+                touched = True
+            elif hit >= 0:
+                shift = start + t * (speed + 0.5 * t * pull)
+                speed, pull = bounce(
+                    walls, i, walls.wall[hit].normal, walls.law(i, hit), speed + t * pull, pull, threshold, h
+                )
                 remaining -= t
                 touched = True
             elif touched:

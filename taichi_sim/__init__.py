@@ -15,6 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from taichi_sim import shapes
+from taichi_sim.colliders import Box, Capsule, Mesh, Sphere
 from taichi_sim.errors import BackendError, SceneError, UnstableError
 from taichi_sim.frame import Frame
 from taichi_sim.rates import spring_from_rates
@@ -30,11 +31,15 @@ os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces its
 __version__ = "0.1.0"
 __all__ = [
     "BackendError",
+    "Box",
+    "Capsule",
     "Frame",
     "Integrator",
+    "Mesh",
     "Scene",
     "SceneError",
     "Simulation",
+    "Sphere",
     "UnstableError",
     "__version__",
     "load_scene",

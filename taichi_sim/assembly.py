@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim import memory
 from taichi_sim.backend import Backend
+from taichi_sim.contacts.colliders import TICKS, Colliders
 from taichi_sim.contacts.grid import SKIN, Grid
 from taichi_sim.contacts.pairs import GAP, Pairs
 from taichi_sim.contacts.solver import ContactSolver
@@ -107,7 +108,8 @@ class Assembly:
         threshold = max(2.0 * float(np.linalg.norm(scene.gravity)) * h, SLOWEST_BOUNCE)
         sticks = on and bool(np.any(scene.collides)) and scene.n_balls > 2
         pairs = on and (sticks or may_collide(scene))
-        if pairs or (on and scene.walls):
+        walled = on and bool(scene.walls or scene.colliders)
+        if pairs or walled:
             self.model.add_contact_fields()
         # sticks look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
         skin = 0.0 if sticks or type(settings.integrator) not in BUILT_IN else SKIN
@@ -118,8 +120,8 @@ class Assembly:
         most = self._spare_bytes() // PAIR_BYTES
         grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
         pair_part = Pairs(self.model, self.fields, grid, warm, soft, self.room.pairs) if grid is not None else None
-        walled = on and bool(scene.walls)
-        wall_part = Walls(self.model, self.state, self.fields, threshold, soft) if walled else None
+        self.colliders = Colliders(self.model, self.fields) if on and scene.colliders else None
+        wall_part = Walls(self.model, self.state, self.fields, threshold, soft, self.colliders) if walled else None
         stick_part = (
             Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
         )
@@ -162,11 +164,19 @@ class Assembly:
 
     def prime(self, h: float, time: float) -> None:
         """Forces and contacts at the present positions."""
+        if self.colliders is not None:
+            self.colliders.load(time, h, 0)
         self.drivers.prime(h, time)
 
     def run(self, substeps: int, h: float, time: float) -> None:
         """Advance the fields. 0 substeps compile the fused driver; the parallel one compiles with its first."""
-        self.drivers.run(substeps, h, time, self.fused)
+        if self.colliders is None or not self.colliders.moves:
+            self.drivers.run(substeps, h, time, self.fused)
+            return
+        for first in range(0, max(1, substeps), TICKS):
+            now = min(TICKS, substeps - first)
+            self.colliders.load(time + first * h, h, now)
+            self.drivers.run(now, h, time + first * h, self.fused)
 
     def survey(self) -> NDArray[np.float64]:
         """Tally (7,) of all contacts, see kernels.survey; they must be active."""

@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 
 from taichi_sim.errors import SceneError
 
-__all__ = ["SUFFIXES", "Surface", "hinge_pairs", "read_surface", "surface_area", "unique_edges"]
+__all__ = [
+    "SUFFIXES",
+    "Surface",
+    "hinge_pairs",
+    "holes",
+    "inside_out",
+    "mesh_distance",
+    "read_surface",
+    "surface_area",
+    "unique_edges",
+]
 
 SUFFIXES = (".obj", ".ply", ".stl")
 
@@ -106,3 +116,49 @@ def surface_area(surface: Surface) -> float:
     """Sum of the triangles' areas [m^2]."""
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def holes(triangles: NDArray) -> NDArray[np.int32]:
+    """The edges (k, 2) that do not lie between exactly two triangles which run along them in opposite ways; none: closed."""
+    if len(triangles) == 0:
+        return np.zeros((0, 2), dtype=np.int32)
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    unique, same, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+    forward = np.bincount(same.reshape(-1), edges[:, 0] < edges[:, 1], minlength=len(unique))
+    return unique[(count != 2) | (forward != 1)].astype(np.int32)
+
+
+def inside_out(surface: Surface) -> bool:
+    """Whether the triangles of a closed mesh face inward: the volume that they enclose counts as negative."""
+    a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
+    return float(np.sum(a * np.cross(b, c))) < 0.0
+
+
+def mesh_distance(surface: Surface, points: NDArray, far: float = np.inf) -> NDArray[np.float64]:
+    """Signed distance (n,) [m] of points (n, 3) from a closed mesh, negative inside: every triangle for every point."""
+    corners = surface.vertices[surface.triangles]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    result = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)  # at least so far
+    near = np.flatnonzero(result < far)
+    for part in np.array_split(near, max(1, len(near) * len(corners) // 2_000_000)):
+        p = points[part][:, None]
+        a, b, c = (corners[None, :, k] - p for k in range(3))
+        la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
+        volume = np.einsum("pti,pti->pt", a, np.cross(b, c))
+        dots = [np.einsum("pti,pti->pt", u, v) for u, v in ((a, b), (b, c), (c, a))]
+        solid = 2.0 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
+        inside = np.abs(solid.sum(axis=1)) > 2.0 * np.pi  # the winding number, 0 or 1, against 1/2
+        normal = np.cross(b - a, c - a)
+        area = np.linalg.norm(normal, axis=2)
+        d = np.full(area.shape, np.inf)
+        over = area > 0
+        for u, v in ((a, b), (b, c), (c, a)):
+            e = v - u
+            square = np.maximum(np.einsum("pti,pti->pt", e, e), 1e-300)
+            t = np.clip(-np.einsum("pti,pti->pt", u, e) / square, 0.0, 1.0)
+            d = np.minimum(d, np.linalg.norm(u + t[..., None] * e, axis=2))
+            over = over & (np.einsum("pti,pti->pt", np.cross(e, -u), normal) >= 0)
+        height = np.abs(np.einsum("pti,pti->pt", a, normal)) / np.maximum(area, 1e-300)
+        nearest = np.where(over, np.minimum(d, height), d).min(axis=1)
+        result[part] = np.where(inside, -nearest, nearest)
+    return result

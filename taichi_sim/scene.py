@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import checks
+from taichi_sim.colliders import Collider, build
 from taichi_sim.errors import SceneError
 
 __all__ = ["Material", "Scene", "Wall"]
@@ -55,7 +56,7 @@ class _Table:
 
 
 class Scene:
-    """A world of balls, springs, walls and triangles in 2 or 3 dimensions, SI units.
+    """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
     Args:
         dim: 2 or 3.
@@ -72,6 +73,7 @@ class Scene:
         self.gravity = np.zeros(dim) if gravity is None else checks.vector("gravity", gravity, self.dim)
         self.materials: list[Material] = [Material("default")]
         self.walls: list[Wall] = []
+        self.colliders: list[Collider] = []
         self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
         self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
         self._balls = _Table(
@@ -249,6 +251,16 @@ class Scene:
                 self._material("wall.material", material),
             )
         )
+
+    def add_collider(self, shape: Any) -> int:
+        """Add a solid body of infinite mass, a Sphere, Box, Capsule or Mesh, and return its number.
+
+        It stands where it is or moves along its path and pushes balls; pinned balls ignore it.
+        """
+        where = f"colliders[{len(self.colliders)}]"
+        material = self._material(f"{where}.material", getattr(shape, "material", "default"))
+        self.colliders.append(build(shape, self.dim, where, material))
+        return len(self.colliders) - 1
 
     def add_triangles(self, triangles: ArrayLike) -> None:
         """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface."""

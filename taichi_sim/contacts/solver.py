@@ -69,6 +69,7 @@ class ContactSolver:
         self.fastest_push = 0.0 if tames else FASTEST_PUSH * threshold  # what pushes out would count as a gain
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
+        self.has_colliders = walls is not None and walls.has_colliders
         self.by_tensor = self.split and not model.has_friction
         self.spins = model.spins
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
@@ -117,6 +118,8 @@ class ContactSolver:
     @ti.func
     def refresh(self, ball: ti.template()):
         """Find the contacts at the present positions, and how each ball splits its mass between them."""
+        if ti.static(self.has_colliders):
+            self.walls.colliders.advance()
         if ti.static(self.has_grid):
             swept.stop(self, ball)
             self.pairs.grid.build(ball)
@@ -171,6 +174,8 @@ class ContactSolver:
     @ti.func
     def prime(self, ball: ti.template()):
         """Find the contacts after positions were set from outside."""
+        if ti.static(self.has_colliders):
+            self.walls.colliders.rewind()
         if ti.static(self.has_grid):
             self.pairs.grid.expire()
         self.refresh(ball)

@@ -1,9 +1,11 @@
-"""Walls: impacts at their exact time while a ball moves, resting contact as rows of the contact solve."""
+"""Walls and colliders: impacts at their exact time while a ball moves, resting contact as rows of the contact solve."""
 
 import numpy as np
 import taichi as ti
 
+from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.fields import Fields
+from taichi_sim.kernels import colliders as geometry
 from taichi_sim.kernels import contact_law, impact, survey
 from taichi_sim.kernels.direction import cross, lever
 from taichi_sim.kernels.sweeps import zero_turn
@@ -15,22 +17,47 @@ __all__ = ["Walls"]
 TOUCH = 1e-5  # of the radius: a ball this close that hardly approaches rests on the wall
 OUT, RESTING, NEAR = range(3)
 SLOP = 0.01  # of the radius: depth that position correction leaves
+SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
+FAR = 1e30  # m, the gap of a slot in which nothing is held
+STEEP = (
+    0.25  # of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
+)
 
 
 @ti.data_oriented
 class Walls:
-    """All walls of a scene; each ball asks each wall."""
+    """All walls and colliders of a scene; each ball asks each of them.
 
-    def __init__(self, model: Model, state: State, fields: Fields, threshold: float, crowds: bool) -> None:
-        self.model, self.state = model, state
+    A ball has a contact for each wall, then a few slots for the colliders it touches. A slot holds what was found when contacts
+    were last looked for: `key` (which collider, which face of it), `gap` [m], `normal` and, where colliders move, `velocity`
+    [m/s], that of the surface. Impulses held from before stay with their key. colliders: None where the scene has none, then
+    nothing of this is compiled.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        fields: Fields,
+        threshold: float,
+        crowds: bool,
+        colliders: Colliders | None = None,
+    ) -> None:
+        self.model, self.state, self.colliders = model, state, colliders
         self.threshold = threshold
+        self.has_colliders = colliders is not None
+        self.moves, self.extent, self.faces = False, 0.0, 1
+        if colliders is not None:
+            self.moves, self.extent, self.faces = colliders.moves, colliders.extent, colliders.faces
         self.rounding = 4.0 * float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
         walls = model.scene.walls
-        self.count = len(walls)
+        self.planes = len(walls)
+        self.slots = SLOTS[model.dim] if self.has_colliders else 0
+        self.count = self.planes + self.slots
         vector = ti.types.vector(model.dim, fields.real)
         self.wall = fields.table(
             {"normal": vector, "offset": fields.real, "surface": ti.i32},
-            self.count,
+            self.planes,
             {
                 "normal": np.array([w.normal for w in walls]),
                 "offset": np.array([w.offset for w in walls]),
@@ -41,6 +68,10 @@ class Walls:
         columns = {"impulse": fields.real, "target": fields.real, "active": ti.i32}
         if model.has_friction:
             columns["slide"] = vector
+        if self.has_colliders:
+            columns |= {"key": ti.i32, "gap": fields.real, "normal": vector}
+        if self.moves:
+            columns["velocity"] = vector
         self.contact = fields.table(columns, model.n * self.count)
         self.crowds = crowds
         if crowds:
@@ -50,22 +81,68 @@ class Walls:
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
-        return ["walls.impact", "walls.resting"]
+        return ["walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else [])]
 
     @ti.func
     def tolerance(self, x, i):
         """Gap [m] below which ball i at x touches; never finer than its coordinates are."""
-        return TOUCH * self.model.radius[i] + self.rounding * ti.abs(x).max()
+        size = ti.abs(x).max()
+        if ti.static(self.has_colliders):
+            size += self.extent  # points are looked at from the centre of a collider
+        return TOUCH * self.model.radius[i] + self.rounding * size
 
     @ti.func
     def law(self, i, k):
-        """Pair law of ball i and wall k."""
-        return self.model.laws[self.model.surface[i] * self.model.surfaces + self.wall[k].surface]
+        """Pair law of ball i and its contact k."""
+        surface = 0
+        if ti.static(self.has_colliders):
+            if k < self.planes:
+                surface = self.wall[k].surface
+            else:
+                surface = self.colliders.shape[self.contact[i * self.count + k].key // self.faces].surface
+        else:
+            surface = self.wall[k].surface
+        return self.law_with(i, surface)
+
+    @ti.func
+    def law_with(self, i, surface):
+        """Pair law of ball i and a material."""
+        return self.model.laws[self.model.surface[i] * self.model.surfaces + surface]
 
     @ti.func
     def gap(self, x, i, k):
-        """Distance from the surface of ball i to wall k [m]; negative inside."""
-        return self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
+        """Distance from the surface of ball i to wall k [m], negative inside; of a slot as it was found."""
+        gap = 0.0 * self.model.radius[i]
+        if ti.static(self.has_colliders):
+            if k < self.planes:
+                gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
+            else:
+                gap = self.contact[i * self.count + k].gap
+        else:
+            gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
+        return gap
+
+    @ti.func
+    def normal(self, i, k):
+        """Direction from contact k to ball i."""
+        n = ti.Vector.zero(float, self.model.dim)
+        if ti.static(self.has_colliders):
+            if k < self.planes:
+                n = self.wall[k].normal
+            else:
+                n = self.contact[i * self.count + k].normal
+        else:
+            n = self.wall[k].normal
+        return n
+
+    @ti.func
+    def relative(self, v, i, k):
+        """Velocity of ball i, given its own, from the surface of its contact k."""
+        u = v
+        if ti.static(self.moves):
+            if k >= self.planes:
+                u -= self.contact[i * self.count + k].velocity
+        return u
 
     @ti.func
     def move(self, i, x, v, a, h):
@@ -92,15 +169,17 @@ class Walls:
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
         reach = self.reach(ball[i].x, i, crowded)
+        if ti.static(self.has_colliders):
+            self._find(ball[i].x, i, reach)
         for k in range(self.count):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
             if gap <= reach:
                 count += 1
-                role = self._role(gap, self.wall[k].normal.dot(ball[i].v), ball[i].x, i, crowded)
+                role = self._role(gap, self.normal(i, k).dot(self.relative(ball[i].v, i, k)), ball[i].x, i, crowded)
                 self.contact[c].active = role
                 if role != OUT:
-                    n = self.wall[k].normal
+                    n = self.normal(i, k)
                     T += n.outer_product(n)
                     solving += 1
             else:
@@ -112,12 +191,70 @@ class Walls:
             self.crowded[i] = ti.select(crowded, 1, 0)
 
     @ti.func
+    def _find(self, x, i, reach):
+        """Fill the slots of ball i at x with the colliders within `reach`: each where it was before, those that are new in a
+        free one; where there are too many, the nearest."""
+        first = i * self.count + self.planes
+        for c in range(first, first + self.slots):
+            self.contact[c].gap = FAR
+        if self.model.inverse_mass[i] > 0.0:
+            r = self.model.radius[i]
+            for k in range(self.colliders.count):
+                if geometry.near(self.colliders, k, x, r + reach):
+                    for face in range(self.faces):
+                        d, n, within = self.colliders.distance(k, face, x, 0.0)
+                        several = within and self.colliders.shape[k].kind == geometry.BOX
+                        if d - r <= reach and (face == 0 or several):
+                            self._hold(first, k, k * self.faces + face, d - r, n, x - d * n)
+        for c in range(first, first + self.slots):
+            if self.contact[c].gap == FAR:
+                self.contact[c].key = -1
+
+    @ti.func
+    def _hold(self, first, k, key, gap, n, at):
+        """Note a contact at the point `at` in the slot that holds its key, else in a free one, else in that of the largest gap."""
+        place = -1
+        for c in range(first, first + self.slots):
+            if self.contact[c].key == key:
+                place = c
+        if place < 0:
+            widest = gap
+            for c in range(first, first + self.slots):
+                free = self.contact[c].key < 0 and self.contact[c].gap == FAR
+                if self.contact[c].gap > widest or (free and (place < 0 or self.contact[place].key >= 0)):
+                    place = c
+                    widest = self.contact[c].gap
+            if place >= 0:
+                self._forget(place)
+        if place >= 0:
+            self.contact[place].key = key
+            self.contact[place].gap = gap
+            self.contact[place].normal = n
+            if ti.static(self.moves):
+                self.contact[place].velocity = geometry.surface_velocity(self.colliders, k, at, 0.0)
+
+    @ti.func
+    def _following(self, x, v, i, k, h):
+        """Speed away from the surface with which ball i, sliding along it for h seconds, is neither in it nor off it: 0 where
+        it is plane. With it a ball on a curved surface moves along chords, which keeps its energy."""
+        c = i * self.count + k
+        n = self.contact[c].normal
+        u = self.relative(v, i, k)
+        after = x + h * (v - n.dot(u) * n)
+        key = self.contact[c].key
+        d, _, _ = self.colliders.distance(key // self.faces, key % self.faces, after, h)
+        fall = d - self.model.radius[i] - self.contact[c].gap
+        fall = ti.select(ti.abs(fall) > self.rounding * (ti.abs(x).max() + self.extent), fall, 0.0)
+        most = STEEP * self.model.radius[i]
+        return -ti.max(-most, ti.min(most, fall)) / h
+
+    @ti.func
     def shares(self, ball: ti.template(), i):
         """Sum of n n^T over the walls that ball i touches, and their number."""
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         for k in range(ti.select(self.touched[i] > 0, self.count, 0)):
             if self.contact[i * self.count + k].active != OUT:
-                n = self.wall[k].normal
+                n = self.normal(i, k)
                 T += n.outer_product(n)
         return T, self.touched[i]
 
@@ -140,8 +277,8 @@ class Walls:
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
             if gap <= reach:
-                n = self.wall[k].normal
-                u = n.dot(v)
+                n = self.normal(i, k)
+                u = n.dot(self.relative(v, i, k))
                 self.contact[c].active = self._role(gap, u, ball[i].x, i, crowded)
                 if (ti.abs(u) > self.threshold and not crowded) or ti.static(not solver.warm):
                     self._forget(c)
@@ -151,6 +288,9 @@ class Walls:
                         soon = target > 0.0 and gap * solver.rate[0] + u < 0.0
                         if not soon:  # it may come to the wall, but not go on
                             target = -gap * solver.rate[0]
+                if ti.static(self.has_colliders and impacts):
+                    if k >= self.planes and target == 0.0 and self.contact[c].active == RESTING:
+                        target = self._following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
                 self.contact[c].target = target
                 p = self.contact[c].impulse * n
                 if ti.static(self.model.has_friction):
@@ -169,20 +309,20 @@ class Walls:
             c = i * self.count + k
             contact = self.contact[c]
             if contact.active != OUT:
-                n = self.wall[k].normal
+                n = self.normal(i, k)
                 mass = 1.0 / (w * self.share[i])
                 if ti.static(solver.split):
                     mass = 1.0 / solver.lightness[i]
                 if ti.static(solver.rule == "sum"):
                     mass = 1.0 / w
                 held = contact.impulse
-                now = contact_law.normal_impulse(v.dot(n), contact.target, mass, held)
+                now = contact_law.normal_impulse(self.relative(v, i, k).dot(n), contact.target, mass, held)
                 p = (now - held) * n
                 self.contact[c].impulse = now
                 if ti.static(self.model.has_friction):
                     law = self.law(i, k)
                     slip = contact_law.viscous_share(self.model, law, now, mass, self.threshold, time)
-                    u = v
+                    u = self.relative(v, i, k)
                     if ti.static(solver.spins):
                         u -= lever(turn, n)
                         mass *= solver.tangential
@@ -200,8 +340,9 @@ class Walls:
         d = ti.Vector.zero(float, self.model.dim)
         w = self.model.inverse_mass[i]
         for k in range(ti.select(self.touched[i] > 0 and w > 0.0, self.count, 0)):
-            n = self.wall[k].normal
-            depth = -self.gap(ball[i].x, i, k) - SLOP * self.model.radius[i] - h * ti.max(0.0, n.dot(ball[i].v))
+            n = self.normal(i, k)
+            away = h * ti.max(0.0, n.dot(self.relative(ball[i].v, i, k)))
+            depth = -self.gap(ball[i].x, i, k) - SLOP * self.model.radius[i] - away
             share = 1.0 / self.share[i]
             if ti.static(solver.in_turn):
                 depth -= n.dot(solver.offset[i])

@@ -1,0 +1,138 @@
+"""Colliders as Taichi fields: shapes, where they are at the start of a step, and how they move until its end."""
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.colliders import BOX, MESH, ROUND
+from taichi_sim.contacts.distance_grid import DistanceGrid, distance_grid
+from taichi_sim.fields import Fields
+from taichi_sim.kernels import colliders as geometry
+from taichi_sim.model import Model
+
+__all__ = ["TICKS", "Colliders"]
+
+TICKS = 256  # substeps for which motions are worked out at a time
+
+
+@ti.data_oriented
+class Colliders:
+    """All colliders of a scene. What no collider is or does compiles to nothing.
+
+    `pose` holds centre, the images of the local x and y axes, velocity and angular velocity for the step that begins; motions
+    are worked out on the host in float64, for up to TICKS substeps at a time: `row`, of which `tick` is the present one.
+    """
+
+    def __init__(self, model: Model, fields: Fields) -> None:
+        scene = model.scene
+        self.dim, self.scene, self.count = model.dim, scene, len(scene.colliders)
+        kinds = {c.kind for c in scene.colliders}
+        self.has_round, self.has_box, self.has_mesh = ROUND in kinds, BOX in kinds, MESH in kinds
+        self.has_hollow = any(c.hollow > 0 for c in scene.colliders)
+        self.has_faces = any(c.hollow > 0 and c.kind == BOX for c in scene.colliders)
+        self.faces = 2 * model.dim if self.has_faces else 1
+        moving = [k for k, c in enumerate(scene.colliders) if c.motion.moves]
+        self.moving = moving
+        self.movers, self.moves = len(moving), bool(moving)
+        self.turns = any(bool(np.any(scene.colliders[k].motion.turns)) for k in moving)
+        self.extent = max(c.extent + float(np.abs(c.motion.positions).max()) for c in scene.colliders)
+        self._shapes(model, fields)
+        vector, turn = ti.types.vector(model.dim, fields.real), fields.real
+        if model.dim == 3:
+            turn = vector
+        columns = {"x": vector, "along": vector, "v": vector, "turn": turn}
+        if model.dim == 3:
+            columns["across"] = vector
+        x, turned = (np.array(part) for part in zip(*(self._start(k) for k in range(self.count))))
+        turns = np.zeros(self.count) if model.dim == 2 else np.zeros((self.count, 3))
+        first = {"x": x, "along": turned[:, :, 0], "across": turned[:, :, 1], "v": np.zeros_like(x), "turn": turns}
+        self.pose = fields.table(columns, self.count, first)
+        if self.moves:
+            self.mover = fields.integers(np.array(moving))
+            self.tick = fields.integers(1)
+            self.row = fields.table(columns, (TICKS + 1) * self.movers)
+            self.width = sum(getattr(kind, "n", 1) for kind in columns.values())
+
+    def _shapes(self, model: Model, fields: Fields) -> None:
+        """The shapes, and the grids of meshes one behind the other."""
+        colliders = model.scene.colliders
+        real, dim = fields.real, model.dim
+        vector, whole = ti.types.vector(dim, real), ti.types.vector(3, ti.i32)
+        columns = {"kind": ti.i32, "half": vector, "radius": real, "hollow": real, "surface": ti.i32, "extent": real}
+        data: dict[str, NDArray] = {
+            "kind": np.array([c.kind for c in colliders]),
+            "half": np.array([c.half for c in colliders]),
+            "radius": np.array([c.radius for c in colliders]),
+            "hollow": np.array([c.hollow for c in colliders]),
+            "surface": np.array([c.material for c in colliders]),
+            "extent": np.array([c.extent for c in colliders]),
+        }
+        if self.has_mesh:
+            reach = 2.0 * float(np.max(model.scene.radius))
+            none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros(3), 1.0)
+            grids = [distance_grid(c, reach) if c.kind == MESH else none for c in colliders]
+            data["first"] = np.cumsum([0, *(g.value.size for g in grids[:-1])])
+            data["low"] = np.array([g.low for g in grids])
+            data["inverse_cell"] = np.array([1.0 / g.cell for g in grids])
+            columns |= {"first": ti.i32, "low": vector, "inverse_cell": real}
+            self.grid = fields.reals(np.concatenate([g.value.ravel() for g in grids]))
+            columns["cells"] = whole
+            data["cells"] = np.array([g.value.shape[::-1] for g in grids])
+        self.shape = fields.table(columns, self.count, data)
+
+    def _start(self, k: int) -> tuple[NDArray, NDArray]:
+        x, turned = self.scene.colliders[k].motion.at(0.0)
+        return x[0], turned[0]
+
+    def load(self, time: float, h: float, steps: int) -> None:
+        """Work out the motion for `steps` substeps of h from `time` on, at most TICKS."""
+        if not self.moves:
+            return
+        table = np.empty((steps + 1, self.movers, self.width), dtype=np.float64)
+        for m, k in enumerate(self.moving):
+            x, turned, v, turn = self.scene.colliders[k].motion.steps(time, h, steps)
+            table[:, m] = np.concatenate([x, turned[:, :, 0], v, turn, turned[:, :, 1]], axis=1)[:, : self.width]
+        real = np.float64 if self.row.x.dtype == ti.f64 else np.float32
+        self._load(np.ascontiguousarray(table.reshape(-1, self.width), dtype=real))
+
+    @ti.kernel
+    def _load(self, table: ti.types.ndarray()):
+        d = ti.static(self.dim)
+        self.tick[0] = 0
+        for r in range(table.shape[0]):
+            for a in ti.static(range(d)):
+                self.row[r].x[a] = table[r, a]
+                self.row[r].along[a] = table[r, d + a]
+                self.row[r].v[a] = table[r, 2 * d + a]
+                if ti.static(d == 3):
+                    self.row[r].turn[a] = table[r, 3 * d + a]
+                    self.row[r].across[a] = table[r, 4 * d + a]
+            if ti.static(d == 2):
+                self.row[r].turn = table[r, 3 * d]
+
+    @ti.func
+    def rewind(self):
+        """Back to the start of the motion loaded."""
+        if ti.static(self.moves):
+            ti.loop_config(serialize=True)
+            for _ in range(1):
+                self.tick[0] = -1
+
+    @ti.func
+    def advance(self):
+        """Go to the poses at the next substep."""
+        if ti.static(self.moves):
+            ti.loop_config(serialize=True)
+            for _ in range(1):
+                self.tick[0] = self.tick[0] + 1
+                for m in range(self.movers):
+                    self.pose[self.mover[m]] = self.row[self.tick[0] * self.movers + m]
+
+    @ti.func
+    def distance(self, k, face, x, after):
+        """Distance of the point x from collider k (one face of it, where it is hollow with faces), direction away from it, and
+        whether x lies in the room of a hollow one; `after` seconds into the step."""
+        p = geometry.local(self, k, x, after)
+        d, n, within = geometry.distance(self, k, p)
+        d, n = geometry.face_distance(self, k, face, p, d, n, within)
+        return d, geometry.world(self, k, n, after), within

@@ -1,0 +1,52 @@
+"""Distances from a closed mesh, kept on a grid around it."""
+
+from typing import NamedTuple
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.colliders import Collider
+from taichi_sim.kernels import distance_grid as loops
+
+__all__ = ["DistanceGrid", "distance_grid"]
+
+MOST_CORNERS = 1 << 24
+BORDER = 2  # cells
+SHIFT = 1e-5  # of a cell
+
+
+class DistanceGrid(NamedTuple):
+    """value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k)."""
+
+    value: NDArray[np.float64]
+    low: NDArray[np.float64]
+    cell: float
+
+
+def distance_grid(collider: Collider, reach: float) -> DistanceGrid:
+    """The grid of a mesh with room for what comes within `reach` [m]; cells grow where it would not fit into memory."""
+    low, high = collider.vertices.min(axis=0), collider.vertices.max(axis=0)
+    longest = float((high - low).max())
+    cell = longest / collider.resolution
+    margin = min(reach, 0.5 * longest)
+    while True:
+        border = margin + BORDER * cell
+        size = np.ceil((high - low + 2 * border) / cell).astype(int) + 1
+        if size.prod() <= MOST_CORNERS:
+            break
+        cell *= 1.1
+    corner = np.ascontiguousarray(collider.vertices[collider.triangles].reshape(-1, 3))
+    start = 0.5 * (low + high) - 0.5 * cell * (size - 1)
+    shape = tuple(size[::-1])
+    closest, best = np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf)
+    origin = loops.vec3(start.tolist())
+    loops.seed(corner, closest, best, origin, cell)
+    reaches = [1 << k for k in reversed(range(int(size.max()).bit_length()))]
+    for distance in [*reaches, 2, 1]:
+        source = closest.copy()
+        loops.spread(corner, source, closest, best, origin, cell, distance)
+    turns = np.zeros(shape, dtype=np.int32)
+    loops.winding(corner, turns, origin, cell, SHIFT)
+    ti.sync()
+    return DistanceGrid(np.where(turns != 0, -1.0, 1.0) * np.sqrt(best), start, cell)
