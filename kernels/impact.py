@@ -101,12 +101,29 @@ def press(walls: ti.template(), i, v, a):
 @ti.func
 def move(walls: ti.template(), i, x, v, a, h, threshold):
     """Displacement over h and drift velocity of ball i, given drift velocity v (at half the step) and acceleration a."""
+    shift = h * v
+    drift = v
+    way = ti.abs(shift).sum() + 0.5 * h * h * ti.abs(a).sum()  # at most
+    near = True
+    if ti.static(not walls.has_colliders):
+        near = way >= walls.room[i]
+    if near:
+        shift, drift = move_among(walls, i, x, v, a, h, threshold)
+    return shift, drift
+
+
+@ti.func
+def move_among(walls: ti.template(), i, x, v, a, h, threshold):
+    """`move` of a ball that may meet something."""
     along, pull = press(walls, i, v, a)
     remaining = h
     speed = along - 0.5 * h * pull
     shift = h * along
     touched = False
     settled = -1  # the collider on which it came to rest within this step
+    swift = False  # it may have to stop on its way at another ball (kernels.swept), so that must be straight
+    if ti.static(walls.straight):
+        swift = shift.dot(shift) > walls.model.radius[i] ** 2
     for _ in range(IMPACTS):
         if remaining > 0.0:
             start = ti.select(touched, shift, 0.0 * shift)
@@ -114,7 +131,11 @@ def move(walls: ti.template(), i, x, v, a, h, threshold):
             other = -1
             if ti.static(walls.has_colliders):
                 other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled)
-            if other != -1:
+            if (other != -1 or hit >= 0) and swift and t * speed.norm() > 2.0 * walls.tolerance(x, i):
+                shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
+                speed += remaining * pull
+                remaining = 0.0
+            elif other != -1:
                 shift = start + t * (speed + 0.5 * t * pull)
                 speed += t * pull
                 if ti.static(walls.has_colliders):

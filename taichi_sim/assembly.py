@@ -121,11 +121,14 @@ class Assembly:
         grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
         pair_part = Pairs(self.model, self.fields, grid, warm, soft, self.room.pairs) if grid is not None else None
         self.colliders = Colliders(self.model, self.fields) if on and scene.colliders else None
-        wall_part = Walls(self.model, self.state, self.fields, threshold, soft, self.colliders) if walled else None
+        wall_part = (
+            Walls(self.model, self.state, self.fields, threshold, soft, pairs, self.colliders) if walled else None
+        )
         stick_part = (
             Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
         )
         rule = self._rule(scene, settings, cpu)
+        pushed = self.colliders is not None and self.colliders.moves  # they may do work
         return ContactSolver(
             self.model,
             self.state,
@@ -141,7 +144,7 @@ class Assembly:
             serial=self.fused,
             warm=warm,
             soft=soft,
-            tames=pairs and may_gain(scene, rule, warm),
+            tames=pairs and not pushed and may_gain(scene, rule, warm),
         )
 
     def _rule(self, scene: Scene, settings: Settings, cpu: bool) -> str:

@@ -41,8 +41,10 @@ class Walls:
         fields: Fields,
         threshold: float,
         crowds: bool,
+        straight: bool,
         colliders: Colliders | None = None,
     ) -> None:
+        self.straight = straight  # the way of what is fast within a step, see kernels.swept
         self.model, self.state, self.colliders = model, state, colliders
         self.threshold = threshold
         self.has_colliders = colliders is not None
@@ -77,6 +79,8 @@ class Walls:
         if crowds:
             self.crowded = fields.integers(model.n)
         self.share = fields.reals(model.n)  # into how many parts a ball splits its mass between its walls
+        if not self.has_colliders:
+            self.room = fields.reals(model.n)  # m to the nearest wall: most balls cannot reach any in a step
         self.touched = fields.integers(model.n)  # walls that a ball touches: most touch none and are passed over
 
     def names(self) -> list[str]:
@@ -169,11 +173,13 @@ class Walls:
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
         reach = self.reach(ball[i].x, i, crowded)
+        room = reach + FAR
         if ti.static(self.has_colliders):
             self._find(ball[i].x, i, reach)
         for k in range(self.count):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
+            room = ti.min(room, gap)
             if gap <= reach:
                 count += 1
                 role = self._role(gap, self.normal(i, k).dot(self.relative(ball[i].v, i, k)), ball[i].x, i, crowded)
@@ -186,6 +192,8 @@ class Walls:
                 self._forget(c)
                 self.contact[c].active = 0
         self.touched[i] = count
+        if ti.static(not self.has_colliders):
+            self.room[i] = room
         self.share[i] = contact_law.share(T, solving, not self.model.has_friction)
         if ti.static(self.crowds):
             self.crowded[i] = ti.select(crowded, 1, 0)
