@@ -106,6 +106,9 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
                 T = n.outer_product(n)
                 add(solver, solver.tensor, i, T)
                 add(solver, solver.tensor, j, T)
+            if ti.static(solver.by_normals):
+                add(solver, solver.normals, i, n)
+                add(solver, solver.normals, j, -n)
             end += 1
         elif ti.static(solver.warm):
             forget(pairs, e)

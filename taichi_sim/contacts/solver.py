@@ -70,9 +70,11 @@ class ContactSolver:
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_colliders = walls is not None and walls.has_colliders
-        self.by_tensor = self.split and not model.has_friction
         self.spins = model.spins
+        self.by_tensor = self.split and (self.spins or not model.has_friction)  # else nothing is gained over counting
+        self.by_normals = self.by_tensor and model.has_friction
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
+        self.turns = model.turning if self.spins else 0.0
         self.tangential = 1.0 / (1.0 + model.turning)
         self.sums = self.has_sticks or not self.in_turn  # some impulses are accumulated before they are applied
         self.has_offset = self.active and (not self.soft or tames or self.has_sticks or self.has_walls)
@@ -102,6 +104,8 @@ class ContactSolver:
                 self.lightness = fields.reals(self.n)  # 1/kg: inverse mass of the part of a ball that each contact gets
                 if self.by_tensor:
                     self.tensor = fields.matrices(self.n, model.dim)
+                if self.by_normals:
+                    self.normals = fields.vectors(self.n, model.dim)
                 if self.spins:
                     self.twist = fields.turns(self.n, model.dim)
             if self.counts:
@@ -147,6 +151,8 @@ class ContactSolver:
             self.count[i] = 0
         if ti.static(self.by_tensor):
             self.tensor[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+        if ti.static(self.by_normals):
+            self.normals[i] = ti.Vector.zero(float, self.model.dim)
         if ti.static(self.warm):
             self.carry[i] = ti.Vector.zero(float, self.model.dim)
             if ti.static(self.spins):
@@ -156,20 +162,24 @@ class ContactSolver:
     def _parts_of(self, ball: ti.template(), i):
         """Into how many parts ball i splits its mass: by all that is accumulated, with "gauss_seidel" only sticks."""
         count = 0
-        T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+        T, N = ti.Matrix.zero(float, self.model.dim, self.model.dim), ti.Vector.zero(float, self.model.dim)
         if ti.static(self.has_grid and self.split):
             count = self.count[i]
             if ti.static(self.by_tensor):
                 T = self.tensor[i]
+            if ti.static(self.by_normals):
+                N = -self.normals[i]
         if ti.static(self.has_walls and self.split):
-            t, c = self.walls.shares(ball, i)
+            t, m, c = self.walls.shares(ball, i)
             T += t
+            N += m
             count += c
+        s = contact_law.share(T, N, count, self.model.has_friction, self.turns)
         if ti.static(self.has_sticks and self.rule != "sum"):
             t, c = self.sticks.shares(ball, i)
-            T += t
-            count += c
-        return contact_law.share(T, count, not self.model.has_friction)
+            if c > 0:
+                s = contact_law.share(T + t, N, count + c, self.model.has_friction, 0.0)
+        return s
 
     @ti.func
     def prime(self, ball: ti.template()):
