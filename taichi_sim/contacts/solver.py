@@ -20,6 +20,7 @@ from taichi_sim.state import State
 __all__ = ["ContactSolver"]
 
 RELAXATION = 1.3  # of a split-mass pass; below 2 passes converge, above 1.3 friction could make one add energy
+FEW = 4  # passes: with fewer, what one overshoots is not taken back by the next
 PUSH_OUT = 0.5  # part of the remaining depth that one step removes
 FASTEST_PUSH = 20.0  # of the threshold speed: soft contacts do not push out faster
 
@@ -61,6 +62,9 @@ class ContactSolver:
         self.parts = [part for part in (walls, pairs, sticks) if part is not None]
         self.active = bool(self.parts)
         self.threshold, self.push_out, self.relaxation = threshold, PUSH_OUT, RELAXATION
+        if passes < FEW:  # one pass changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
+            bounciest = max(material.restitution for material in model.scene.materials)
+            self.relaxation = min(RELAXATION, 2.0 / (1.0 + bounciest))
         self.fastest_push = FASTEST_PUSH * threshold
         self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
         self.warm, self.soft = warm, soft and pairs is not None
