@@ -20,6 +20,7 @@ from taichi_sim.state import State
 __all__ = ["ContactSolver"]
 
 RELAXATION = 1.3  # of a split-mass pass; below 2 passes converge, above 1.3 friction could make one add energy
+FEW = 4  # passes: with fewer, what one overshoots is not taken back by the next
 PUSH_OUT = 0.5  # part of the remaining depth that one step removes
 THIN = 0.5  # of the smallest radius: what moves further may cross a stick
 FASTEST_PUSH = 20.0  # of the threshold speed: soft contacts do not push out faster
@@ -63,6 +64,9 @@ class ContactSolver:
         self.parts = [part for part in (walls, pairs, sticks) if part is not None]
         self.active = bool(self.parts)
         self.threshold, self.push_out, self.relaxation = threshold, PUSH_OUT, RELAXATION
+        if passes < FEW:  # one pass changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
+            bounciest = max(material.restitution for material in model.scene.materials)
+            self.relaxation = min(RELAXATION, 2.0 / (1.0 + bounciest))
         self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
         self.warm, self.soft = warm, soft and pairs is not None
         self.tames = tames
@@ -78,18 +82,14 @@ class ContactSolver:
         self.tangential = 1.0 / (1.0 + model.turning)
         self.sums = self.has_sticks or not self.in_turn  # some impulses are accumulated before they are applied
         self.has_offset = self.active and (not self.soft or tames or self.has_sticks or self.has_walls)
-        self.counts = self.split or (
-            walls is not None and walls.crowds
-        )  # pairs that touch each ball, whoever lists them
+        # pairs that touch each ball, whoever lists them, are counted for
+        self.counts = self.split or (walls is not None and walls.crowds)
         if self.active:
             self.rate = fields.reals(np.array([1.0 / h]))
             self.before = fields.vectors(self.n, model.dim)  # velocities before a solve; displacements in a move
             if self.has_grid:  # see kernels.swept
                 self.fast, self.longest = fields.integers(3), fields.reals(1)
-                self.stop, self.sooner = (
-                    fields.reals(self.n),
-                    fields.reals(self.n),
-                )  # part of its step that a ball makes
+                self.stop, self.sooner = fields.reals(self.n), fields.reals(self.n)  # the part of a step that is made
             if self.has_sticks:
                 self.thin = fields.reals(np.array([(THIN * float(np.min(model.scene.radius))) ** 2]))
             if self.has_offset:

@@ -1,0 +1,113 @@
+"""Kinetic energy over 1e4 random configurations: what one solve of the contacts does to it (physics notes, section 6)."""
+
+import numpy as np
+import pytest
+from physics_clusters import PLACES, Clusters
+from physics_support import EPS, F64, each_dim, simulate, vector
+
+import taichi_sim as ts
+
+BATCHES = 10_000 // PLACES
+ROUNDING = 1e-13 if F64 else 1e-5
+SLOW = pytest.mark.slow
+
+
+def changes(clusters: Clusters, contacts: str, passes: int) -> np.ndarray:
+    """Relative change of energy of each configuration in one step from rest impulses."""
+    settings = {"contacts": contacts, "contact_passes": passes, "integrator": "symplectic_euler", "dt": 1e-3}
+    with simulate(clusters.scene, **settings) as sim:
+        return clusters.gains(sim, BATCHES)
+
+
+@pytest.mark.parametrize(
+    ("dim", "friction", "passes"),
+    [
+        (2, True, 1),
+        pytest.param(2, False, 1, marks=SLOW),
+        pytest.param(3, True, 1, marks=SLOW),
+        pytest.param(3, False, 1, marks=SLOW),
+        pytest.param(2, False, 2, marks=SLOW),
+        pytest.param(3, True, 3, marks=SLOW),
+    ],
+)
+def test_a_cold_pass_of_split_masses_never_adds_energy(dim, friction, passes):
+    """Any masses, restitutions, frictions, spins, pinned balls, sticks, coplanar walls."""
+    found = changes(Clusters(dim, friction=friction), "jacobi", passes)
+    assert found.max() < ROUNDING, f"{found.max():.2e} in cluster {np.unravel_index(found.argmax(), found.shape)}"
+    assert found.mean() < -0.1  # and contacts were met
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
+@pytest.mark.parametrize(("bounce", "passes"), [(0.0, 1), (0.0, 30), (0.5, 2), (0.5, 30)])
+def test_without_friction_neither_solver_adds_energy_up_to_half_a_bounce(contacts, bounce, passes):
+    """The restitutions for which "auto" takes gauss_seidel, with the 2 passes that it makes, or with many."""
+    found = changes(Clusters(2, friction=False, bounce=bounce), contacts, passes)
+    assert found.max() < ROUNDING, f"{found.max():.2e}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("passes", [2, 30])
+def test_without_a_bounce_gauss_seidel_adds_no_energy_with_friction_and_spin(passes):
+    found = changes(Clusters(3, friction=True, bounce=0.0), "gauss_seidel", passes)
+    assert found.max() < ROUNDING, f"{found.max():.2e}"
+
+
+# Convergence ----------------------------------------------------------------------------------------------------------
+
+
+def test_three_wall_corner_is_at_rest_after_two_passes():
+    """A ball pressed into a corner of three walls: 2 passes leave 1e-9 of its speed, by either rule."""
+    for contacts in ("jacobi", "gauss_seidel"):
+        scene = ts.Scene(dim=3)
+        for normal in np.eye(3):
+            scene.add_wall(normal)
+        scene.add_balls([[0.99, 0.99, 0.99]], radius=1.0, velocity=[-1.0, -2.0, -0.5])
+        with simulate(scene, dt=1e-3, integrator="symplectic_euler", contacts=contacts, contact_passes=2) as sim:
+            sim.step()
+            assert np.max(np.abs(sim.velocity)) < (1e-9 if F64 else 4 * EPS), contacts
+
+
+def pack(dim: int) -> tuple[ts.Scene, np.ndarray]:
+    """A hexagonal or face-centred cubic pack whose balls overlap by a thousandth, thrown together; and the contact pairs."""
+    side = 8 if dim == 2 else 5
+    cells = np.stack(np.unravel_index(np.arange(side**dim), (side,) * dim), axis=1)
+    basis = np.array([[1.0, 0.0, 0.0], [0.5, np.sqrt(0.75), 0.0], [0.5, np.sqrt(1 / 12), np.sqrt(2 / 3)]])[:dim, :dim]
+    x = 0.1 * 0.999 * (cells @ basis)
+    scene = ts.Scene(dim=dim)
+    v = -5.0 * (x - x.mean(axis=0)) + np.random.default_rng(2).normal(size=x.shape)
+    scene.add_balls(x, radius=0.05, velocity=v)
+    i, j = np.triu_indices(len(x), 1)
+    near = np.linalg.norm(x[j] - x[i], axis=1) < 0.1
+    return scene, np.stack([i[near], j[near]], axis=1)
+
+
+def approach(scene: ts.Scene, pairs: np.ndarray, v: np.ndarray) -> float:
+    """Largest speed [m/s] at which two balls in contact still approach."""
+    r = scene.position[pairs[:, 1]] - scene.position[pairs[:, 0]]
+    n = r / np.linalg.norm(r, axis=1)[:, None]
+    return float(np.max(-np.sum(n * (v[pairs[:, 1]] - v[pairs[:, 0]]), axis=1)))
+
+
+@pytest.mark.slow
+@each_dim
+def test_packs_thrown_together(dim):
+    """Passes of split masses converge, to the velocities that gauss_seidel finds; those of the plain sum diverge."""
+    scene, pairs = pack(dim)
+    touching = np.bincount(pairs.ravel())
+    assert touching.max() == (6 if dim == 2 else 12)
+    left, ends = {}, {}
+    for contacts, passes in (("jacobi", 30), ("jacobi", 1500), ("gauss_seidel", 1500), ("sum", 1), ("sum", 30)):
+        settings = {"dt": 1e-6, "integrator": "symplectic_euler", "contacts": contacts, "contact_passes": passes}
+        with simulate(scene, **settings) as sim:
+            start = sim.energy().kinetic
+            sim.step()
+            left[contacts, passes] = approach(scene, pairs, sim.velocity)
+            ends[contacts, passes] = sim.velocity
+            if contacts != "sum":
+                assert sim.energy().kinetic < start
+    before = approach(scene, pairs, scene.velocity)
+    assert left["jacobi", 1500] < 1e-3 * left["jacobi", 30] < 1e-3 * 0.2 * before
+    assert np.max(np.abs(ends["jacobi", 1500] - ends["gauss_seidel", 1500])) < 1e-2 * before
+    assert left["sum", 30] > 10 * left["sum", 1] > 10 * before * 0.5
+    assert vector(dim).shape == (dim,)

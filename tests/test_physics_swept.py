@@ -1,0 +1,104 @@
+"""Balls that move many radii in a step meet what lies on their way: balls, other fast balls, sticks, walls."""
+
+import numpy as np
+import pytest
+from physics_support import VARIANTS, each_dim, simulate
+
+import taichi_sim as ts
+
+R, H = 0.05, 1e-3
+SPEED = 10 * R / H
+APART = 8.0  # m between two trials, none of which meets another
+
+
+def directions(rng, n, dim):
+    d = rng.normal(size=(n, dim))
+    return d / np.linalg.norm(d, axis=1)[:, None]
+
+
+def bullets(dim, n, seed):
+    """3 n trials far apart: at a ball at rest, at a bullet that comes the other way, at a stick across.
+
+    Returns the scene, directions, and the indices of bullets, of balls at rest, of bullets from ahead, of the sticks' ends.
+    """
+    rng = np.random.default_rng(seed)
+    scene = ts.Scene(dim=dim)
+    scene.add_material("m", restitution=0.5)
+    side = int(np.ceil((3 * n) ** (1 / dim)))
+    centre = APART * np.stack(np.unravel_index(np.arange(3 * n), (side,) * dim), axis=1)
+    d = directions(rng, 3 * n, dim)
+    across = directions(rng, 3 * n, dim)
+    across -= np.sum(across * d, axis=1)[:, None] * d
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    behind = rng.uniform(0.6, 1.5, (3 * n, 1))
+    shot = scene.add_balls(centre - behind * d, radius=R, velocity=SPEED * d, material="m")
+    aside = rng.uniform(0.0, 1.98 * R, (3 * n, 1)) * across  # all of them hit
+    rest = scene.add_balls((centre + aside)[:n], radius=R, mass=10 ** rng.uniform(-2, 2, n), material="m")
+    ahead = scene.add_balls(
+        (centre + aside + rng.uniform(0.6, 1.5, (3 * n, 1)) * d)[n : 2 * n],
+        radius=R,
+        velocity=-SPEED * d[n : 2 * n],
+        material="m",
+    )
+    middle = rng.uniform(-0.45, 0.45, (n, 1)) * across[2 * n :]
+    ends = [
+        scene.add_balls(centre[2 * n :] + middle + half * across[2 * n :], radius=0.01, mass=5.0, material="m")
+        for half in (-0.5, 0.5)
+    ]
+    scene.add_springs(np.stack(ends, axis=1), stiffness=1e4, collides=True)
+    return scene, d, shot, rest, ahead, ends
+
+
+def check_bullets(dim, n, seed, **settings):
+    scene, d, shot, rest, ahead, ends = bullets(dim, n, seed)
+    with simulate(scene, dt=H, **settings) as sim:
+        p, scale = sim.momentum(), SPEED * scene.n_balls
+        sim.step(12)
+        x, v = sim.position, sim.velocity
+        assert np.max(np.abs(sim.momentum() - p)) < 1e-6 * scale
+        assert sim.energy().kinetic < 0.5 * SPEED**2 * 4 * n
+    bent = np.linalg.norm(v[shot] - SPEED * d, axis=1) > 1e-3 * SPEED
+    assert np.all(bent[:n]), f"{np.sum(~bent[:n])} of {n} passed a ball"
+    assert np.all(bent[n : 2 * n]), f"{np.sum(~bent[n : 2 * n])} of {n} passed another bullet"
+    assert np.all(bent[2 * n :]), f"{np.sum(~bent[2 * n :])} of {n} passed a stick"
+    beyond = np.sum((x[shot[2 * n :]] - 0.5 * (x[ends[0]] + x[ends[1]])) * d[2 * n :], axis=1)
+    assert np.max(beyond) < 0.0
+
+
+@each_dim
+def test_bullets_of_ten_radii_a_step_hit(dim):
+    check_bullets(dim, 60, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
+@each_dim
+def test_ten_thousand_bullets(dim, contacts):
+    check_bullets(dim, 3334, seed=2, contacts=contacts, driver="parallel")
+
+
+def test_a_swung_stick_takes_balls_at_rest_along():
+    """Its ends move three radii of the small balls a step; the balls themselves are slow."""
+    scene = ts.Scene(dim=2)
+    ends = scene.add_balls([[-0.5, 0.0], [0.5, 0.0]], radius=0.1, mass=100.0, velocity=[0.0, 60.0])
+    scene.add_springs([ends], stiffness=1e5, collides=True)
+    small = scene.add_balls(np.stack([np.linspace(-0.35, 0.35, 9), np.full(9, 0.2)], axis=1), radius=0.02, mass=0.01)
+    with simulate(scene, dt=H) as sim:
+        sim.step(20)
+        x = sim.position
+        assert np.min(x[small, 1] - x[ends, 1].mean()) > 0.0
+
+
+@pytest.mark.parametrize("variant", [VARIANTS[0], VARIANTS[1]], ids="-".join)
+def test_a_ball_before_the_wall_is_hit_and_not_run_through_twice(variant):
+    """A bullet that would reach the wall behind a ball and come back through it within one step."""
+    scene = ts.Scene(dim=2)
+    scene.add_material("m", restitution=1.0)
+    scene.add_wall((1, 0), 0.0, "m")
+    bullet = scene.add_balls([[1.0, 0.0]], radius=R, velocity=[-2000.0, 0.0], material="m")
+    target = scene.add_balls([[0.3, 0.0]], radius=R, material="m")
+    with simulate(scene, variant, dt=H) as sim:
+        for _ in range(5):
+            sim.step(1)
+            assert sim.position[bullet[0], 0] > sim.position[target[0], 0]
+        assert sim.energy().kinetic == pytest.approx(0.5 * 2000.0**2, rel=1e-6)
