@@ -5,9 +5,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.colliders import Collider
 from taichi_sim.scene import Scene
 
-__all__ = ["Energy", "angular_momentum", "energy", "inertia", "momentum", "strain", "wall_overlap"]
+__all__ = ["Energy", "angular_momentum", "collider_depth", "energy", "inertia", "momentum", "strain", "wall_overlap"]
 
 Floats = NDArray[np.float64]
 
@@ -65,11 +66,23 @@ def strain(scene: Scene, x: Floats) -> Floats:
     return np.divide(length - rest, rest, out=np.zeros_like(rest), where=rest > 0)
 
 
-def wall_overlap(scene: Scene, x: Floats) -> float:
-    """Largest overlap [m] of a ball that can move with a wall; 0 with none."""
+def wall_overlap(scene: Scene, x: Floats, time: float = 0.0) -> float:
+    """Largest overlap [m] of a ball that can move with a wall, or with a collider where that is at `time` [s]; 0 with none."""
     free = ~scene.pinned
     deepest = 0.0
     for wall in scene.walls:
         depth = wall.offset + scene.radius - x @ np.array(wall.normal)
         deepest = max(deepest, float(np.max(depth[free], initial=0.0)))
+    for collider in scene.colliders:
+        deepest = max(deepest, float(np.max(collider_depth(scene, collider, x, time), initial=0.0)))
     return deepest
+
+
+def collider_depth(scene: Scene, collider: Collider, x: Floats, time: float) -> Floats:
+    """How deep [m] each ball (n,) lies in a collider, 0 where it does not touch it or is pinned."""
+    depth = np.zeros(scene.n_balls)
+    centre = collider.motion.at(time)[0][0]
+    reach = collider.extent + scene.radius
+    near = np.flatnonzero(~scene.pinned & (np.linalg.norm(x - centre, axis=1) < reach))
+    depth[near] = np.maximum(0.0, scene.radius[near] - collider.distance(x[near], time))
+    return depth

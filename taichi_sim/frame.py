@@ -5,10 +5,21 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Frame"]
+from taichi_sim.colliders import Collider
+
+__all__ = ["Frame", "Placed"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A collider where it is: centre (dim,) [m] and rotation (dim, dim) from its local frame."""
+
+    collider: Collider
+    centre: Floats
+    rotation: Floats
 
 
 def _empty(*shape: int, dtype: type = np.float64) -> NDArray:
@@ -33,6 +44,7 @@ class Frame:
     colour: Floats = field(default_factory=lambda: _empty(0, 3))  # (n, 3) sRGB in 0..1; (0, 3): the renderer chooses
     pinned: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (n,)
     walls: Floats = field(default_factory=lambda: _empty(0, 0))  # (w, dim + 1): unit normal, offset; solid below it
+    colliders: tuple[Placed, ...] = ()
     energy: tuple[float, float, float, float] | None = None  # J: kinetic, spring, gravity, total
 
     @property
