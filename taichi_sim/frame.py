@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.colliders import Collider
+from taichi_sim.colliders import MESH, Collider
 
 __all__ = ["Frame", "Placed"]
 
@@ -21,6 +21,16 @@ class Placed:
     centre: Floats
     rotation: Floats
 
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Lowest and highest coordinates (dim,) [m]."""
+        c = self.collider
+        if c.kind == MESH:
+            corners = c.vertices @ self.rotation.T + self.centre
+            return corners.min(axis=0), corners.max(axis=0)
+        reach = np.abs(self.rotation) @ c.half + c.radius + c.hollow
+        return self.centre - reach, self.centre + reach
+
 
 def _empty(*shape: int, dtype: type = np.float64) -> NDArray:
     return np.zeros(shape, dtype=dtype)
@@ -28,7 +38,7 @@ def _empty(*shape: int, dtype: type = np.float64) -> NDArray:
 
 @dataclass(slots=True)
 class Frame:
-    """One moment. n balls, m springs, t triangles, w walls in `dim` dimensions.
+    """One moment. n balls, m springs, t triangles, w walls, colliders in `dim` dimensions.
 
     What does not change from frame to frame (radius, springs, triangles, colour, ...) is shared between frames: read only.
     """
@@ -44,7 +54,7 @@ class Frame:
     colour: Floats = field(default_factory=lambda: _empty(0, 3))  # (n, 3) sRGB in 0..1; (0, 3): the renderer chooses
     pinned: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (n,)
     walls: Floats = field(default_factory=lambda: _empty(0, 0))  # (w, dim + 1): unit normal, offset; solid below it
-    colliders: tuple[Placed, ...] = ()
+    colliders: tuple[Placed, ...] = ()  # where they are at `time`
     energy: tuple[float, float, float, float] | None = None  # J: kinetic, spring, gravity, total
 
     @property
