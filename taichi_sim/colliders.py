@@ -25,7 +25,7 @@ ROUND, BOX, MESH = range(3)
 MOST_CELLS = 512  # of a mesh's grid along its longest side
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Collider:
     """A collider of a scene, checked. Its local frame has the origin at its centre; `motion` says where that is.
 
