@@ -226,10 +226,14 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
         fastest = drift.norm() + a.norm() * limit
         curve = 0.0 * r  # how fast turning bends the path as the collider sees it
         if ti.static(colliders.turns):
-            spin = pose.turn if ti.static(x.n == 2) else pose.turn.norm()
+            spin = 0.0 * r
+            if ti.static(colliders.dim == 2):
+                spin = ti.abs(pose.turn)
+            else:
+                spin = pose.turn.norm()
             far = ti.min(start.norm() + travel, extent + r)
-            curve = spin * spin * far + 2.0 * ti.abs(spin) * fastest
-            fastest += ti.abs(spin) * far
+            curve = spin * spin * far + 2.0 * spin * fastest
+            fastest += spin * far
         left, right, above, below = 0.0 * r, limit, 0.0 * r, 0.0 * r
         sunk = 0.0 * r
         behind, done = False, False

@@ -2,6 +2,7 @@
 
 A shape is 8 numbers in px: disc (x, y, radius, pin 0 or 1), rod (x, y, x, y, radius, blunt 0 or 1),
 triangle (x, y, x, y, x, y).
+A body is 8 numbers in px: centre (x, y), direction of its x axis (x, y), half size (x, y), radius around that, hollow.
 Lists hold the shapes that touch a tile in drawing order; pixels walk them from the front until nothing shines through.
 Colours are linear.
 """
@@ -70,21 +71,44 @@ def triangle_coverage(p, s):
 
 
 @ti.func
-def backdrop(p, wall: ti.template(), walls, look, height):
-    """The background gradient and the half planes, hatched near their edge."""
+def body_distance(s, q):
+    """px from q, in the axes of a collider, to its surface; negative inside."""
+    inner = vec2(ti.max(ti.abs(q[0]) - s[4], ti.f32(0.0)), ti.max(ti.abs(q[1]) - s[5], ti.f32(0.0)))
+    d = inner.norm() + ti.min(ti.max(ti.abs(q[0]) - s[4], ti.abs(q[1]) - s[5]), ti.f32(0.0)) * ti.f32(s[6] == 0)
+    d -= s[6]
+    if s[7] > 0:
+        d = ti.max(-d, d - s[7])
+    return d
+
+
+@ti.func
+def backdrop(p, wall: ti.template(), walls, body: ti.template(), tint: ti.template(), bodies, look, height):
+    """The background gradient, the half planes and the colliders, hatched near their edge; the hatching turns with them."""
     top, bottom = row(look, 0), row(look, 1)
     result = top + (bottom - top) * unit(p[1] / height)
     d = ti.f32(1e9)  # px to the nearest wall, positive in the open; negative: depth inside the union
     for k in range(walls):
         d = ti.min(d, wall[k][0] * p[0] + wall[k][1] * p[1] + wall[k][2])
+    across, nearest = p[0] + p[1], -1
+    for k in range(bodies):
+        s = body[k]
+        r = p - vec2(s[0], s[1])
+        q = vec2(r[0] * s[2] + r[1] * s[3], r[1] * s[2] - r[0] * s[3])
+        e = body_distance(s, q)
+        if e < d:
+            d, across, nearest = e, q[0] + q[1], k
     solid = unit(ti.f32(0.5) - d)
     if solid > 0:
-        stripe = (p[0] + p[1]) / ti.f32(11.0)
+        plain, hatch, edge = row(look, 2), row(look, 3), row(look, 4)
+        if nearest >= 0 and tint[nearest][0] >= 0:
+            plain = tint[nearest]
+            hatch, edge = plain * ti.f32(0.65), plain * ti.f32(0.2)
+        stripe = across / ti.f32(11.0)
         line = unit(ti.f32(1.2) - ti.abs(stripe - ti.floor(stripe) - ti.f32(0.5)) * ti.f32(7.8))
-        fill = row(look, 2) + (row(look, 3) - row(look, 2)) * (line * ti.exp(d / 60))
+        fill = plain + (hatch - plain) * (line * ti.exp(d / 60))
         border = unit(d + ti.f32(2.5))
         result += (fill - result) * solid
-        result += (row(look, 4) - result) * (solid * border)
+        result += (edge - result) * (solid * border)
     return result
 
 
@@ -94,11 +118,14 @@ def paint(
     kind: ti.template(),
     colour: ti.template(),
     wall: ti.template(),
+    body: ti.template(),
+    tint: ti.template(),
     image: ti.template(),
     entry: ti.types.ndarray(ti.i32, 1),
     start: ti.types.ndarray(ti.i32, 1),
     look: Look,
     walls: ti.i32,
+    bodies: ti.i32,
     tile: ti.i32,
     width: ti.i32,
     height: ti.i32,
@@ -130,5 +157,5 @@ def paint(
             through *= 1 - cover
             e -= 1
         if through > ti.f32(0.003):
-            total += backdrop(p, wall, walls, look, ti.cast(height, ti.f32)) * through
+            total += backdrop(p, wall, walls, body, tint, bodies, look, ti.cast(height, ti.f32)) * through
         image[pixel] = total

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from taichi_sim import memory
 from taichi_sim.backend import Backend
 from taichi_sim.contacts.colliders import TICKS, Colliders
+from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.contacts.grid import SKIN, Grid
 from taichi_sim.contacts.pairs import GAP, Pairs
 from taichi_sim.contacts.solver import ContactSolver
@@ -67,6 +68,7 @@ class Assembly:
         cpu = backend.arch == "cpu"
         if settings.driver == "fused" and not cpu:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
+        self._grids = distance_grids(scene)  # kernels cannot run while fields are being declared
         self.fields = Fields(backend.real)
         try:
             self._assemble(scene, settings, backend, h, forces)
@@ -120,7 +122,7 @@ class Assembly:
         most = self._spare_bytes() // PAIR_BYTES
         grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
         pair_part = Pairs(self.model, self.fields, grid, warm, soft, self.room.pairs) if grid is not None else None
-        self.colliders = Colliders(self.model, self.fields) if on and scene.colliders else None
+        self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
         wall_part = (
             Walls(self.model, self.state, self.fields, threshold, soft, pairs, self.colliders) if walled else None
         )

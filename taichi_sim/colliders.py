@@ -6,7 +6,7 @@ scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0.0, (0, 0)), (1.0, (2, 0))])) 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, fields
+from dataclasses import KW_ONLY, MISSING, dataclass, field, fields
 from os import PathLike
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
 from taichi_sim.mesh import Surface, holes, inside_out, mesh_distance, read_surface
-from taichi_sim.motion import Motion, turn_matrix
+from taichi_sim.motion import Motion, keyframe, turn_matrix
 
 __all__ = ["BOX", "MESH", "ROUND", "SHAPES", "Box", "Capsule", "Collider", "Mesh", "Sphere", "build", "shape_of"]
 
@@ -25,7 +25,7 @@ ROUND, BOX, MESH = range(3)
 MOST_CELLS = 512  # of a mesh's grid along its longest side
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Collider:
     """A collider of a scene, checked. Its local frame has the origin at its centre; `motion` says where that is.
 
@@ -179,6 +179,8 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     colour = None
     if shape.colour is not None:
         colour = tuple(checks.per_item(f"{where}.colour", shape.colour, 3, low=0, high=1).tolist())
+    if len(motion.times) > 1:
+        given["path"] = [keyframe("", key) for key in shape.path]
     plain = {"shape": name} | {key: _plain(value) for key, value in given.items() if not _left_out(shape, key, value)}
     parts = (surface.vertices, surface.triangles)
     return Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *parts, plain)
@@ -259,6 +261,17 @@ def _plain(value: Any) -> Any:
 
 
 def shape_of(given: Mapping[str, Any]) -> Any:
-    """The shape that `Collider.given` came from."""
+    """The shape that `Collider.given`, or a table of a scene file, describes. Raises SceneError for keys that it has not."""
     arguments = dict(given)
-    return SHAPES[arguments.pop("shape")](**arguments)
+    name = arguments.pop("shape")
+    kind = SHAPES[name]
+    if "vertices" in arguments or "triangles" in arguments:
+        arguments["mesh"] = (arguments.pop("vertices", ()), arguments.pop("triangles", ()))
+    known = {f.name: f for f in fields(kind)}
+    for key in arguments:
+        if key not in known:
+            raise SceneError(f"{key}: is not a key of a {name}; it has {', '.join(known)}")
+    for key, entry in known.items():
+        if entry.default is MISSING and key not in arguments:
+            raise SceneError(f"{key}: is missing; a {name} needs it")
+    return kind(**arguments)

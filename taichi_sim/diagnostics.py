@@ -6,12 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.colliders import Collider
 from taichi_sim.frame import Contacts
 from taichi_sim.scene import Scene
 
 __all__ = [
     "Energy",
     "angular_momentum",
+    "collider_depth",
     "contacts",
     "energy",
     "inertia",
@@ -98,3 +100,13 @@ def contacts(tally: Floats | None, passes: int, substeps: int, fastest: float, s
         largest_speed=fastest,
         searches=searches,
     )
+
+
+def collider_depth(scene: Scene, collider: Collider, x: Floats, time: float) -> Floats:
+    """How deep [m] each ball (n,) lies in a collider, 0 where it does not touch it or is pinned."""
+    depth = np.zeros(scene.n_balls)
+    centre = collider.motion.at(time)[0][0]
+    reach = collider.extent + scene.radius
+    near = np.flatnonzero(~scene.pinned & (np.linalg.norm(x - centre, axis=1) < reach))
+    depth[near] = np.maximum(0.0, scene.radius[near] - collider.distance(x[near], time))
+    return depth

@@ -6,10 +6,31 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Contacts", "Frame"]
+from taichi_sim.colliders import MESH, Collider
+
+__all__ = ["Contacts", "Frame", "Placed"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A collider where it is: centre (dim,) [m] and rotation (dim, dim) from its local frame."""
+
+    collider: Collider
+    centre: Floats
+    rotation: Floats
+
+    @property
+    def box(self) -> tuple[Floats, Floats]:
+        """Lowest and highest coordinates (dim,) [m]."""
+        c = self.collider
+        if c.kind == MESH:
+            corners = c.vertices @ self.rotation.T + self.centre
+            return corners.min(axis=0), corners.max(axis=0)
+        reach = np.abs(self.rotation) @ c.half + c.radius + c.hollow
+        return self.centre - reach, self.centre + reach
 
 
 def _empty(*shape: int, dtype: type = np.float64) -> NDArray:
@@ -35,7 +56,7 @@ class Contacts(NamedTuple):
 
 @dataclass(slots=True)
 class Frame:
-    """One moment. n balls, m springs, t triangles, w walls in `dim` dimensions.
+    """One moment. n balls, m springs, t triangles, w walls, colliders in `dim` dimensions.
 
     What does not change from frame to frame (radius, springs, triangles, colour, ...) is shared between frames: read only.
     """
@@ -51,6 +72,7 @@ class Frame:
     colour: Floats = field(default_factory=lambda: _empty(0, 3))  # (n, 3) sRGB in 0..1; (0, 3): the renderer chooses
     pinned: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (n,)
     walls: Floats = field(default_factory=lambda: _empty(0, 0))  # (w, dim + 1): unit normal, offset; solid below it
+    colliders: tuple[Placed, ...] = ()  # where they are at `time`
     energy: tuple[float, float, float, float] | None = None  # J: kinetic, spring, gravity, total
     contacts: Contacts | None = None  # what `Simulation.contacts` said; only exports ask
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
 
-__all__ = ["Motion", "turn_matrix", "turn_vector"]
+__all__ = ["Motion", "keyframe", "turn_matrix", "turn_vector"]
 
 Floats = NDArray[np.float64]
 KEYS = ("time", "position", "rotation")
@@ -106,7 +106,7 @@ class Motion:
         times, positions, rotations = [], [], []
         for k, given in enumerate(path):
             place = f"{where}.path[{k}]"
-            key = _keyframe(place, given)
+            key = keyframe(place, given)
             time = checks.number(f"{place}.time", key["time"])
             if times and time <= times[-1]:
                 raise SceneError(
@@ -141,7 +141,7 @@ class Motion:
         return cls(t, x, matrices, turns, np.zeros(dim), x[0], repeat)
 
 
-def _keyframe(where: str, given: Any) -> Mapping[str, Any]:
+def keyframe(where: str, given: Any) -> Mapping[str, Any]:
     """A keyframe, a table or (time, position[, rotation]), as a table."""
     if isinstance(given, Mapping):
         unknown = [key for key in given if key not in KEYS]

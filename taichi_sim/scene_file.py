@@ -1,7 +1,7 @@
 """Scene files: TOML to Scene. `save_scene` (the way back) lies in scene_save.py and is offered here too.
 
 Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
-wheel, pile), springs, walls, triangles. Springs that name no group therefore count all balls in this order.
+wheel, pile), springs, walls, colliders, triangles. Springs that name no group therefore count all balls in this order.
 """
 
 import difflib
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim import checks
+from taichi_sim.colliders import shape_of
 from taichi_sim.errors import SceneError
 from taichi_sim.scene import Scene
 from taichi_sim.scene_lines import key_name, line_of
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 __all__ = ["load_scene", "save_scene"]
 
 _Path = tuple[str | int, ...]
-_KEY = re.compile(r"^(?:\w+\.|material '.*?': )?(?P<key>\w[\w\[\]]*): (?P<what>.*)$", re.DOTALL)
+_KEY = re.compile(r"^(?:\w+(?:\[\d+\])?\.|material '.*?': )?(?P<key>\w[\w\[\].]*): (?P<what>.*)$", re.DOTALL)
 _ALLOWED = re.compile(r"^(?:Input|List|Tuple|Value) should (?:be|have) (?:a valid )?")
 _PLAIN = {"integer": "a whole number", "boolean": "true or false", "string": "a text", "tuple": "a list"}
 
@@ -90,6 +91,12 @@ class _Reader:
                 arguments["pairs"] = self._members(scene, "springs.pairs", arguments, 2)
                 scene.add_springs(**arguments)
         self._walls(scene, model.walls)
+        for index, table in enumerate(model.colliders):
+            with self._at("colliders", index):
+                arguments = self._with_file(("colliders", index), table, ())
+                if "mesh" in arguments:
+                    arguments["mesh"] = self.file.parent / arguments["mesh"]
+                scene.add_collider(shape_of(arguments))
         for index, table in enumerate(model.triangles):
             with self._at("triangles", index):
                 arguments = self._with_file(("triangles", index), table, ("triangles",))
@@ -168,7 +175,9 @@ class _Reader:
             found = _KEY.match(str(error))
             key, what = found.group("key", "what") if found else ("", str(error))
             names = tuple(int(n) if n.isdigit() else n for n in re.findall(r"\w+", key))
-            own = () if names == place[:1] else names  # a shape's error about itself: `cloth: needs a scene in 3D`
+            own = (
+                () if names in (place[:1], place) else names
+            )  # a shape's error about itself: `cloth: needs a scene in 3D`
             raise self._error(_fitting(self.document, place + own), what) from error
 
     def _error(self, path: _Path, what: str) -> SceneError:

@@ -68,6 +68,7 @@ def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
             for wall in scene.walls
         ],
     }
+    tables["colliders"] = [_collider(collider.given, store, k) for k, collider in enumerate(scene.colliders)]
     if len(scene.triangles):
         tables["triangles"] = [store.table("triangles_", {"triangles": scene.triangles})]
     return document | {name: rows for name, rows in tables.items() if rows}
@@ -91,6 +92,16 @@ def _materials(scene: Scene) -> list[dict[str, Any]]:
         }
         rows.append(row if material.colour is None else row | {"colour": list(material.colour)})
     return rows
+
+
+def _collider(given: dict[str, Any], store: _Arrays, number: int) -> dict[str, Any]:
+    """The arguments of a collider; a mesh as the triangles that it has, not as the file that they came from."""
+    plain = {key: value for key, value in given.items() if key != "mesh"}
+    if "mesh" not in given:
+        return plain
+    return store.table(
+        f"colliders_{number}_", {k: getattr(given["mesh"], k) for k in ("vertices", "triangles")}, **plain
+    )
 
 
 def _balls(scene: Scene, store: _Arrays) -> list[dict[str, Any]]:

@@ -20,7 +20,7 @@ from pydantic import (
 )
 from pydantic.errors import PydanticSchemaGenerationError
 
-from taichi_sim import shapes
+from taichi_sim import colliders, shapes
 from taichi_sim.scene import Scene
 
 __all__ = ["LATER", "SHAPES", "TABLES", "Document", "Output", "Simulation"]
@@ -33,7 +33,7 @@ SHAPES: dict[str, Callable[..., shapes.Shape]] = {
 }
 LATER: dict[str, tuple[Any, ...]] = {  # values and tables that the design promises for later
     "simulation.integrator": ("xpbd", "implicit_euler", "tr_bdf2"),
-    "": ("colliders",),
+    "": (),
 }
 
 Seconds = Annotated[FiniteFloat, Gt(0)]
@@ -101,6 +101,17 @@ def _optional(model: type[BaseModel], *names: str) -> type[BaseModel]:
     return create_model(model.__name__, __base__=model, **fields)
 
 
+def _colliders() -> type[BaseModel]:
+    """A model with the arguments of all colliders; which of them a `shape` takes and needs is judged where it is built."""
+    fields: dict[str, Any] = {
+        name: (_field(parameter)[0], None)
+        for kind in colliders.SHAPES.values()
+        for name, parameter in inspect.signature(kind, eval_str=True).parameters.items()
+    }
+    fields |= {"shape": (Literal[tuple(colliders.SHAPES)], ...), "mesh": (str | None, None)}
+    return create_model("colliders", __base__=Strict, **fields, vertices=(Any, None), triangles=(Any, None), **_file)
+
+
 _file: dict[str, Any] = {"file": (str | None, None), "prefix": (str, "")}
 _name: dict[str, Any] = {"name": (str | None, None)}
 _group: dict[str, Any] = {"balls": (str | None, None)}
@@ -112,6 +123,7 @@ TABLES: Mapping[str, type[BaseModel]] = {
     **{name: _arguments(function, **_name) for name, function in SHAPES.items()},
     "springs": _optional(_arguments(Scene.add_springs, **_group, **_file), "pairs", "stiffness"),
     "walls": _arguments(Scene.add_wall),
+    "colliders": _colliders(),
     "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
 }
 

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import backend, checks, diagnostics
 from taichi_sim.assembly import Assembly
+from taichi_sim.collider_checks import check_colliders
 from taichi_sim.errors import SceneError, UnstableError
-from taichi_sim.frame import Contacts, Frame
+from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
@@ -53,6 +54,8 @@ class Simulation:
         self.dt, self.substeps = self.settings.time_step(scene, self._stability)
         self._h = self.dt / self.substeps
         self._warn()
+        if self.settings.contacts != "off":
+            check_colliders(scene, self._h)
         s = self.settings
         self.backend = backend.start(s.arch, s.precision, s.threads)
         self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN
@@ -247,7 +250,7 @@ class Simulation:
         return diagnostics.contacts(parts.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches())
 
     def penetration(self) -> float:
-        """Largest overlap of a ball with a wall, a stick or another ball [m]; 0 where contacts are off."""
+        """Largest overlap of a ball with a wall, a collider, a stick or another ball [m]; 0 where contacts are off."""
         return self.contacts().penetration
 
     def frame(self) -> Frame:
@@ -265,6 +268,7 @@ class Simulation:
             colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
             pinned=scene.pinned,
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
+            colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(self.time))) for c in scene.colliders),
             energy=diagnostics.energy(scene, x, v, self._spin()),
         )
 

@@ -10,6 +10,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from taichi_sim import checks
+from taichi_sim.colliders import shape_of
 from taichi_sim.errors import SceneError
 from taichi_sim.files import replacing
 from taichi_sim.scene import Material, Scene, Wall
@@ -17,6 +18,7 @@ from taichi_sim.scene import Material, Scene, Wall
 __all__ = ["restore_state", "save_state"]
 
 FORMAT = 1
+MESH = ("vertices", "triangles")
 LOW = ("low_position", "low_velocity")  # what single precision rounded off: without it a run goes on with other bits
 
 
@@ -42,6 +44,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "gravity": scene.gravity.tolist(),
         "materials": [asdict(material) for material in scene.materials],
         "walls": [asdict(wall) for wall in scene.walls],
+        "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in scene.colliders],
         "settings": settings,
         "output": scene.output,
         "time": simulation.time,
@@ -51,6 +54,9 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         state.update(zip(LOW, simulation.rounded_off))
     if np.any(simulation.surface_speed):
         state["surface_speed"] = simulation.surface_speed
+    for k, collider in enumerate(scene.colliders):
+        if "mesh" in collider.given:
+            state.update({f"colliders.{k}.{name}": getattr(collider, name) for name in MESH})
     with replacing(path) as file:
         np.savez(file, about=np.array(json.dumps(about)), **state, **scene.to_arrays())
 
@@ -94,6 +100,9 @@ def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
         material["colour"] = material["colour"] and tuple(material["colour"])
     scene.materials[:] = [Material(**material) for material in about["materials"]]
     scene.walls.extend(Wall(tuple(w["normal"]), w["offset"], w["material"]) for w in about["walls"])
+    for k, given in enumerate(about["colliders"]):
+        mesh = {name: arrays[f"colliders.{k}.{name}"] for name in MESH} if given["shape"] == "mesh" else {}
+        scene.add_collider(shape_of(given | mesh))
     scene.from_arrays(arrays)
     named = [*scene.material.tolist(), *(wall.material for wall in scene.walls)]
     if any(not 0 <= index < len(scene.materials) for index in set(named)):

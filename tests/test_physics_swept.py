@@ -19,7 +19,7 @@ def directions(rng, n, dim):
 def bullets(dim, n, seed):
     """3 n trials far apart: at a ball at rest, at a bullet that comes the other way, at a stick across.
 
-    Returns the scene, directions, and the indices of bullets, of balls at rest, of bullets from ahead, of the sticks' ends.
+    Returns the scene, directions, and the indices of bullets and of the sticks' two ends.
     """
     rng = np.random.default_rng(seed)
     scene = ts.Scene(dim=dim)
@@ -33,8 +33,8 @@ def bullets(dim, n, seed):
     behind = rng.uniform(0.6, 1.5, (3 * n, 1))
     shot = scene.add_balls(centre - behind * d, radius=R, velocity=SPEED * d, material="m")
     aside = rng.uniform(0.0, 1.98 * R, (3 * n, 1)) * across  # all of them hit
-    rest = scene.add_balls((centre + aside)[:n], radius=R, mass=10 ** rng.uniform(-2, 2, n), material="m")
-    ahead = scene.add_balls(
+    scene.add_balls((centre + aside)[:n], radius=R, mass=10 ** rng.uniform(-2, 2, n), material="m")
+    scene.add_balls(
         (centre + aside + rng.uniform(0.6, 1.5, (3 * n, 1)) * d)[n : 2 * n],
         radius=R,
         velocity=-SPEED * d[n : 2 * n],
@@ -46,11 +46,11 @@ def bullets(dim, n, seed):
         for half in (-0.5, 0.5)
     ]
     scene.add_springs(np.stack(ends, axis=1), stiffness=1e4, collides=True)
-    return scene, d, shot, rest, ahead, ends
+    return scene, d, shot, ends
 
 
 def check_bullets(dim, n, seed, **settings):
-    scene, d, shot, rest, ahead, ends = bullets(dim, n, seed)
+    scene, d, shot, ends = bullets(dim, n, seed)
     with simulate(scene, dt=H, **settings) as sim:
         p, scale = sim.momentum(), SPEED * scene.n_balls
         sim.step(12)

@@ -5,7 +5,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.colliders import BOX, MESH, ROUND
-from taichi_sim.contacts.distance_grid import DistanceGrid, distance_grid
+from taichi_sim.contacts.distance_grid import DistanceGrid
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import colliders as geometry
 from taichi_sim.model import Model
@@ -21,9 +21,10 @@ class Colliders:
 
     `pose` holds centre, the images of the local x and y axes, velocity and angular velocity for the step that begins; motions
     are worked out on the host in float64, for up to TICKS substeps at a time: `row`, of which `tick` is the present one.
+    grids: of `distance_grids`.
     """
 
-    def __init__(self, model: Model, fields: Fields) -> None:
+    def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
         scene = model.scene
         self.dim, self.scene, self.count = model.dim, scene, len(scene.colliders)
         kinds = {c.kind for c in scene.colliders}
@@ -36,7 +37,7 @@ class Colliders:
         self.movers, self.moves = len(moving), bool(moving)
         self.turns = any(bool(np.any(scene.colliders[k].motion.turns)) for k in moving)
         self.extent = max(c.extent + float(np.abs(c.motion.positions).max()) for c in scene.colliders)
-        self._shapes(model, fields)
+        self._shapes(model, fields, grids)
         vector, turn = ti.types.vector(model.dim, fields.real), fields.real
         if model.dim == 3:
             turn = vector
@@ -53,7 +54,7 @@ class Colliders:
             self.row = fields.table(columns, (TICKS + 1) * self.movers)
             self.width = sum(getattr(kind, "n", 1) for kind in columns.values())
 
-    def _shapes(self, model: Model, fields: Fields) -> None:
+    def _shapes(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
         """The shapes, and the grids of meshes one behind the other."""
         colliders = model.scene.colliders
         real, dim = fields.real, model.dim
@@ -68,9 +69,6 @@ class Colliders:
             "extent": np.array([c.extent for c in colliders]),
         }
         if self.has_mesh:
-            reach = 2.0 * float(np.max(model.scene.radius))
-            none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros(3), 1.0)
-            grids = [distance_grid(c, reach) if c.kind == MESH else none for c in colliders]
             data["first"] = np.cumsum([0, *(g.value.size for g in grids[:-1])])
             data["low"] = np.array([g.low for g in grids])
             data["inverse_cell"] = np.array([1.0 / g.cell for g in grids])

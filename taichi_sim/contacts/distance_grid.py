@@ -6,10 +6,11 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.colliders import Collider
+from taichi_sim.colliders import MESH, Collider
 from taichi_sim.kernels import distance_grid as loops
+from taichi_sim.scene import Scene
 
-__all__ = ["DistanceGrid", "distance_grid"]
+__all__ = ["DistanceGrid", "distance_grid", "distance_grids"]
 
 MOST_CORNERS = 1 << 24
 BORDER = 2  # cells
@@ -50,3 +51,10 @@ def distance_grid(collider: Collider, reach: float) -> DistanceGrid:
     loops.winding(corner, turns, origin, cell, SHIFT)
     ti.sync()
     return DistanceGrid(np.where(turns != 0, -1.0, 1.0) * np.sqrt(best), start, cell)
+
+
+def distance_grids(scene: Scene) -> list[DistanceGrid]:
+    """One for each collider, empty for what is no mesh; to be made before the fields of a simulation are."""
+    none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros(3), 1.0)
+    reach = 2.0 * float(np.max(scene.radius, initial=0.0))
+    return [distance_grid(c, reach) if c.kind == MESH else none for c in scene.colliders]

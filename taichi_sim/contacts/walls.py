@@ -363,11 +363,11 @@ class Walls:
 
     @ti.func
     def survey(self, ball: ti.template(), i):
-        """Tally of the walls that ball i touches; one that rests lies on the surface, give or take rounding."""
+        """Tally of the walls and colliders that ball i touches; one that rests lies on the surface, give or take rounding."""
         total = survey.nothing()
         for k in range(ti.select(self.model.inverse_mass[i] > 0.0, self.count, 0)):
             gap = self.gap(ball[i].x, i, k)
             if gap <= self.tolerance(ball[i].x, i):
-                u = self.wall[k].normal.dot(ball[i].v)
+                u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
                 total = survey.join(total, survey.one(ti.max(0.0, -gap), self.model.radius[i], u))
         return total

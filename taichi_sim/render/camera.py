@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
 
-__all__ = ["Bounds", "Camera", "ground_planes", "robust_bounds", "view_matrix"]
+__all__ = ["Bounds", "Camera", "ground_planes", "near_boxes", "robust_bounds", "view_matrix"]
 
 Floats = NDArray[np.float64]
 SAMPLE = 20_000  # balls looked at: enough for a frame, quick for millions
@@ -94,6 +94,18 @@ def robust_bounds(position: Floats, radius: Floats) -> tuple[Bounds, NDArray[np.
     return Bounds((position[kept] - r).min(axis=0), (position[kept] + r).max(axis=0)), kept
 
 
+def near_boxes(frame: Frame, bounds: Bounds) -> Floats:
+    """Corners (k, dim) of the boxes about colliders near the balls, cut off where they reach far beyond them."""
+    reach = 0.75 * bounds.size
+    low, high = bounds.low - reach, bounds.high + reach
+    corners = [np.clip(corner, low, high) for p in frame.colliders for corner in p.box if _meet(p.box, low, high)]
+    return np.array(corners).reshape(-1, frame.dim)
+
+
+def _meet(box: tuple[Floats, Floats], low: Floats, high: Floats) -> bool:
+    return bool(np.all(box[0] < high) and np.all(box[1] > low))
+
+
 def ground_planes(frame: Frame) -> Floats:
     """Walls of a 3D frame that face mostly upward, at most four: (k, 4) unit normal and offset."""
     if frame.walls.size == 0:
@@ -131,4 +143,8 @@ def _content(frame: Frame) -> tuple[Floats, Floats]:
             points = np.concatenate([points, points - height[:, None] * plane[:3]])
             sizes = np.concatenate([sizes, np.zeros(len(height))])
     sizes = np.maximum(sizes, 0.02 * bounds.size)
-    return points, sizes
+    corners = near_boxes(frame, bounds)
+    if len(corners):
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        corners = np.array([[(low, high)[k >> a & 1][a] for a in range(3)] for k in range(8)])
+    return np.concatenate([points, corners]), np.concatenate([sizes, np.zeros(len(corners))])

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.colliders import Collider
 from taichi_sim.frame import Frame
+from taichi_sim.render.bodies import Bodies
 from taichi_sim.render.palette import body_colours
 
 __all__ = ["Content"]
@@ -16,7 +18,7 @@ class Content:
     """The unchanging part of a frame, ready to draw.
 
     radius (n,) m, 0 for balls on triangles; colour (n, 3) sRGB; rods: indices of the springs drawn; rod_ends (k, 2);
-    rod_radius (k,) m; rod_stick (k,).
+    rod_radius (k,) m; rod_stick (k,); triangles of balls (t, 3); bodies: colliders, in 3D.
     """
 
     source: tuple[NDArray, ...]
@@ -27,6 +29,8 @@ class Content:
     rod_radius: NDArray[np.float64]
     rod_stick: NDArray[np.bool_]
     triangles: NDArray[np.int32]
+    bodies: Bodies | None
+    colliders: tuple[Collider, ...]
 
     @classmethod
     def of(cls, frame: Frame, size: float) -> "Content":
@@ -46,12 +50,20 @@ class Content:
             rod_ends=ends,
             rod_radius=_rod_radius(frame, ends, stick, size),
             rod_stick=stick,
+            bodies=Bodies.of(frame) if frame.dim == 3 else None,
+            colliders=_colliders(frame),
             triangles=np.ascontiguousarray(frame.triangles.reshape(-1, 3), dtype=np.int32),
         )
 
     def matches(self, frame: Frame) -> bool:
         """Whether a frame has what this was made from; frames of one simulation share the very arrays."""
+        if self.colliders != _colliders(frame):
+            return False
         return all(a is b or np.array_equal(a, b, equal_nan=True) for a, b in zip(self.source, _source(frame)))
+
+
+def _colliders(frame: Frame) -> tuple[Collider, ...]:
+    return tuple(placed.collider for placed in frame.colliders)
 
 
 def _source(frame: Frame) -> tuple[NDArray, ...]:

@@ -6,8 +6,10 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
+from taichi_sim.frame import Frame
 from taichi_sim.kernels import raster, resolve, shade
 from taichi_sim.render.content import Content
+from taichi_sim.render.palette import to_linear
 
 __all__ = ["Buffers", "Canvas"]
 
@@ -15,11 +17,13 @@ SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 
 
 class Buffers:
-    """Balls, rods and triangles in scene units. `has_*`: what there is of; kernels compile only for that."""
+    """Balls, rods and triangles in scene units. `has_*`: what there is of; kernels compile only for that.
+
+    The vertices of colliders follow the balls, as balls without a radius; their triangles follow those of the balls.
+    """
 
     def __init__(self, content: Content) -> None:
-        n, m, t = len(content.radius), len(content.rods), len(content.triangles)
-        self.capacity = (n, m, t)
+        n, m, t = self.capacity = _sizes(content)
         self.has_spheres = bool(np.any(content.radius > 0))
         self.has_rods, self.has_triangles = m > 0, t > 0
         builder = ti.FieldsBuilder()
@@ -37,21 +41,25 @@ class Buffers:
         self._tree = builder.finalize()
         self.ball.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
         self._upload = np.zeros((max(n, 1), 4), dtype=np.float32)
-        self.balls, self.rods, self.triangles = n, m, t
+        self.vertices, self.rods, self.triangles = n, m, t
+        self.balls = len(content.radius)
         self.squares = 0.0  # sum of squared radii
-        self._radius = np.zeros(n, dtype=np.float32)
+        self._radius = np.zeros(self.balls, dtype=np.float32)
 
     def holds(self, content: Content) -> bool:
         """Whether this content fits and draws the same kinds of things."""
-        n, m, t = len(content.radius), len(content.rods), len(content.triangles)
+        n, m, t = _sizes(content)
         kinds = (bool(np.any(content.radius > 0)), m > 0, t > 0)
         return self.capacity == (n, m, t) and kinds == (self.has_spheres, self.has_rods, self.has_triangles)
 
     def load(self, content: Content, colour: NDArray, unit: float) -> None:
         """Take over what does not change from frame to frame; colour linear."""
-        n = self.balls
+        n = self.vertices
+        self.bodies = content.bodies
         if n == 0:
             return
+        if self.bodies is not None:
+            colour = np.concatenate([colour, to_linear(self.bodies.colour)])
         self.colour.from_numpy(colour.astype(np.float32))
         self._radius = (content.radius / unit).astype(np.float32)
         self.squares = float(np.square(self._radius, dtype=np.float64).sum())
@@ -59,19 +67,29 @@ class Buffers:
             self.rod.from_numpy(content.rod_ends)
             self.rod_radius.from_numpy((content.rod_radius / unit).astype(np.float32))
         if self.has_triangles:
-            corners = content.triangles.ravel()
+            self._corners = content.triangles
+            if self.bodies is not None:
+                self._corners = np.concatenate([content.triangles, self.bodies.triangles + self.balls]).astype(np.int32)
+            corners = self._corners.ravel()
             order = np.argsort(corners, kind="stable")
             start = np.zeros(n + 1, dtype=np.int32)
             start[1:] = np.cumsum(np.bincount(corners, minlength=n))
-            self.corner.from_numpy(content.triangles)
+            self.corner.from_numpy(self._corners)
             self.incident.from_numpy((order // 3).astype(np.int32))
             self.start.from_numpy(start)
 
-    def move(self, position: NDArray, origin: NDArray, unit: float, strain: NDArray | None) -> None:
-        """Take over positions (m) and strains."""
-        if self.balls == 0:
+    def move(self, frame: Frame, origin: NDArray, unit: float, strain: NDArray | None, eye: NDArray) -> None:
+        """Take over positions (m) and strains; eye (m)."""
+        if self.vertices == 0:
             return
-        np.subtract(position, origin, out=self._upload[:, :3], casting="same_kind")
+        n = self.balls
+        np.subtract(frame.position, origin, out=self._upload[:n, :3], casting="same_kind")
+        if self.bodies is not None and len(self.bodies.vertices):
+            placed = self.bodies.place(frame)
+            self._upload[n : self.vertices, :3] = placed - origin
+            if self.bodies.hollow.any():
+                self._corners[len(self._corners) - len(self.bodies.triangles) :] = self.bodies.seen(placed, eye) + n
+                self.corner.from_numpy(self._corners)
         self._upload[:, :3] *= 1.0 / unit
         self._upload[: self.balls, 3] = self._radius
         self.ball.from_numpy(self._upload)
@@ -89,10 +107,17 @@ class Buffers:
         self.ball.from_numpy(self._upload)
 
     def find_normals(self) -> None:
-        raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.balls)
+        raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.vertices)
 
     def close(self) -> None:
         self._tree.destroy()
+
+
+def _sizes(content: Content) -> tuple[int, int, int]:
+    """Vertices (balls and those of colliders), rods and triangles."""
+    bodies = content.bodies
+    more = (0, 0) if bodies is None else (len(bodies.vertices), len(bodies.triangles))
+    return len(content.radius) + more[0], len(content.rods), len(content.triangles) + more[1]
 
 
 class _Scene:

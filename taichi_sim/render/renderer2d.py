@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import paint2d, resolve
-from taichi_sim.render.camera import robust_bounds
+from taichi_sim.render.camera import Bounds, near_boxes, robust_bounds
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
@@ -40,7 +40,7 @@ class Renderer2D:
         self._look = paint2d.Look(np.stack([self._top, bottom, wall, hatch, edge]).tolist())
         self._content: Content | None = None
         self._tree: Any = None
-        self._capacity = (-1, -1)
+        self._capacity = (-1, -1, -1)
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
 
@@ -57,16 +57,21 @@ class Renderer2D:
         walls = self._walls(frame)
         if len(walls):
             self._wall.from_numpy(walls)
+        if frame.colliders:
+            self._body.from_numpy(self._bodies(frame))
         paint2d.paint(
             self._shape,
             self._kind,
             self._colour,
             self._wall,
+            self._body,
+            self._tint,
             self._image,
             entry,
             start,
             self._look,
             len(walls),
+            len(frame.colliders),
             tile,
             width,
             height,
@@ -82,8 +87,8 @@ class Renderer2D:
         self._content = None
 
     def _prepare(self, frame: Frame) -> None:
-        walls = len(frame.walls) if frame.walls.size else 0
-        if self._content is not None and self._content.matches(frame) and walls == self._capacity[1]:
+        fixed = (len(frame.walls) if frame.walls.size else 0, len(frame.colliders))
+        if self._content is not None and self._content.matches(frame) and fixed == self._capacity[1:]:
             return
         content = Content.of(frame, self._extent)
         self._content = content
@@ -91,14 +96,18 @@ class Renderer2D:
         self._rods = np.argsort(content.rod_stick, kind="stable")  # springs below sticks
         self._outline = _outline(content.triangles)
         counts = (len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
-        if self._capacity != (sum(counts), walls):
-            self._allocate(sum(counts), walls)
+        if self._capacity != (sum(counts), *fixed):
+            self._allocate(sum(counts), *fixed)
         kind = np.repeat([paint2d.TRIANGLE, paint2d.ROD, paint2d.ROD, paint2d.DISC], counts).astype(np.int32)
         if len(kind):
             self._kind.from_numpy(kind)
+        if frame.colliders:
+            tints = [p.collider.colour for p in frame.colliders]
+            linear = [np.full(3, -1.0) if tint is None else to_linear(np.array(tint)) for tint in tints]
+            self._tint.from_numpy(np.array(linear, dtype=np.float32))
         self._base = self._base_colours(content)
 
-    def _allocate(self, shapes: int, walls: int) -> None:
+    def _allocate(self, shapes: int, walls: int, bodies: int) -> None:
         if self._tree is not None:
             self._tree.destroy()
         builder = ti.FieldsBuilder()
@@ -108,10 +117,13 @@ class Renderer2D:
         builder.dense(ti.i, max(shapes, 1)).place(self._colour)
         builder.dense(ti.i, max(shapes, 1)).place(self._kind)
         builder.dense(ti.i, max(walls, 1)).place(self._wall)
+        self._body, self._tint = ti.Vector.field(8, ti.f32), ti.Vector.field(3, ti.f32)
+        builder.dense(ti.i, max(bodies, 1)).place(self._body)
+        builder.dense(ti.i, max(bodies, 1)).place(self._tint)
         builder.dense(ti.i, self.size[0] * self.size[1]).place(self._image)
         self._tree = builder.finalize()
         self._wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
-        self._capacity = (shapes, walls)
+        self._capacity = (shapes, walls, bodies)
 
     def _shapes(self, frame: Frame) -> tuple[NDArray[np.float32], NDArray, NDArray]:
         """Shapes in drawing order, and the corners of their boxes, px."""
@@ -167,6 +179,16 @@ class Renderer2D:
             self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL)) * (1 - share) + ends * share
         return self._base
 
+    def _bodies(self, frame: Frame) -> NDArray[np.float32]:
+        """The colliders as `kernels.paint2d` wants them, (k, 8) px from the top left."""
+        rows = np.zeros((len(frame.colliders), 8), dtype=np.float32)
+        for row, placed in zip(rows, frame.colliders):
+            shape, along = placed.collider, placed.rotation[:, 0]
+            x, y = (placed.centre - self._low) * self._scale
+            row[:4] = x, self.size[1] - y, along[0], -along[1]
+            row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self._scale
+        return rows
+
     def _walls(self, frame: Frame) -> NDArray[np.float32]:
         """Rows (a, b, c): a x + b y + c px above a wall, for pixels counted from the top left."""
         if frame.walls.size == 0:
@@ -176,10 +198,16 @@ class Renderer2D:
         return np.column_stack([normal[:, 0], -normal[:, 1], constant]).astype(np.float32)
 
 
+def _covered(frame: Frame, bounds: Bounds) -> tuple[NDArray, NDArray]:
+    """Lowest and highest coordinates of the balls and of the colliders near them."""
+    points = np.concatenate([bounds.low[None], bounds.high[None], near_boxes(frame, bounds)])
+    return points.min(axis=0), points.max(axis=0)
+
+
 def _view(frame: Frame, size: tuple[int, int]) -> tuple[NDArray, float, float]:
     """Lower left corner (m), px per metre and size of the content (m): balls but far-flung ones, and near walls."""
     bounds, kept = robust_bounds(frame.position, frame.radius)
-    low, high = bounds.low.copy(), bounds.high.copy()
+    low, high = _covered(frame, bounds)
     points = frame.position[kept] if len(kept) else np.stack([low, high])
     shown = False
     for wall in frame.walls if frame.walls.size else ():

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import raster, resolve, shade
-from taichi_sim.render.camera import Bounds, Camera, ground_planes, robust_bounds, view_matrix
+from taichi_sim.render.camera import Bounds, Camera, ground_planes, near_boxes, robust_bounds, view_matrix
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import Buffers, Canvas
 from taichi_sim.render.palette import background_colours, to_linear
@@ -56,7 +56,7 @@ class Renderer3D:
         assert self._buffers is not None
         assert self._canvas is not None
         strain = frame.strain[self._content.rods] if len(frame.strain) == len(frame.springs) else None
-        self._buffers.move(frame.position, self._origin, self._unit, strain)
+        self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
         width, height = self.size
         view = self._view()
         self._spare(view)
@@ -150,7 +150,9 @@ class Renderer3D:
 
     def _extent(self, frame: Frame) -> Bounds:
         step = max(1, len(frame.position) // 4096)
-        return robust_bounds(frame.position[::step], frame.radius[::step])[0]
+        bounds = robust_bounds(frame.position[::step], frame.radius[::step])[0]
+        points = np.concatenate([bounds.low[None], bounds.high[None], near_boxes(frame, bounds)])
+        return Bounds(points.min(axis=0), points.max(axis=0))
 
     def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:
         """Draw the shadow map; return its view. It covers the scene's bounds, which grow in steps as balls spread."""

@@ -1,0 +1,113 @@
+"""Colliders as triangles, for pictures in 3D."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.colliders import BOX, MESH, Collider
+from taichi_sim.frame import Frame
+
+__all__ = ["Bodies"]
+
+GREY = (0.64, 0.66, 0.70)  # sRGB
+AROUND, UP = 96, 24  # faces of a round shape about its axis, and along each of its caps
+CREASE = 0.77  # cosine of the angle between faces from which their edge is sharp
+
+
+class Bodies(NamedTuple):
+    """The surfaces of all colliders of a frame, each in its own frame: vertices (v, 3) m, triangles (t, 3), and for each vertex
+    the collider (v,), its sRGB colour (v, 3), for each triangle whether it shows from within only (t,)."""
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    owner: NDArray[np.int64]
+    colour: NDArray[np.float64]
+    hollow: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, frame: Frame) -> "Bodies":
+        """What the colliders of a 3D frame look like."""
+        parts = [_surface(placed.collider) for placed in frame.colliders]
+        sizes = [len(vertices) for vertices, _ in parts]
+        first = np.cumsum([0, *sizes])
+        shapes = [placed.collider for placed in frame.colliders]
+        return cls(
+            np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in parts)]),
+            np.concatenate(
+                [np.zeros((0, 3), dtype=np.int32), *(t + first[k] for k, (_, t) in enumerate(parts))]
+            ).astype(np.int32),
+            np.repeat(np.arange(len(parts)), sizes),
+            np.repeat(np.array([c.colour or GREY for c in shapes]).reshape(-1, 3), sizes, axis=0),
+            np.repeat(np.array([c.hollow > 0 for c in shapes], dtype=bool), [len(t) for _, t in parts]),
+        )
+
+    def place(self, frame: Frame) -> NDArray[np.float64]:
+        """The vertices (v, 3) [m] where the colliders of a frame are."""
+        if not len(self.vertices):
+            return self.vertices
+        turn = np.array([placed.rotation for placed in frame.colliders])[self.owner]
+        centre = np.array([placed.centre for placed in frame.colliders])[self.owner]
+        return np.einsum("vij,vj->vi", turn, self.vertices) + centre
+
+    def seen(self, placed: NDArray, eye: NDArray) -> NDArray[np.int32]:
+        """The triangles with those of hollow colliders that face the eye shrunk to nothing: one looks into the room."""
+        if not self.hollow.any():
+            return self.triangles
+        a, b, c = (placed[self.triangles[:, k]] for k in range(3))
+        facing = np.einsum("ti,ti->t", np.cross(b - a, c - a), eye - a) > 0
+        return np.where((self.hollow & facing)[:, None], self.triangles[:, :1], self.triangles)
+
+
+def _surface(collider: Collider) -> tuple[NDArray, NDArray]:
+    """Vertices and triangles; one vertex for each smooth part of the surface that meets there."""
+    if collider.kind == MESH:
+        return _creased(collider.vertices, collider.triangles)
+    if collider.kind == BOX:
+        signs = np.array([[(k >> a & 1) * 2 - 1 for a in range(3)] for k in range(8)])
+        faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+        corners = np.array(faces).ravel()
+        quads = np.arange(24).reshape(6, 4)
+        triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+        return signs[corners] * collider.half, triangles
+    rings = np.concatenate([np.linspace(0, 90, UP + 1), np.linspace(90, 180, UP + 1)])
+    angle = np.radians(rings)[:, None]
+    about = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)[None]
+    x = np.where(rings > 90, -1.0, 1.0)
+    x[UP + 1] = -1.0  # the second ring at 90 degrees lies at the other end
+    middle = np.broadcast_to((x * collider.half[0])[:, None], (len(rings), AROUND))
+    r = collider.radius
+    points = np.stack(
+        [
+            middle + r * np.cos(angle) * np.ones_like(about),
+            r * np.sin(angle) * np.cos(about),
+            r * np.sin(angle) * np.sin(about),
+        ],
+        axis=-1,
+    )
+    row, column = np.meshgrid(np.arange(len(rings) - 1), np.arange(AROUND), indexing="ij")
+    a, b = row * AROUND + column, row * AROUND + (column + 1) % AROUND
+    triangles = np.concatenate(
+        [np.stack([a, a + AROUND, b], -1).reshape(-1, 3), np.stack([b, a + AROUND, b + AROUND], -1).reshape(-1, 3)]
+    )
+    return points.reshape(-1, 3), triangles
+
+
+def _creased(vertices: NDArray, triangles: NDArray) -> tuple[NDArray, NDArray]:
+    """The same with vertices doubled along sharp edges, so that smooth shading stops there."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    points: list[NDArray] = []
+    kinds: dict[int, list[tuple[NDArray, int]]] = {}
+    result = np.empty_like(triangles)
+    for t, corners in enumerate(triangles):
+        for k, v in enumerate(corners.tolist()):
+            known = kinds.setdefault(v, [])
+            own = next((index for n, index in known if n @ normal[t] > CREASE), None)
+            if own is None:
+                own = len(points)
+                known.append((normal[t], own))
+                points.append(vertices[v])
+            result[t, k] = own
+    return np.array(points), result
