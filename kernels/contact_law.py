@@ -121,8 +121,8 @@ def share(T, N, count, friction: ti.template(), turning: ti.template()):
     The sharpest split for which one pass cannot add energy is the largest eigenvalue of the sum of g g^T over all rows of the
     ball's contacts, g the change of its velocity and turn that the row's impulse makes, as a unit vector. Normals alone:
     T = sum n n^T. A row of friction moves by a part a = 1 / (1 + turning) of its square and turns by the rest, so that the
-    sum is [a k + (1 - a) T, c; c^T, (1 - a) (k - T)] (in 2D the last is (1 - a) k), |c| <= sqrt(a (1 - a)) |N|, with k contacts and
-    N = sum n. Without spin that is k, which is always enough.
+    sum is [a k + (1 - a) T, c; c^T, (1 - a) (k - T)] (in 2D the last is (1 - a) k), |c| <= sqrt(a (1 - a)) |N|, with k
+    contacts and N = sum n. Without spin that is k, which is always enough.
     """
     s = ti.max(1.0, 1.0 * count)
     if count > 1:
