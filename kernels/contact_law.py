@@ -37,9 +37,9 @@ def sliding_impulse(u, n, mass, slide, bound, slip):
     """
     stop = (u.dot(n) * n - u) * mass
     wanted = slide + (1.0 - slip) * stop
-    size = wanted.norm()
-    if size > bound:
-        wanted *= bound / size
+    square = wanted.dot(wanted)
+    if square > bound * bound:
+        wanted *= bound * ti.rsqrt(square)
     return wanted - slide + slip * stop, wanted
 
 

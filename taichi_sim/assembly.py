@@ -93,7 +93,7 @@ class Assembly:
         self.atomic = settings.accumulate == "atomic"
         self.integrator = settings.integrator
         springs = self._springs(scene, cpu, h)
-        self.forces = TotalForce(self.model, self.state, self.fields, springs, forces)
+        self.forces = TotalForce(self.model, self.fields, springs, forces)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)

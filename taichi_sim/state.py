@@ -15,8 +15,7 @@ FAR = 1e12  # m; a ball beyond this has left the world
 
 @ti.data_oriented
 class State:
-    """`ball` (n) struct with x [m] and v [m/s]; `impulse` (n) [N s], summed from old values; `kept`:
-    the last state known to be good; `bad` (1): lowest index of a non-finite ball, or n. `compensated` keeps what single
+    """`ball` (n) struct with x [m] and v [m/s]; `kept`: the last state known to be good; `bad` (1): lowest index of a non-finite ball, or n. `compensated` keeps what single
     precision rounds off of x and v in `low` and gives it back with the next change (Kahan's sum). `turn` (n), where balls spin:
     radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
 
@@ -33,7 +32,6 @@ class State:
         self.compensated = compensated
         if compensated:
             self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
-        self.impulse = fields.vectors(self.n, model.dim)
         self.bad = fields.integers(1)
         self.spins = model.spins
         if self.spins:

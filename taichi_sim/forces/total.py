@@ -23,7 +23,6 @@ import taichi as ti
 from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs
 from taichi_sim.model import Model
-from taichi_sim.state import State
 
 __all__ = ["TotalForce"]
 
@@ -32,15 +31,14 @@ __all__ = ["TotalForce"]
 class TotalForce:
     """Gravity, springs and the user's forces. What the scene lacks compiles to nothing."""
 
-    def __init__(
-        self, model: Model, state: State, fields: Fields, springs: Springs | None, extra: Sequence[Any]
-    ) -> None:
+    def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
         for force in extra:
             if not callable(getattr(force, "accumulate", None)):
                 raise ValueError(f"forces: {force!r} has no function accumulate(model, ball, impulse, h, time)")
-        self.model, self.n, self.impulse = model, model.n, state.impulse
+        self.model, self.n = model, model.n
         self.springs, self.extra = springs, list(extra)
         self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(extra)
+        self.impulse = fields.vectors(model.n if self.has_impulse else 0, model.dim)  # N s, summed from old values
         self.damped = springs is not None and springs.damped
         if self.damped:
             self.jump = fields.vectors(model.n, model.dim)
