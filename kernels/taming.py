@@ -15,28 +15,28 @@ PART = 1024  # balls that one thread sums; parts are added in order: the same bi
 def tame(solver: ti.template(), ball: ti.template()):
     """Scale the changes of velocity since `before` so that they add no energy."""
     for c in range(solver.parts_of_energy):
-        linear, square = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        linear, square = ti.cast(0.0, solver.wide), ti.cast(0.0, solver.wide)
         for i in range(c * PART, ti.min((c + 1) * PART, solver.n)):
             w = solver.model.inverse_mass[i]
             if w > 0.0:
-                v = ti.cast(solver.before[i], ti.f64)
-                d = ti.cast(ball[i].v, ti.f64) - v
+                v = ti.cast(solver.before[i], solver.wide)
+                d = ti.cast(ball[i].v, solver.wide) - v
                 linear += v.dot(d) / w
                 square += d.dot(d) / w
                 if ti.static(solver.spins):  # I omega^2 = m turn^2 / turning
-                    s = ti.cast(solver.before_turn[i], ti.f64)
-                    t = ti.cast(solver.state.turn[i], ti.f64) - s
+                    s = ti.cast(solver.before_turn[i], solver.wide)
+                    t = ti.cast(solver.state.turn[i], solver.wide) - s
                     linear += product(solver, s, t) / (w * solver.turning)
                     square += product(solver, t, t) / (w * solver.turning)
         solver.energy[c].linear = linear
         solver.energy[c].square = square
     ti.loop_config(serialize=True)
     for _ in range(1):
-        linear, square = ti.cast(0.0, ti.f64), ti.cast(0.0, ti.f64)
+        linear, square = ti.cast(0.0, solver.wide), ti.cast(0.0, solver.wide)
         for c in range(solver.parts_of_energy):
             linear += solver.energy[c].linear
             square += solver.energy[c].square
-        less = ti.cast(0.0, ti.f64)
+        less = ti.cast(0.0, solver.wide)
         if linear + 0.5 * square > 0.0:
             less = ti.min(0.0, ti.max(0.0, -2.0 * linear / square) - 1.0)
         solver.energy[solver.parts_of_energy].linear = less

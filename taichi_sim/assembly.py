@@ -146,6 +146,7 @@ class Assembly:
             serial=self.fused,
             warm=warm,
             soft=soft,
+            has_doubles=self.backend.arch in ("cpu", "cuda"),
             tames=pairs and not pushed and may_gain(scene, rule, warm),
         )
 

@@ -36,7 +36,7 @@ WORDS: dict[str, tuple[Any, ...]] = {
 LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
 MOST_THREADS = 4096
 SAFETY = 0.9  # of the stability bound
-SINKING = 0.05  # of the radius, roughly: how far the lowest of a pile sink into each other, layers x g h^2 / r
+SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
 FILLED = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
 MOST_SUBSTEPS = 8
 UNEQUAL = 10.0  # ratio of masses from which one Gauss-Seidel pass is not enough
@@ -114,7 +114,7 @@ class Settings:
         if self.contacts == "off" or np.count_nonzero(loose) < 2 or g == 0.0:
             return 1
         radius = float(np.median(scene.radius[loose]))
-        longest = np.sqrt(SINKING * radius / (g * _layers(scene, loose)))
+        longest = np.sqrt(SINKING[scene.dim] * radius / (g * _layers(scene, loose)))
         return int(np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS))
 
 

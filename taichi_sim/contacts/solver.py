@@ -36,7 +36,8 @@ class ContactSolver:
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
         which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
-        overlap is undone by offsets. tames: no solve may add kinetic energy, see kernels.taming.
+        overlap is undone by offsets. tames: no solve may add kinetic energy, see kernels.taming. has_doubles:
+        the device computes in double precision.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class ContactSolver:
         warm: bool,
         soft: bool,
         tames: bool,
+        has_doubles: bool,
     ) -> None:
         self.model, self.state, self.n = model, state, model.n
         self.walls, self.pairs, self.sticks = walls, pairs, sticks
@@ -95,8 +97,9 @@ class ContactSolver:
             if self.has_offset:
                 self.offset = fields.vectors(self.n, model.dim)
             if tames:
+                self.wide = ti.f64 if has_doubles else fields.real
                 self.parts_of_energy = -(-self.n // taming.PART)
-                self.energy = fields.table({"linear": ti.f64, "square": ti.f64}, self.parts_of_energy + 1)
+                self.energy = fields.table({"linear": self.wide, "square": self.wide}, self.parts_of_energy + 1)
                 if self.spins:
                     self.before_turn = fields.turns(self.n, model.dim)
             if self.sums:
