@@ -60,7 +60,11 @@ class Motion:
     def steps(self, time: float, h: float, steps: int) -> tuple[Floats, Floats, Floats, Floats]:
         """At `time` + 0, h, ..., steps h: positions and rotations, and the velocities (steps + 1, dim) [m/s] and angular
         velocities (steps + 1, 1 or 3) [1/s] that lead from each exactly to the next."""
-        x, turn = self.at(time + h * np.arange(steps + 2))
+        first = round(time / h)
+        if abs(first * h - time) > 1e-9 * time:  # no whole number of steps since 0
+            x, turn = self.at(time + h * np.arange(steps + 2))
+        else:  # the same times, to the last bit, wherever a run is divided
+            x, turn = self.at(h * np.arange(first, first + steps + 2))
         return x[:-1], turn[:-1], np.diff(x, axis=0) / h, turn_vector(turn[1:] @ turn[:-1].swapaxes(1, 2)) / h
 
     def fastest(self, extent: float) -> tuple[float, int]:
