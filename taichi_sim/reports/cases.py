@@ -166,7 +166,7 @@ def pile_case(n: int, seed: int = 0) -> Pile:
 
 
 def granular_case(n: int, seed: int = 0) -> Grains:
-    """Close-packed layers, about as high as wide, 1.5 % of a radius apart and jittered by 0.5 %: they touch after a short fall."""
+    """Close-packed layers, as high as wide, 1.5 % of a radius apart and jittered by 0.5 %: after a short fall they touch."""
     radius = 0.05
     cell = 2.015 * radius * np.sqrt(2.0)  # holds four balls
     count = int(np.ceil((n / 4) ** (1 / 3) - 1e-9))
