@@ -12,6 +12,10 @@ ENDLESS = 2**31 - 1  # what `overflow` says where cells hold so many pairs that 
 FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
 
 
+NONE = -1e30  # as an aim: the contact neither pushes nor bounced
+ONE = 0x3F800000  # the bits of 1.0
+
+
 @ti.func
 def may_touch(pairs: ti.template(), i, j):
     """Whether two balls collide at all: not both pinned, not of one body, not joined by a spring."""
@@ -96,9 +100,8 @@ def settle(pairs: ti.template(), own, at, found):
 def forget(pairs: ti.template(), e):
     """Link e holds nothing from before."""
     pairs.link[e].impulse = 0.0
-    if ti.static(pairs.soft):
-        pairs.link[e].target = 0.0
-        pairs.link[e].push = -1.0
+    if ti.static(pairs.has_aim):
+        pairs.link[e].aim = NONE
     if ti.static(pairs.model.has_friction):
         pairs.link[e].slide = zero_slide(pairs)
 
@@ -113,28 +116,60 @@ def zero_slide(pairs: ti.template()):
 
 
 @ti.func
+def store(pairs: ti.template()):
+    """Before new lists are made: keep what touches hold in `row`, whose own content only lasts until then."""
+    for i in range(pairs.grid.work[0]):
+        pairs.old_first[i] = pairs.first[i]
+        pairs.old_touching[i] = pairs.touching[i]
+        for c in range(pairs.first[i], pairs.first[i] + pairs.touching[i]):
+            link = pairs.link[c]
+            pairs.row[c].depth = link.impulse
+            if ti.static(pairs.single):  # as a normal number: others might be flushed to 0
+                pairs.row[c].mass = ti.bit_cast(link.other + ONE, ti.f32)
+            else:
+                pairs.row[c].mass = ti.cast(link.other, float)
+            if ti.static(pairs.has_aim):
+                pairs.row[c].target = link.aim
+            if ti.static(pairs.model.has_friction):
+                if ti.static(pairs.model.dim == 2):
+                    pairs.row[c].normal[0] = link.slide
+                else:
+                    pairs.row[c].normal = link.slide
+
+
+@ti.func
+def stored_other(pairs: ti.template(), c):
+    """The other ball of the link that `store` put into row c."""
+    if ti.static(pairs.single):
+        return ti.bit_cast(pairs.row[c].mass, ti.i32) - ONE
+    else:
+        return ti.cast(pairs.row[c].mass, ti.i32)
+
+
+@ti.func
 def recall(pairs: ti.template(), i, j, at):
     """Copy into link `at` what the contact of i and j held when the lists were last made; either of them may have listed it.
 
     Starting from these impulses, passes need not build up the load of a pile from nothing in every step.
     """
     forget(pairs, at)
-    old = (1 - pairs.turn[0]) * pairs.model.n
     for which in ti.static(range(2)):
         one, two = i, j
         if ti.static(which == 1):
             one, two = j, i
-        begin = pairs.first[old + one]
-        for e in range(begin, begin + pairs.touching[old + one]):
-            if pairs.link[e].other == two:
-                pairs.link[at].impulse = pairs.link[e].impulse
-                if ti.static(pairs.soft):
-                    pairs.link[at].target = pairs.link[e].target
-                    pairs.link[at].push = pairs.link[e].push
+        begin = pairs.old_first[one]
+        for c in range(begin, begin + pairs.old_touching[one]):
+            if stored_other(pairs, c) == two:
+                row = pairs.row[c]
+                pairs.link[at].impulse = row.depth
+                if ti.static(pairs.has_aim):
+                    pairs.link[at].aim = row.target
                 if ti.static(pairs.model.has_friction):
-                    slide = pairs.link[e].slide
                     # a scalar along the normal turned by 90 degrees is the same seen from the other ball
-                    pairs.link[at].slide = slide if ti.static(which == 0 or pairs.model.dim == 2) else -slide
+                    if ti.static(pairs.model.dim == 2):
+                        pairs.link[at].slide = row.normal[0]
+                    else:
+                        pairs.link[at].slide = row.normal if ti.static(which == 0) else -row.normal
 
 
 @ti.func
@@ -143,8 +178,7 @@ def search(pairs: ti.template()):
 
     The lists of a block of balls lie one behind the other in the room of that block; what it cannot hold goes to a pool at
     the end, where its place depends on the threads, but not what it holds. What does not fit there is counted and not kept;
-    the host then makes more room and repeats the steps. New and old lists take turns in the two halves of the memory where
-    impulses are kept.
+    the host then makes more room and repeats the steps.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -153,14 +187,12 @@ def search(pairs: ti.template()):
             pairs.grid.worst[0] = ti.max(pairs.grid.worst[0], pairs.grid.crowd[0])
             pairs.grid.work[0] = 0
         if pairs.grid.work[0] > 0:
-            if ti.static(pairs.warm):
-                pairs.turn[0] = 1 - pairs.turn[0]
             pairs.used[0] = 0
             pairs.furthest[0] = 0
+    if ti.static(pairs.warm):
+        store(pairs)
     for block in range((pairs.grid.work[0] + pairs.block - 1) // pairs.block):
-        half = pairs.turn[0] * pairs.capacity
-        own = pairs.turn[0] * pairs.model.n
-        at = half + block * pairs.room
+        at = block * pairs.room
         end = at + pairs.room
         furthest = 0
         for k in range(block * pairs.block, ti.min((block + 1) * pairs.block, pairs.grid.n)):
@@ -175,7 +207,7 @@ def search(pairs: ti.template()):
                 if pairs.used[0] < FULL - pairs.pool:
                     used = pairs.pool + ti.atomic_add(pairs.used[0], found + 1)
                 if used + found < pairs.capacity:
-                    first = half + used
+                    first = used
                     nearby(pairs, k, first, found)
                     found, far = settle(pairs, k, first, found)
                 else:
@@ -183,7 +215,7 @@ def search(pairs: ti.template()):
                     found = 0
             furthest = ti.max(furthest, far)
             i = pairs.grid.order[k]
-            pairs.first[own + i] = first
+            pairs.first[i] = first
             pairs.number[i] = found
         ti.atomic_max(pairs.furthest[0], furthest)
     ti.loop_config(serialize=True)

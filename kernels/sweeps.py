@@ -9,7 +9,7 @@ import taichi as ti
 
 from . import contact_law
 from .direction import cross, lever, unit
-from .pairs import forget, law_of, zero_slide
+from .pairs import NONE, forget, law_of, zero_slide
 
 GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
 
@@ -49,16 +49,14 @@ def row_of(solver: ti.template(), ball: ti.template(), i, time, stage: ti.templa
     if ti.static(stage == MEASURE):
         measure(solver, solver.pairs, ball, i)
     else:
-        own = solver.pairs.turn[0] * solver.n + i
-        half = solver.pairs.turn[0] * solver.pairs.capacity
-        begin = solver.pairs.first[own] - half
-        end = begin + solver.pairs.touching[own]
+        begin = solver.pairs.first[i]
+        end = begin + solver.pairs.touching[i]
         if ti.static(stage == OFFSET):
-            offset(solver, ball, i, begin, end, half, time)
+            offset(solver, ball, i, begin, end, time)
         elif ti.static(solver.in_turn):
-            solve_in_turn(solver, ball, i, begin, end, half, time, stage)
+            solve_in_turn(solver, ball, i, begin, end, time, stage)
         else:
-            solve_at_once(solver, ball, i, begin, end, half, time, stage)
+            solve_at_once(solver, ball, i, begin, end, time, stage)
 
 
 @ti.func
@@ -69,9 +67,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
     Sums the changes of velocity that the impulses held from before make, and how many pairs touch each ball.
     """
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
-    own = pairs.turn[0] * solver.n + i
-    half = pairs.turn[0] * pairs.capacity
-    begin = pairs.first[own]
+    begin = pairs.first[i]
     end = begin
     total, twist = ti.Vector.zero(float, solver.model.dim), zero_turn(solver)
     for e in range(begin, begin + pairs.number[i]):
@@ -82,13 +78,12 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
         reach = sum * (1.0 + pairs.gap)
         if r.dot(r) < reach * reach:
             n, d = unit(r, i, j)
-            c = end - half
-            pairs.row[c].normal = n
-            pairs.row[c].depth = sum - d
+            pairs.row[end].normal = n
+            pairs.row[end].depth = sum - d
             if ti.static(not solver.split):
-                pairs.row[c].mass = 1.0 / (w + solver.model.inverse_mass[j])
+                pairs.row[end].mass = 1.0 / (w + solver.model.inverse_mass[j])
             if ti.static(solver.spins):
-                pairs.row[c].arm = d / sum
+                pairs.row[end].arm = d / sum
             if e > end:
                 pairs.link[e] = pairs.link[end]
                 pairs.link[end] = link
@@ -97,7 +92,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
                 total += p
                 add(solver, solver.carry, j, -solver.model.inverse_mass[j] * p)
                 if ti.static(solver.spins):
-                    t = torque(solver, c, p)
+                    t = torque(solver, end, p)
                     twist += t
                     add(solver, solver.carry_turn, j, (solver.turning * solver.model.inverse_mass[j]) * t)
             if ti.static(solver.counts):
@@ -112,7 +107,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             end += 1
         elif ti.static(solver.warm):
             forget(pairs, e)
-    pairs.touching[own] = end - begin
+    pairs.touching[i] = end - begin
     if ti.static(solver.warm):
         add(solver, solver.carry, i, w * total)
         if ti.static(solver.spins):
@@ -126,9 +121,9 @@ def held_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
     """Impulse [N s] on ball i that its contact with j in link e holds from before, along the present normal."""
     held = solver.pairs.link[e].impulse
     if ti.static(solver.split and solver.model.has_restitution):
-        target = solver.pairs.link[e].target
-        if target > 0.0:  # it bounced, nothing presses it together: a split mass could not take the impulse back
-            if (ball[j].v - ball[i].v).dot(n) > 0.9 * target:
+        aim = solver.pairs.link[e].aim
+        if NONE < aim < 0.0:  # it bounced, nothing presses it together: a split mass could not take the impulse back
+            if (ball[j].v - ball[i].v).dot(n) > -0.9 * aim:
                 held = 0.0
                 forget_impulse(solver.pairs, e)
     p = -held * n
@@ -158,7 +153,7 @@ def tangent(n):
 
 
 @ti.func
-def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, half, time, stage: ti.template()):
+def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, time, stage: ti.template()):
     """Each pair changes the velocities that the next one sees."""
     v = ball[i].v
     w = solver.model.inverse_mass[i]
@@ -166,9 +161,8 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, hal
     if ti.static(solver.spins):
         turn = solver.state.turn[i]
     for c in range(begin, end):
-        e = c + half
-        j = solver.pairs.link[e].other
-        p = pair(solver, ball, i, j, e, c, v, turn, time, stage)
+        j = solver.pairs.link[c].other
+        p = pair(solver, ball, i, j, c, v, turn, time, stage)
         v += w * p
         ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
         if ti.static(solver.spins):
@@ -181,7 +175,7 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, hal
 
 
 @ti.func
-def solve_at_once(solver: ti.template(), ball: ti.template(), i, begin, end, half, time, stage: ti.template()):
+def solve_at_once(solver: ti.template(), ball: ti.template(), i, begin, end, time, stage: ti.template()):
     """All pairs see the old velocities; impulses are summed in `push` and `twist`, to be applied at the end."""
     v = ball[i].v
     total = ti.Vector.zero(float, solver.model.dim)
@@ -189,9 +183,8 @@ def solve_at_once(solver: ti.template(), ball: ti.template(), i, begin, end, hal
     if ti.static(solver.spins):
         turn = solver.state.turn[i]
     for c in range(begin, end):
-        e = c + half
-        j = solver.pairs.link[e].other
-        p = pair(solver, ball, i, j, e, c, v, turn, time, stage)
+        j = solver.pairs.link[c].other
+        p = pair(solver, ball, i, j, c, v, turn, time, stage)
         total += p
         add(solver, solver.push, j, -p)
         if ti.static(solver.spins):
@@ -228,21 +221,21 @@ def add(solver: ti.template(), table: ti.template(), i, change):
 
 
 @ti.func
-def pair(solver: ti.template(), ball: ti.template(), i, j, e, c, v, turn, time, stage: ti.template()):
-    """Further impulse [N s] on ball i (at velocity v, turn) from its pair with j in link e, row c; -impulse acts on j."""
+def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, stage: ti.template()):
+    """Further impulse [N s] on ball i (at velocity v, turn) from its pair with j in link c; -impulse acts on j."""
     n = solver.pairs.row[c].normal
-    held = solver.pairs.link[e].impulse
+    held = solver.pairs.link[c].impulse
     if ti.static(stage != NEXT and not solver.warm):
         held = 0.0
     u = ball[j].v - v
     if ti.static(stage != NEXT):
-        prepare(solver, i, j, e, c, n, u, stage)
-    total = normal(solver, e, c, u.dot(n), held, stage)
-    solver.pairs.link[e].impulse = ti.max(0.0, total)
+        prepare(solver, i, j, c, n, stage)
+    total = normal(solver, c, u.dot(n), held, stage)
+    solver.pairs.link[c].impulse = ti.max(0.0, total)
     p = (held - total) * n
     if ti.static(solver.model.has_friction):
         mass = solver.pairs.row[c].mass
-        slide = solver.pairs.link[e].slide
+        slide = solver.pairs.link[c].slide
         if ti.static(stage != NEXT and not solver.warm):
             slide = zero_slide(solver.pairs)
         law = law_of(solver.pairs, i, j)
@@ -259,67 +252,74 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, e, c, v, turn, time, 
             if ti.static(solver.spins):
                 s -= arm * (turn + solver.state.turn[j])
             change, slide = contact_law.sliding_impulse_2d(s, mass, slide, bound, slip)
-            solver.pairs.link[e].slide = slide
+            solver.pairs.link[c].slide = slide
             p -= change * tangent(n)
         elif total > 0.0 or slide.dot(slide) > 0.0:
             if ti.static(solver.spins):
                 u -= arm * lever(turn + solver.state.turn[j], n)
             change, slide = contact_law.sliding_impulse(u, n, mass, slide, bound, slip)
-            solver.pairs.link[e].slide = slide
+            solver.pairs.link[c].slide = slide
             p -= change
     return p
 
 
 @ti.func
-def prepare(solver: ti.template(), i, j, e, c, n, u, stage: ti.template()):
-    """Mass of a contact where it is split, and its target speed from the velocities before the solve."""
+def prepare(solver: ti.template(), i, j, c, n, stage: ti.template()):
+    """Mass of a contact where it is split, its target speed from the velocities before the solve, and its aim."""
     if ti.static(solver.split):
         alone = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
         solver.pairs.row[c].mass = ti.min(solver.relaxation / (solver.lightness[i] + solver.lightness[j]), alone)
-    if ti.static(solver.model.has_restitution or solver.soft):
+    if ti.static(solver.pairs.has_aim):
         speed = (solver.before[j] - solver.before[i]).dot(n)
         restitution = 0.0 * speed
         if ti.static(solver.model.has_restitution):
             restitution = law_of(solver.pairs, i, j).restitution
         target = contact_law.target_speed(speed, restitution, solver.threshold, stage == FIRST)
+        fast = speed < -solver.threshold  # an impact: never soft
+        aim = ti.cast(NONE, float)
+        if ti.static(solver.model.has_restitution):
+            aim = ti.select(fast and target > 0.0, -target, aim)
         if ti.static(solver.soft):
             depth = solver.pairs.row[c].depth
-            fast = speed < -solver.threshold  # an impact: never soft
             if depth <= 0.0:  # it may close the gap, but not go on; what bounces does so when it touches
                 target = ti.min(target, ti.select(fast and restitution > 0.0, speed, depth * solver.rate[0]))
-            if ti.static(stage == FIRST):
-                push = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push)
-                solver.pairs.link[e].push = ti.select(fast or depth <= 0.0, -1.0, push)
-            else:
-                target = ti.max(target, solver.pairs.link[e].target)  # what bounced keeps its speed
-        solver.pairs.link[e].target = target
+                aim = NONE
+            elif not fast:
+                aim = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push)
+        if ti.static(stage == FIRST):
+            solver.pairs.link[c].aim = aim
+        elif ti.static(solver.soft):
+            aim = solver.pairs.link[c].aim
+            if aim > NONE:  # what was held stays so, what bounced keeps its speed
+                target = ti.max(target, ti.max(0.0, -aim))
+        solver.pairs.row[c].target = target
 
 
 @ti.func
-def normal(solver: ti.template(), e, c, u, held, stage: ti.template()):
-    """New total normal impulse of the contact in link e, row c."""
+def normal(solver: ti.template(), c, u, held, stage: ti.template()):
+    """New total normal impulse of the contact in row c."""
     mass = solver.pairs.row[c].mass
     target = 0.0 * u
-    if ti.static(solver.model.has_restitution or solver.soft):
-        target = solver.pairs.link[e].target
+    if ti.static(solver.pairs.has_aim):
+        target = solver.pairs.row[c].target
     total = contact_law.normal_impulse(u, target, mass, held)
     if ti.static(solver.soft):
-        push = solver.pairs.link[e].push
+        aim = solver.pairs.link[c].aim
         if ti.static(stage in (LAST, RELAX)):  # takes back the speed with which the solve before the move pushed
-            least = -ti.min(held, mass * ti.max(0.0, push))
+            least = -ti.min(held, mass * ti.max(0.0, aim))
             if ti.static(stage == RELAX):
                 least += held
             total = ti.max(least, held + (target - u) * mass)
-        elif push >= 0.0:
-            total = contact_law.soft_impulse(u, target + push, mass, held)
+        elif aim >= 0.0:
+            total = contact_law.soft_impulse(u, target + aim, mass, held)
     return total
 
 
 @ti.func
-def offset(solver: ti.template(), ball: ti.template(), i, begin, end, half, h):
+def offset(solver: ti.template(), ball: ti.template(), i, begin, end, h):
     """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
     for c in range(begin, end):
-        j = solver.pairs.link[c + half].other
+        j = solver.pairs.link[c].other
         row = solver.pairs.row[c]
         depth = row.depth - solver.pairs.slop * ti.min(solver.model.radius[i], solver.model.radius[j])
         depth -= h * ti.max(0.0, row.normal.dot(ball[j].v - ball[i].v))

@@ -17,8 +17,7 @@ def listed(sim):
     """All touching pairs (i, j), i < j, as often as lists name them."""
     pairs, n = sim._parts.contacts.pairs, sim.scene.n_balls
     first, number, other = (f.to_numpy() for f in (pairs.first, pairs.touching, pairs.link.other))
-    own = int(pairs.turn[0]) * n
-    first, number = first[own : own + n], number[own : own + n]
+    first, number = first[:n], number[:n]
     i = np.repeat(np.arange(n), number)
     e = np.concatenate([np.arange(a, a + k) for a, k in zip(first, number)]) if len(i) else i
     return np.sort(np.stack([i, other[e]], axis=1), axis=1)

@@ -18,8 +18,7 @@ def touching(sim):
     """All pairs (i, j), i < j, that the lists name as touching."""
     lists, n = sim._parts.contacts.pairs, sim.scene.n_balls
     first, number, other = (f.to_numpy() for f in (lists.first, lists.touching, lists.link.other))
-    own = int(lists.turn[0]) * n
-    listed = [(i, int(j)) for i in range(n) for j in other[first[own + i] : first[own + i] + number[own + i]]]
+    listed = [(i, int(j)) for i in range(n) for j in other[first[i] : first[i] + number[i]]]
     return [(min(both), max(both)) for both in listed]
 
 

@@ -13,8 +13,8 @@ from taichi_sim.model import Model
 
 __all__ = ["Pairs"]
 
-POOL = 1 << 20  # links for what a block cannot hold; a thousand coincident balls fit
-PER_BALL = {2: 4, 3: 7}  # equal balls touch at most 6 others in 2D, 12 in 3D; each pair is listed once
+POOL = 1 << 19  # links for what a block cannot hold; a thousand coincident balls fit
+PER_BALL = {2: 4, 3: 6}  # equal balls touch at most 6 others in 2D, 12 in 3D; each pair is listed once
 BLOCK = 64  # balls whose lists lie one behind the other
 GAP = 0.02  # of the radii: soft contacts hold balls that nearly touch, lest those that rest on each other part and meet again
 
@@ -23,9 +23,10 @@ GAP = 0.02  # of the radii: soft contacts hold balls that nearly touch, lest tho
 class Pairs:
     """Ball-ball contacts: each ball lists the later balls near it, those that touch it first.
 
-    `link` holds the other ball and what the contact holds from step to step: its impulse [N s] and, with friction, the impulse
-    along the surface. `row` holds what only one step needs: normal, depth [m], mass [kg], target speed [m/s]. warm: contacts
-    start from the impulses of the step before. soft: they are damped springs, see kernels.contact_law. room: links that are
+    `link` holds the other ball and what the contact holds from step to step: its impulse [N s], with friction the impulse along
+    the surface, and `aim` [m/s]: the speed with which it pushes out overlap, or minus the one with which it bounced, or NONE.
+    `row` holds what only one step needs: normal, depth [m], mass [kg], target speed [m/s]. warm: contacts start from the
+    impulses of the step before. soft: they are damped springs, see kernels.contact_law. room: links that are
     known to be needed.
     """
 
@@ -38,29 +39,30 @@ class Pairs:
         self.block = BLOCK
         self.room = BLOCK * PER_BALL[model.dim]
         self.pool = -(-model.n // BLOCK) * self.room
-        self.capacity = max(room, self.pool + max(model.n, min(model.n**2, POOL)))
+        self.capacity = max(room, self.pool + max(model.n // 2, min(model.n**2, POOL)))
         before = fields.bytes
         self.used, self.overflow = fields.integers(1), fields.integers(1)
         self.furthest, self.length, self.blocks = fields.integers(1), fields.integers(1), fields.integers(1)
-        halves = 2 if warm else 1
+        self.single = fields.real == ti.f32
+        self.has_aim = model.has_restitution or soft
         vector = ti.types.vector(model.dim, fields.real)
         columns = {"other": ti.i32, "impulse": fields.real}
         if model.has_friction:
             columns["slide"] = fields.real if model.dim == 2 else vector  # in 2D along the normal turned by 90 degrees
-        if model.has_restitution or soft:
-            columns["target"] = fields.real
-        if soft:
-            columns["push"] = fields.real
-        self.link = fields.table(columns, halves * self.capacity)
+        if self.has_aim:
+            columns["aim"] = fields.real
+        self.link = fields.table(columns, self.capacity)
         columns = {"normal": vector, "depth": fields.real, "mass": fields.real}
+        if self.has_aim:
+            columns["target"] = fields.real
         if model.spins:
             columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
         self.row = fields.table(columns, self.capacity)
-        self.most = loops.FULL // halves
+        self.most = loops.FULL
         self.bytes_each = (fields.bytes - before) / self.capacity
-        self.turn = fields.integers(1)
-        self.number = fields.integers(model.n)
-        self.first, self.touching = fields.integers(halves * model.n), fields.integers(halves * model.n)
+        self.first, self.number, self.touching = (fields.integers(model.n) for _ in range(3))
+        if warm:
+            self.old_first, self.old_touching = fields.integers(model.n), fields.integers(model.n)
         kinds = np.unique(scene.material)
         self.only_law = int(kinds[0]) * (model.surfaces + 1) if len(kinds) == 1 else -1  # of balls of one material
         self.has_bodies = bool(np.any(scene.body > 0))
@@ -84,7 +86,7 @@ class Pairs:
     def survey(self, ball: ti.template(), i):
         """Tally of the pairs that ball i lists and that overlap; see kernels.survey."""
         total = survey.nothing()
-        begin = self.first[self.turn[0] * self.model.n + i]
+        begin = self.first[i]
         for e in range(begin, begin + self.number[i]):
             j = self.link[e].other
             one, two = self.model.radius[i], self.model.radius[j]
