@@ -9,6 +9,20 @@ if PRECISION not in ("f32", "f64"):
     raise pytest.UsageError(f"TAICHI_SIM_PRECISION: {PRECISION!r} is not allowed; it must be f32 or f64")
 
 
+# What knows nothing of precision: where both are run one after the other, once is enough, in single precision.
+ONCE = {
+    f"test_{name}.py"
+    for name in "bench cli demos files mesh outputs readme render rooms scene scene_file shapes state_file".split()
+}
+
+
+def pytest_collection_modifyitems(config, items):
+    if os.environ.get("TAICHI_SIM_PRECISION") == "f64":
+        again = [item for item in items if item.path.name in ONCE]
+        config.hook.pytest_deselected(items=again)
+        items[:] = [item for item in items if item.path.name not in ONCE]
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _taichi():
     """Taichi on the CPU in this process's precision."""
