@@ -144,7 +144,7 @@ def touch(solver: ti.template(), ball: ti.template(), i, j):
 @ti.func
 def nearer(reach, distance):
     """Distance at which a mover stops; what overlaps already may come half as near."""
-    return ti.min(TOUCHING * reach, 0.5 * distance)
+    return ti.select(distance > TOUCHING * reach, TOUCHING * reach, 0.5 * distance)
 
 
 @ti.func

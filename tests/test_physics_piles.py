@@ -165,7 +165,7 @@ def test_settings_of_the_solver():
     tower = box_of_balls(2, 2, 40)
     for scene, dt, substeps in (
         (smooth, 1e-3, 1),
-        (smooth, 1 / 60, 3),
+        (smooth, 1 / 60, 2),
         (tower, 1e-3, 1),
         (tower, 1 / 240, 2),
         (tower, 1 / 60, 8),
