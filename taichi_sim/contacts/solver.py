@@ -70,7 +70,7 @@ class ContactSolver:
         self.warm, self.soft = warm, soft and pairs is not None
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
-        self.by_tensor = self.split and not model.has_friction
+        self.by_tensor = self.active and self.split and not model.has_friction
         self.spins = model.spins
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
         self.tangential = 1.0 / (1.0 + model.turning)
