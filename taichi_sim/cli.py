@@ -13,12 +13,12 @@ from taichi_sim.interrupts import INTERRUPTED, TERMINATED, insistent_signals, le
 
 __all__ = ["main"]
 
-BAD_INPUT, UNSTABLE = 2, 3
+FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3
 
 main = typer.Typer(
     help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
     " simulation(), or the name of a demo.",
-    epilog="Exit status: 0 done, 2 bad input, 3 the simulation became unstable, 130 interrupted.",
+    epilog="Exit status: 0 done, 1 a hard case failed, 2 bad input, 3 the simulation became unstable, 130 interrupted.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -143,9 +143,24 @@ def check(
 
 
 @main.command()
-def report(scene: SceneName) -> None:
-    """Speed against error (not in this version)."""
-    _fail(f"report {scene}: is not in this version", BAD_INPUT)
+def report(
+    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help="Not in this version.")] = None,
+    hard_cases: Annotated[
+        bool, typer.Option("--hard-cases", help="Verdicts on the hard cases, for each contact rule.")
+    ] = False,
+) -> None:
+    """Judge the hard cases of contacts; exit status 1 if one fails with every rule."""
+    if not hard_cases:
+        what = "report" if scene is None else f"report {scene}"
+        _fail(f"{what}: speed against error is not in this version; use report --hard-cases", BAD_INPUT)
+    if scene is not None:
+        _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
+    with _plain_errors():
+        from taichi_sim.reports import hard_cases as cases
+
+        good = cases.main()
+    if not good:
+        raise typer.Exit(FAILED)
 
 
 @main.command()

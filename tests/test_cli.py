@@ -201,7 +201,7 @@ REFUSED = [
     (("run", "ball.toml", "-o", "none/x.mp4"), "none/x.mp4: there is no folder 'none'; make it first"),
     (("run", "ball.toml", "-o", "full"), "full: the folder is not empty; use --overwrite, --resume or another name"),
     (("view", "ball.toml"), "there is no display for a window; use `taichi-sim run SCENE -o x.mp4` instead"),
-    (("report", "ball.toml"), "report ball.toml: is not in this version"),
+    (("report", "ball.toml"), "report ball.toml: speed against error is not in this version"),
 ]
 FROM_TAICHI = [
     (("run", "ball.toml", "-o", "x.mp4", "--arch", "gpu"), "arch: 'gpu' is not allowed; it must be one of auto, cpu"),

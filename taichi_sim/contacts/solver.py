@@ -77,7 +77,8 @@ class ContactSolver:
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_colliders = walls is not None and walls.has_colliders
         self.spins = model.spins
-        self.by_tensor = self.split and (self.spins or not model.has_friction)  # else nothing is gained over counting
+        # by their directions, not only their number; where friction cannot turn a ball that gains nothing
+        self.by_tensor = self.active and self.split and (self.spins or not model.has_friction)
         self.by_normals = self.by_tensor and model.has_friction
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
         self.turns = model.turning if self.spins else 0.0
