@@ -8,6 +8,7 @@ import taichi as ti
 
 from .direction import unit
 from .grid import bucket_of, cell_of, clip, largest, level_of, run, same_row
+from .groups import balls_meet
 
 ENDLESS = 2**31 - 1  # what `overflow` says where cells hold so many pairs that none were looked for
 FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
@@ -15,10 +16,12 @@ FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
 
 @ti.func
 def may_touch(pairs: ti.template(), i, j):
-    """Whether two balls collide at all: not both pinned, not of one body, not joined by a spring."""
+    """Whether two balls collide at all: not both pinned, of one body, joined by a spring, or of groups that do not."""
     allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0
     if ti.static(pairs.has_bodies):
         allowed = allowed and (pairs.body[i] == 0 or pairs.body[i] != pairs.body[j])
+    if ti.static(pairs.model.has_groups):
+        allowed = allowed and balls_meet(pairs.model, i, j)
     if ti.static(pairs.has_joints):
         for e in range(pairs.joint_start[i], pairs.joint_start[i + 1]):
             allowed = allowed and pairs.joint_other[e] != j

@@ -8,6 +8,7 @@ import taichi as ti
 
 from .direction import unit
 from .grid import FINE, bucket_of, cell_of, clip, inverse_cell, largest, run, same_row, table
+from .groups import balls_meet
 from .pairs import FULL
 
 END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
@@ -34,6 +35,8 @@ def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
         hit = (
             hit and sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two] > 0.0
         )
+        if ti.static(sticks.model.has_groups):
+            hit = hit and balls_meet(sticks.model, i, one)
         if ti.static(sticks.pairs.has_bodies):
             hit = hit and (sticks.pairs.body[i] == 0 or sticks.pairs.body[i] != sticks.pairs.body[one])
     return hit

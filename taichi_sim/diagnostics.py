@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.groups import meet
 from taichi_sim.scene import Scene
 
 __all__ = ["Energy", "angular_momentum", "energy", "inertia", "momentum", "strain", "wall_overlap"]
@@ -71,5 +72,6 @@ def wall_overlap(scene: Scene, x: Floats) -> float:
     deepest = 0.0
     for wall in scene.walls:
         depth = wall.offset + scene.radius - x @ np.array(wall.normal)
-        deepest = max(deepest, float(np.max(depth[free], initial=0.0)))
+        minded = free & meet(scene.group, scene.mask, wall.group, wall.mask)
+        deepest = max(deepest, float(np.max(depth[minded], initial=0.0)))
     return deepest

@@ -12,6 +12,7 @@ import numpy as np
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
 from taichi_sim.files import replacing
+from taichi_sim.groups import Groups
 from taichi_sim.scene import Material, Scene, Wall
 
 __all__ = ["restore_state", "save_state"]
@@ -41,6 +42,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "dim": scene.dim,
         "gravity": scene.gravity.tolist(),
         "materials": [asdict(material) for material in scene.materials],
+        "groups": scene.groups.names,
         "walls": [asdict(wall) for wall in scene.walls],
         "settings": settings,
         "output": scene.output,
@@ -93,7 +95,8 @@ def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
     for material in about["materials"]:
         material["colour"] = material["colour"] and tuple(material["colour"])
     scene.materials[:] = [Material(**material) for material in about["materials"]]
-    scene.walls.extend(Wall(tuple(w["normal"]), w["offset"], w["material"]) for w in about["walls"])
+    scene.groups = Groups(about["groups"])
+    scene.walls.extend(Wall(**{**wall, "normal": tuple(wall["normal"])}) for wall in about["walls"])
     scene.from_arrays(arrays)
     named = [*scene.material.tolist(), *(wall.material for wall in scene.walls)]
     if any(not 0 <= index < len(scene.materials) for index in set(named)):

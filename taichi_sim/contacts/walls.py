@@ -6,9 +6,10 @@ import taichi as ti
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import contact_law, impact
 from taichi_sim.kernels.direction import cross, lever
+from taichi_sim.kernels.groups import meets
 from taichi_sim.kernels.sweeps import zero_turn
 from taichi_sim.model import Model
-from taichi_sim.state import State
+from taichi_sim.state import FAR, State
 
 __all__ = ["Walls"]
 
@@ -28,15 +29,16 @@ class Walls:
         walls = model.scene.walls
         self.count = len(walls)
         vector = ti.types.vector(model.dim, fields.real)
-        self.wall = fields.table(
-            {"normal": vector, "offset": fields.real, "surface": ti.i32},
-            self.count,
-            {
-                "normal": np.array([w.normal for w in walls]),
-                "offset": np.array([w.offset for w in walls]),
-                "surface": np.array([w.material for w in walls]),
-            },
-        )
+        columns = {"normal": vector, "offset": fields.real, "surface": ti.i32}
+        values = {
+            "normal": np.array([w.normal for w in walls]),
+            "offset": np.array([w.offset for w in walls]),
+            "surface": np.array([w.material for w in walls]),
+        }
+        if model.has_groups:
+            columns |= {"group": ti.i32, "mask": ti.i32}
+            values |= {"group": np.array([w.group for w in walls]), "mask": np.array([w.mask for w in walls])}
+        self.wall = fields.table(columns, self.count, values)
 
         columns = {"impulse": fields.real, "target": fields.real, "active": ti.i32}
         if model.has_friction:
@@ -64,8 +66,12 @@ class Walls:
 
     @ti.func
     def gap(self, x, i, k):
-        """Distance from the surface of ball i to wall k [m]; negative inside."""
-        return self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
+        """Distance from the surface of ball i to wall k [m]; negative inside. Walls that it does not collide with are far."""
+        gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
+        if ti.static(self.model.has_groups):
+            if not meets(self.model.group[i], self.model.mask[i], self.wall[k].group, self.wall[k].mask):
+                gap = 2.0 * FAR
+        return gap
 
     @ti.func
     def move(self, i, x, v, a, h):
