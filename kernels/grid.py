@@ -5,6 +5,9 @@ row are neighbours in the table, and any stretch of a row is one run of the sort
 holds no more cells than the table has buckets, rows follow one another and no two cells share a bucket; else the rows are
 spread by a hash, and different cells may share one. A candidate is accepted only in the row it really lies in (`same_row`),
 so that no pair is found twice; far cells that share a bucket are refused by their distance.
+
+Where radii differ much, balls lie in levels by size, the finest first, each with cells and a table of its own: small balls
+would else look at thousands of others in cells made for large ones.
 """
 
 import taichi as ti
@@ -15,9 +18,46 @@ FINE = 3  # a stretch of 2 reach + 1/3 in place of 3 whole cells: two thirds of 
 
 
 @ti.func
-def cell_of(x, grid: ti.template()):
-    """Integer cell of a position."""
-    cell = x * grid.inverse_cell
+def level_of(radius, grid: ti.template()):
+    """Level in which a ball of this radius lies."""
+    level = 0
+    for k in ti.static(range(1, grid.levels)):
+        if radius > grid.bounds[k - 1]:
+            level = k
+    return level
+
+
+@ti.func
+def inverse_cell(grid: ti.template(), level):
+    """1/m: one over the width of a level's cells across x."""
+    if ti.static(grid.levels == 1):
+        return grid.inverse_widths[0]
+    else:
+        return grid.inverse_width[level]
+
+
+@ti.func
+def largest(grid: ti.template(), level):
+    """Largest radius in a level [m]."""
+    if ti.static(grid.levels == 1):
+        return grid.bounds[0]
+    else:
+        return grid.bound[level]
+
+
+@ti.func
+def table(grid: ti.template(), level):
+    """First bucket of a level's table, and how many it has."""
+    if ti.static(grid.levels == 1):
+        return 0, grid.size
+    else:
+        return grid.table_first[level], grid.table_size[level]
+
+
+@ti.func
+def cell_of(x, grid: ti.template(), level):
+    """Integer cell of a position in a level."""
+    cell = x * inverse_cell(grid, level)
     cell[0] *= FINE
     return ti.cast(ti.max(ti.min(ti.floor(cell), 1.0 * LIMIT), -1.0 * LIMIT), ti.i32)
 
@@ -33,16 +73,18 @@ def row_key(cell):
 
 
 @ti.func
-def bucket_of(cell, grid: ti.template()):
-    """Bucket of a cell in a table of mask + 1 buckets, a power of two."""
+def bucket_of(cell, grid: ti.template(), level):
+    """Bucket of a cell of a level in its table, whose size is a power of two."""
     key = ti.u32(0)
-    if grid.dense[0] == 1:
+    if grid.dense[level] == 1:
+        at = level * grid.dim
         for a in ti.static(range(1, cell.n)):
-            key += ti.cast(cell[a] - grid.corner[a], ti.u32) * ti.cast(grid.pitch[a], ti.u32)
-        key -= ti.cast(grid.corner[0], ti.u32)
+            key += ti.cast(cell[a] - grid.corner[at + a], ti.u32) * ti.cast(grid.pitch[at + a], ti.u32)
+        key -= ti.cast(grid.corner[at], ti.u32)
     else:
         key = row_key(cell)
-    return ti.cast((ti.cast(cell[0], ti.u32) + key) & ti.cast(grid.mask, ti.u32), ti.i32)
+    first, size = table(grid, level)
+    return first + ti.cast((ti.cast(cell[0], ti.u32) + key) & ti.cast(size - 1, ti.u32), ti.i32)
 
 
 @ti.func
@@ -110,31 +152,56 @@ def plan(grid: ti.template()):
 
 @ti.func
 def lay_out(ball: ti.template(), grid: ti.template()):
-    """Choose how rows are placed in the table, from the box of cells around all balls."""
+    """Choose how rows are placed in each level's table, from the box of cells around all its balls."""
     for c in range(grid.work[2]):
-        low = cell_of(ball[c * grid.part].x, grid)
-        high = low
-        for i in range(c * grid.part + 1, ti.min((c + 1) * grid.part, grid.n)):
-            cell = cell_of(ball[i].x, grid)
-            low = ti.min(low, cell)
-            high = ti.max(high, cell)
-        grid.low[c] = low
-        grid.high[c] = high
+        end = ti.min((c + 1) * grid.part, grid.n)
+        if ti.static(grid.levels == 1):
+            low = cell_of(ball[c * grid.part].x, grid, 0)
+            high = low
+            for i in range(c * grid.part + 1, end):
+                cell = cell_of(ball[i].x, grid, 0)
+                low = ti.min(low, cell)
+                high = ti.max(high, cell)
+            grid.low[c] = low
+            grid.high[c] = high
+        else:
+            for level in range(grid.levels):
+                grid.low[c * grid.levels + level] = LIMIT
+                grid.high[c * grid.levels + level] = -LIMIT
+            for i in range(c * grid.part, end):
+                level = level_of(grid.model.radius[i], grid)
+                cell = cell_of(ball[i].x, grid, level)
+                at = c * grid.levels + level
+                grid.low[at] = ti.min(grid.low[at], cell)
+                grid.high[at] = ti.max(grid.high[at], cell)
     ti.loop_config(serialize=True)
-    for _ in range(1):
+    for level in range(grid.levels):
         if grid.work[2] > 0:
-            low = grid.low[0]
-            high = grid.high[0]
+            low = grid.low[level]
+            high = grid.high[level]
             for c in range(1, grid.work[2]):
-                low = ti.min(low, grid.low[c])
-                high = ti.max(high, grid.high[c])
+                low = ti.min(low, grid.low[c * grid.levels + level])
+                high = ti.max(high, grid.high[c * grid.levels + level])
+            low = ti.min(low, high)  # a level may be empty
             cells = ti.cast(1.0, ti.f64)
             for a in ti.static(range(grid.dim)):
                 border = ti.static(2 * FINE if a == 0 else 2)  # what a search around a ball may look at
-                grid.corner[a] = low[a] - border
-                grid.pitch[a] = ti.cast(ti.min(cells, 1.0 * LIMIT), ti.i32)
+                at = level * grid.dim + a
+                grid.corner[at] = low[a] - border
+                grid.pitch[at] = ti.cast(ti.min(cells, 1.0 * LIMIT), ti.i32)
+                if ti.static(grid.levels > 1):
+                    grid.top[at] = high[a] + border
                 cells *= ti.cast(high[a], ti.f64) - low[a] + (2 * border + 1)
-            grid.dense[0] = ti.select(cells <= grid.size, 1, 0)
+            grid.dense[level] = ti.select(cells <= table(grid, level)[1], 1, 0)
+
+
+@ti.func
+def clip(grid: ti.template(), level, low, high):
+    """The part of the cells low..high that may hold balls of a level: beyond, a table's rows run into each other."""
+    for a in ti.static(range(grid.dim)):
+        low[a] = ti.max(low[a], grid.corner[level * grid.dim + a])
+        high[a] = ti.min(high[a], grid.top[level * grid.dim + a])
+    return low, high
 
 
 @ti.func
@@ -145,7 +212,8 @@ def build(ball: ti.template(), grid: ti.template()):
     """
     lay_out(ball, grid)
     for i in range(grid.work[0]):
-        b = bucket_of(cell_of(ball[i].x, grid), grid)
+        level = level_of(grid.model.radius[i], grid)
+        b = bucket_of(cell_of(ball[i].x, grid, level), grid, level)
         grid.origin[i] = ball[i].x
         grid.bucket[i] = b
         grid.count[b] += 1
@@ -167,15 +235,18 @@ def build(ball: ti.template(), grid: ti.template()):
 
 
 @ti.func
-def run(grid: ti.template(), bucket, length, piece: ti.template()):
+def run(grid: ti.template(), level, bucket, length, piece: ti.template()):
     """First and last + 1 of the sorted copies in `length` cells from `bucket` on: piece 0, and piece 1 where they go around
-    the end of the table."""
+    the end of the level's table."""
     first = 0
     last = 0
+    begin, size = table(grid, level)
     end = bucket + length
     if ti.static(piece == 0):
         first = grid.start[bucket]
-        last = grid.start[ti.min(end, grid.size)]
-    elif end > grid.size:
-        last = grid.start[end - grid.size]
+        last = grid.start[ti.min(end, begin + size)]
+    elif end > begin + size:
+        if ti.static(grid.levels > 1):
+            first = grid.start[begin]
+        last = grid.start[end - size]
     return first, last

@@ -21,7 +21,7 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
     time = remaining
     for k in range(walls.planes):
         wall = walls.wall[k]
-        gap = wall.normal.dot(x) - wall.offset - walls.model.radius[i]
+        gap = walls.gap(x, i, k)
         u = wall.normal.dot(v)
         pull = wall.normal.dot(a)
         closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining

@@ -6,7 +6,8 @@ that are longer than any pair reaches: see kernels.sweeps.
 
 import taichi as ti
 
-from .grid import bucket_of, cell_of, run, same_row
+from .grid import bucket_of, cell_of, clip, largest, level_of, run, same_row
+from .groups import balls_meet
 
 ENDLESS = 2**31 - 1  # what `overflow` says where cells hold so many pairs that none were looked for
 FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
@@ -18,10 +19,12 @@ ONE = 0x3F800000  # the bits of 1.0
 
 @ti.func
 def may_touch(pairs: ti.template(), i, j):
-    """Whether two balls collide at all: not both pinned, not of one body, not joined by a spring."""
+    """Whether two balls collide at all: not both pinned, of one body, joined by a spring, or of groups that do not."""
     allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0
     if ti.static(pairs.has_bodies):
         allowed = allowed and (pairs.body[i] == 0 or pairs.body[i] != pairs.body[j])
+    if ti.static(pairs.model.has_groups):
+        allowed = allowed and balls_meet(pairs.model, i, j)
     if ti.static(pairs.has_joints):
         for e in range(pairs.joint_start[i], pairs.joint_start[i + 1]):
             allowed = allowed and pairs.joint_other[e] != j
@@ -34,44 +37,52 @@ def nearby(pairs: ti.template(), own, at, room):
 
     Links beyond `room` are counted; the last place holds any one of them.
     """
+    a = pairs.grid.copy[own]
     found = 0
-    if pairs.grid.dense[0] == 0:
-        found = scan(pairs, own, at, room, False)
-    if pairs.grid.dense[0] == 1:
-        found = scan(pairs, own, at, room, True)
+    mine = level_of(a.radius, pairs.grid)
+    for level in range(mine, pairs.grid.levels):
+        if pairs.grid.dense[level] == 0:
+            found = scan(pairs, own, a, mine, level, at, found, room, False)
+        if pairs.grid.dense[level] == 1:
+            found = scan(pairs, own, a, mine, level, at, found, room, True)
     return found
 
 
 @ti.func
-def scan(pairs: ti.template(), own, at, room, dense: ti.template()):
-    """`nearby` for one of the two ways to place rows in the table. Side by side, rows before the own one hold none after."""
-    a = pairs.grid.copy[own]
-    span = (a.radius + pairs.grid.largest) * pairs.grid.enlarged * pairs.grid.margin
-    low = cell_of(a.x - span, pairs.grid)
-    high = cell_of(a.x + span, pairs.grid)
-    here = cell_of(a.x, pairs.grid)
-    length = high[0] - low[0] + 1
-    found = 0
-    for z in range(0 if ti.static(pairs.model.dim == 2) else ti.select(ti.static(dense), here[2], low[2]),
-                   1 if ti.static(pairs.model.dim == 2) else high[2] + 1):  # fmt: skip
-        begin = low[1]
+def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.template()):
+    """`nearby` in one level, for one of the two ways to place rows in its table. Side by side, rows before the own one hold
+    none after."""
+    span = (a.radius + largest(pairs.grid, level)) * pairs.grid.enlarged * pairs.grid.margin
+    low = cell_of(a.x - span, pairs.grid, level)
+    high = cell_of(a.x + span, pairs.grid, level)
+    here = low
+    if level == mine:
         if ti.static(dense):
-            if ti.static(pairs.model.dim == 2) or z == here[pairs.model.dim - 1]:
-                begin = here[1]
+            here = cell_of(a.x, pairs.grid, level)
+    elif ti.static(pairs.grid.levels > 1):
+        low, high = clip(pairs.grid, level, low, high)
+        here = low
+    length = ti.max(0, high[0] - low[0] + 1)
+    for z in range(
+        0 if ti.static(pairs.model.dim == 2) else here[2], 1 if ti.static(pairs.model.dim == 2) else high[2] + 1
+    ):
+        begin = low[1]
+        if ti.static(pairs.model.dim == 2) or z == here[pairs.model.dim - 1]:
+            begin = here[1]
         for y in range(begin, high[1] + 1):
             row = low
             row[1] = y
             if ti.static(pairs.model.dim == 3):
                 row[2] = z
-            bucket = bucket_of(row, pairs.grid)
+            bucket = bucket_of(row, pairs.grid, level)
             for piece in ti.static(range(1 if dense else 2)):
-                first, last = run(pairs.grid, bucket, length, piece)
+                first, last = run(pairs.grid, level, bucket, length, piece)
                 for k in range(ti.max(first, own + 1), last):
                     b = pairs.grid.copy[k]
                     r = b.x - a.x
                     reach = (a.radius + b.radius) * pairs.grid.enlarged
                     if r.dot(r) < reach * reach:
-                        if ti.static(dense) or same_row(row, cell_of(b.x, pairs.grid)):
+                        if ti.static(dense) or same_row(row, cell_of(b.x, pairs.grid, level)):
                             pairs.link[at + ti.min(found, room)].other = k
                             found += 1
     return found

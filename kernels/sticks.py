@@ -7,11 +7,11 @@ of the rows it takes part in, so that sums come out the same whatever the thread
 import taichi as ti
 
 from .direction import unit
-from .grid import FINE, bucket_of, cell_of, run, same_row
-from .pairs import ENDLESS, FULL
+from .grid import FINE, bucket_of, cell_of, clip, inverse_cell, largest, run, same_row, table
+from .groups import balls_meet
+from .pairs import FULL
 
 END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
-SLABS = 1 << 16  # cells that one stick may cross
 
 
 @ti.func
@@ -35,19 +35,21 @@ def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
         hit = (
             hit and sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two] > 0.0
         )
+        if ti.static(sticks.model.has_groups):
+            hit = hit and balls_meet(sticks.model, i, one)
         if ti.static(sticks.pairs.has_bodies):
             hit = hit and (sticks.pairs.body[i] == 0 or sticks.pairs.body[i] != sticks.pairs.body[one])
     return hit
 
 
 @ti.func
-def slab(grid: ti.template(), a, d, axis, k):
+def slab(grid: ti.template(), level, a, d, axis, k):
     """Lowest and highest cell around the piece of a stick a .. a + d that lies in slab k of its longest axis.
 
     A slab is as thick as a cell across x; along x it holds FINE cells.
     """
-    reach = grid.largest
-    width = 1.0 / grid.inverse_cell
+    reach = largest(grid, level)
+    width = 1.0 / inverse_cell(grid, level)
     t0 = 0.0 * a[0]
     t1 = t0 + 1.0
     for c in ti.static(range(a.n)):
@@ -56,8 +58,8 @@ def slab(grid: ti.template(), a, d, axis, k):
             v = ((k + 1) * width + reach - a[c]) / d[c]
             t0 = ti.max(0.0, ti.min(u, v))
             t1 = ti.min(1.0, ti.max(u, v))
-    low = cell_of(ti.min(a + t0 * d, a + t1 * d) - reach, grid)
-    high = cell_of(ti.max(a + t0 * d, a + t1 * d) + reach, grid)
+    low = cell_of(ti.min(a + t0 * d, a + t1 * d) - reach, grid, level)
+    high = cell_of(ti.max(a + t0 * d, a + t1 * d) + reach, grid, level)
     for c in ti.static(range(a.n)):
         if c == axis:
             low[c] = k * ti.static(FINE if c == 0 else 1)
@@ -66,8 +68,8 @@ def slab(grid: ti.template(), a, d, axis, k):
 
 
 @ti.func
-def visit(sticks: ti.template(), ball: ti.template(), s, low, high, at, fill: ti.template()):
-    """Count, or write as rows from `at` on, the balls in the cells low..high that touch stick s."""
+def visit(sticks: ti.template(), ball: ti.template(), level, s, low, high, at, fill: ti.template()):
+    """Count, or write as rows from `at` on, the balls in the cells low..high of a level that touch stick s."""
     one, two = sticks.one[s], sticks.two[s]
     found = 0
     depth = 1
@@ -79,14 +81,14 @@ def visit(sticks: ti.template(), ball: ti.template(), s, low, high, at, fill: ti
         if ti.static(low.n == 3):
             left[2] = low[2] + row % depth
         length = high[0] - low[0] + 1
-        bucket = bucket_of(left, sticks.grid)
+        bucket = bucket_of(left, sticks.grid, level)
         for piece in ti.static(range(2)):
-            first, last = run(sticks.grid, bucket, length, piece)
+            first, last = run(sticks.grid, level, bucket, length, piece)
             for k in range(first, last):
                 b = sticks.grid.copy[k]
                 i = sticks.grid.order[k]
                 if touches(sticks, ball, i, b.x, b.radius, one, two):
-                    cell = cell_of(b.x, sticks.grid)
+                    cell = cell_of(b.x, sticks.grid, level)
                     if same_row(left, cell) and cell[0] >= low[0] and cell[0] <= high[0]:
                         if ti.static(fill):
                             sticks.row[at + found].ball = i
@@ -105,15 +107,28 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
         if ti.abs(d[c]) > ti.abs(d[axis]):
             axis = c
     cells = ti.select(axis == 0, FINE, 1)  # of a slab
-    low = (cell_of(ti.min(a, a + d) - sticks.grid.largest, sticks.grid) // cells)[axis]
-    high = (cell_of(ti.max(a, a + d) + sticks.grid.largest, sticks.grid) // cells)[axis]
-    if high - low > SLABS:
-        high = low + SLABS
-        sticks.overflow[0] = ENDLESS
     found = 0
-    for k in range(low, high + 1):
-        first, last = slab(sticks.grid, a, d, axis, k)
-        found += visit(sticks, ball, s, first, last, at + found, fill)
+    for level in range(sticks.grid.levels):
+        reach = largest(sticks.grid, level)
+        from_cell = cell_of(ti.min(a, a + d) - reach, sticks.grid, level)
+        to_cell = cell_of(ti.max(a, a + d) + reach, sticks.grid, level)
+        if ti.static(sticks.grid.levels > 1):
+            from_cell, to_cell = clip(sticks.grid, level, from_cell, to_cell)
+        low, high = (from_cell // cells)[axis], (to_cell // cells)[axis]
+        begin, size = table(sticks.grid, level)
+        first_ball, last_ball = sticks.grid.start[begin], sticks.grid.start[begin + size]
+        if high - low > last_ball - first_ball:  # more slabs than balls: sooner asked one by one
+            for k in range(first_ball, last_ball):
+                b = sticks.grid.copy[k]
+                if touches(sticks, ball, sticks.grid.order[k], b.x, b.radius, sticks.one[s], sticks.two[s]):
+                    if ti.static(fill):
+                        sticks.row[at + found].ball = sticks.grid.order[k]
+                        sticks.row[at + found].stick = s
+                    found += 1
+        else:
+            for k in range(low, high + 1):
+                first, last = slab(sticks.grid, level, a, d, axis, k)
+                found += visit(sticks, ball, level, s, first, last, at + found, fill)
     return found
 
 

@@ -215,7 +215,7 @@ class Assembly:
             part, entries = getattr(self.contacts, name), getattr(needed, name)
             if part is not None and entries > part.capacity:
                 if entries == ENDLESS:
-                    raise SceneError(self._endless(name))
+                    raise SceneError(self._endless())
                 limit = max(part.capacity, int(min(part.most, self._spare_bytes() // part.bytes_each)))
                 if entries > limit:
                     raise SceneError(
@@ -232,15 +232,14 @@ class Assembly:
         larger.state.write_turn(turn)
         return larger
 
-    def _endless(self, name: str) -> str:
+    def _endless(self) -> str:
         """What to say where counting itself would take too long."""
-        if name == "sticks":
-            return "contacts: a stick is longer than 65536 balls; divide it, or make the largest ball larger"
         pairs = self.contacts.pairs
         assert pairs is not None
+        width = max(pairs.grid.widths)
         return (
-            f"contacts: {float(pairs.grid.worst[0]):.2g} pairs of balls lie in the same cells of {pairs.grid.width:.3g} m, but"
-            f" there is memory for {float(pairs.grid.most[0]):.2g}: too many balls lie in each other"
+            f"contacts: {float(pairs.grid.worst[0]):.2g} pairs of balls lie in the same cells, up to {width:.3g} m"
+            f" wide, but there is memory for {float(pairs.grid.most[0]):.2g}: too many balls lie in each other"
         )
 
     def _spare_bytes(self) -> int:

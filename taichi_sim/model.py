@@ -17,7 +17,8 @@ class Model:
 
     Attributes that kernels read: `n`, `dim`; `inverse_mass` (n) [1/kg], 0 when pinned; `gravity` (1) [m/s^2]. For contacts,
     made on demand: `radius` (n) [m], `surface` (n) material index, `laws` (materials^2) restitution, friction, viscous friction
-    for each pair of materials. `spins`: whether balls turn; `turning`: m r^2 / I of a ball.
+    for each pair of materials; `group`, `mask` (n) bits of collision groups, where the scene has some. `spins`: whether balls
+    turn; `turning`: m r^2 / I of a ball.
     """
 
     def __init__(self, scene: Scene, fields: Fields) -> None:
@@ -38,6 +39,9 @@ class Model:
         scene, fields = self.scene, self.fields
         self.radius = fields.reals(scene.radius)
         self.surface = fields.integers(scene.material)
+        self.has_groups = scene.has_groups()
+        if self.has_groups:
+            self.group, self.mask = fields.integers(scene.group), fields.integers(scene.mask)
         e = np.array([m.restitution for m in scene.materials])
         mu = np.array([m.friction for m in scene.materials])
         f = np.array([m.viscous_friction for m in scene.materials])

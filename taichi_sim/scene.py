@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import checks
 from taichi_sim.colliders import Collider, build
 from taichi_sim.errors import SceneError
+from taichi_sim.groups import EVERY, ONLY, Groups, bits_of
 
 __all__ = ["Material", "Scene", "Wall"]
 
@@ -33,6 +34,8 @@ class Wall:
     normal: tuple[float, ...]  # unit
     offset: float  # m
     material: int
+    group: int = ONLY  # bits, see Scene.groups
+    mask: int = EVERY  # bits of the groups that it collides with
 
 
 class _Table:
@@ -74,6 +77,7 @@ class Scene:
         self.materials: list[Material] = [Material("default")]
         self.walls: list[Wall] = []
         self.colliders: list[Collider] = []
+        self.groups = Groups()
         self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
         self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
         self._balls = _Table(
@@ -84,6 +88,8 @@ class Scene:
             pinned=np.zeros(0, dtype=bool),
             material=np.zeros(0, dtype=np.int32),
             body=np.zeros(0, dtype=np.int32),
+            group=np.zeros(0, dtype=np.int32),
+            mask=np.zeros(0, dtype=np.int32),
             colour=np.zeros((0, 3)),
         )
         self._springs = _Table(
@@ -115,6 +121,8 @@ class Scene:
     pinned = property(lambda self: self._balls["pinned"], doc="(n,) bool")
     material = property(lambda self: self._balls["material"], doc="(n,) index into materials")
     body = property(lambda self: self._balls["body"], doc="(n,) balls of one body > 0 do not collide; 0: no body")
+    group = property(lambda self: self._balls["group"], doc="(n,) bits of the groups each is in, see groups.names")
+    mask = property(lambda self: self._balls["mask"], doc="(n,) bits of the groups each collides with; -1: all")
     colour = property(lambda self: self._balls["colour"], doc="(n, 3) sRGB in 0..1; nan: the renderer chooses")
     pairs = property(lambda self: self._springs["pairs"], doc="(m, 2) the balls of each spring")
     stiffness = property(lambda self: self._springs["stiffness"], doc="(m,) N/m")
@@ -163,6 +171,8 @@ class Scene:
         pinned: bool | Sequence[int] | Sequence[bool] | NDArray = False,
         colour: Sequence[float] | None = None,
         body: int = 0,
+        group: str | Sequence[str] = "default",
+        collides_with: str | Sequence[str] | None = None,
     ) -> NDArray[np.int32]:
         """Add n balls and return their indices, shape (n,).
 
@@ -174,6 +184,9 @@ class Scene:
             pinned: a bool, a bool per ball, or integer positions within this call. A pinned ball never moves.
             colour: sRGB in 0..1 for all of them.
             body: balls of the same body > 0 (see new_body) do not collide with each other.
+            group: name or names of the collision groups that they are in, 32 different ones in a scene at most.
+            collides_with: names of the groups that they collide with; None: all, []: none. Two things collide where each is
+                in a group that the other collides with. A stick is in the groups of its first ball.
         """
         x = checks.vectors("balls.position", checks.many(position, 1), None, self.dim)
         n = len(x)
@@ -183,6 +196,7 @@ class Scene:
         rest = isinstance(velocity, (int, float)) and velocity == 0
         v = np.zeros_like(x) if rest else checks.vectors("balls.velocity", velocity, n, self.dim)
         v[held] = 0.0
+        member, mask = self._groups("balls", group, collides_with)
         columns = {
             "position": x,
             "velocity": v,
@@ -191,6 +205,8 @@ class Scene:
             "pinned": held,
             "material": np.full(n, self._material("balls.material", material), dtype=np.int32),
             "body": np.full(n, body, dtype=np.int32),
+            "group": np.full(n, member, dtype=np.int32),
+            "mask": np.full(n, mask, dtype=np.int32),
             "colour": np.tile(np.full(3, np.nan) if colour is None else _colour("balls.colour", colour), (n, 1)),
         }
         first = self.n_balls
@@ -236,8 +252,18 @@ class Scene:
         self._springs.append(m, **columns)
         return np.arange(first, first + m, dtype=np.int32)
 
-    def add_wall(self, normal: ArrayLike, offset: float = 0.0, material: str = "default") -> None:
-        """Add a wall, solid where normal . x < offset [m along the normal]. The normal is normalised."""
+    def add_wall(
+        self,
+        normal: ArrayLike,
+        offset: float = 0.0,
+        material: str = "default",
+        group: str | Sequence[str] = "default",
+        collides_with: str | Sequence[str] | None = None,
+    ) -> None:
+        """Add a wall, solid where normal . x < offset [m along the normal]. The normal is normalised.
+
+        group, collides_with: as for balls.
+        """
         n = checks.vector("wall.normal", normal, self.dim)
         largest = float(np.max(np.abs(n)))
         if largest == 0.0:
@@ -249,6 +275,7 @@ class Scene:
                 tuple((n / length).tolist()),
                 checks.number("wall.offset", offset),
                 self._material("wall.material", material),
+                *self._groups("wall", group, collides_with),
             )
         )
 
@@ -271,6 +298,22 @@ class Scene:
         """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
         self._bodies = max(self._bodies, int(self.body.max(initial=0))) + 1
         return self._bodies
+
+    def set_group(
+        self, balls: ArrayLike, group: str | Sequence[str], collides_with: str | Sequence[str] | None = None
+    ) -> None:
+        """Put balls (k,) that were added before, a shape's for instance, into other collision groups."""
+        index = checks.indices("balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
+        member, mask = self._groups("balls", group, collides_with)
+        self.group[index] = member
+        self.mask[index] = mask
+
+    def has_groups(self) -> bool:
+        """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
+        groups = {*bits_of(self.group), *(wall.group for wall in self.walls)}
+        masks = {*bits_of(self.mask), *(wall.mask for wall in self.walls)}
+        self.groups.check(groups, masks)
+        return not masks <= {EVERY}
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene as TOML; large arrays go to an .npz beside it."""
@@ -298,6 +341,14 @@ class Scene:
                 return index
         known = ", ".join(repr(m.name) for m in self.materials)
         raise SceneError(f"{where}: {name!r} is not a material of this scene; there are {known}")
+
+    def _groups(
+        self, where: str, group: str | Sequence[str], collides_with: str | Sequence[str] | None
+    ) -> tuple[int, int]:
+        member = self.groups.bits(f"{where}.group", group if group is not None else [])
+        if member == 0:
+            raise SceneError(f"{where}.group: {group!r} is not allowed; it must be a name, or a list of names")
+        return member, self.groups.bits(f"{where}.collides_with", collides_with)
 
     @staticmethod
     def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.files import replacing
+from taichi_sim.groups import EVERY, ONLY
 from taichi_sim.scene import Scene
 
 __all__ = ["save_scene"]
@@ -65,6 +66,7 @@ def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
         "springs": _springs(scene, store),
         "walls": [
             {"normal": list(wall.normal), "offset": wall.offset, "material": scene.materials[wall.material].name}
+            | _groups(scene, wall.group, wall.mask)
             for wall in scene.walls
         ],
     }
@@ -104,9 +106,17 @@ def _collider(given: dict[str, Any], store: _Arrays, number: int) -> dict[str, A
     )
 
 
+def _groups(scene: Scene, group: int, mask: int) -> dict[str, Any]:
+    """The keys for collision groups, where they are not the default."""
+    keys: dict[str, Any] = {} if group == ONLY else {"group": scene.groups.listed(group)}
+    return keys if mask == EVERY else keys | {"collides_with": scene.groups.listed(mask)}
+
+
 def _balls(scene: Scene, store: _Arrays) -> list[dict[str, Any]]:
-    """One table for each run of balls that share material, body and colour, which a table has once."""
-    shared = np.column_stack([scene.material, scene.body, np.nan_to_num(scene.colour, nan=-1.0)])
+    """One table for each run of balls that share material, body, groups and colour, which a table has once."""
+    shared = np.column_stack(
+        [scene.material, scene.body, scene.group, scene.mask, np.nan_to_num(scene.colour, nan=-1.0)]
+    )
     starts = np.flatnonzero(np.any(shared[1:] != shared[:-1], axis=1)) + 1
     rows = []
     for number, run in enumerate(np.split(np.arange(scene.n_balls), starts)):
@@ -116,6 +126,7 @@ def _balls(scene: Scene, store: _Arrays) -> list[dict[str, Any]]:
         plain: dict[str, Any] = {"material": scene.materials[scene.material[first]].name}
         if scene.body[first]:
             plain["body"] = int(scene.body[first])
+        plain |= _groups(scene, int(scene.group[first]), int(scene.mask[first]))
         if not np.isnan(scene.colour[first]).any():
             plain["colour"] = scene.colour[first].tolist()
         if scene.pinned[run].all():

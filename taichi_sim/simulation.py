@@ -51,6 +51,7 @@ class Simulation:
     def __init__(self, scene: Scene, *, forces: Sequence[Any] = (), **settings: Any) -> None:
         self.scene = scene
         self.settings = Settings.resolve(scene, settings)
+        scene.has_groups()  # a mistyped name is an error, whatever collides
         self._stability = stability(scene, self.settings.integrator.name)
         self.dt, self.substeps = self.settings.time_step(scene, self._stability)
         self._h = self.dt / self.substeps

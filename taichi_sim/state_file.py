@@ -13,6 +13,7 @@ from taichi_sim import checks
 from taichi_sim.colliders import shape_of
 from taichi_sim.errors import SceneError
 from taichi_sim.files import replacing
+from taichi_sim.groups import Groups
 from taichi_sim.scene import Material, Scene, Wall
 
 __all__ = ["restore_state", "save_state"]
@@ -43,6 +44,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "dim": scene.dim,
         "gravity": scene.gravity.tolist(),
         "materials": [asdict(material) for material in scene.materials],
+        "groups": scene.groups.names,
         "walls": [asdict(wall) for wall in scene.walls],
         "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in scene.colliders],
         "settings": settings,
@@ -99,7 +101,8 @@ def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
     for material in about["materials"]:
         material["colour"] = material["colour"] and tuple(material["colour"])
     scene.materials[:] = [Material(**material) for material in about["materials"]]
-    scene.walls.extend(Wall(tuple(w["normal"]), w["offset"], w["material"]) for w in about["walls"])
+    scene.groups = Groups(about["groups"])
+    scene.walls.extend(Wall(**{**wall, "normal": tuple(wall["normal"])}) for wall in about["walls"])
     for k, given in enumerate(about["colliders"]):
         mesh = {name: arrays[f"colliders.{k}.{name}"] for name in MESH} if given["shape"] == "mesh" else {}
         scene.add_collider(shape_of(given | mesh))

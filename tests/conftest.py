@@ -10,7 +10,20 @@ if PRECISION not in ("f32", "f64"):
 
 
 # What knows nothing of precision: where both are run one after the other, once is enough, in single precision.
-ONCE = ("bench", "cli", "demos", "files", "mesh", "outputs", "readme", "render", "rooms", "scene", "scene_file", "shapes")
+ONCE = (
+    "bench",
+    "cli",
+    "demos",
+    "files",
+    "mesh",
+    "outputs",
+    "readme",
+    "render",
+    "rooms",
+    "scene",
+    "scene_file",
+    "shapes",
+)
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}
 
 

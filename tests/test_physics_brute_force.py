@@ -1,8 +1,10 @@
 """The listed pairs equal brute force, whatever the balls look like, after a jump and after steps, in both drivers."""
 
+from itertools import product
+
 import numpy as np
 import pytest
-from physics_support import F64, each_dim, simulate
+from physics_support import F64, simulate
 
 import taichi_sim as ts
 
@@ -10,7 +12,15 @@ N, SCENES = 96, 250  # balls; scenes for each dimension and driver
 LARGEST = 0.5  # m
 H = 1e-3
 CROWDS = ("box", "crowd", "apart", "far_apart", "coincident", "lattice")
-SIZES = ("equal", "1:4", "1:1000")
+SIZES = {
+    "one_level": {"equal": 1.0, "1:4": 4.0, "1:30": 30.0},
+    "levels": {"1:1000": 1000.0, "1:100": 100.0, "equal": 1.0},
+}
+QUICK = {(2, "fused", "levels"), (2, "parallel", "one_level"), (3, "fused", "one_level"), (3, "parallel", "levels")}
+CASES = [
+    pytest.param(*case, id="-".join(map(str, case)), marks=[] if case in QUICK else [pytest.mark.slow])
+    for case in product((2, 3), ("fused", "parallel"), SIZES)
+]
 
 
 def listed(sim):
@@ -54,38 +64,34 @@ def scatter(rng, crowd, dim, width):
     return x + rng.uniform(-3.0, 1.0, dim) * width
 
 
-def sizes(rng, size):
+def sizes(rng, ratio):
     """Radii (N,) [m]; a scene's largest may be smaller than the largest that its grid was made for."""
     largest = LARGEST * rng.choice([1.0, 0.6, 0.1])
-    ratio = {"equal": 1.0, "1:4": 4.0, "1:1000": 1000.0}[size]
     return largest * ratio ** -rng.uniform(0.0, 1.0, N) if ratio > 1.0 else np.full(N, largest)
 
 
-@pytest.fixture(scope="module", params=["fused", "parallel"])
-def driver(request):
-    return request.param
-
-
-@each_dim
-def test_a_thousand_scenes(dim, driver):
+@pytest.mark.parametrize(("dim", "driver", "kind"), CASES)
+def test_a_thousand_scenes(dim, driver, kind):
     """One compiled scene takes the positions and radii of all, is moved by set_position, by steps within the skin and beyond."""
     scene = ts.Scene(dim=dim)
-    reach = LARGEST * 1000.0 ** -np.linspace(0.0, 1.0, N)  # all sizes that any of them has
-    scene.add_balls(np.zeros((N, dim)) + np.arange(N)[:, None], radius=reach)
+    ratios = list(SIZES[kind].values())
+    made_for = LARGEST * (1000.0 ** -np.linspace(0.0, 1.0, N) if kind == "levels" else np.ones(N))
+    scene.add_balls(np.zeros((N, dim)) + np.arange(N)[:, None], radius=made_for)
     settings = {"dt": H, "integrator": "symplectic_euler", "contact_passes": 1, "contacts": "jacobi"}
-    met, hashed = np.zeros((len(CROWDS), len(SIZES)), dtype=int), 0
+    met, hashed = np.zeros((len(CROWDS), len(ratios)), dtype=int), 0
     with simulate(scene, ("ordered", driver), **settings) as sim:
         grid = sim._parts.contacts.pairs.grid
+        assert grid.levels == (8 if kind == "levels" else 1)
         for seed in range(SCENES):
             rng = np.random.default_rng([seed, dim])
-            kind, size = seed % len(CROWDS), seed // len(CROWDS) % len(SIZES)
-            radius = sizes(rng, SIZES[size]).astype(np.float64 if F64 else np.float32)
+            crowd, size = seed % len(CROWDS), seed // len(CROWDS) % len(ratios)
+            radius = sizes(rng, ratios[size]).astype(np.float64 if F64 else np.float32)
             width = float(np.mean(radius**dim) * N) ** (1.0 / dim) * 10.0 ** rng.uniform(-0.3, 0.3)
             sim._parts.model.radius.from_numpy(radius)
-            sim.resume(scatter(rng, CROWDS[kind], dim, width), np.zeros((N, dim)), 0.0)
+            sim.resume(scatter(rng, CROWDS[crowd], dim, width), np.zeros((N, dim)), 0.0)
             sim.step(0)
-            met[kind, size] += agrees(sim, radius)
-            hashed += 1 - int(np.min(grid.dense.to_numpy()))
+            met[crowd, size] += agrees(sim, radius)
+            hashed += int(np.min(grid.dense.to_numpy()[: grid.levels]) == 0)
             typical = float(np.exp(np.mean(np.log(radius))))
             for step in 10.0 ** rng.uniform(-2.5, 0.5, 2):
                 sim.set_velocity(rng.standard_normal((N, dim)) * step * typical / H)
@@ -93,3 +99,49 @@ def test_a_thousand_scenes(dim, driver):
                 agrees(sim, radius)
     assert met.min() > 5 * SCENES // met.size
     assert SCENES // 6 < hashed < SCENES
+
+
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.slow), 3])
+def test_sticks_among_balls_of_all_sizes(dim):
+    """Rows equal all balls against all sticks, where the grid has levels."""
+    m = 24
+    scene = ts.Scene(dim=dim)
+    ends = scene.add_balls(np.arange(2 * m)[:, None] + np.zeros(dim), radius=1e-4)
+    scene.add_balls(-5.0 - np.arange(N)[:, None] + np.zeros(dim), radius=0.3 * 1000.0 ** -np.linspace(0.0, 1.0, N))
+    scene.add_springs(ends.reshape(-1, 2), stiffness=1.0, collides=True)
+    n, met = scene.n_balls, 0
+    with simulate(scene, dt=H) as sim:
+        assert sim._parts.contacts.pairs.grid.levels > 4
+        rows = sim._parts.contacts.sticks
+        for seed in range(40):
+            rng = np.random.default_rng([seed, dim])
+            x = rng.uniform(-1.0, 1.0, (n, dim)) * [1.0, 0.2, 0.05][:dim] + (seed % 4) * 30.0 * rng.integers(
+                0, 2, (n, 1)
+            )
+            x[2 * m :: 2] = (
+                x[rng.integers(0, 2 * m, N // 2)] + rng.standard_normal((N // 2, dim)) * scene.radius[2 * m :: 2, None]
+            )
+            sim.set_position(x)
+            sim.penetration()
+            used = int(rows.used[0])
+            found = {
+                (i, s)
+                for i, s in zip(rows.row.ball.to_numpy()[:used].tolist(), rows.row.stick.to_numpy()[:used].tolist())
+            }
+            assert len(found) == used
+            x = sim.position
+            a, d = x[ends[0::2]], x[ends[1::2]] - x[ends[0::2]]
+            t = np.einsum("ibk,bk->ib", x[:, None] - a[None], d) / np.sum(d * d, axis=1)
+            gap = np.linalg.norm(x[:, None] - a[None] - t[..., None] * d[None], axis=2) / scene.radius[:, None]
+            inside, slack = np.minimum(t, 1.0 - t) - 1e-5, 1e-9 if F64 else 1e-2
+            near = (gap < 1.0 + slack) & (inside > -slack)
+            sure = (gap < 1.0 - slack) & (inside > slack)
+            for s in range(m):
+                near[ends[2 * s : 2 * s + 2], s] = sure[ends[2 * s : 2 * s + 2], s] = False
+            assert (
+                set(zip(*(k.tolist() for k in np.nonzero(sure))))
+                <= found
+                <= set(zip(*(k.tolist() for k in np.nonzero(near))))
+            )
+            met += used
+    assert met > 1000

@@ -29,7 +29,7 @@ LEVELS = (
     ("shapes", "shape_parts", "rates"),
     ("mesh",),
     ("scene", "frame"),
-    ("checks", "files", "interrupts"),
+    ("checks", "files", "interrupts", "memory", "groups"),
     ("errors",),
     ("kernels",),
 )
@@ -49,6 +49,8 @@ NO_TAICHI = (
     "diagnostics",
     "order",
     "interrupts",
+    "memory",
+    "groups",
 )
 
 

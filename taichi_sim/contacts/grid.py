@@ -2,6 +2,7 @@
 
 import numpy as np
 import taichi as ti
+from numpy.typing import NDArray
 
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import grid as loops
@@ -12,12 +13,19 @@ __all__ = ["Grid"]
 
 BUCKETS_PER_BALL = 4  # with fewer, other rows share the buckets and every ball looks at twice as many candidates
 SKIN = 0.15  # of each radius
+STEP = 2.0  # of the radius from level to level, or more where that would make too many of them
+MOST_LEVELS = 8
+LEAST_OF_LEVEL = (
+    1 << 13
+)  # buckets: the few balls of a coarse level then mostly have a bucket for each cell of their box
+WORTH = 4.0  # times fewer candidates: only then levels make up for what they cost
 PART = 1024  # balls whose box one thread measures at a time
 
 
 @ti.data_oriented
 class Grid:
     """Cells as wide as the largest ball, so that every pair that may touch lies in neighbouring rows. Memory is O(balls).
+    Where it pays, levels of balls by size, each with its own cells: a ball looks at its own level and at coarser ones.
 
     Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
     its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
@@ -27,14 +35,26 @@ class Grid:
     def __init__(self, model: Model, fields: Fields, skin: float, gap: float, most: int) -> None:
         self.model = model
         self.n, self.dim = model.n, model.dim
-        largest = float(np.max(model.scene.radius))
         self.skin, self.enlarged = skin, 1.0 + skin + gap
         self.margin = 1.001  # for rounded coordinates
-        self.inverse_cell = 1.0 / (2.0 * largest * self.enlarged * self.margin)
-        self.largest, self.width = largest, 1.0 / self.inverse_cell
-        self.size = max(64, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * self.n)))))
-        self.mask = self.size - 1
+        self.bounds = levels(model.scene.radius, model.dim)  # largest radius [m] of each level, the finest first
+        self.levels = len(self.bounds)
+        self.widths = [2.0 * bound * self.enlarged * self.margin for bound in self.bounds]
+        self.inverse_widths = [1.0 / width for width in self.widths]
+        held = np.bincount(np.searchsorted(self.bounds, model.scene.radius), minlength=self.levels)
+        least = 64 if self.levels == 1 else LEAST_OF_LEVEL
+        sizes = [max(least, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * n))))) for n in held.tolist()]
+        self.size = sum(sizes)
         self.chunk = 64 if self.size < 4096 else 1024
+        self.size = -(-self.size // self.chunk) * self.chunk
+        if self.levels > 1:
+            self.bound, self.inverse_width = (
+                fields.reals(np.array(self.bounds)),
+                fields.reals(np.array(self.inverse_widths)),
+            )
+            self.table_size = fields.integers(np.array(sizes))
+            self.table_first = fields.integers(np.cumsum([0, *sizes[:-1]]))
+            self.top = fields.integers(self.levels * model.dim)
         self.count = fields.integers(self.size)
         self.start = fields.integers(self.size + 1)
         self.partial = fields.integers(self.size // self.chunk)
@@ -46,8 +66,9 @@ class Grid:
         self.most = fields.reals(np.array([float(most)]))
         self.part = PART
         self.parts = -(-self.n // PART)
-        self.low, self.high = (fields.cells(self.parts, model.dim) for _ in range(2))
-        self.corner, self.pitch, self.dense = fields.integers(model.dim), fields.integers(model.dim), fields.integers(1)
+        self.low, self.high = (fields.cells(self.levels * self.parts, model.dim) for _ in range(2))
+        self.corner, self.pitch = (fields.integers(self.levels * model.dim) for _ in range(2))
+        self.dense = fields.integers(self.levels)
         vector = ti.types.vector(model.dim, fields.real)
         self.copy = fields.table({"x": vector, "radius": fields.real}, self.n)
 
@@ -71,3 +92,20 @@ class Grid:
         """Sort the balls into cells where the last search no longer holds."""
         loops.plan(self)
         loops.build(ball, self)
+
+
+def levels(radius: NDArray[np.float64], dim: int) -> list[float]:
+    """Largest radius [m] in each level, the finest first: one level, or only those that hold balls.
+
+    The number of candidates that a level's balls look at goes with the number of balls in a level and the size of its cells.
+    """
+    largest, smallest = float(np.max(radius)), float(np.min(radius))
+    step = max(STEP, (largest / smallest) ** (1.0 / MOST_LEVELS) * (1.0 + 1e-9))
+    order = np.sort(radius)
+    bounds: list[float] = []
+    while len(order):
+        bounds.insert(0, float(order[-1]))
+        order = order[: np.searchsorted(order, bounds[0] / step)]
+    held = np.bincount(np.searchsorted(bounds, radius), minlength=len(bounds)) / len(radius)
+    load = held * (np.array(bounds) / largest) ** dim
+    return bounds if float(held @ np.cumsum(load[::-1])[::-1]) * WORTH < 1.0 else bounds[-1:]

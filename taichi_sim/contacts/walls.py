@@ -8,6 +8,7 @@ from taichi_sim.fields import Fields
 from taichi_sim.kernels import colliders as geometry
 from taichi_sim.kernels import contact_law, impact, survey
 from taichi_sim.kernels.direction import cross, lever
+from taichi_sim.kernels.groups import meets
 from taichi_sim.kernels.sweeps import zero_turn
 from taichi_sim.model import Model
 from taichi_sim.state import State
@@ -57,15 +58,16 @@ class Walls:
         self.slots = SLOTS[model.dim] if self.has_colliders else 0
         self.count = self.planes + self.slots
         vector = ti.types.vector(model.dim, fields.real)
-        self.wall = fields.table(
-            {"normal": vector, "offset": fields.real, "surface": ti.i32},
-            self.planes,
-            {
-                "normal": np.array([w.normal for w in walls]),
-                "offset": np.array([w.offset for w in walls]),
-                "surface": np.array([w.material for w in walls]),
-            },
-        )
+        columns = {"normal": vector, "offset": fields.real, "surface": ti.i32}
+        values = {
+            "normal": np.array([w.normal for w in walls]),
+            "offset": np.array([w.offset for w in walls]),
+            "surface": np.array([w.material for w in walls]),
+        }
+        if model.has_groups:
+            columns |= {"group": ti.i32, "mask": ti.i32}
+            values |= {"group": np.array([w.group for w in walls]), "mask": np.array([w.mask for w in walls])}
+        self.wall = fields.table(columns, self.planes, values)
 
         columns = {"impulse": fields.real, "target": fields.real, "active": ti.i32}
         if model.has_friction:
@@ -119,11 +121,20 @@ class Walls:
         gap = 0.0 * self.model.radius[i]
         if ti.static(self.has_colliders):
             if k < self.planes:
-                gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
+                gap = self.plane_gap(x, i, k)
             else:
                 gap = self.contact[i * self.count + k].gap
         else:
-            gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
+            gap = self.plane_gap(x, i, k)
+        return gap
+
+    @ti.func
+    def plane_gap(self, x, i, k):
+        """The same of a wall where ball i is at x; one that it does not collide with is far."""
+        gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
+        if ti.static(self.model.has_groups):
+            if not meets(self.model.group[i], self.model.mask[i], self.wall[k].group, self.wall[k].mask):
+                gap = FAR
         return gap
 
     @ti.func
