@@ -8,7 +8,8 @@ what has stopped early is not run through by a third.
 
 import taichi as ti
 
-from .grid import bucket_of, cell_of, run, same_row
+from .grid import bucket_of, cell_of, largest, run, same_row
+from .groups import balls_meet
 from .pairs import may_touch
 from .sticks import closest
 
@@ -85,33 +86,35 @@ def start(solver: ti.template(), ball: ti.template(), i):
 @ti.func
 def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(), i):
     """Part of its way at which ball i first touches another one, or 1."""
-    x = start(solver, ball, i)
-    # others lie in the grid where they were when it was made: since then they moved by the skin and this step
-    margin = solver.model.radius[i] + (2.0 + grid.enlarged) * grid.largest + solver.longest[0]
-    low = cell_of(ti.min(x, ball[i].x) - margin, grid)
-    high = cell_of(ti.max(x, ball[i].x) + margin, grid)
-    cells = 1.0 + 0.0 * x[0]
-    for a in ti.static(range(solver.model.dim)):
-        cells *= 1.0 + high[a] - low[a]
-    everywhere = cells > 0.5 * solver.n  # then looking at all balls is less work
-    height = high[1] - low[1] + 1
-    rows = height
-    if ti.static(solver.model.dim == 3):
-        rows *= high[2] - low[2] + 1
-    t = 1.0 + 0.0 * x[0]
-    for row in range(ti.select(everywhere, 1, rows)):
-        cell = low
-        cell[1] += row % height
+    t = 1.0 + 0.0 * solver.before[i][0]
+    for level in range(grid.levels):
+        x = start(solver, ball, i)
+        # others lie in the grid where they were when it was made: since then they moved by the skin and this step
+        margin = solver.model.radius[i] + (2.0 + grid.enlarged) * largest(grid, level) + solver.longest[0]
+        low = cell_of(ti.min(x, ball[i].x) - margin, grid, level)
+        high = cell_of(ti.max(x, ball[i].x) + margin, grid, level)
+        cells = 1.0 + 0.0 * x[0]
+        for a in ti.static(range(solver.model.dim)):
+            cells *= 1.0 + high[a] - low[a]
+        everywhere = cells > 0.5 * solver.n  # then looking at all balls is less work
+        height = high[1] - low[1] + 1
+        rows = height
         if ti.static(solver.model.dim == 3):
-            cell[2] += row // height
-        begin, end = run(grid, bucket_of(cell, grid), high[0] - low[0] + 1, 0)
-        first, last = run(grid, bucket_of(cell, grid), high[0] - low[0] + 1, 1)
-        if everywhere:
+            rows *= high[2] - low[2] + 1
+        for row in range(ti.select(everywhere, 1, rows)):
+            cell = low
+            cell[1] += row % height
+            if ti.static(solver.model.dim == 3):
+                cell[2] += row // height
             begin, end, first, last = 0, solver.n, 0, 0
-        for k in range(end - begin + last - first):
-            own = ti.select(k < end - begin, begin + k, first + k - (end - begin))
-            if everywhere or same_row(cell, cell_of(grid.copy[own].x, grid)):
-                t = ti.min(t, touch(solver, ball, i, grid.order[own]))
+            if not everywhere:
+                bucket = bucket_of(cell, grid, level)
+                begin, end = run(grid, level, bucket, high[0] - low[0] + 1, 0)
+                first, last = run(grid, level, bucket, high[0] - low[0] + 1, 1)
+            for k in range(end - begin + last - first):
+                own = ti.select(k < end - begin, begin + k, first + k - (end - begin))
+                if everywhere or same_row(cell, cell_of(grid.copy[own].x, grid, level)):
+                    t = ti.min(t, touch(solver, ball, i, grid.order[own]))
     return t
 
 
@@ -187,6 +190,8 @@ def collides(solver: ti.template(), i, one, two):
     allowed = i != one and i != two and w > 0.0
     if ti.static(solver.pairs.has_bodies):
         allowed = allowed and (solver.pairs.body[i] == 0 or solver.pairs.body[i] != solver.pairs.body[one])
+    if ti.static(solver.model.has_groups):
+        allowed = allowed and balls_meet(solver.model, i, one)
     return allowed
 
 
