@@ -32,6 +32,7 @@ from taichi_sim.state import State
 __all__ = ["Assembly"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
+FAR_AWAY = 1e3  # sizes of the scene
 MOST_BOUNCE = 0.5  # above that, only split masses are sure never to gain energy
 SLOWEST_BOUNCE = 0.01  # m/s
 MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
@@ -88,7 +89,9 @@ class Assembly:
         self.model.spins = spins(scene, settings)
         small = scene.n_balls + scene.n_springs <= FUSED_UP_TO
         # Larger scenes are bound by memory, where the rounded-off parts would cost a tenth of the speed.
-        self.state = State(self.model, self.fields, compensated=small and backend.precision == "f32", order=order)
+        self.state = State(
+            self.model, self.fields, compensated=small and (backend.precision == "f32" or far_away(scene)), order=order
+        )
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
         self.atomic = settings.accumulate == "atomic"
         self.integrator = settings.integrator
@@ -251,6 +254,12 @@ class Assembly:
     def free(self) -> None:
         """Give all memory back."""
         self.fields.free()
+
+
+def far_away(scene: Scene) -> bool:
+    """Whether a scene lies so far from the origin that what rounding takes from positions adds up to something."""
+    x = scene.position
+    return bool(np.max(np.abs(x)) > FAR_AWAY * (np.max(np.ptp(x, axis=0)) + np.max(scene.radius)))
 
 
 def spins(scene: Scene, settings: Settings) -> bool:
