@@ -119,7 +119,9 @@ def move(walls: ti.template(), i, x, v, a, h, threshold):
                 speed += t * pull
                 if ti.static(walls.has_colliders):
                     if other >= 0:
-                        speed, pull, rests = strike(walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h)
+                        speed, pull, rests = strike(
+                            walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
+                        )
                         settled = ti.select(rests, other, settled)
                         remaining -= t
                     else:

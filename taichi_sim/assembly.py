@@ -92,9 +92,7 @@ class Assembly:
         grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0) if pairs else None
         pair_part = Pairs(self.model, self.fields, grid, warm, soft) if grid is not None else None
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
-        wall_part = (
-            Walls(self.model, self.state, self.fields, threshold, soft, self.colliders) if walled else None
-        )
+        wall_part = Walls(self.model, self.state, self.fields, threshold, soft, self.colliders) if walled else None
         stick_part = Sticks(self.model, self.fields, pair_part) if sticks and pair_part is not None else None
         rule = self._rule(scene, settings, cpu)
         return ContactSolver(

@@ -1,8 +1,8 @@
 """Colliders: solid bodies of infinite mass that balls bounce off, still or moving along a given path. Imports no Taichi.
 
-    scene.add_collider(ts.Sphere((0, 0), 1.0, hollow=0.1, angular_velocity=2.0))   # a turning drum
-    scene.add_collider(ts.Box((0, -1), (4, 0.2), rotation=20))                     # an incline
-    scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0.0, (0, 0)), (1.0, (2, 0))]))  # a piston
+scene.add_collider(ts.Sphere((0, 0), 1.0, hollow=0.1, angular_velocity=2.0))   # a turning drum
+scene.add_collider(ts.Box((0, -1), (4, 0.2), rotation=20))                     # an incline
+scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0.0, (0, 0)), (1.0, (2, 0))]))  # a piston
 """
 
 from collections.abc import Mapping, Sequence
@@ -169,7 +169,9 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
         start, end = (checks.vector(f"{where}.{key}", given[key], dim) for key in ("start", "end"))
         centre, length = 0.5 * (start + end), float(np.linalg.norm(end - start))
         if length == 0.0:
-            raise SceneError(f"{where}.end: {end.tolist()} is not allowed; it must differ from start (or take a Sphere)")
+            raise SceneError(
+                f"{where}.end: {end.tolist()} is not allowed; it must differ from start (or take a Sphere)"
+            )
         half[0], turn = 0.5 * length, _onto((end - start) / length)
     motion = Motion.of(where, dim, centre, given)
     if turn is not None:
@@ -273,5 +275,3 @@ def shape_of(given: Mapping[str, Any]) -> Any:
         if entry.default is MISSING and key not in arguments:
             raise SceneError(f"{key}: is missing; a {name} needs it")
     return kind(**arguments)
-
-

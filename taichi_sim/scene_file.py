@@ -175,7 +175,9 @@ class _Reader:
             found = _KEY.match(str(error))
             key, what = found.group("key", "what") if found else ("", str(error))
             names = tuple(int(n) if n.isdigit() else n for n in re.findall(r"\w+", key))
-            own = () if names in (place[:1], place) else names  # a shape's error about itself: `cloth: needs a scene in 3D`
+            own = (
+                () if names in (place[:1], place) else names
+            )  # a shape's error about itself: `cloth: needs a scene in 3D`
             raise self._error(_fitting(self.document, place + own), what) from error
 
     def _error(self, path: _Path, what: str) -> SceneError:

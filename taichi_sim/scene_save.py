@@ -99,7 +99,9 @@ def _collider(given: dict[str, Any], store: _Arrays, number: int) -> dict[str, A
     plain = {key: value for key, value in given.items() if key != "mesh"}
     if "mesh" not in given:
         return plain
-    return store.table(f"colliders_{number}_", {k: getattr(given["mesh"], k) for k in ("vertices", "triangles")}, **plain)
+    return store.table(
+        f"colliders_{number}_", {k: getattr(given["mesh"], k) for k in ("vertices", "triangles")}, **plain
+    )
 
 
 def _balls(scene: Scene, store: _Arrays) -> list[dict[str, Any]]:

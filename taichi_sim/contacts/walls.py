@@ -19,7 +19,9 @@ OUT, RESTING, NEAR = range(3)
 SLOP = 0.01  # of the radius: depth that position correction leaves
 SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
 FAR = 1e30  # m, the gap of a slot in which nothing is held
-STEEP = 0.25  # of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
+STEEP = (
+    0.25  # of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
+)
 
 
 @ti.data_oriented
@@ -125,7 +127,7 @@ class Walls:
         """Direction from contact k to ball i."""
         n = ti.Vector.zero(float, self.model.dim)
         if ti.static(self.has_colliders):
-            if k < self.planes:
+            if k < self.planes:  # noqa: SIM108  # a table must not be read where it ends
                 n = self.wall[k].normal
             else:
                 n = self.contact[i * self.count + k].normal
@@ -210,7 +212,7 @@ class Walls:
 
     @ti.func
     def _hold(self, first, k, key, gap, n, at):
-        """Note a contact at the point `at` in the slot that holds its key, else in a free one, else in that of the largest gap."""
+        """Note a contact at the point `at`: in the slot of its key, else in a free one, else in that of the widest gap."""
         place = -1
         for c in range(first, first + self.slots):
             if self.contact[c].key == key:

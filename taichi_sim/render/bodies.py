@@ -34,9 +34,9 @@ class Bodies(NamedTuple):
         shapes = [placed.collider for placed in frame.colliders]
         return cls(
             np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in parts)]),
-            np.concatenate([np.zeros((0, 3), dtype=np.int32), *(t + first[k] for k, (_, t) in enumerate(parts))]).astype(
-                np.int32
-            ),
+            np.concatenate(
+                [np.zeros((0, 3), dtype=np.int32), *(t + first[k] for k, (_, t) in enumerate(parts))]
+            ).astype(np.int32),
             np.repeat(np.arange(len(parts)), sizes),
             np.repeat(np.array([c.colour or GREY for c in shapes]).reshape(-1, 3), sizes, axis=0),
             np.repeat(np.array([c.hollow > 0 for c in shapes], dtype=bool), [len(t) for _, t in parts]),
@@ -78,7 +78,11 @@ def _surface(collider: Collider) -> tuple[NDArray, NDArray]:
     middle = np.broadcast_to((x * collider.half[0])[:, None], (len(rings), AROUND))
     r = collider.radius
     points = np.stack(
-        [middle + r * np.cos(angle) * np.ones_like(about), r * np.sin(angle) * np.cos(about), r * np.sin(angle) * np.sin(about)],
+        [
+            middle + r * np.cos(angle) * np.ones_like(about),
+            r * np.sin(angle) * np.cos(about),
+            r * np.sin(angle) * np.sin(about),
+        ],
         axis=-1,
     )
     row, column = np.meshgrid(np.arange(len(rings) - 1), np.arange(AROUND), indexing="ij")
