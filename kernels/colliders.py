@@ -33,6 +33,15 @@ def turned(q, angle):
 
 
 @ti.func
+def size_of(turn, dim: ti.template()):
+    """Angular speed."""
+    if ti.static(dim == 2):
+        return ti.abs(turn)
+    else:
+        return turn.norm()
+
+
+@ti.func
 def local(colliders: ti.template(), k, x, after):
     """The point x in the frame of collider k, `after` seconds into the step."""
     pose = colliders.pose[k]
@@ -226,11 +235,7 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
         fastest = drift.norm() + a.norm() * limit
         curve = 0.0 * r  # how fast turning bends the path as the collider sees it
         if ti.static(colliders.turns):
-            spin = 0.0 * r
-            if ti.static(colliders.dim == 2):
-                spin = ti.abs(pose.turn)
-            else:
-                spin = pose.turn.norm()
+            spin = size_of(pose.turn, colliders.dim)
             far = ti.min(start.norm() + travel, extent + r)
             curve = spin * spin * far + 2.0 * spin * fastest
             fastest += spin * far
@@ -275,9 +280,7 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
                     step = crossing(ti.max(gap, 0.0), u, n.dot(a) - curve, step)
                 elif fastest > 0.0:
                     step = CAREFUL * gap / fastest
-                if t + step >= limit:
-                    done = True
-                elif t >= limit:
+                if t + step >= limit or t >= limit:
                     done = True
                 else:
                     if fastest > 0.0:

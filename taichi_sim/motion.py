@@ -61,11 +61,27 @@ class Motion:
         """At `time` + 0, h, ..., steps h: positions and rotations, and the velocities (steps + 1, dim) [m/s] and angular
         velocities (steps + 1, 1 or 3) [1/s] that lead from each exactly to the next."""
         first = round(time / h)
+        t = h * np.arange(
+            first, first + steps + 2, dtype=np.float64
+        )  # the same to the last bit, wherever a run is divided
         if abs(first * h - time) > 1e-9 * time:  # no whole number of steps since 0
-            x, turn = self.at(time + h * np.arange(steps + 2))
-        else:  # the same times, to the last bit, wherever a run is divided
-            x, turn = self.at(h * np.arange(first, first + steps + 2))
-        return x[:-1], turn[:-1], np.diff(x, axis=0) / h, turn_vector(turn[1:] @ turn[:-1].swapaxes(1, 2)) / h
+            t = time + h * np.arange(steps + 2, dtype=np.float64)
+        x, turn = self.at(t)
+        return x[:-1], turn[:-1], self._velocities(t, x, turn), turn_vector(turn[1:] @ turn[:-1].swapaxes(1, 2)) / h
+
+    def _velocities(self, t: NDArray[Any], x: Floats, turn: Floats) -> Floats:
+        """From each of the times to the next; exactly those given where they hold all the way."""
+        h = np.diff(t)[:, None]
+        if len(self.times) == 1:
+            arm = self.rotations[0].T @ (self.positions[0] - self.pivot)
+            return self.velocity + np.diff(turn @ arm, axis=0) / h
+        if self.repeat:
+            t = self.times[0] + np.mod(t - self.times[0], self.times[-1] - self.times[0])
+        k = np.searchsorted(self.times, t, side="right")
+        given = np.zeros((len(self.times) + 1, x.shape[1]))
+        given[1:-1] = np.diff(self.positions, axis=0) / np.diff(self.times)[:, None]
+        one = ((k[1:] == k[:-1]) & (t[1:] > t[:-1]))[:, None]
+        return np.where(one, given[k[:-1]], np.diff(x, axis=0) / h)
 
     def fastest(self, extent: float) -> tuple[float, int]:
         """Largest speed [m/s] of a point within `extent` [m] of the centre, and the keyframe at which that begins."""
@@ -107,7 +123,9 @@ class Motion:
     def _along(
         cls, where: str, dim: int, position: Floats, rotation: Floats, path: Sequence[Any], repeat: bool
     ) -> "Motion":
-        times, positions, rotations = [], [], []
+        times: list[float] = []
+        positions: list[Floats] = []
+        rotations: list[Any] = []
         for k, given in enumerate(path):
             place = f"{where}.path[{k}]"
             key = keyframe(place, given)

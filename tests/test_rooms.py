@@ -18,6 +18,7 @@ LEVELS = (
     ("reports",),
     ("outputs",),
     ("simulation", "state_file", "render"),
+    ("collider_checks",),
     ("assembly", "drivers", "settings"),
     ("integrators",),
     ("contacts", "forces"),
@@ -27,8 +28,9 @@ LEVELS = (
     ("fields", "backend"),
     ("scene_file", "scene_save", "scene_source", "scene_lines", "scene_schema"),
     ("shapes", "shape_parts", "rates"),
-    ("mesh",),
     ("scene", "frame"),
+    ("colliders",),
+    ("mesh", "motion"),
     ("checks", "files", "interrupts", "memory", "groups"),
     ("errors",),
     ("kernels",),
@@ -41,6 +43,9 @@ NO_TAICHI = (
     "shape_parts",
     "rates",
     "mesh",
+    "motion",
+    "colliders",
+    "collider_checks",
     "errors",
     "checks",
     "frame",
@@ -177,7 +182,7 @@ def test_simulation_has(name):
         assert hasattr(sim, name)
 
 
-@pytest.mark.parametrize("name", ["add_material", "add_balls", "add_springs", "add_wall", "save"])
+@pytest.mark.parametrize("name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "save"])
 def test_scene_has(name):
     assert callable(getattr(ts.Scene, name))
 

@@ -266,7 +266,7 @@ BAD = [
     ("normal = [0.0, 1.0]", "normal = [nan, 0.0]", 25, "walls[0].normal[0]: nan is not allowed"),
     ("normal = [0.0, 1.0]", "", 24, "walls[0].normal: is missing"),
     ("[[walls]]", "[[wals]]", 24, "wals: is not a known key; did you mean 'walls'?"),
-    ("[[walls]]", "[[colliders]]", 24, "colliders: is not in this version"),
+    ("[[walls]]", "[[colliders]]", 25, "colliders[0].normal: is not a known key"),
     ("[[walls]]", "[walls]", 24, "walls: is written as one table; there may be several of them: write [[walls]]"),
     ("fps = 30", "fps = -30", 27, "output.fps: -30 is not allowed; it must be greater than 0"),
     ("[640, 360]", "[640, 7.5]", 28, "output.size[1]: 7.5 is not allowed; it must be a whole number"),

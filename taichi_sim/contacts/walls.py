@@ -142,7 +142,7 @@ class Walls:
         """Direction from contact k to ball i."""
         n = ti.Vector.zero(float, self.model.dim)
         if ti.static(self.has_colliders):
-            if k < self.planes:
+            if k < self.planes:  # noqa: SIM108  # a table must not be read where it ends
                 n = self.wall[k].normal
             else:
                 n = self.contact[i * self.count + k].normal
@@ -231,7 +231,7 @@ class Walls:
 
     @ti.func
     def _hold(self, first, k, key, gap, n, at):
-        """Note a contact at the point `at` in the slot that holds its key, else in a free one, else in that of the largest gap."""
+        """Note a contact at the point `at`: in the slot of its key, else in a free one, else in that of the widest gap."""
         place = -1
         for c in range(first, first + self.slots):
             if self.contact[c].key == key:

@@ -1,0 +1,238 @@
+"""Colliders on the host: shapes and motions against closed forms, bad input, scene files and state files."""
+
+import numpy as np
+import pytest
+from conftest import PRECISION
+
+import taichi_sim as ts
+from taichi_sim.mesh import Surface, holes, inside_out, mesh_distance
+from taichi_sim.motion import turn_matrix, turn_vector
+
+CUBE = (
+    np.array([[k >> a & 1 for a in range(3)] for k in range(8)]) - 0.5,
+    np.array([(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2),
+              (1, 3, 7), (1, 7, 5)]),
+)  # fmt: skip
+
+
+def collider(shape, dim=2):
+    scene = ts.Scene(dim=dim)
+    scene.add_material("rubber", friction=0.3)
+    scene.add_collider(shape)
+    return scene.colliders[0]
+
+
+def box_distance(p, half):
+    q = np.abs(p) - half
+    return np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
+
+
+def test_distances_of_turned_and_hollow_shapes():
+    x = np.array([[3.0, 0.0], [0.0, 0.0], [1.0, 1.0]])
+    assert collider(ts.Sphere((0, 0), 2.0)).distance(x, 0.0) == pytest.approx([1.0, -2.0, np.sqrt(2) - 2.0])
+    assert collider(ts.Sphere((0, 0), 2.0, hollow=0.5)).distance(x, 0.0) == pytest.approx([0.5, 2.0, 2.0 - np.sqrt(2)])
+    assert collider(ts.Box((1, 0), (2, 4), rotation=90)).distance(x, 0.0) == pytest.approx([0.0, -1.0, 0.0])
+    assert collider(ts.Box((0, 0), (8, 4), hollow=0.5)).distance(x, 0.0) == pytest.approx([1.0, 2.0, 1.0])
+    assert collider(ts.Capsule((-1, 0), (1, 0), 0.5)).distance(x, 0.0) == pytest.approx([1.5, -0.5, 0.5])
+    capsule = collider(ts.Capsule((0, 0, 0), (0, 2, 0), 0.5), 3)
+    assert capsule.distance(np.array([[0.0, 3.0, 0.0], [1.0, 1.0, 0.0]]), 0.0) == pytest.approx([0.5, 0.5])
+
+
+def test_distance_of_a_mesh():
+    surface = Surface(CUBE[0], CUBE[1])
+    assert len(holes(surface.triangles)) == 0
+    assert not inside_out(surface)
+    assert inside_out(Surface(surface.vertices, surface.triangles[:, ::-1]))
+    assert len(holes(surface.triangles[1:])) == 3
+    assert len(holes(np.concatenate([surface.triangles[1:], surface.triangles[:1, ::-1]]))) == 3  # one faces inward
+    p = np.random.default_rng(0).uniform(-1.5, 1.5, (300, 3))
+    assert mesh_distance(surface, p) == pytest.approx(box_distance(p, 0.5), abs=1e-12)
+    turned = ts.Mesh((CUBE[0], CUBE[1][:, ::-1]), position=(1, 2, 3), scale=2.0, rotation=(0, 0, 45))
+    assert collider(turned, 3).distance(np.array([[1.0, 2.0, 3.0], [1.0, 5.0, 3.0]]), 0.0) == pytest.approx(
+        [-1.0, 3 - np.sqrt(2)]
+    )
+
+
+def test_the_grid_of_a_mesh_holds_the_exact_distances():
+    from taichi_sim import backend
+    from taichi_sim.contacts.distance_grid import distance_grid
+
+    backend.start(arch="cpu", precision=PRECISION)
+    mesh = collider(ts.Mesh(CUBE, resolution=12), 3)
+    grid = distance_grid(mesh, 0.3)
+    k, j, i = np.meshgrid(*(np.arange(n) for n in grid.value.shape), indexing="ij")
+    p = grid.low + grid.cell * np.stack([i, j, k], -1).reshape(-1, 3)
+    assert grid.value.ravel() == pytest.approx(box_distance(p, 0.5), abs=1e-12)
+    assert p.min() < -0.75
+
+
+def test_turns_of_any_size():
+    rng = np.random.default_rng(0)
+    turn = rng.normal(size=(50, 3))
+    turn *= (np.linspace(0.0, 3.1, 50) / np.linalg.norm(turn, axis=1))[:, None]
+    matrix = turn_matrix(turn)
+    assert matrix @ matrix.swapaxes(1, 2) == pytest.approx(np.broadcast_to(np.eye(3), matrix.shape))
+    assert turn_vector(matrix) == pytest.approx(turn)
+    half = turn_vector(turn_matrix(np.array([[0.0, np.pi, 0.0]])))[0]
+    assert np.abs(half) == pytest.approx([0, np.pi, 0], abs=1e-7)
+
+
+def test_constant_motion_about_a_pivot():
+    motion = collider(ts.Box((1, 0), (1, 1), velocity=(0, 1), angular_velocity=np.pi, pivot=(0, 0))).motion
+    x, turn = motion.at([0.0, 0.5, 1.0])
+    assert x == pytest.approx(np.array([[1, 0], [0, 1.5], [-1, 1]]))
+    assert turn[1] == pytest.approx(np.array([[0, -1], [1, 0]]))
+    assert motion.fastest(0.5) == pytest.approx((1 + 1.5 * np.pi, 0))
+
+
+def test_a_path_holds_still_before_and_after_and_may_repeat():
+    keys = [(1.0, (0, 0)), {"time": 2.0, "position": (2, 0), "rotation": 360}, (4.0, (0, 0), 0)]
+    motion = collider(ts.Box((0, 0), (1, 1), path=keys)).motion
+    x, turn = motion.at([0.0, 1.25, 2.0, 3.0, 9.0])
+    assert x[:, 0] == pytest.approx([0, 0.5, 2, 1, 0])
+    assert turn[1] == pytest.approx(np.array([[0, -1], [1, 0]]), abs=1e-12)  # a quarter of a full turn
+    again = collider(ts.Box((0, 0), (1, 1), path=keys, repeat=True)).motion
+    assert again.at([4.25, 7.25])[0][:, 0] == pytest.approx([0.5, 0.5])
+    _, _, v, w = motion.steps(1.9, 0.1, 2)
+    assert v[:, 0] == pytest.approx([2, -1, -1])
+    assert w[:, 0] == pytest.approx([2 * np.pi, -np.pi, -np.pi])
+    assert collider(ts.Sphere((0, 0), 1.0)).motion.moves is False
+    one, other = motion.steps(0.0, 1e-3, 5), motion.steps(2e-3, 1e-3, 3)
+    assert all(np.array_equal(a[2:], b) for a, b in zip(one, other))  # the same bits wherever a run is divided
+
+
+FLAT = {"center": (0, 0), "size": (1, 1)}
+BAD = [
+    (ts.Sphere((0, 0), 0.0), "colliders[0].radius: 0.0 is not allowed; it must be greater than 0"),
+    (ts.Sphere((0, 0), 1.0, hollow=-1.0), "colliders[0].hollow: -1.0 is not allowed; it must be at least 0"),
+    (ts.Sphere((0, 0, 0), 1.0), "colliders[0].center: shape (3,) does not fit"),
+    (ts.Box((0, 0), (1, 0)), "colliders[0].size[1]: 0 is not allowed; it must be greater than 0"),
+    (ts.Capsule((1, 0), (1, 0), 0.1), "colliders[0].end: [1.0, 0.0] is not allowed; it must differ from start"),
+    (ts.Box(**FLAT, material="ice"), "colliders[0].material: 'ice' is not a material of this scene"),
+    (ts.Box(**FLAT, rotation=((1, 1), (0, 1))), "colliders[0].rotation: [[1.0, 1.0], [0.0, 1.0]] is no rotation"),
+    (ts.Box(**FLAT, rotation=((1, 0), (0, -1))), "is no rotation"),
+    (ts.Box(**FLAT, rotation="x"), "colliders[0].rotation: 'x' is not a number"),
+    (ts.Box(**FLAT, velocity=(1,)), "colliders[0].velocity: shape (1,) does not fit"),
+    (ts.Box(**FLAT, repeat=True), "colliders[0].repeat: there is no path to repeat"),
+    (ts.Box(**FLAT, path=[(0, (0, 0))]), "colliders[0].path: has one keyframe"),
+    (ts.Box(**FLAT, path=[(0, (0, 0)), (0, (1, 0))]), "path[1].time: 0 s is not allowed after 0 s: the collider would jump"),
+    (ts.Box(**FLAT, path=[(0, (0, 0)), (1, (1, 0))], repeat=True), "path[1]: a path that repeats must end where it begins"),
+    (ts.Box(**FLAT, path=[(0, (0, 0)), (1, (1, 0))], velocity=(1, 0)), "velocity: is given together with a path"),
+    (ts.Box(**FLAT, path=[(0, (0, 0)), {"tim": 1}]), "colliders[0].path[1].tim: is not a known key"),
+    (ts.Box(**FLAT, path=[(0, (0, 0)), 7]), "colliders[0].path[1]: 7 is not a keyframe"),
+    (ts.Mesh(CUBE), "colliders[0]: a mesh needs a scene in 3D"),
+    ("box", "colliders[0]: 'box' is not allowed; it must be one of ts.Sphere, ts.Box, ts.Capsule, ts.Mesh"),
+]  # fmt: skip
+BAD_3D = [
+    (ts.Mesh((CUBE[0], CUBE[1][1:])), "colliders[0].mesh: the mesh is not closed: 3 edges"),
+    (ts.Mesh("none.obj"), "is not there"),
+    (ts.Mesh(CUBE, scale=0.0), "colliders[0].scale: 0.0 is not allowed"),
+    (ts.Mesh(CUBE, resolution=1), "colliders[0].resolution: 1 is not allowed; it must be a whole number from 4 to 512"),
+    (ts.Box((0, 0, 0), (1, 1, 1), rotation=30), "colliders[0].rotation: shape () does not fit"),
+]
+
+
+@pytest.mark.parametrize(("dim", "shape", "message"), [(2, *b) for b in BAD] + [(3, *b) for b in BAD_3D])
+def test_bad(dim, shape, message):
+    scene = ts.Scene(dim=dim)
+    with pytest.raises(ts.SceneError) as caught:
+        scene.add_collider(shape)
+    assert message in str(caught.value)
+    assert not scene.colliders
+
+
+def test_a_collider_around_balls_and_one_that_jumps_are_named():
+    scene = ts.Scene(dim=2)
+    scene.add_collider(ts.Box((5, 0), (1, 1)))
+    scene.add_collider(ts.Sphere((0, 0), 1.0))
+    scene.add_balls([[0.0, 0.0], [0.2, 0.0], [1.05, 0.0]], radius=0.1, pinned=[1])
+    with pytest.raises(ts.SceneError, match=r"^colliders\[1\] \(sphere\): starts around ball 0, up to 1\.1 m deep"):
+        ts.Simulation(scene, dt=1e-3)
+    scene = ts.Scene(dim=2)
+    scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0, (0, 0)), (1, (1, 0)), (1.001, (2, 0))]))
+    scene.add_balls([[5.0, 0.0]], radius=0.05)
+    with pytest.warns(UserWarning, match=r"colliders\[0\] \(box\), path\[1\]: moves at up to 1000 m/s, 20 radii"):
+        ts.Simulation(scene, dt=1e-3).close()
+
+
+FILE = """format = 1
+dim = 2
+[[materials]]
+name = "rubber"
+[[balls]]
+position = [[0.0, 3.0]]
+radius = 0.1
+[[colliders]]
+shape = "sphere"
+center = [0.0, 0.0]
+radius = 1.0
+hollow = 0.1
+material = "rubber"
+angular_velocity = 2.0
+[[colliders]]
+shape = "box"
+center = [3.0, 0.0]
+size = [1.0, 0.3]
+rotation = 30.0
+colour = [0.1, 0.2, 0.3]
+path = [{time = 0.0, position = [3.0, 0.0]}, {time = 0.7, position = [3.1, 0.3], rotation = 400.0}]
+"""
+
+
+def same(one, other):
+    assert len(one.colliders) == len(other.colliders)
+    for a, b in zip(one.colliders, other.colliders):
+        assert (a.name, a.material, a.colour, a.radius, a.hollow) == (b.name, b.material, b.colour, b.radius, b.hollow)
+        pairs = [(getattr(a, k), getattr(b, k)) for k in ("half", "vertices", "triangles")]
+        pairs += [
+            (getattr(a.motion, k), getattr(b.motion, k)) for k in ("times", "positions", "rotations", "turns", "pivot")
+        ]
+        assert all(np.array_equal(x, y) for x, y in pairs)
+
+
+def test_scene_files_hold_colliders(tmp_path):
+    (tmp_path / "a.toml").write_text(FILE)
+    scene = ts.load_scene(tmp_path / "a.toml")
+    assert [c.name for c in scene.colliders] == ["sphere", "box"]
+    assert scene.colliders[0].material == 1
+    scene.save(tmp_path / "b.toml")
+    same(scene, ts.load_scene(tmp_path / "b.toml"))
+
+
+def test_scene_files_and_states_hold_meshes(tmp_path):
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0.0, 3.0, 0.0]], radius=0.1)
+    scene.add_collider(ts.Mesh(CUBE, scale=1 / 3, rotation=(10, 20, 30), velocity=(0, 0.1, 0), resolution=8))
+    scene.add_collider(ts.Capsule((0, 0, 0), (1 / 3, 1, 2), 0.1, rotation=np.eye(3)[[1, 2, 0]]))
+    big = np.concatenate([CUBE[0] + 3 * k for k in range(9)])
+    scene.add_collider(
+        ts.Mesh((big, np.concatenate([CUBE[1] + 8 * k for k in range(9)])), position=(9, 0, 0), resolution=8)
+    )
+    scene.save(tmp_path / "a.toml")
+    assert (tmp_path / "a_arrays.npz").exists()
+    same(scene, ts.load_scene(tmp_path / "a.toml"))
+    with ts.Simulation(scene, dt=1e-3, arch="cpu", precision=PRECISION) as sim:
+        sim.save(tmp_path / "state.npz")
+    with ts.Simulation.restore(tmp_path / "state.npz") as again:
+        same(scene, again.scene)
+
+
+BAD_FILES = [
+    ("radius = 1.0", "", 8, "colliders[0].radius: is missing; a sphere needs it"),
+    ("radius = 1.0", "radius = 0.0", 11, "colliders[0].radius: 0.0 is not allowed; it must be greater than 0"),
+    ("radius = 1.0", "radios = 1.0", 11, "colliders[0].radios: is not a known key; did you mean 'radius'?"),
+    ("hollow = 0.1", "size = [1.0, 1.0]", 12, "colliders[0].size: is not a key of a sphere; it has"),
+    ('"sphere"', '"ball"', 9, "colliders[0].shape: 'ball' is not allowed; it must be 'sphere', 'box', 'capsule' or 'mesh'"),
+    ('material = "rubber"', 'material = "ice"', 13, "colliders[0].material: 'ice' is not a material"),
+    ("time = 0.7", "time = 0.0", 21, "colliders[1].path[1].time: 0 s is not allowed after 0 s"),
+    ("rotation = 30.0", "rotation = [30.0, 1.0]", 19, "colliders[1].rotation: "),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "line", "message"), BAD_FILES, ids=[b[1] or b[0] for b in BAD_FILES])
+def test_bad_scene_files(tmp_path, old, new, line, message):
+    assert old in FILE
+    (tmp_path / "a.toml").write_text(FILE.replace(old, new, 1))
+    with pytest.raises(ts.SceneError) as caught:
+        ts.load_scene(tmp_path / "a.toml")
+    assert str(caught.value).startswith(f"{tmp_path / 'a.toml'}, line {line}: {message}"), str(caught.value)
