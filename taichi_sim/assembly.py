@@ -259,7 +259,7 @@ class Assembly:
 def far_away(scene: Scene) -> bool:
     """Whether a scene lies so far from the origin that what rounding takes from positions adds up to something."""
     x = scene.position
-    return bool(np.max(np.abs(x)) > FAR_AWAY * (np.max(np.ptp(x, axis=0)) + np.max(scene.radius)))
+    return bool(len(x) and np.max(np.abs(x)) > FAR_AWAY * (np.max(np.ptp(x, axis=0)) + np.max(scene.radius)))
 
 
 def spins(scene: Scene, settings: Settings) -> bool:

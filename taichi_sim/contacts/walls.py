@@ -120,7 +120,7 @@ class Walls:
         """Distance from the surface of ball i to wall k [m], negative inside; of a slot as it was found."""
         gap = 0.0 * self.model.radius[i]
         if ti.static(self.has_colliders):
-            if k < self.planes:
+            if k < self.planes:  # noqa: SIM108  both sides of a choice would be computed
                 gap = self.plane_gap(x, i, k)
             else:
                 gap = self.contact[i * self.count + k].gap
