@@ -61,13 +61,25 @@ def test_step_0_only_compiles(driver):
         assert np.array_equal(sim.position, after)
 
 
+@pytest.fixture(scope="module")
+def compiled_fall():
+    with simulate(falling(), dt=H) as sim:
+        yield sim
+
+
+@pytest.fixture
+def fall(compiled_fall):
+    """A ball that falls, at its start."""
+    compiled_fall.resume(compiled_fall.scene.position, compiled_fall.scene.velocity, 0.0)
+    return compiled_fall
+
+
 @pytest.mark.parametrize(
     ("fps", "duration", "count"), [(60, 0.5, 30), (30, 0.1, 3), (7, 1.0, 7), (24, 0.0, 0), (10, 0.26, 3)]
 )
-def test_frames(fps, duration, count):
+def test_frames(fall, fps, duration, count):
     """round(fps x duration) of them, the first the start, each at the step nearest to its time; the end is excluded."""
-    with simulate(falling(), dt=H) as sim:
-        frames = list(sim.frames(fps=fps, duration=duration))
+    frames = list(fall.frames(fps=fps, duration=duration))
     assert len(frames) == count
     for k, frame in enumerate(frames):
         assert frame.time == round(k / fps / H) * H
@@ -76,10 +88,9 @@ def test_frames(fps, duration, count):
         assert frames[0].position is not frames[-1].position
 
 
-def test_frames_go_on_from_the_present():
-    with simulate(falling(), dt=H) as sim:
-        sim.step(100)
-        times = [f.time for f in sim.frames(fps=50, duration=0.06)]
+def test_frames_go_on_from_the_present(fall):
+    fall.step(100)
+    times = [f.time for f in fall.frames(fps=50, duration=0.06)]
     np.testing.assert_allclose(times, [0.1, 0.12, 0.14])
 
 

@@ -201,7 +201,7 @@ def test_incline_slides_iff_steeper_than_friction(dim, method, variant):
             b = scene.add_balls([R * n - 5.0 * down], radius=R, material=material, body=body, mass=2.0)
             found.append((int(b[0]), max(0.0, G * (np.sin(angle) - mu * np.cos(angle))), down))
     steps = 500
-    with simulate(scene, variant, integrator=method, dt=H, spin=False) as sim:
+    with simulate(scene, variant, integrator=method, dt=H, spin=False, contact_passes=2) as sim:
         start = sim.position
         sim.step(steps)
         way, v = sim.position - start, sim.velocity
