@@ -76,6 +76,8 @@ class Walls:
         self.crowds = crowds
         if crowds:
             self.crowded = fields.integers(model.n)
+        if self.has_colliders:
+            self.held = fields.integers(model.n)  # slots in use
         self.share = fields.reals(model.n)  # into how many parts a ball splits its mass between its walls
         self.touched = fields.integers(model.n)  # walls that a ball touches: most touch none and are passed over
 
@@ -116,8 +118,10 @@ class Walls:
         if ti.static(self.has_colliders):
             if k < self.planes:
                 gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
-            else:
+            elif self.held[i] > 0:
                 gap = self.contact[i * self.count + k].gap
+            else:
+                gap = FAR
         else:
             gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
         return gap
@@ -169,9 +173,10 @@ class Walls:
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
         reach = self.reach(ball[i].x, i, crowded)
+        among = self.count
         if ti.static(self.has_colliders):
-            self._find(ball[i].x, i, reach)
-        for k in range(self.count):
+            among = self._find(ball[i].x, i, reach)
+        for k in range(among):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
             if gap <= reach:
@@ -193,9 +198,11 @@ class Walls:
     @ti.func
     def _find(self, x, i, reach):
         """Fill the slots of ball i at x with the colliders within `reach`: each where it was before, those that are new in a
-        free one; where there are too many, the nearest."""
+        free one; where there are too many, the nearest. Returns how many contacts there are to look at: none of the slots of a
+        ball that is and was far from all colliders, which are not even cleared."""
         first = i * self.count + self.planes
-        for c in range(first, first + self.slots):
+        ready = self.held[i] > 0
+        for c in range(first, ti.select(ready, first + self.slots, first)):
             self.contact[c].gap = FAR
         if self.model.inverse_mass[i] > 0.0:
             r = self.model.radius[i]
@@ -205,10 +212,19 @@ class Walls:
                         d, n, within = self.colliders.distance(k, face, x, 0.0)
                         several = within and self.colliders.shape[k].kind == geometry.BOX
                         if d - r <= reach and (face == 0 or several):
+                            for c in range(first, ti.select(ready, first, first + self.slots)):
+                                self.contact[c].gap = FAR
+                                self.contact[c].key = -1
+                            ready = True
                             self._hold(first, k, k * self.faces + face, d - r, n, x - d * n)
-        for c in range(first, first + self.slots):
+        held = 0
+        for c in range(first, ti.select(ready, first + self.slots, first)):
             if self.contact[c].gap == FAR:
                 self.contact[c].key = -1
+            else:
+                held += 1
+        self.held[i] = held
+        return ti.select(ready, self.count, self.planes)
 
     @ti.func
     def _hold(self, first, k, key, gap, n, at):
