@@ -248,44 +248,49 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
             at = x + t * (v + 0.5 * t * a)
             p = local(colliders, k, at, since + t)
             d, n, within = distance(colliders, k, p)
-            n = world(colliders, k, n, since + t)
             gap = d - r
-            if looks == 0:
-                sunk = ti.max(0.0, -gap)
-            gap += sunk
-            if gap < SINK * r:
-                gap += allowance(walls, i, k, n, settled)
-            u = n.dot(v + t * a - surface_velocity(colliders, k, at, since + t))
-            looks += 1
-            if behind:
-                if gap >= 0.0:
-                    left, above = t, gap
-                else:
-                    right, below = t, gap
-                if above <= finest or looks == MOST or right - left <= 1e-12 * limit:
-                    found, time, done = 1, left, True
-            elif gap < -finest:
-                behind, right, below = True, t, gap
-                if above <= finest:
-                    found, time, done = 1, left, True
-            elif gap <= finest and u < 0.0:
-                found, time, done = 1, t, True
+            if looks == 0 and CAREFUL * gap > fastest * limit:
+                done = True
             else:
-                left, above = t, gap
-                step = 2.0 * limit
-                solid = not within
-                if ti.static(colliders.has_mesh):
-                    solid = solid and colliders.shape[k].kind != MESH
-                if solid:
-                    step = crossing(ti.max(gap, 0.0), u, n.dot(a) - curve, step)
-                elif fastest > 0.0:
-                    step = CAREFUL * gap / fastest
-                if t + step >= limit or t >= limit:
-                    done = True
+                n = world(colliders, k, n, since + t)
+                if looks == 0:
+                    sunk = ti.max(0.0, -gap)
+                gap += sunk
+                if gap < SINK * r:
+                    gap += allowance(walls, i, k, n, settled)
+                u = n.dot(v + t * a - surface_velocity(colliders, k, at, since + t))
+                looks += 1
+                if behind:
+                    if gap >= 0.0:
+                        left, above = t, gap
+                    else:
+                        right, below = t, gap
+                    if above <= finest or looks == MOST or right - left <= 1e-12 * limit:
+                        found, time, done = 1, left, True
+                elif gap < -finest:
+                    behind, right, below = True, t, gap
+                    if above <= finest:
+                        found, time, done = 1, left, True
+                elif gap <= finest and u < 0.0:
+                    found, time, done = 1, t, True
                 else:
-                    if fastest > 0.0:
-                        step = ti.max(step, STRIDE * r / fastest) if not solid or step * fastest < 1e-3 * r else step
-                    t = ti.min(t + step, limit)
+                    left, above = t, gap
+                    step = 2.0 * limit
+                    solid = not within
+                    if ti.static(colliders.has_mesh):
+                        solid = solid and colliders.shape[k].kind != MESH
+                    if solid:
+                        step = crossing(ti.max(gap, 0.0), u, n.dot(a) - curve, step)
+                    elif fastest > 0.0:
+                        step = CAREFUL * gap / fastest
+                    if t + step >= limit or t >= limit:
+                        done = True
+                    else:
+                        if fastest > 0.0:
+                            step = (
+                                ti.max(step, STRIDE * r / fastest) if not solid or step * fastest < 1e-3 * r else step
+                            )
+                        t = ti.min(t + step, limit)
             if behind:
                 part = above / ti.max(above - below, 1e-30)
                 t = left + (right - left) * ti.max(0.05, ti.min(0.95, part))

@@ -53,11 +53,7 @@ def test_balls_walls_and_sticks_meet_only_what_they_collide_with():
         parts, x = sim._parts.contacts, sim.position
         lists = parts.pairs
         first, number, other = (f.to_numpy() for f in (lists.first, lists.touching, lists.link.other))
-        found = {
-            (min(i, int(j)), max(i, int(j)))
-            for i in range(60)
-            for j in other[first[i] : first[i] + number[i]]
-        }
+        found = {(min(i, int(j)), max(i, int(j))) for i in range(60) for j in other[first[i] : first[i] + number[i]]}
         touch = {(i, j) for i in range(60) for j in range(i) if np.linalg.norm(x[i] - x[j]) < 0.4}
         expected = {(j, i) for i, j in touch if meet(crowd[i], crowd[j])}
         assert found == expected

@@ -80,6 +80,8 @@ class Walls:
         self.crowds = crowds
         if crowds:
             self.crowded = fields.integers(model.n)
+        if self.has_colliders:
+            self.held = fields.integers(model.n)  # slots in use
         self.share = fields.reals(model.n)  # into how many parts a ball splits its mass between its walls
         if not self.has_colliders:
             self.room = fields.reals(model.n)  # m to the nearest wall: most balls cannot reach any in a step
@@ -120,10 +122,12 @@ class Walls:
         """Distance from the surface of ball i to wall k [m], negative inside; of a slot as it was found."""
         gap = 0.0 * self.model.radius[i]
         if ti.static(self.has_colliders):
-            if k < self.planes:  # noqa: SIM108  both sides of a choice would be computed
+            if k < self.planes:
                 gap = self.plane_gap(x, i, k)
-            else:
+            elif self.held[i] > 0:
                 gap = self.contact[i * self.count + k].gap
+            else:
+                gap = FAR
         else:
             gap = self.plane_gap(x, i, k)
         return gap
@@ -185,9 +189,10 @@ class Walls:
         solving = 0
         reach = self.reach(ball[i].x, i, crowded)
         room = reach + FAR
+        among = self.count
         if ti.static(self.has_colliders):
-            self._find(ball[i].x, i, reach)
-        for k in range(self.count):
+            among = self._find(ball[i].x, i, reach)
+        for k in range(among):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
             room = ti.min(room, gap)
@@ -212,9 +217,11 @@ class Walls:
     @ti.func
     def _find(self, x, i, reach):
         """Fill the slots of ball i at x with the colliders within `reach`: each where it was before, those that are new in a
-        free one; where there are too many, the nearest."""
+        free one; where there are too many, the nearest. Returns how many contacts there are to look at: none of the slots of a
+        ball that is and was far from all colliders, which are not even cleared."""
         first = i * self.count + self.planes
-        for c in range(first, first + self.slots):
+        ready = self.held[i] > 0
+        for c in range(first, ti.select(ready, first + self.slots, first)):
             self.contact[c].gap = FAR
         if self.model.inverse_mass[i] > 0.0:
             r = self.model.radius[i]
@@ -224,10 +231,19 @@ class Walls:
                         d, n, within = self.colliders.distance(k, face, x, 0.0)
                         several = within and self.colliders.shape[k].kind == geometry.BOX
                         if d - r <= reach and (face == 0 or several):
+                            for c in range(first, ti.select(ready, first, first + self.slots)):
+                                self.contact[c].gap = FAR
+                                self.contact[c].key = -1
+                            ready = True
                             self._hold(first, k, k * self.faces + face, d - r, n, x - d * n)
-        for c in range(first, first + self.slots):
+        held = 0
+        for c in range(first, ti.select(ready, first + self.slots, first)):
             if self.contact[c].gap == FAR:
                 self.contact[c].key = -1
+            else:
+                held += 1
+        self.held[i] = held
+        return ti.select(ready, self.count, self.planes)
 
     @ti.func
     def _hold(self, first, k, key, gap, n, at):
