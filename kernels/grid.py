@@ -191,6 +191,8 @@ def lay_out(ball: ti.template(), grid: ti.template()):
                 grid.pitch[at] = ti.cast(ti.min(cells, 1.0 * LIMIT), ti.i32)
                 if ti.static(grid.levels > 1):
                     grid.top[at] = high[a] + border
+                else:
+                    grid.extent[a] = high[a] - low[a] + (2 * border + 1)
                 cells *= ti.cast(high[a], ti.f64) - low[a] + (2 * border + 1)
             grid.dense[level] = ti.select(cells <= table(grid, level)[1], 1, 0)
 
@@ -220,7 +222,7 @@ def build(ball: ti.template(), grid: ti.template()):
     prefix_sum(grid.count, grid.start, grid.partial, grid.work[1], grid.chunk)
     for i in range(grid.work[0]):
         b = grid.bucket[i]
-        grid.order[grid.start[b] + ti.atomic_add(grid.count[b], 1)] = i
+        grid.sorted[grid.start[b] + ti.atomic_add(grid.count[b], 1)] = i
     for b in range(grid.work[1]):
         grid.count[b] = 0
         first = grid.start[b]
@@ -228,10 +230,50 @@ def build(ball: ti.template(), grid: ti.template()):
         if last - first > CROWD:
             ti.atomic_add(grid.crowd[0], 0.5 * (last - first) * (last - first - 1.0))
         if grid.crowd[0] <= grid.most[0]:
-            sort_run(grid.order, first, last)
+            sort_run(grid.sorted, first, last)
         for k in range(first, last):
-            grid.copy[k].x = ball[grid.order[k]].x
-            grid.copy[k].radius = grid.model.radius[grid.order[k]]
+            grid.order[k] = grid.sorted[k]
+            grid.copy[k].x = ball[grid.sorted[k]].x
+            grid.copy[k].radius = grid.model.radius[grid.sorted[k]]
+    if ti.static(grid.levels == 1):
+        line_up(ball, grid)
+
+
+@ti.func
+def line_up(ball: ti.template(), grid: ti.template()):
+    """Where rows are spread by a hash: the order of sweeps is by slabs across the longest side of the world, lest blocks of
+    balls that can meet each other reach from one end of the order to the other."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        hashed = grid.work[0] > 0 and grid.dense[0] == 0
+        grid.work[3] = ti.select(hashed, grid.n, 0)
+        grid.work[4] = ti.select(hashed, grid.slabs, 0)
+        longest = ti.cast(0, ti.i32)
+        for a in ti.static(range(grid.dim)):
+            extent = grid.extent[a] // ti.static(FINE if a == 0 else 1)
+            if extent >= longest:
+                longest = extent
+                grid.axis[0] = a
+                grid.axis[1] = 0
+                while (grid.extent[a] >> grid.axis[1]) >= grid.slabs:
+                    grid.axis[1] += 1
+    for i in range(grid.work[3]):
+        cell = cell_of(ball[i].x, grid, 0)
+        slab = 0
+        for a in ti.static(range(grid.dim)):
+            if a == grid.axis[0]:
+                slab = (cell[a] - grid.corner[a]) >> grid.axis[1]
+        grid.bucket[i] = slab
+        grid.count[slab] += 1
+    prefix_sum(grid.count, grid.slab, grid.partial, grid.work[4], grid.chunk)
+    ti.loop_config(serialize=True)  # in the order of their numbers: a slab may hold too many balls to sort them
+    for i in range(grid.work[3]):
+        b = grid.bucket[i]
+        grid.rank[i] = grid.slab[b] + grid.count[b]
+        grid.count[b] += 1
+        grid.order[grid.rank[i]] = i
+    for b in range(grid.work[4]):
+        grid.count[b] = 0
 
 
 @ti.func

@@ -63,6 +63,12 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.t
         low, high = clip(pairs.grid, level, low, high)
         here = low
     length = ti.max(0, high[0] - low[0] + 1)
+    ranked = ti.static(
+        not dense and pairs.grid.levels == 1
+    )  # listed by the one that comes first in the order of sweeps
+    rank = 0
+    if ti.static(ranked):
+        rank = pairs.grid.rank[pairs.grid.sorted[own]]
     for z in range(
         0 if ti.static(pairs.model.dim == 2) else here[2], 1 if ti.static(pairs.model.dim == 2) else high[2] + 1
     ):
@@ -77,12 +83,17 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.t
             bucket = bucket_of(row, pairs.grid, level)
             for piece in ti.static(range(1 if dense else 2)):
                 first, last = run(pairs.grid, level, bucket, length, piece)
-                for k in range(ti.max(first, own + 1), last):
+                for k in range(first if ti.static(ranked) else ti.max(first, own + 1), last):
                     b = pairs.grid.copy[k]
                     r = b.x - a.x
                     reach = (a.radius + b.radius) * pairs.grid.enlarged
                     if r.dot(r) < reach * reach:
-                        if ti.static(dense) or same_row(row, cell_of(b.x, pairs.grid, level)):
+                        listed = True
+                        if ti.static(not dense):
+                            listed = same_row(row, cell_of(b.x, pairs.grid, level))
+                        if ti.static(ranked):
+                            listed = listed and pairs.grid.rank[pairs.grid.sorted[k]] > rank
+                        if listed:
                             pairs.link[at + ti.min(found, room)].other = k
                             found += 1
     return found
@@ -92,14 +103,18 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.t
 def settle(pairs: ti.template(), own, at, found):
     """Turn `found` links to sorted copies into links to the balls that may touch; returns how many those are, and how many
     places further on in the order the furthest is."""
-    i = pairs.grid.order[own]
+    i = pairs.grid.sorted[own]
     kept = 0
     furthest = 0
     for e in range(at, at + found):
         k = pairs.link[e].other
-        j = pairs.grid.order[k]
+        j = pairs.grid.sorted[k]
         if may_touch(pairs, i, j):
-            furthest = ti.max(furthest, k - own)
+            distance = k - own
+            if ti.static(pairs.grid.levels == 1):
+                if pairs.grid.dense[0] == 0:
+                    distance = pairs.grid.rank[j] - pairs.grid.rank[i]
+            furthest = ti.max(furthest, distance)
             if ti.static(pairs.warm):
                 recall(pairs, i, j, at + kept)
             pairs.link[at + kept].other = j
@@ -225,7 +240,7 @@ def search(pairs: ti.template()):
                     ti.atomic_max(pairs.overflow[0], used + found + 1)
                     found = 0
             furthest = ti.max(furthest, far)
-            i = pairs.grid.order[k]
+            i = pairs.grid.sorted[k]
             pairs.first[i] = first
             pairs.number[i] = found
         ti.atomic_max(pairs.furthest[0], furthest)

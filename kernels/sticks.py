@@ -86,7 +86,7 @@ def visit(sticks: ti.template(), ball: ti.template(), level, s, low, high, at, f
             first, last = run(sticks.grid, level, bucket, length, piece)
             for k in range(first, last):
                 b = sticks.grid.copy[k]
-                i = sticks.grid.order[k]
+                i = sticks.grid.sorted[k]
                 if touches(sticks, ball, i, b.x, b.radius, one, two):
                     cell = cell_of(b.x, sticks.grid, level)
                     if same_row(left, cell) and cell[0] >= low[0] and cell[0] <= high[0]:
@@ -120,9 +120,9 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
         if high - low > last_ball - first_ball:  # more slabs than balls: sooner asked one by one
             for k in range(first_ball, last_ball):
                 b = sticks.grid.copy[k]
-                if touches(sticks, ball, sticks.grid.order[k], b.x, b.radius, sticks.one[s], sticks.two[s]):
+                if touches(sticks, ball, sticks.grid.sorted[k], b.x, b.radius, sticks.one[s], sticks.two[s]):
                     if ti.static(fill):
-                        sticks.row[at + found].ball = sticks.grid.order[k]
+                        sticks.row[at + found].ball = sticks.grid.sorted[k]
                         sticks.row[at + found].stick = s
                     found += 1
         else:

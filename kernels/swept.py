@@ -114,7 +114,7 @@ def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(),
             for k in range(end - begin + last - first):
                 own = ti.select(k < end - begin, begin + k, first + k - (end - begin))
                 if everywhere or same_row(cell, cell_of(grid.copy[own].x, grid, level)):
-                    t = ti.min(t, touch(solver, ball, i, grid.order[own]))
+                    t = ti.min(t, touch(solver, ball, i, grid.sorted[own]))
     return t
 
 

@@ -101,6 +101,28 @@ def test_a_thousand_scenes(dim, driver, kind):
     assert SCENES // 6 < hashed < SCENES
 
 
+@pytest.mark.slow
+def test_sparse_worlds_are_swept_in_blocks():
+    """Crowds far apart, their rows spread by a hash: still many blocks, and the same bits on one thread and several."""
+    rng = np.random.default_rng(0)
+    n = 6000
+    x, v = (
+        rng.uniform(-3.0, 3.0, (n, 2)) + np.outer(rng.integers(-1, 2, n) * 4e3, [1.0, 0.3]),
+        rng.standard_normal((n, 2)),
+    )
+    seen = []
+    for driver in ("fused", "parallel"):
+        scene = ts.Scene(dim=2)
+        scene.add_balls(x, radius=0.03, velocity=3.0 * v)
+        with simulate(scene, ("ordered", driver), dt=H, contacts="gauss_seidel") as sim:
+            sim.step(60)
+            pairs = sim._parts.contacts.pairs
+            assert int(pairs.grid.dense[0]) == 0
+            assert int(pairs.blocks[0]) > 4
+            seen.append(sim.position)
+    assert np.array_equal(*seen)
+
+
 @pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_sticks_among_balls_of_all_sizes(dim):
     """Rows equal all balls against all sticks, where the grid has levels."""

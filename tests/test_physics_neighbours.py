@@ -59,7 +59,7 @@ def test_a_crowded_cell_is_sorted_whatever_the_threads_did(monkeypatch):
     with simulate(scene, VARIANTS[1], dt=H) as sim:
         sim.step(0)
         grid = sim._parts.contacts.pairs.grid
-        start, order = grid.start.to_numpy()[: grid.size + 1], grid.order.to_numpy()[: n + 1]
+        start, order = grid.start.to_numpy()[: grid.size + 1], grid.sorted.to_numpy()[: n + 1]
     assert np.array_equal(np.sort(order), np.arange(n + 1))
     falls = np.flatnonzero(np.diff(order) < 0) + 1  # only where a new bucket begins
     assert np.max(np.diff(start)) > 100

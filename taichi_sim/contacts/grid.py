@@ -55,13 +55,17 @@ class Grid:
             self.table_size = fields.integers(np.array(sizes))
             self.table_first = fields.integers(np.cumsum([0, *sizes[:-1]]))
             self.top = fields.integers(self.levels * model.dim)
+        else:
+            self.slabs = max(self.chunk, self.size // 4)
+            self.slab, self.rank = fields.integers(self.slabs + 1), fields.integers(self.n)
+            self.extent, self.axis = fields.integers(model.dim), fields.integers(2)
         self.count = fields.integers(self.size)
         self.start = fields.integers(self.size + 1)
         self.partial = fields.integers(self.size // self.chunk)
         self.bucket = fields.integers(self.n)
-        self.order = fields.integers(self.n)
+        self.sorted, self.order = fields.integers(self.n), fields.integers(self.n)  # by cells; as sweeps take them
         self.origin = fields.vectors(self.n, model.dim)
-        self.stale, self.work, self.searches = fields.integers(1), fields.integers(3), fields.integers(1)
+        self.stale, self.work, self.searches = fields.integers(1), fields.integers(5), fields.integers(1)
         self.crowd, self.worst = fields.reals(1), fields.reals(1)  # pairs in crowded cells: in the last search, in any
         self.most = fields.reals(np.array([float(most)]))
         self.part = PART
