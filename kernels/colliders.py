@@ -319,8 +319,9 @@ def first_collider(walls: ti.template(), i, x, v, a, since, limit, settled):
     time = limit
     if walls.model.inverse_mass[i] > 0.0:
         for k in range(walls.colliders.count):
-            found, t = meeting(walls, walls.colliders, i, k, x, v, a, since, time, settled)
-            if found != 0 and t < time:
-                time = t
-                hit = ti.select(found == 1, k, -2)
+            if walls.colliders.minds(walls.model, i, k):
+                found, t = meeting(walls, walls.colliders, i, k, x, v, a, since, time, settled)
+                if found != 0 and t < time:
+                    time = t
+                    hit = ti.select(found == 1, k, -2)
     return hit, time

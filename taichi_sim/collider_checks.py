@@ -6,6 +6,7 @@ import numpy as np
 
 from taichi_sim.diagnostics import collider_depth
 from taichi_sim.errors import SceneError
+from taichi_sim.groups import meet
 from taichi_sim.scene import Scene
 
 __all__ = ["check_colliders"]
@@ -18,7 +19,7 @@ def check_colliders(scene: Scene, h: float) -> None:
     free = ~scene.pinned
     for k, collider in enumerate(scene.colliders):
         depth = collider_depth(scene, collider, scene.position, 0.0)
-        inside = np.flatnonzero(depth > scene.radius)
+        inside = np.flatnonzero((depth > scene.radius) & meet(scene.group, scene.mask, collider.group, collider.mask))
         if len(inside):
             more = f" and {len(inside) - 3} more" if len(inside) > 3 else ""
             names = ", ".join(str(i) for i in inside[:3])

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
+from taichi_sim.groups import EVERY, ONLY
 from taichi_sim.mesh import Surface, holes, inside_out, mesh_distance, read_surface
 from taichi_sim.motion import Motion, keyframe, turn_matrix
 
@@ -46,6 +47,8 @@ class Collider:
     vertices: Floats
     triangles: NDArray[np.int32]
     given: dict[str, Any] = field(repr=False)
+    group: int = ONLY  # bits, see Scene.groups
+    mask: int = EVERY  # bits of the groups that it collides with
 
     @property
     def extent(self) -> float:
@@ -73,7 +76,7 @@ class _Placed:
     """What every collider takes.
 
     Args:
-        material: name of a material added before. colour: sRGB in 0..1.
+        material: name of a material added before. colour: sRGB in 0..1. group, collides_with: as for balls.
         rotation: about its centre at the start: degrees (one number in 2D, three about x, y and z in 3D), or a matrix.
         velocity: (dim,) m/s. angular_velocity: 1/s, counter-clockwise in 2D, (3,) in 3D, about `pivot` (dim,) [m], which
             moves along and is the centre if left out.
@@ -91,6 +94,8 @@ class _Placed:
     path: Any = ()
     repeat: bool = False
     colour: Any = None
+    group: Any = "default"
+    collides_with: Any = None
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
@@ -286,7 +286,9 @@ class Scene:
         """
         where = f"colliders[{len(self.colliders)}]"
         material = self._material(f"{where}.material", getattr(shape, "material", "default"))
-        self.colliders.append(build(shape, self.dim, where, material))
+        collider = build(shape, self.dim, where, material)
+        group, mask = self._groups(where, shape.group, shape.collides_with)
+        self.colliders.append(replace(collider, group=group, mask=mask))
         return len(self.colliders) - 1
 
     def add_triangles(self, triangles: ArrayLike) -> None:
@@ -310,8 +312,9 @@ class Scene:
 
     def has_groups(self) -> bool:
         """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
-        groups = {*bits_of(self.group), *(wall.group for wall in self.walls)}
-        masks = {*bits_of(self.mask), *(wall.mask for wall in self.walls)}
+        solid: list[Wall | Collider] = [*self.walls, *self.colliders]
+        groups = {*bits_of(self.group), *(part.group for part in solid)}
+        masks = {*bits_of(self.mask), *(part.mask for part in solid)}
         self.groups.check(groups, masks)
         return not masks <= {EVERY}
 

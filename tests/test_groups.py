@@ -118,3 +118,21 @@ def test_files_keep_groups(tmp_path):
     (tmp_path / "x.toml").write_text(text.replace('"rope"', "7"))
     with pytest.raises(ts.SceneError, match=r"balls\[0\].group"):
         ts.load_scene(tmp_path / "x.toml")
+
+
+def test_colliders_meet_their_groups_only(tmp_path):
+    """Three balls fall: one minds the box below it, one does not, one starts inside another box that it does not mind."""
+    scene = ts.Scene(gravity=(0.0, -10.0))
+    scene.add_balls([[0.0, 1.0]], radius=0.1, group="fish", collides_with="net")
+    scene.add_balls([[1.0, 1.0]], radius=0.1, group="fish", collides_with="rope")
+    scene.add_balls([[5.0, 0.0]], radius=0.1, group="fish", collides_with="net")
+    scene.add_collider(ts.Box((0.0, -0.5), (4.0, 1.0), group="net"))
+    scene.add_collider(ts.Box((5.0, 0.0), (1.0, 1.0), group="rope"))
+    scene.save(tmp_path / "x.toml")
+    again = ts.load_scene(tmp_path / "x.toml")
+    assert [(c.group, c.mask) for c in again.colliders] == [(c.group, c.mask) for c in scene.colliders]
+    with simulate(again, dt=1e-3) as sim:
+        sim.step(800)
+        y = sim.position[:, 1]
+    assert abs(y[0] - 0.1) < 1e-3
+    assert np.all(y[1:] < -1.0)

@@ -8,6 +8,7 @@ from taichi_sim.colliders import BOX, MESH, ROUND
 from taichi_sim.contacts.distance_grid import DistanceGrid
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import colliders as geometry
+from taichi_sim.kernels.groups import meets
 from taichi_sim.model import Model
 
 __all__ = ["TICKS", "Colliders"]
@@ -68,6 +69,10 @@ class Colliders:
             "surface": np.array([c.material for c in colliders]),
             "extent": np.array([c.extent for c in colliders]),
         }
+        self.has_groups = model.has_groups
+        if self.has_groups:
+            data |= {"group": np.array([c.group for c in colliders]), "mask": np.array([c.mask for c in colliders])}
+            columns |= {"group": ti.i32, "mask": ti.i32}
         if self.has_mesh:
             data["first"] = np.cumsum([0, *(g.value.size for g in grids[:-1])])
             data["low"] = np.array([g.low for g in grids])
@@ -125,6 +130,14 @@ class Colliders:
                 self.tick[0] = self.tick[0] + 1
                 for m in range(self.movers):
                     self.pose[self.mover[m]] = self.row[self.tick[0] * self.movers + m]
+
+    @ti.func
+    def minds(self, model: ti.template(), i, k):
+        """Whether ball i collides with collider k at all."""
+        minded = True
+        if ti.static(self.has_groups):
+            minded = meets(model.group[i], model.mask[i], self.shape[k].group, self.shape[k].mask)
+        return minded
 
     @ti.func
     def distance(self, k, face, x, after):

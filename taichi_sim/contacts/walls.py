@@ -226,7 +226,7 @@ class Walls:
         if self.model.inverse_mass[i] > 0.0:
             r = self.model.radius[i]
             for k in range(self.colliders.count):
-                if geometry.near(self.colliders, k, x, r + reach):
+                if self.colliders.minds(self.model, i, k) and geometry.near(self.colliders, k, x, r + reach):
                     for face in range(self.faces):
                         d, n, within = self.colliders.distance(k, face, x, 0.0)
                         several = within and self.colliders.shape[k].kind == geometry.BOX
