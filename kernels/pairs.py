@@ -254,7 +254,9 @@ def search(pairs: ti.template()):
 @ti.func
 def law_of(pairs: ti.template(), i, j):
     """Pair law of two balls."""
-    which = ti.static(pairs.only_law)
-    if ti.static(pairs.only_law < 0):
+    which = 0
+    if ti.static(pairs.only_law >= 0):
+        which = ti.static(pairs.only_law)
+    else:
         which = pairs.model.surface[i] * pairs.model.surfaces + pairs.model.surface[j]
     return pairs.model.laws[which]
