@@ -14,6 +14,7 @@ MOST = 256  # looks at the distance along one path; what needs more waits at the
 STRIDE = 0.2  # of the radius: no look lies further behind a surface, so none is passed over
 CAREFUL = 0.7  # of the way that a distance kept on a grid allows
 SINK = 0.005  # of the radius: what rests may sink in so far while it moves; the contact solve holds it
+BEND = 0.1  # of the radius: the same for what came to rest within the step on a collider that turns
 
 
 @ti.func
@@ -304,12 +305,16 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
 @ti.func
 def allowance(walls: ti.template(), i, k, n, settled):
     """How far [m] ball i may sink into collider k along n while it moves: a little where it rests on it."""
+    sink = SINK * walls.model.radius[i]
     rests = settled == k
+    if ti.static(walls.colliders.turns):
+        if rests:  # what turns carries a ball around a bend within the step
+            sink = BEND * walls.model.radius[i]
     if walls.touched[i] > 0:
         for c in range(i * walls.count + walls.planes, (i + 1) * walls.count):
             if walls.contact[c].active == 1 and walls.contact[c].key // walls.faces == k:
                 rests = rests or n.dot(walls.contact[c].normal) > 0.9
-    return ti.select(rests, SINK * walls.model.radius[i], 0.0)
+    return ti.select(rests, sink, 0.0)
 
 
 @ti.func

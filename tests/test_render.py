@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from taichi_sim import backend
-from taichi_sim.frame import Frame
+from taichi_sim import Box, Scene, Sphere, backend
+from taichi_sim.frame import Frame, Placed
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.palette import components
 from taichi_sim.render.tiles import tile_lists
@@ -197,6 +197,44 @@ def test_walls_and_strain_in_a_flat_picture():
 def test_bodies_are_connected_sets_of_balls():
     label = components(7, np.array([[5, 6], [1, 2], [2, 5], [0, 4]]))
     assert label.tolist() == [0, 1, 1, 3, 0, 1, 1]
+
+
+def placed(shape, dim):
+    """One collider of a scene where it stands at the start."""
+    scene = Scene(dim=dim)
+    scene.add_collider(shape)
+    centre, rotation = scene.colliders[0].motion.at(0.0)
+    return Placed(scene.colliders[0], centre[0], rotation[0])
+
+
+def test_colliders_in_a_flat_picture():
+    """A red box turned by 45 degrees and a green ring, each in its place; the balls fix the view."""
+    shapes = [Box((0, 0), (1, 1), rotation=45, colour=RED), Sphere((2, 0), 0.4, hollow=0.2, colour=GREEN)]
+    frame = balls([(-1.0, -1.0), (3.0, 1.0)], 0.1, [RED, RED], colliders=tuple(placed(s, 2) for s in shapes))
+    image = picture(frame)
+    scale = (SIZE[0] - 2 * 0.06 * SIZE[0]) / 4.2  # px per m; the picture is as wide as the scene
+
+    def at(x, y):
+        return image[int(SIZE[1] / 2 - y * scale), int(SIZE[0] / 2 + (x - 1) * scale)]
+
+    for spot in ((0, 0), (0.55, 0), (0, 0.55)):
+        assert reddish(at(*spot))
+    for spot in ((0.45, 0.45), (2, 0), (2.75, 0)):
+        assert not reddish(at(*spot))
+        assert not greenish(at(*spot))
+    for spot in ((2.5, 0), (2, -0.5)):
+        assert greenish(at(*spot))
+
+
+def test_colliders_in_a_picture_in_space():
+    """A red box hides the ball behind it; one looks into a green hollow sphere and sees the ball within."""
+    shapes = [Box((-1.5, 0, 0), (1, 1, 1), colour=RED), Sphere((1.0, 0, 0), 0.9, hollow=0.1, colour=GREEN)]
+    places = [(-1.5, 0.0, -2.0), (1.0, 0.0, 0.0)]
+    frame = balls(places, 0.3, [GREEN, RED], colliders=tuple(placed(s, 3) for s in shapes))
+    image = picture(frame, camera=FRONT)
+    for point, right in (((-1.5, 0.0, 0.5), reddish), ((1.0, 0.0, 0.0), reddish), ((1.0, 0.6, 0.0), greenish)):
+        row, column = (int(a) for a in project(point))
+        assert right(image[row, column])
 
 
 def test_tiles_list_every_box_once_in_drawing_order():
