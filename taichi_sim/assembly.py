@@ -28,6 +28,7 @@ __all__ = ["Assembly"]
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
 MOST_BOUNCE = 0.5  # above that, only split masses are sure never to gain energy
 SLOWEST_BOUNCE = 0.01  # m/s
+FINE = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
 
 
 class Assembly:
@@ -56,7 +57,7 @@ class Assembly:
         self.model.spins = spins(scene, settings)
         small = scene.n_balls + scene.n_springs <= FUSED_UP_TO
         # Larger scenes are bound by memory, where the rounded-off parts would cost a tenth of the speed.
-        self.state = State(self.model, self.fields, compensated=small and backend.precision == "f32", order=order)
+        self.state = State(self.model, self.fields, compensated=small and _rounds(scene, backend), order=order)
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
         self.atomic = settings.accumulate == "atomic"
         self.integrator = settings.integrator
@@ -153,6 +154,13 @@ class Assembly:
     def free(self) -> None:
         """Give all memory back."""
         self.fields.free()
+
+
+def _rounds(scene: Scene, backend: Backend) -> bool:
+    """Whether sums of many small steps lose digits that show: in single precision, or far from the origin."""
+    if backend.precision == "f32" or not scene.n_balls:
+        return backend.precision == "f32"
+    return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINE * float(np.min(scene.radius))
 
 
 def spins(scene: Scene, settings: Settings) -> bool:
