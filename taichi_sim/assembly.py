@@ -32,9 +32,9 @@ from taichi_sim.state import State
 __all__ = ["Assembly"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
-FAR_AWAY = 1e3  # sizes of the scene
 MOST_BOUNCE = 0.5  # above that, only split masses are sure never to gain energy
 SLOWEST_BOUNCE = 0.01  # m/s
+FINE = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
 MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
 PAIR_BYTES = 64  # about what a listed pair takes
@@ -89,9 +89,7 @@ class Assembly:
         self.model.spins = spins(scene, settings)
         small = scene.n_balls + scene.n_springs <= FUSED_UP_TO
         # Larger scenes are bound by memory, where the rounded-off parts would cost a tenth of the speed.
-        self.state = State(
-            self.model, self.fields, compensated=small and (backend.precision == "f32" or far_away(scene)), order=order
-        )
+        self.state = State(self.model, self.fields, compensated=small and _rounds(scene, backend), order=order)
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
         self.atomic = settings.accumulate == "atomic"
         self.integrator = settings.integrator
@@ -256,10 +254,11 @@ class Assembly:
         self.fields.free()
 
 
-def far_away(scene: Scene) -> bool:
-    """Whether a scene lies so far from the origin that what rounding takes from positions adds up to something."""
-    x = scene.position
-    return bool(len(x) and np.max(np.abs(x)) > FAR_AWAY * (np.max(np.ptp(x, axis=0)) + np.max(scene.radius)))
+def _rounds(scene: Scene, backend: Backend) -> bool:
+    """Whether sums of many small steps lose digits that show: in single precision, or far from the origin."""
+    if backend.precision == "f32" or not scene.n_balls:
+        return backend.precision == "f32"
+    return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINE * float(np.min(scene.radius))
 
 
 def spins(scene: Scene, settings: Settings) -> bool:

@@ -4,59 +4,27 @@ A case is a function of the rule and of `short` (a smaller form for quick tests)
 it passed, the figure that the bound speaks of, and words. `taichi-sim report --hard-cases` prints them all.
 """
 
-import time
-import warnings
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.reports.hard_case import Case, H, Verdict, rounding, simulation
+from taichi_sim.reports.hard_places import (
+    crowded_cell,
+    negative_coordinates,
+    radii_from_1_to_1000,
+    tiny_in_a_large_world,
+    world_offset,
+)
 from taichi_sim.scene import Scene
-from taichi_sim.simulation import Simulation
 
 __all__ = ["CASES", "RULES", "Case", "Verdict", "judge", "main"]
 
 RULES = ("gauss_seidel", "jacobi")
-H, G, R = 1e-3, 10.0, 0.05
+G, R = 10.0, 0.05
 BULLET = 10.0  # radii a step
 TRIALS = 10_000
-
-
-class Verdict(NamedTuple):
-    """What became of a case. figure: the number that its bound is about."""
-
-    passed: bool
-    figure: float
-    words: str
-
-
-class Case(NamedTuple):
-    """A hard case; `bound` says what it must do to pass."""
-
-    name: str
-    bound: str
-    run: Callable[[str, bool], Verdict]
-
-
-def _simulation(scene: Scene, contacts: str, **settings: Any) -> Simulation:
-    """On the CPU, with what the process runs or double precision; warnings are the business of the case that is about them."""
-    from taichi_sim import backend
-
-    if backend.running() is None:
-        backend.start("cpu", "f64")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return Simulation(scene, **{"dt": H, "contacts": contacts, "arch": "cpu", **settings})
-
-
-def _double(sim: Simulation) -> bool:
-    return sim.backend.precision == "f64"
-
-
-def _rounding(sim: Simulation) -> float:
-    """1e-9 in double precision, what rounding leaves in single."""
-    return 1e-9 if _double(sim) else 1e-5
 
 
 # Balls in one place ---------------------------------------------------------------------------------------------------
@@ -66,14 +34,14 @@ def _coincident(n: int, contacts: str, seconds: float) -> Verdict:
     scene = Scene(dim=3)
     mass = 10 ** np.random.default_rng(0).uniform(-1, 1, n)
     scene.add_balls(np.full((n, 3), 0.3), radius=R, mass=mass)
-    with _simulation(scene, contacts, contact_passes=2) as sim:
+    with simulation(scene, contacts, contact_passes=2) as sim:
         fastest, centre = 0.0, mass @ sim.position / mass.sum()
         for _ in range(10):
             sim.run(seconds / 10)
             fastest = max(fastest, float(np.max(np.abs(sim.velocity))))
         shift = float(np.max(np.abs(mass @ sim.position / mass.sum() - centre)))
         d = np.linalg.norm(sim.position[:, None] - sim.position[None], axis=2) + 2 * R * np.eye(n)
-        passed = fastest < 20 * R and shift < _rounding(sim) and float(d.min()) > 0.02 * R
+        passed = fastest < 20 * R and shift < rounding(sim) and float(d.min()) > 0.02 * R
         return Verdict(passed, fastest, f"nearest {d.min() / R:.2g} r, centre moved {shift:.0e} m")
 
 
@@ -106,7 +74,7 @@ def bullet_at_wall(contacts: str, short: bool) -> Verdict:
     x = rng.uniform(-1, 1, (n, 3))
     x[:, 1] = radius * (1.0 + rng.uniform(0.0, BULLET, n) * -d[:, 1])
     scene.add_balls(x, radius=radius, velocity=BULLET * radius[:, None] / H * d, body=scene.new_body())
-    with _simulation(scene, contacts) as sim:
+    with simulation(scene, contacts) as sim:
         deepest = 0.0
         for _ in range(3):
             sim.step()
@@ -126,7 +94,7 @@ def bullet_at_ball(contacts: str, short: bool) -> Verdict:
     held = np.arange(n)[np.arange(n) % 2 == 0]
     scene.add_balls(place, radius=R, mass=10 ** rng.uniform(-2, 2, n), pinned=held)
     scene.add_balls(start, radius=R, velocity=BULLET * R / H * d)
-    with _simulation(scene, contacts) as sim:
+    with simulation(scene, contacts) as sim:
         sim.step(3)
         kept = np.linalg.norm(sim.velocity[n:] - scene.velocity[n:], axis=1) < 1e-3 * BULLET * R / H
     return Verdict(not kept.any(), float(kept.sum()), f"of {n} went through")
@@ -146,7 +114,7 @@ def bullet_at_stick(contacts: str, short: bool) -> Verdict:
     ends = scene.add_balls(np.concatenate([place - 5 * R * along, place + 5 * R * along]), radius=0.1 * R, pinned=True)
     bullets = scene.add_balls(start, radius=R, velocity=BULLET * R / H * d)
     scene.add_springs(ends.reshape(2, n).T, stiffness=0.0, collides=True)
-    with _simulation(scene, contacts) as sim:
+    with simulation(scene, contacts) as sim:
         crossed = np.zeros(n, dtype=bool)
         for _ in range(3):
             sim.step()
@@ -163,10 +131,10 @@ def corner(contacts: str, short: bool) -> Verdict:
     for normal in np.eye(3):
         scene.add_wall(normal)
     scene.add_balls([[0.99 * R] * 3], radius=R, velocity=[-1.0, -2.0, -0.5])
-    with _simulation(scene, contacts, contact_passes=2) as sim:
+    with simulation(scene, contacts, contact_passes=2) as sim:
         sim.step()
         speed = float(np.max(np.abs(sim.velocity)))
-        return Verdict(speed < _rounding(sim), speed, "m/s after one step")
+        return Verdict(speed < rounding(sim), speed, "m/s after one step")
 
 
 def wedge(contacts: str, short: bool) -> Verdict:
@@ -176,13 +144,13 @@ def wedge(contacts: str, short: bool) -> Verdict:
     for side in (1.0, -1.0):
         scene.add_wall((side * np.cos(angle), np.sin(angle)))
     scene.add_balls([[0.02, 0.5]], radius=R, velocity=[1.0, -3.0])
-    with _simulation(scene, contacts, contact_passes=2) as sim:
+    with simulation(scene, contacts, contact_passes=2) as sim:
         start, most = sim.energy().total, -np.inf
         for _ in range(100):
             sim.step(10)
             most = max(most, sim.energy().total)
         speed = float(np.max(np.abs(sim.velocity)))
-        passed = speed < _rounding(sim) and most <= start + _rounding(sim)
+        passed = speed < rounding(sim) and most <= start + rounding(sim)
         return Verdict(
             passed, speed, f"m/s after 1 s, height {sim.position[0, 1] / R:.3f} r of {1 / np.sin(angle):.3f} r"
         )
@@ -196,7 +164,7 @@ def _column(mass: NDArray[np.float64]) -> Scene:
 
 
 def _stands(scene: Scene, contacts: str, seconds: float, bound: float) -> Verdict:
-    with _simulation(scene, contacts) as sim:
+    with simulation(scene, contacts) as sim:
         deepest = 0.0
         for _ in range(10):
             sim.run(seconds / 10)
@@ -228,15 +196,13 @@ def elastic_pack(contacts: str, short: bool) -> Verdict:
     i, j = np.divmod(np.arange(100), 10)
     x = 2 * R * np.stack([j + 0.5 * (i % 2), np.sqrt(0.75) * i], axis=1) + [0.0, 1.1 * R]
     scene.add_balls(x, radius=R, velocity=(0.0, -3.0), material=ideal)
-    with _simulation(scene, contacts) as sim:
+    with simulation(scene, contacts) as sim:
         start, most = sim.energy().total, -np.inf
         for _ in range(100):
             sim.step(3)
             most = max(most, sim.energy().total)
         gain = most / start - 1.0
-        return Verdict(
-            gain < _rounding(sim), gain, f"gained at most; {sim.energy().total / start:.3f} left after 0.3 s"
-        )
+        return Verdict(gain < rounding(sim), gain, f"gained at most; {sim.energy().total / start:.3f} left after 0.3 s")
 
 
 def piston(contacts: str, short: bool) -> Verdict:
@@ -250,7 +216,7 @@ def piston(contacts: str, short: bool) -> Verdict:
     scene.add_balls(x, radius=0.99 * R, material=lively)
     heavy = int(scene.add_balls([[4 * R, 15 * R]], radius=3.9 * R, mass=1e4, velocity=[0.0, -5.0], material=lively)[0])
     energy = 0.5 * 1e4 * 25.0 + 1e4 * G * 15 * R
-    with _simulation(scene, contacts) as sim:
+    with simulation(scene, contacts) as sim:
         fastest, outside = 0.0, -R
         for k in range(100):
             sim.step(5)
@@ -277,9 +243,10 @@ def all_pinned(contacts: str, short: bool) -> Verdict:
     scene.add_wall((0.0, 1.0))
     b = scene.add_balls([[0.0, 0.0], [R, 0.0], [R, 0.0]], radius=R, pinned=True)
     scene.add_springs([b[:2], b[1:]], stiffness=100.0, damping=1.0, rest_length=1.0, collides=[False, True])
-    with _simulation(scene, contacts) as sim:
+    with simulation(scene, contacts) as sim:
+        x = sim.position
         sim.step(100)
-        moved = float(np.max(np.abs(sim.position - scene.position)) + np.max(np.abs(sim.velocity)))
+        moved = float(np.max(np.abs(sim.position - x)) + np.max(np.abs(sim.velocity)))
     return Verdict(moved == 0.0, moved, "moved")
 
 
@@ -287,114 +254,10 @@ def empty(contacts: str, short: bool) -> Verdict:
     """No ball at all, but walls and gravity."""
     scene = Scene(dim=3, gravity=(0.0, -G, 0.0))
     scene.add_wall((0.0, 1.0, 0.0))
-    with _simulation(scene, contacts) as sim:
+    with simulation(scene, contacts) as sim:
         sim.step(100)
         figures = [*sim.energy(), *np.ravel(sim.momentum()), sim.penetration(), sim.position.size]
     return Verdict(not np.any(figures), float(np.sum(np.abs(figures))), f"balls, energy, momentum; t = {sim.time:g} s")
-
-
-# Sizes and places -----------------------------------------------------------------------------------------------------
-
-
-def _offset_scene(shift: float) -> Scene:
-    scene = Scene(dim=2, gravity=(0.0, -G))
-    lively = scene.add_material("lively", restitution=0.5, friction=0.2)
-    scene.add_wall((0.0, 1.0), shift, lively)
-    x = np.array([[0.0, 1.25], [3.0, 1.0], [3.0, 3.0], [6.0, 4.0], [8.5, 4.0]])  # falls; one on another; two meet
-    v = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.97, 0.0], [-0.91, 0.0]]
-    scene.add_balls(shift + x, radius=1.0, velocity=v, material=lively)
-    return scene
-
-
-def world_offset(contacts: str, short: bool) -> Verdict:
-    """Balls of 1 m fall, slide, meet and rest on each other for 0.5 s, at the origin and 1e6 m away."""
-    ends, shift = [], 1e6
-    for at in (0.0, shift):
-        with _simulation(_offset_scene(at), contacts) as sim:
-            sim.run(0.5)
-            ends.append(sim.position - at)
-            double = _double(sim)
-    if double:
-        far = float(np.max(np.abs(ends[1] - ends[0])))
-        return Verdict(far < 1e-9 * 10.0, far / 10.0, "of the scene's 10 m")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        Simulation(_offset_scene(shift), arch="cpu", dt=H, contacts=contacts).close()
-    return Verdict(
-        any("precision" in str(w.message) for w in caught), float(len(caught)), "warnings in single precision"
-    )
-
-
-def _right_pairs(scene: Scene, contacts: str) -> Verdict:
-    """What one pass changed, against pairs found by brute force.
-
-    Of two balls that touch and approach at least one must change; no ball may that has no such pair in its group of balls that
-    touch each other, for impulses go no further.
-    """
-    with _simulation(scene, contacts, integrator="symplectic_euler", contact_passes=1) as sim:
-        x, v = sim.position, sim.velocity
-        sim.step()
-        changed = np.any(sim.velocity != v, axis=1)
-    approach, group, touching = [], np.arange(len(x)), []
-    for i in range(len(x) - 1):
-        r = x[i + 1 :] - x[i]
-        for k in np.flatnonzero(np.sum(r * r, axis=1) < (scene.radius[i + 1 :] + scene.radius[i]) ** 2):
-            j = i + 1 + int(k)
-            touching.append((i, j))
-            if (v[j] - v[i]) @ r[k] < 0.0:
-                approach.append((i, j))
-    for _ in range(len(x)):
-        before = group.copy()
-        for i, j in touching:
-            group[[i, j]] = min(group[i], group[j])
-        if np.array_equal(before, group):
-            break
-    missed = sum(not (changed[i] or changed[j]) for i, j in approach)
-    false = int(np.sum(changed & ~np.isin(group, [group[i] for i, _ in approach])))
-    return Verdict(missed + false == 0 < len(approach), missed + false, f"wrong; {len(touching)} pairs touch")
-
-
-def tiny_in_a_large_world(contacts: str, short: bool) -> Verdict:
-    """Radius 1e-4 m, groups of three scattered over 1e4 m."""
-    rng, n = np.random.default_rng(4), 500
-    x = np.repeat(rng.uniform(-5e3, 5e3, (n, 3)), 3, axis=0) + rng.uniform(-1.2e-4, 1.2e-4, (3 * n, 3))
-    scene = Scene(dim=3)
-    scene.add_balls(x, radius=1e-4, velocity=rng.normal(size=x.shape) * 1e-3)
-    return _right_pairs(scene, contacts)
-
-
-def radii_from_1_to_1000(contacts: str, short: bool) -> Verdict:
-    """Large balls among a thousand small ones."""
-    rng, n = np.random.default_rng(5), 1500
-    radius = np.where(np.arange(n) < 5, 1.0, 10 ** rng.uniform(-3, -1.5, n))
-    scene = Scene(dim=2)
-    scene.add_balls(rng.uniform(-1.5, 1.5, (n, 2)), radius=radius, velocity=rng.normal(size=(n, 2)))
-    return _right_pairs(scene, contacts)
-
-
-def negative_coordinates(contacts: str, short: bool) -> Verdict:
-    """Balls on all sides of the origin and far on the negative side."""
-    rng, n = np.random.default_rng(6), 1000
-    x = rng.uniform(-1.0, 1.0, (n, 2)) - np.where(np.arange(n) % 2, 0.0, 100.0)[:, None]
-    scene = Scene(dim=2)
-    scene.add_balls(x, radius=0.03, velocity=rng.normal(size=x.shape))
-    return _right_pairs(scene, contacts)
-
-
-def crowded_cell(contacts: str, short: bool) -> Verdict:
-    """A million (short: 1e4) small balls, none touching another, in the cell of one large ball."""
-    n = 10_000 if short else 1_000_000
-    side = round(n ** (1 / 2))
-    scene = Scene(dim=2)
-    i, j = np.divmod(np.arange(n), side)
-    scene.add_balls(np.stack([i, j], axis=1) / side, radius=0.4 / side, velocity=(0.0, 1e-3))
-    scene.add_balls([[10.0, 0.0]], radius=1.0, pinned=True)
-    start = time.perf_counter()
-    with _simulation(scene, contacts, contact_passes=1) as sim:
-        sim.step()
-        still = np.array_equal(sim.velocity, scene.velocity.astype(np.float64 if _double(sim) else np.float32))
-    took = time.perf_counter() - start
-    return Verdict(still and took < 600.0, took, "s, compiling included")
 
 
 CASES = (
