@@ -29,26 +29,37 @@ def soft_impulse(u, target, mass, held):
 
 
 @ti.func
-def sliding_impulse(u, n, mass, slide, bound, slip):
+def sliding_impulse(model: ti.template(), u, n, mass, slide, bound, slip):
     """Change of the tangential impulse and its new Coulomb part (a vector that may not exceed `bound`).
 
     u: relative velocity of the two surfaces. The viscous share `slip` = 1 - exp(-f t) of the sliding speed is taken first,
     then Coulomb friction opposes the rest; together they at most stop it.
     """
     stop = (u.dot(n) * n - u) * mass
-    wanted = slide + (1.0 - slip) * stop
+    wanted = slide + stop
+    if ti.static(model.has_viscous):
+        wanted -= slip * stop
     square = wanted.dot(wanted)
     if square > bound * bound:
         wanted *= bound * ti.rsqrt(square)
-    return wanted - slide + slip * stop, wanted
+    change = wanted - slide
+    if ti.static(model.has_viscous):
+        change += slip * stop
+    return change, wanted
 
 
 @ti.func
-def sliding_impulse_2d(u, mass, slide, bound, slip):
+def sliding_impulse_2d(model: ti.template(), u, mass, slide, bound, slip):
     """The same in 2D, where the one direction along the surface makes speed u and impulses scalars."""
     stop = -u * mass
-    wanted = ti.max(-bound, ti.min(bound, slide + (1.0 - slip) * stop))
-    return wanted - slide + slip * stop, wanted
+    wanted = slide + stop
+    if ti.static(model.has_viscous):
+        wanted -= slip * stop
+    wanted = ti.max(-bound, ti.min(bound, wanted))
+    change = wanted - slide
+    if ti.static(model.has_viscous):
+        change += slip * stop
+    return change, wanted
 
 
 @ti.func

@@ -254,9 +254,7 @@ def search(pairs: ti.template()):
 @ti.func
 def law_of(pairs: ti.template(), i, j):
     """Pair law of two balls."""
-    which = 0
-    if ti.static(pairs.only_law >= 0):
-        which = ti.static(pairs.only_law)
-    else:
+    which = pairs.only_law + 0 * i
+    if ti.static(pairs.only_law < 0):
         which = pairs.model.surface[i] * pairs.model.surfaces + pairs.model.surface[j]
     return pairs.model.laws[which]

@@ -98,7 +98,9 @@ class Sticks:
                 if ti.static(solver.spins):
                     u -= lever(solver.state.turn[row.ball], n)
                     mass = 1.0 / (inverse + solver.turning * solver.lightness[row.ball])
-                change, slide = contact_law.sliding_impulse(u, n, mass, self.slide[c], law.friction * total, slip)
+                change, slide = contact_law.sliding_impulse(
+                    self.model, u, n, mass, self.slide[c], law.friction * total, slip
+                )
                 self.slide[c] = slide
                 self.impulse[c] = (total - row.held) * n + change
 

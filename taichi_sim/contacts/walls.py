@@ -362,7 +362,9 @@ class Walls:
                     if ti.static(solver.spins):
                         u -= lever(turn, n)
                         mass *= solver.tangential
-                    change, slide = contact_law.sliding_impulse(u, n, mass, contact.slide, law.friction * now, slip)
+                    change, slide = contact_law.sliding_impulse(
+                        self.model, u, n, mass, contact.slide, law.friction * now, slip
+                    )
                     self.contact[c].slide = slide
                     p += change
                 t = -cross(n, p)
