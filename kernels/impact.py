@@ -131,7 +131,10 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
             other = -1
             if ti.static(walls.has_colliders):
                 other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled)
-            if (other != -1 or hit >= 0) and swift and t * speed.norm() > 2.0 * walls.tolerance(x, i):
+            waits = swift and (other != -1 or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i)
+            if ti.static(walls.moves):  # one that moves would not wait
+                waits = waits and other == -1
+            if waits:
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
                 speed += remaining * pull
                 remaining = 0.0
