@@ -131,3 +131,26 @@ def test_steps_between_frames_count_towards_the_next():
 def test_more_frames_than_anyone_can_use():
     with simulate(falling(), dt=H) as sim, pytest.raises(ValueError, match="more than 10000000"):
         next(iter(sim.frames(fps=1e9, duration=1e12)))
+
+
+def test_each_part_appears_with_what_needs_it():
+    def parts(scene, **settings):
+        with simulate(scene, dt=1e-3, **settings) as sim:
+            return " ".join(sim.kernels())
+
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    b = scene.add_balls([[0, 1], [1, 1], [0.5, 2]], radius=0.1)
+    assert "gravity" in parts(scene, contacts="off")
+    assert "grid" not in parts(scene, contacts="off")
+    assert "grid" in parts(scene)
+    assert "walls" not in parts(scene)
+    assert "springs" not in parts(scene)
+    scene.add_springs([b[:2]], stiffness=10.0, damping=1.0)
+    assert "springs.damping" in parts(scene, contacts="off")
+    alone = ts.Scene(dim=2, gravity=(0, -10))
+    alone.add_balls([[0, 1]], radius=0.1)
+    alone.add_wall((0, 1))
+    assert "walls" in parts(alone)
+    assert "grid" not in parts(alone)
+    for rule in ("jacobi", "sum"):
+        assert f"contacts.{rule}" in parts(alone, contacts=rule)

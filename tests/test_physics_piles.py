@@ -103,7 +103,8 @@ def test_a_pile_comes_to_rest(dim):
             sim.step(30)
             deepest = max(deepest, sim.penetration())
         assert deepest < 0.1 * R, f"{deepest / R:.3f} r"
-        assert sim.energy().kinetic < 1e-5 * n * G * R
+        # without its spin: on points of contact a ball may turn for ever about the line through them
+        assert 0.5 * np.sum(sim.velocity**2) < 1e-5 * n * G * R
         x = sim.position
         sim.step(240)
         drift = np.max(np.abs(sim.position - x), axis=1)

@@ -382,26 +382,3 @@ def test_a_springs_only_scene_has_only_springs(driver):
             assert not hasattr(contacts, absent)
         for absent in ("radius", "surface", "laws"):
             assert not hasattr(model, absent)
-
-
-def test_each_part_appears_with_what_needs_it():
-    scene = ts.Scene(dim=2, gravity=(0, -10))
-    b = scene.add_balls([[0, 1], [1, 1], [0.5, 2]], radius=0.1)
-    with simulate(scene, dt=H, contacts="off") as sim:
-        assert "gravity" in " ".join(sim.kernels())
-        assert "grid" not in " ".join(sim.kernels())
-    with simulate(scene, dt=H) as sim:
-        assert "grid" in " ".join(sim.kernels())
-        assert "walls" not in " ".join(sim.kernels())
-        assert "springs" not in " ".join(sim.kernels())
-    scene.add_springs([b[:2]], stiffness=10.0, damping=1.0)
-    with simulate(scene, dt=H, contacts="off") as sim:
-        assert "springs.damping" in sim.kernels()
-    alone = falling()
-    alone.add_wall((0, 1))
-    with simulate(alone, dt=H) as sim:
-        assert "walls" in " ".join(sim.kernels())
-        assert "grid" not in " ".join(sim.kernels())
-    for rule in ("jacobi", "sum"):
-        with simulate(alone, dt=H, contacts=rule) as sim:
-            assert f"contacts.{rule}" in sim.kernels()

@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.contacts.grid import Grid
-from taichi_sim.contacts.walls import SLOP
+from taichi_sim.contacts.walls import SLOP, TOUCH
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import pairs as loops
 from taichi_sim.kernels import survey
@@ -84,14 +84,14 @@ class Pairs:
 
     @ti.func
     def survey(self, ball: ti.template(), i):
-        """Tally of the pairs that ball i lists and that overlap; see kernels.survey."""
+        """Tally of the pairs that ball i lists and that touch, give or take rounding; see kernels.survey."""
         total = survey.nothing()
         begin = self.first[i]
         for e in range(begin, begin + self.number[i]):
             j = self.link[e].other
             one, two = self.model.radius[i], self.model.radius[j]
             n, d = unit(ball[j].x - ball[i].x, i, j)
-            if d < one + two:
+            if d < (1.0 + TOUCH) * (one + two):
                 u = (ball[j].v - ball[i].v).dot(n)
-                total = survey.join(total, survey.one(one + two - d, ti.min(one, two), u))
+                total = survey.join(total, survey.one(ti.max(0.0, one + two - d), ti.min(one, two), u))
         return total

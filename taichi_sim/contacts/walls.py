@@ -20,9 +20,8 @@ OUT, RESTING, NEAR = range(3)
 SLOP = 0.01  # of the radius: depth that position correction leaves
 SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
 FAR = 1e30  # m, the gap of a slot in which nothing is held
-STEEP = (
-    0.25  # of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
-)
+# of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
+STEEP = 0.25
 
 
 @ti.data_oriented
@@ -46,8 +45,7 @@ class Walls:
         colliders: Colliders | None = None,
     ) -> None:
         self.straight = straight  # the way of what is fast within a step, see kernels.swept
-        self.model, self.state, self.colliders = model, state, colliders
-        self.threshold = threshold
+        self.model, self.state, self.colliders, self.threshold = model, state, colliders, threshold
         self.has_colliders = colliders is not None
         self.moves, self.extent, self.faces = False, 0.0, 1
         if colliders is not None:
