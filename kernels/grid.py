@@ -59,7 +59,9 @@ def cell_of(x, grid: ti.template(), level):
     """Integer cell of a position in a level."""
     cell = x * inverse_cell(grid, level)
     cell[0] *= FINE
-    return ti.cast(ti.max(ti.min(ti.floor(cell), 1.0 * LIMIT), -1.0 * LIMIT), ti.i32)
+    for a in ti.static(range(cell.n)):  # what is not a number is not below the limit either
+        cell[a] = ti.select(cell[a] > -1.0 * LIMIT, ti.select(cell[a] < 1.0 * LIMIT, cell[a], 1.0 * LIMIT), -1.0 * LIMIT)
+    return ti.cast(ti.floor(cell), ti.i32)
 
 
 @ti.func
@@ -283,7 +285,7 @@ def run(grid: ti.template(), level, bucket, length, piece: ti.template()):
     first = 0
     last = 0
     begin, size = table(grid, level)
-    end = bucket + length
+    end = bucket + ti.min(length, size)  # far from the origin single precision has cells only in large strides
     if ti.static(piece == 0):
         first = grid.start[bucket]
         last = grid.start[ti.min(end, begin + size)]

@@ -96,7 +96,7 @@ def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(),
         cells = 1.0 + 0.0 * x[0]
         for a in ti.static(range(solver.model.dim)):
             cells *= 1.0 + high[a] - low[a]
-        everywhere = cells > 0.5 * solver.n  # then looking at all balls is less work
+        everywhere = not (cells > 0.0 and cells <= 0.5 * solver.n)  # then looking at all balls is less work
         height = high[1] - low[1] + 1
         rows = height
         if ti.static(solver.model.dim == 3):
