@@ -60,7 +60,9 @@ def cell_of(x, grid: ti.template(), level):
     cell = x * inverse_cell(grid, level)
     cell[0] *= FINE
     for a in ti.static(range(cell.n)):  # what is not a number is not below the limit either
-        cell[a] = ti.select(cell[a] > -1.0 * LIMIT, ti.select(cell[a] < 1.0 * LIMIT, cell[a], 1.0 * LIMIT), -1.0 * LIMIT)
+        cell[a] = ti.select(
+            cell[a] > -1.0 * LIMIT, ti.select(cell[a] < 1.0 * LIMIT, cell[a], 1.0 * LIMIT), -1.0 * LIMIT
+        )
     return ti.cast(ti.floor(cell), ti.i32)
 
 

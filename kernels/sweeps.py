@@ -14,8 +14,9 @@ from .pairs import NONE, forget, law_of, zero_slide
 GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
 
 # What a sweep does. MEASURE finds which pairs touch and sums what they hold from before; FIRST is the first pass of a solve,
-# NEXT a later one; LAST belongs to the short solve at the end of a step, RELAX follows a move without one; OFFSET undoes overlap.
-MEASURE, FIRST, NEXT, LAST, RELAX, OFFSET = range(6)
+# NEXT a later one; BOUNCE one of those that follow where restitution is a matter of its own, see kernels.taming; LAST belongs
+# to the short solve at the end of a step, RELAX follows a move without one; OFFSET undoes overlap.
+MEASURE, FIRST, NEXT, BOUNCE, LAST, RELAX, OFFSET = range(7)
 
 
 @ti.func
@@ -120,10 +121,10 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
 def held_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
     """Impulse [N s] on ball i that its contact with j in link e holds from before, along the present normal."""
     held = solver.pairs.link[e].impulse
-    if ti.static(solver.split and solver.model.has_restitution):
+    if ti.static((solver.split or solver.tames) and solver.model.has_restitution):
         aim = solver.pairs.link[e].aim
         if NONE < aim < 0.0:  # it bounced, nothing presses it together: a split mass could not take the impulse back
-            if (ball[j].v - ball[i].v).dot(n) > -0.9 * aim:
+            if (ball[j].v - ball[i].v).dot(n) > 0.0:
                 held = 0.0
                 forget_impulse(solver.pairs, e)
     p = -held * n
@@ -225,10 +226,10 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
     """Further impulse [N s] on ball i (at velocity v, turn) from its pair with j in link c; -impulse acts on j."""
     n = solver.pairs.row[c].normal
     held = solver.pairs.link[c].impulse
-    if ti.static(stage != NEXT and not solver.warm):
+    if ti.static(stage not in (NEXT, BOUNCE) and not solver.warm):
         held = 0.0
     u = ball[j].v - v
-    if ti.static(stage != NEXT):
+    if ti.static(stage not in (NEXT, BOUNCE)):
         prepare(solver, i, j, c, n, stage)
     total = normal(solver, c, u.dot(n), held, stage)
     solver.pairs.link[c].impulse = ti.max(0.0, total)
@@ -236,11 +237,11 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
     if ti.static(solver.model.has_friction):
         mass = solver.pairs.row[c].mass
         slide = solver.pairs.link[c].slide
-        if ti.static(stage != NEXT and not solver.warm):
+        if ti.static(stage not in (NEXT, BOUNCE) and not solver.warm):
             slide = zero_slide(solver.pairs)
         law = law_of(solver.pairs, i, j)
         slip = 0.0 * mass
-        if ti.static(stage != NEXT):
+        if ti.static(stage not in (NEXT, BOUNCE)):
             slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold, time)
         arm = 0.0 * mass
         if ti.static(solver.spins):
@@ -302,6 +303,8 @@ def normal(solver: ti.template(), c, u, held, stage: ti.template()):
     target = 0.0 * u
     if ti.static(solver.pairs.has_aim):
         target = solver.pairs.row[c].target
+        if ti.static(solver.tames and stage in (FIRST, NEXT)):  # what touches is stopped first
+            target = ti.select(solver.pairs.row[c].depth > 0.0, 0.0, target)
     total = contact_law.normal_impulse(u, target, mass, held)
     if ti.static(solver.soft):
         aim = solver.pairs.link[c].aim

@@ -2,7 +2,7 @@
 
 It keeps its velocity, and the next contact solve finds it touching. Paths are straight within a step (`before` holds their
 displacements while positions are the new ones); a ball that moves less than its radius counts as being where it ends, for it
-cannot pass through anything meanwhile. Stops are found in two rounds, the second against the paths that the first left, so that
+cannot pass through anything meanwhile. Stops are found in rounds, each against the paths that the one before has left, so that
 what has stopped early is not run through by a third.
 """
 
@@ -13,8 +13,9 @@ from .groups import balls_meet
 from .pairs import may_touch
 from .sticks import closest
 
-ROUNDS = 2
+ROUNDS = 64  # after the first
 ITERATIONS = 48  # of conservative advancement along a stick; then it stops where it is safe
+NEARER = 0.9  # of the distance
 TOUCHING = 0.995  # of the distance at touch: found touching in the next search, whatever rounding does
 
 
@@ -30,12 +31,13 @@ def stop(solver: ti.template(), ball: ti.template()):
     for i in range(solver.fast[1]):
         solver.stop[i] = 1.0
         solver.sooner[i] = 1.0
-    if ti.static(solver.serial):
-        for _ in range(solver.fast[1] // solver.n * ROUNDS):
+    look(solver, ball)
+    ti.loop_config(serialize=True)  # few balls have others that stopped in their way: in turn, until nothing changes
+    for _ in range(1):
+        rounds = ti.select(solver.fast[1] > 0, ROUNDS, 0)
+        while rounds > 0 and solver.fast[3] > 0:
             look(solver, ball)
-    else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
-        for _ in ti.static(range(ROUNDS)):
-            look(solver, ball)
+            rounds -= 1
     for i in range(solver.fast[1]):
         if solver.stop[i] < 1.0:
             solver.state.shift(i, (solver.stop[i] - 1.0) * solver.before[i])
@@ -47,14 +49,19 @@ def stop(solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def look(solver: ti.template(), ball: ti.template()):
-    """One round: where each path stops, given where the others did in the round before."""
+    """One round: where each path stops, given where the others did in the round before. fast[3]: whether any changed."""
     for i in range(solver.fast[1]):
         if is_fast(solver, i):
             ti.atomic_min(solver.sooner[i], first_touch(solver, solver.pairs.grid, ball, i))
     if ti.static(solver.has_sticks):
         for s in range(solver.fast[2]):
             sweep_stick(solver, ball, s)
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        solver.fast[3] = 0
     for i in range(solver.fast[1]):
+        if solver.sooner[i] < solver.stop[i]:
+            solver.fast[3] = 1
         solver.stop[i] = solver.sooner[i]
 
 
@@ -146,8 +153,8 @@ def touch(solver: ti.template(), ball: ti.template(), i, j):
 
 @ti.func
 def nearer(reach, distance):
-    """Distance at which a mover stops; what overlaps already may come half as near."""
-    return ti.select(distance > TOUCHING * reach, TOUCHING * reach, 0.5 * distance)
+    """Distance at which a mover stops; what overlaps already may come a little nearer."""
+    return ti.select(distance > TOUCHING * reach, TOUCHING * reach, NEARER * distance)
 
 
 @ti.func

@@ -26,7 +26,7 @@ from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
 from taichi_sim.order import in_order, spatial_order
 from taichi_sim.scene import Scene
-from taichi_sim.settings import Settings
+from taichi_sim.settings import Settings, bounciest
 from taichi_sim.state import State
 
 __all__ = ["Assembly"]
@@ -130,7 +130,7 @@ class Assembly:
         stick_part = (
             Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
         )
-        rule = self._rule(scene, settings, cpu)
+        rule = self._rule(scene, settings, cpu, warm)
         pushed = self.colliders is not None and self.colliders.moves  # they may do work
         return ContactSolver(
             self.model,
@@ -148,12 +148,12 @@ class Assembly:
             warm=warm,
             soft=soft,
             has_doubles=self.backend.arch in ("cpu", "cuda"),
-            tames=pairs and not pushed and may_gain(scene, rule),
+            tames=pairs and not pushed and may_gain(scene, rule, warm),
         )
 
-    def _rule(self, scene: Scene, settings: Settings, cpu: bool) -> str:
+    def _rule(self, scene: Scene, settings: Settings, cpu: bool, warm: bool) -> str:
         """A fixed order of pairs is what Gauss-Seidel is made of; atomics and GPUs take all at once. It needs half the passes,
-        but what bounces well can gain energy from it."""
+        but where nothing presses balls together, split masses keep more of the energy of what bounces well."""
         if settings.contacts != "auto":
             if settings.contacts == "gauss_seidel" and (self.atomic or not cpu):
                 why = "accumulate: 'atomic'" if self.atomic else "a GPU"
@@ -161,8 +161,7 @@ class Assembly:
                     f"contacts: 'gauss_seidel' changes velocities in a fixed order, which {why} does not have"
                 )
             return settings.contacts
-        bounce = max(material.restitution for material in scene.materials)
-        return "gauss_seidel" if cpu and not self.atomic and bounce <= MOST_BOUNCE else "jacobi"
+        return "gauss_seidel" if cpu and not self.atomic and (warm or bounciest(scene) <= MOST_BOUNCE) else "jacobi"
 
     def names(self) -> list[str]:
         """What was compiled in."""
@@ -268,10 +267,9 @@ def spins(scene: Scene, settings: Settings) -> bool:
     return settings.spin is True or any(material.friction > 0 for material in scene.materials)
 
 
-def may_gain(scene: Scene, rule: str) -> bool:
-    """Whether a contact solve could add energy: not where little bounces. The plain sum is kept as it is, for study."""
-    lively = max(material.restitution for material in scene.materials) > MOST_BOUNCE
-    return lively and rule != "sum"
+def may_gain(scene: Scene, rule: str, warm: bool) -> bool:
+    """Whether a contact solve could add energy: not where little bounces, nor with split masses from nothing."""
+    return bounciest(scene) > MOST_BOUNCE and (rule == "gauss_seidel" or (rule == "jacobi" and warm))
 
 
 def may_collide(scene: Scene) -> bool:

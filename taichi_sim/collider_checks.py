@@ -25,8 +25,8 @@ def check_colliders(scene: Scene, h: float) -> None:
             names = ", ".join(str(i) for i in inside[:3])
             plural = "s" if len(inside) > 1 else ""
             raise SceneError(
-                f"colliders[{k}] ({collider.name}): starts around ball{plural} {names}{more}, up to {depth.max():.4g} m deep;"
-                " move it or the balls, or pin them"
+                f"colliders[{k}] ({collider.name}): starts around ball{plural} {names}{more},"
+                f" up to {depth[inside].max():.4g} m deep; move it or the balls, or pin them"
             )
         if not collider.motion.moves or not free.any():
             continue

@@ -109,6 +109,8 @@ class Motion:
         if not isinstance(given["repeat"], bool):
             raise SceneError(f"{where}.repeat: {given['repeat']!r} is not allowed; it must be true or false")
         path = given["path"]
+        if path is not None and not isinstance(path, (list, tuple)):
+            raise SceneError(f"{where}.path: {path!r} is not allowed; it must be a list of keyframes")
         if path is None or len(path) == 0:
             if given["repeat"]:
                 raise SceneError(f"{where}.repeat: there is no path to repeat; give `path`, or leave `repeat` out")

@@ -89,8 +89,7 @@ class Settings:
         if rule == "gauss_seidel":
             mass = scene.mass[~scene.pinned]
             return 1 if not len(mass) or mass.max() <= UNEQUAL * mass.min() else 2
-        bounce = max(material.restitution for material in scene.materials)
-        more = round(12 * max(0.0, 2.0 * bounce - 1.0))
+        more = round(12 * max(0.0, 2.0 * bounciest(scene) - 1.0))
         return int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8)) + more
 
     def time_step(self, scene: Scene, safe: Stability) -> tuple[float, int]:
@@ -116,6 +115,16 @@ class Settings:
         radius = float(np.median(scene.radius[loose]))
         longest = np.sqrt(SINKING[scene.dim] * radius / (g * _layers(scene, loose)))
         return int(np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS))
+
+
+def bounciest(scene: Scene) -> float:
+    """Largest restitution of anything in the scene; materials that nothing is made of do not count."""
+    used = {
+        *np.unique(scene.material).tolist(),
+        *(w.material for w in scene.walls),
+        *(c.material for c in scene.colliders),
+    }
+    return max((scene.materials[index].restitution for index in used), default=0.0)
 
 
 def _layers(scene: Scene, loose: NDArray[np.bool_]) -> float:

@@ -35,10 +35,11 @@ class Simulation:
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
             ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
-        contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU for restitutions up to 0.5,
-            else jacobi). contact_passes: of each contact solve, or "auto": 1 by gauss_seidel, 2 where masses differ more
-            than tenfold, 4 to 8 by jacobi, up to 12 more for restitutions above 0.5 ("auto"). With fewer, a crowd that should
-            bounce elastically loses energy where balls touch several others at once.
+        contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU, but jacobi where nothing
+            presses balls together and restitutions are above 0.5).
+        contact_passes: of each contact solve, or "auto": 1 by gauss_seidel, 2 where masses differ more than tenfold, 4 to 8 by
+            jacobi, up to 12 more for restitutions above 0.5 ("auto"). With fewer, a crowd that should bounce elastically loses
+            energy where balls touch several others at once.
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: True, False or "auto": where a material has Coulomb friction ("auto"). forces: your own force objects.

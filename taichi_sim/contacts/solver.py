@@ -15,6 +15,7 @@ from taichi_sim.contacts.walls import Walls
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import contact_law, sweeps, swept, taming
 from taichi_sim.model import Model
+from taichi_sim.settings import bounciest
 from taichi_sim.state import State
 
 __all__ = ["ContactSolver"]
@@ -36,7 +37,7 @@ class ContactSolver:
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
         which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
-        overlap is undone by offsets. tames: no solve may add kinetic energy, see kernels.taming. has_doubles:
+        overlap is undone by offsets. tames: bouncing may not add kinetic energy, see kernels.taming. has_doubles:
         the device computes in double precision.
     """
 
@@ -67,12 +68,11 @@ class ContactSolver:
         self.active = bool(self.parts)
         self.threshold, self.push_out, self.relaxation = threshold, PUSH_OUT, RELAXATION
         if passes < FEW:  # one pass changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
-            bounciest = max(material.restitution for material in model.scene.materials)
-            self.relaxation = min(RELAXATION, 2.0 / (1.0 + bounciest))
+            self.relaxation = min(RELAXATION, 2.0 / (1.0 + bounciest(model.scene)))
         self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
         self.warm, self.soft = warm, soft and pairs is not None
         self.tames = tames
-        self.fastest_push = 0.0 if tames else FASTEST_PUSH * threshold  # what pushes out would count as a gain
+        self.fastest_push = FASTEST_PUSH * threshold
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_colliders = walls is not None and walls.has_colliders
@@ -84,14 +84,14 @@ class ContactSolver:
         self.turns = model.turning if self.spins else 0.0
         self.tangential = 1.0 / (1.0 + model.turning)
         self.sums = self.has_sticks or not self.in_turn  # some impulses are accumulated before they are applied
-        self.has_offset = self.active and (not self.soft or tames or self.has_sticks or self.has_walls)
+        self.has_offset = self.active and (not self.soft or self.has_sticks or self.has_walls)
         # pairs that touch each ball, whoever lists them, are counted for
         self.counts = self.split or (walls is not None and walls.crowds)
         if self.active:
             self.rate = fields.reals(np.array([1.0 / h]))
             self.before = fields.vectors(self.n, model.dim)  # velocities before a solve; displacements in a move
             if self.has_grid:  # see kernels.swept
-                self.fast, self.longest = fields.integers(3), fields.reals(1)
+                self.fast, self.longest = fields.integers(4), fields.reals(1)
                 self.stop, self.sooner = fields.reals(self.n), fields.reals(self.n)  # the part of a step that is made
             if self.has_sticks:
                 self.thin = fields.reals(np.array([(THIN * float(np.min(model.scene.radius))) ** 2]))
@@ -100,9 +100,12 @@ class ContactSolver:
             if tames:
                 self.wide = ti.f64 if has_doubles else fields.real
                 self.parts_of_energy = -(-self.n // taming.PART)
-                self.energy = fields.table({"linear": self.wide, "square": self.wide}, self.parts_of_energy + 1)
+                self.energy = fields.table(
+                    {"lost": self.wide, "linear": self.wide, "square": self.wide}, self.parts_of_energy + 1
+                )
+                self.stop_v = fields.vectors(self.n, model.dim)  # velocities where all that touched has stopped
                 if self.spins:
-                    self.before_turn = fields.turns(self.n, model.dim)
+                    self.before_turn, self.stop_turn = (fields.turns(self.n, model.dim) for _ in range(2))
             if self.sums:
                 self.push = fields.vectors(self.n, model.dim)
                 self.lightness = fields.reals(self.n)  # 1/kg: inverse mass of the part of a ball that each contact gets
@@ -207,7 +210,14 @@ class ContactSolver:
             else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
                 for _ in ti.static(range(1, passes)):
                     self._pass(ball, 0.0, sweeps.NEXT)
-            if ti.static(self.tames):
+            if ti.static(self.tames and impacts):
+                taming.stopped(self, ball)
+                if ti.static(self.serial):
+                    for _ in range(passes):
+                        self._pass(ball, 0.0, sweeps.BOUNCE)
+                else:
+                    for _ in ti.static(range(passes)):
+                        self._pass(ball, 0.0, sweeps.BOUNCE)
                 taming.tame(self, ball)
 
     @ti.func
@@ -312,7 +322,7 @@ class ContactSolver:
                 if ti.static(self.has_sticks):
                     d += self.sticks.offset(ball, self, i, h)
                 self.offset[i] = d
-            if ti.static(self.has_grid and (self.tames or not self.soft)):
+            if ti.static(self.has_grid and not self.soft):
                 sweeps.sweep(self, ball, h, sweeps.OFFSET)
             if ti.static(self.has_walls):
                 for i in range(self.n):
