@@ -147,13 +147,16 @@ def test_what_spins_is_saved(tmp_path):
 
 def test_settings_of_the_solver():
     smooth, rough = box_of_balls(2, 2, 2), box_of_balls(2, 2, 2, friction=0.1)
-    lively = box_of_balls(2, 2, 2, restitution=0.9)
+    lively, weightless = box_of_balls(2, 2, 2, restitution=0.9), box_of_balls(2, 2, 2, restitution=0.9)
+    weightless.gravity[:] = 0.0
+    weightless.add_material("unused", friction=0.0)
     for scene, settings, rule, spins in (
         (smooth, {}, "gauss_seidel", False),
         (rough, {}, "gauss_seidel", True),
         (rough, {"spin": False}, "gauss_seidel", False),
         (smooth, {"spin": True}, "gauss_seidel", True),
-        (lively, {}, "jacobi", False),
+        (lively, {}, "gauss_seidel", False),
+        (weightless, {}, "jacobi", False),
         (lively, {"contacts": "gauss_seidel"}, "gauss_seidel", False),
     ):
         with simulate(scene, dt=1e-3, **settings) as sim:

@@ -335,9 +335,10 @@ class ContactSolver:
         drift = v
         if ti.static(self.has_walls):
             shift, drift = self.walls.move(i, ball[i].x, v, a, h)
+        if ti.static(self.has_grid):
+            swept.note(self, i, shift)  # what only undoes overlap goes through nothing
         if ti.static(self.has_offset):
             shift += self.offset[i]
         if ti.static(self.has_grid):
             self.pairs.grid.watch(i, ball[i].x + shift)
-            swept.note(self, i, shift)
         return shift, drift
