@@ -25,9 +25,24 @@ ONCE = (
     "shapes",
 )
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}
+# Long ones whose bounds tell most in double precision: in single precision `make test-slow` runs them.
+LONG = (
+    "contact_energy",
+    "hard_cases",
+    "physics_brute_force",
+    "physics_colliders",
+    "physics_swept",
+    "validation_contacts",
+)
+LONG_FILES = {f"test_{name}.py" for name in LONG}
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(config, items):
+    if PRECISION == "f32":
+        for item in items:
+            if item.path.name in LONG_FILES:
+                item.add_marker(pytest.mark.slow)
     if os.environ.get("TAICHI_SIM_PRECISION") == "f64":
         again = [item for item in items if item.path.name in ONCE_FILES]
         config.hook.pytest_deselected(items=again)
