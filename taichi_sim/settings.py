@@ -39,6 +39,7 @@ SAFETY = 0.9  # of the stability bound
 SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
 FILLED = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
 MOST_SUBSTEPS = 8
+MANY = 1000  # balls, fewer of which can afford two passes
 UNEQUAL = 10.0  # ratio of masses from which one Gauss-Seidel pass is not enough
 
 
@@ -81,14 +82,14 @@ class Settings:
         return cls(**values)
 
     def passes(self, scene: Scene, rule: str) -> int:
-        """Passes of each contact solve. "auto": by Gauss-Seidel 1, and 2 where balls differ tenfold in mass: a light ball
-        under a heavy one trembles with 1. With split masses 4 for small scenes to 8 for those whose piles can be high, and
+        """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where
+        they differ tenfold in mass: a light ball under a heavy one trembles with 1. With split masses 4 for small scenes to 8 for those whose piles can be high, and
         up to 12 more where balls bounce well: what has not converged then takes energy for good."""
         if self.contact_passes != "auto":
             return int(self.contact_passes)
         if rule == "gauss_seidel":
             mass = scene.mass[~scene.pinned]
-            return 1 if not len(mass) or mass.max() <= UNEQUAL * mass.min() else 2
+            return 1 if len(mass) > MANY and mass.max() <= UNEQUAL * mass.min() else 2
         more = round(12 * max(0.0, 2.0 * bounciest(scene) - 1.0))
         return int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8)) + more
 

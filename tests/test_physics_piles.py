@@ -176,8 +176,8 @@ def test_settings_of_the_solver():
     ):
         with simulate(scene, dt=dt) as sim:
             assert sim.substeps == substeps
-    for mass, passes in ((1.0, 1), (100.0, 2)):
-        scene = box_of_balls(2, 2, 2)
+    for count, mass, passes in ((2, 1.0, 2), (32, 1.0, 1), (32, 100.0, 2)):
+        scene = box_of_balls(2, count, count)
         scene.add_balls([[0.0, 1.0]], radius=R, mass=mass)
         with simulate(scene, dt=1e-3) as sim:
             assert sim._parts.contacts.passes == passes

@@ -176,7 +176,7 @@ def test_dt_above_the_bound_warns_before_the_first_step():
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
 def test_unstable_error_and_what_is_kept(driver):
     scene = oscillator(k=1e4)
-    scene.add_balls([[50.0, 0.0]], radius=0.01, velocity=[1.0, 0.0])
+    scene.add_balls([[0.0, 50.0]], radius=0.01, velocity=[1.0, 0.0])
     frames = []
     with simulate(scene, ("ordered", driver), dt=0.03) as sim:
         with pytest.raises(ts.UnstableError) as caught:
@@ -193,7 +193,7 @@ def test_unstable_error_and_what_is_kept(driver):
         # the last good state is kept and can be used: put it right and go on
         assert np.all(np.isfinite(sim.position))
         assert np.all(np.isfinite(sim.velocity))
-        assert sim.position[2, 0] == pytest.approx(50.0 + sim.time, rel=1e-5)
+        assert sim.position[2, 0] == pytest.approx(sim.time, rel=1e-5)
         time = sim.time
         sim.set_position([[0, 0], [1.0, 0], [50, 0]])
         sim.set_velocity(np.zeros((3, 2)))

@@ -22,10 +22,10 @@ def contact_forces(sim: ts.Simulation) -> dict[tuple[int, int], float]:
     first, touching, other, impulse = (
         f.to_numpy() for f in (pairs.first, pairs.touching, pairs.link.other, pairs.link.impulse)
     )
-    floor, own = contacts.walls.contact.impulse.to_numpy(), int(pairs.turn[0]) * n
+    floor = contacts.walls.contact.impulse.to_numpy()
     forces = {(-1, i): float(floor[i]) / h for i in range(n)}
     for i in range(n):
-        for e in range(first[own + i], first[own + i] + touching[own + i]):
+        for e in range(first[i], first[i] + touching[i]):
             forces[min(i, int(other[e])), max(i, int(other[e]))] = float(impulse[e]) / h
     return forces
 

@@ -77,11 +77,11 @@ class ContactSolver:
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_colliders = walls is not None and walls.has_colliders
         self.spins = model.spins
-        # by their directions, not only their number; where friction cannot turn a ball that gains nothing
-        self.by_tensor = self.active and self.split and (self.spins or not model.has_friction)
-        self.by_normals = self.by_tensor and model.has_friction
+        # by their directions, not only their number; friction pushes sideways as well
+        self.by_tensor = self.active and self.split and not model.has_friction
+        self.by_normals = False
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
-        self.turns = model.turning if self.spins else 0.0
+        self.turns = 0.0
         self.tangential = 1.0 / (1.0 + model.turning)
         self.sums = self.has_sticks or not self.in_turn  # some impulses are accumulated before they are applied
         self.has_offset = self.active and (not self.soft or self.has_sticks or self.has_walls)
