@@ -238,7 +238,7 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
         mass = solver.pairs.row[c].mass
         slide = solver.pairs.link[c].slide
         if ti.static(stage not in (NEXT, BOUNCE) and not solver.warm):
-            slide = zero_slide(solver.pairs)
+            slide = slide * 0.0
         law = law_of(solver.pairs, i, j)
         slip = 0.0 * mass
         if ti.static(stage not in (NEXT, BOUNCE)):
@@ -303,7 +303,7 @@ def normal(solver: ti.template(), c, u, held, stage: ti.template()):
     target = 0.0 * u
     if ti.static(solver.pairs.has_aim):
         target = solver.pairs.row[c].target
-        if ti.static(solver.tames and stage in (FIRST, NEXT)):  # what touches is stopped first
+        if ti.static(solver.tames and solver.warm and stage in (FIRST, NEXT)):  # what touches is stopped first
             target = ti.select(solver.pairs.row[c].depth > 0.0, 0.0, target)
     total = contact_law.normal_impulse(u, target, mass, held)
     if ti.static(solver.soft):

@@ -210,7 +210,10 @@ class ContactSolver:
             else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
                 for _ in ti.static(range(1, passes)):
                     self._pass(ball, 0.0, sweeps.NEXT)
-            if ti.static(self.tames and impacts):
+            if ti.static(self.tames and not self.warm):  # nothing rests: all that a solve does may be scaled
+                taming.begun(self)
+                taming.tame(self, ball)
+            elif ti.static(self.tames and impacts):
                 taming.stopped(self, ball)
                 if ti.static(self.serial):
                     for _ in range(passes):
