@@ -82,9 +82,10 @@ class Settings:
         return cls(**values)
 
     def passes(self, scene: Scene, rule: str) -> int:
-        """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where
-        they differ tenfold in mass: a light ball under a heavy one trembles with 1. With split masses 4 for small scenes to 8 for those whose piles can be high, and
-        up to 12 more where balls bounce well: what has not converged then takes energy for good."""
+        """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where they
+        differ tenfold in mass: a light ball under a heavy one trembles with 1. With split masses 4 for small scenes to 8 for
+        those whose piles can be high, and up to 12 more where balls bounce well: what has not converged then takes energy
+        for good."""
         if self.contact_passes != "auto":
             return int(self.contact_passes)
         if rule == "gauss_seidel":
