@@ -72,7 +72,7 @@ def test_what_is_set_comes_back_and_bad_balls_are_named(always):
 def test_restored_with_the_same_bits(always, tmp_path):
     scene = ts.Scene(dim=2, gravity=(0.0, -9.81))
     scene.add_balls(
-        np.random.default_rng(3).uniform(0, 9, (40, 2)), radius=0.02
+        np.random.default_rng(3).uniform(0, 9, (40, 2)), radius=0.005
     )  # apart: what contacts hold is not saved
     with simulate(scene, dt=H) as sim:
         sim.step(30)
