@@ -255,12 +255,13 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
             change, slide = contact_law.sliding_impulse_2d(solver.model, s, mass, slide, bound, slip)
             solver.pairs.link[c].slide = slide
             p -= change * tangent(n)
-        elif total > 0.0 or slide.dot(slide) > 0.0:
-            if ti.static(solver.spins):
-                u -= arm * lever(turn + solver.state.turn[j], n)
-            change, slide = contact_law.sliding_impulse(solver.model, u, n, mass, slide, bound, slip)
+        else:
+            if total > 0.0 or slide.dot(slide) > 0.0:
+                if ti.static(solver.spins):
+                    u -= arm * lever(turn + solver.state.turn[j], n)
+                change, slide = contact_law.sliding_impulse(solver.model, u, n, mass, slide, bound, slip)
+                p -= change
             solver.pairs.link[c].slide = slide
-            p -= change
     return p
 
 
