@@ -103,16 +103,15 @@ def target_speed(before, restitution, threshold, impacts: ti.template()):
 
 
 @ti.func
-def eigenvalues(T):
-    """Smallest and largest eigenvalue of a symmetric, positive semi-definite 2x2 or 3x3 matrix."""
+def largest_eigenvalue(T):
+    """Largest eigenvalue of a symmetric, positive semi-definite 2x2 or 3x3 matrix."""
     q = T.trace() / ti.static(T.n)
-    low, high = q, q
+    result = q
     if ti.static(T.n == 2):
         d = 0.5 * (T[0, 0] - T[1, 1])
-        p = ti.sqrt(d * d + T[0, 1] * T[0, 1])
-        low, high = q - p, q + p
+        result = q + ti.sqrt(d * d + T[0, 1] * T[0, 1])
     else:
-        # Smith 1961: T = q + p B with det(B) = 2 cos(3 phi); the roots are q + 2 p cos(phi + 2 pi k / 3), phi in [0, pi/3]
+        # Smith 1961: T = q + p B with det(B) = 2 cos(3 phi); the largest root is q + 2 p cos(phi), phi in [0, pi/3]
         a, b, c = T[0, 0] - q, T[1, 1] - q, T[2, 2] - q
         x, y, z = T[0, 1], T[0, 2], T[1, 2]
         p2 = (a * a + b * b + c * c + 2.0 * (x * x + y * y + z * z)) / 6.0
@@ -120,31 +119,19 @@ def eigenvalues(T):
             p = ti.sqrt(p2)
             det = a * (b * c - z * z) - x * (x * c - z * y) + y * (x * z - b * y)
             r = ti.max(-1.0, ti.min(1.0, 0.5 * det / (p2 * p)))
-            phi = ti.acos(r) / 3.0
-            low, high = q + 2.0 * p * ti.cos(phi + 2.0943951023931953), q + 2.0 * p * ti.cos(phi)
-    return low, high
+            result = q + 2.0 * p * ti.cos(ti.acos(r) / 3.0)
+    return result
 
 
 @ti.func
-def share(T, N, count, friction: ti.template(), turning: ti.template()):
+def share(T, count, by_tensor: ti.template()):
     """s of a ball: into how many parts its mass is split. 1 with at most one contact.
 
-    The sharpest split for which one pass cannot add energy is the largest eigenvalue of the sum of g g^T over all rows of the
-    ball's contacts, g the change of its velocity and turn that the row's impulse makes, as a unit vector. Normals alone:
-    T = sum n n^T. A row of friction moves by a part a = 1 / (1 + turning) of its square and turns by the rest, so that the
-    sum is [a k + (1 - a) T, c; c^T, (1 - a) (k - T)] (in 2D the last is (1 - a) k), |c| <= sqrt(a (1 - a)) |N|, with k
-    contacts and N = sum n. Without spin that is k, which is always enough.
+    By tensor T = sum n n^T, the sharpest split for which one pass of normal impulses cannot add energy; by count where
+    friction pushes sideways as well.
     """
     s = ti.max(1.0, 1.0 * count)
-    if count > 1:
-        low, high = eigenvalues(T)
-        if ti.static(not friction):
-            s = ti.max(1.0, high)
-        elif ti.static(turning > 0.0):
-            a = ti.static(1.0 / (1.0 + turning))
-            turns = (1.0 - a) * (count - low)
-            if ti.static(T.n == 2):
-                turns = (1.0 - a) * count
-            s = ti.min(s, ti.max(a * count + (1.0 - a) * high, turns) + ti.sqrt(ti.static(a * (1.0 - a))) * N.norm())
-            s = ti.max(1.0, s)
+    if ti.static(by_tensor):
+        if count > 1:
+            s = ti.max(1.0, largest_eigenvalue(T))
     return s

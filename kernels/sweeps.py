@@ -102,9 +102,6 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
                 T = n.outer_product(n)
                 add(solver, solver.tensor, i, T)
                 add(solver, solver.tensor, j, T)
-            if ti.static(solver.by_normals):
-                add(solver, solver.normals, i, n)
-                add(solver, solver.normals, j, -n)
             end += 1
         elif ti.static(solver.warm):
             forget(pairs, e)
@@ -304,7 +301,7 @@ def normal(solver: ti.template(), c, u, held, stage: ti.template()):
     target = 0.0 * u
     if ti.static(solver.pairs.has_aim):
         target = solver.pairs.row[c].target
-        if ti.static(solver.tames and solver.warm and stage in (FIRST, NEXT)):  # what touches is stopped first
+        if ti.static(solver.tames and stage in (FIRST, NEXT)):  # what touches is stopped first
             target = ti.select(solver.pairs.row[c].depth > 0.0, 0.0, target)
     total = contact_law.normal_impulse(u, target, mass, held)
     if ti.static(solver.soft):

@@ -148,7 +148,7 @@ class Assembly:
             warm=warm,
             soft=soft,
             has_doubles=self.backend.arch in ("cpu", "cuda"),
-            tames=pairs and not pushed and may_gain(scene, rule),
+            tames=pairs and not pushed and may_gain(scene, rule, warm),
         )
 
     def _rule(self, scene: Scene, settings: Settings, cpu: bool, warm: bool) -> str:
@@ -267,9 +267,9 @@ def spins(scene: Scene, settings: Settings) -> bool:
     return settings.spin is True or any(material.friction > 0 for material in scene.materials)
 
 
-def may_gain(scene: Scene, rule: str) -> bool:
-    """Whether a contact solve could add energy: not where little bounces. The plain sum is kept as it is, for study."""
-    return bounciest(scene) > MOST_BOUNCE and rule != "sum"
+def may_gain(scene: Scene, rule: str, warm: bool) -> bool:
+    """Whether a contact solve could add energy: not where little bounces, nor with split masses from nothing."""
+    return bounciest(scene) > MOST_BOUNCE and (rule == "gauss_seidel" or (rule == "jacobi" and warm))
 
 
 def may_collide(scene: Scene) -> bool:

@@ -79,9 +79,7 @@ class ContactSolver:
         self.spins = model.spins
         # by their directions, not only their number; friction pushes sideways as well
         self.by_tensor = self.active and self.split and not model.has_friction
-        self.by_normals = False
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
-        self.turns = 0.0
         self.tangential = 1.0 / (1.0 + model.turning)
         self.sums = self.has_sticks or not self.in_turn  # some impulses are accumulated before they are applied
         self.has_offset = self.active and (not self.soft or self.has_sticks or self.has_walls)
@@ -111,8 +109,6 @@ class ContactSolver:
                 self.lightness = fields.reals(self.n)  # 1/kg: inverse mass of the part of a ball that each contact gets
                 if self.by_tensor:
                     self.tensor = fields.matrices(self.n, model.dim)
-                if self.by_normals:
-                    self.normals = fields.vectors(self.n, model.dim)
                 if self.spins:
                     self.twist = fields.turns(self.n, model.dim)
             if self.counts:
@@ -158,8 +154,6 @@ class ContactSolver:
             self.count[i] = 0
         if ti.static(self.by_tensor):
             self.tensor[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)
-        if ti.static(self.by_normals):
-            self.normals[i] = ti.Vector.zero(float, self.model.dim)
         if ti.static(self.warm):
             self.carry[i] = ti.Vector.zero(float, self.model.dim)
             if ti.static(self.spins):
@@ -169,24 +163,20 @@ class ContactSolver:
     def _parts_of(self, ball: ti.template(), i):
         """Into how many parts ball i splits its mass: by all that is accumulated, with "gauss_seidel" only sticks."""
         count = 0
-        T, N = ti.Matrix.zero(float, self.model.dim, self.model.dim), ti.Vector.zero(float, self.model.dim)
+        T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         if ti.static(self.has_grid and self.split):
             count = self.count[i]
             if ti.static(self.by_tensor):
                 T = self.tensor[i]
-            if ti.static(self.by_normals):
-                N = -self.normals[i]
         if ti.static(self.has_walls and self.split):
-            t, m, c = self.walls.shares(ball, i)
+            t, c = self.walls.shares(ball, i)
             T += t
-            N += m
             count += c
-        s = contact_law.share(T, N, count, self.model.has_friction, self.turns)
         if ti.static(self.has_sticks and self.rule != "sum"):
             t, c = self.sticks.shares(ball, i)
-            if c > 0:
-                s = contact_law.share(T + t, N, count + c, self.model.has_friction, 0.0)
-        return s
+            T += t
+            count += c
+        return contact_law.share(T, count, not self.model.has_friction)
 
     @ti.func
     def prime(self, ball: ti.template()):
@@ -210,10 +200,7 @@ class ContactSolver:
             else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
                 for _ in ti.static(range(1, passes)):
                     self._pass(ball, 0.0, sweeps.NEXT)
-            if ti.static(self.tames and not self.warm):  # nothing rests: all that a solve does may be scaled
-                taming.begun(self)
-                taming.tame(self, ball)
-            elif ti.static(self.tames and impacts):
+            if ti.static(self.tames and impacts):
                 taming.stopped(self, ball)
                 if ti.static(self.serial):
                     for _ in range(passes):

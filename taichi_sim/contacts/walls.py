@@ -208,7 +208,7 @@ class Walls:
         self.touched[i] = count
         if ti.static(not self.has_colliders):
             self.room[i] = room
-        self.share[i] = contact_law.share(T, T[:, 0], solving, self.model.has_friction, 0.0)
+        self.share[i] = contact_law.share(T, solving, not self.model.has_friction)
         if ti.static(self.crowds):
             self.crowded[i] = ti.select(crowded, 1, 0)
 
@@ -283,14 +283,13 @@ class Walls:
 
     @ti.func
     def shares(self, ball: ti.template(), i):
-        """Sum of n n^T and of n over the walls that ball i touches, and their number."""
-        T, N = ti.Matrix.zero(float, self.model.dim, self.model.dim), ti.Vector.zero(float, self.model.dim)
+        """Sum of n n^T over the walls that ball i touches, and their number."""
+        T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         for k in range(ti.select(self.touched[i] > 0, self.count, 0)):
             if self.contact[i * self.count + k].active != OUT:
                 n = self.normal(i, k)
                 T += n.outer_product(n)
-                N += n
-        return T, N, self.touched[i]
+        return T, self.touched[i]
 
     @ti.func
     def _forget(self, c):
