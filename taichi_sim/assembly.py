@@ -25,8 +25,8 @@ from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
 from taichi_sim.order import in_order, spatial_order
-from taichi_sim.scene import Scene
-from taichi_sim.settings import Settings, bounciest
+from taichi_sim.scene import Scene, bounciest
+from taichi_sim.settings import Settings
 from taichi_sim.state import State
 
 __all__ = ["Assembly"]

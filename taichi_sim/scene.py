@@ -13,7 +13,7 @@ from taichi_sim.colliders import Collider, build
 from taichi_sim.errors import SceneError
 from taichi_sim.groups import EVERY, ONLY, Groups, bits_of
 
-__all__ = ["Material", "Scene", "Wall"]
+__all__ = ["Material", "Scene", "Wall", "bounciest"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -366,6 +366,16 @@ class Scene:
         held = np.zeros(n, dtype=bool)
         held[checks.indices("balls.pinned", array, n)] = True
         return held
+
+
+def bounciest(scene: Scene) -> float:
+    """Largest restitution of anything in the scene; materials that nothing is made of do not count."""
+    used = {
+        *np.unique(scene.material).tolist(),
+        *(w.material for w in scene.walls),
+        *(c.material for c in scene.colliders),
+    }
+    return max((scene.materials[index].restitution for index in used), default=0.0)
 
 
 def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:

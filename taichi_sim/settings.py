@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim import backend, checks
-from taichi_sim.scene import Scene
+from taichi_sim.scene import Scene, bounciest
 from taichi_sim.stability import Stability
 
 __all__ = ["Settings"]
@@ -117,16 +117,6 @@ class Settings:
         radius = float(np.median(scene.radius[loose]))
         longest = np.sqrt(SINKING[scene.dim] * radius / (g * _layers(scene, loose)))
         return int(np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS))
-
-
-def bounciest(scene: Scene) -> float:
-    """Largest restitution of anything in the scene; materials that nothing is made of do not count."""
-    used = {
-        *np.unique(scene.material).tolist(),
-        *(w.material for w in scene.walls),
-        *(c.material for c in scene.colliders),
-    }
-    return max((scene.materials[index].restitution for index in used), default=0.0)
 
 
 def _layers(scene: Scene, loose: NDArray[np.bool_]) -> float:

@@ -246,10 +246,10 @@ class Simulation:
         """Number and depth of the contacts, what the solver left of approach speeds, and what it did; all 0 where contacts
         are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile."""
         fastest = diagnostics.largest_speed(self.velocity)
-        parts = self._parts
-        if self._still or not parts.contacts.active:
+        if self._still or not self._parts.contacts.active:
             return diagnostics.contacts(None, 0, self.substeps, fastest, 0)
         self._prime()
+        parts = self._parts  # after priming, for which lists may have grown
         return diagnostics.contacts(parts.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches())
 
     def penetration(self) -> float:

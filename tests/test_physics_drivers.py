@@ -131,6 +131,12 @@ def _expected(scene, x, v):
     return contacts, relaxed_pass(contacts, v, w, RELAXATION)
 
 
+def _whole_velocity(sim):
+    """With what single precision rounds off: the split between the two parts may change where their sum does not."""
+    low = sim.rounded_off
+    return sim.velocity if low is None else sim.velocity + low[1]
+
+
 def test_random_scenes_against_brute_force(searching):
     """One pass from rest impulses is the reference's; a pair missed, or found twice, would show at once.
 
@@ -175,14 +181,14 @@ def test_pairs_are_found_again_as_balls_move(searching):
     sim.set_velocity(v)
     met = 0
     for _ in range(60):
-        x, v = sim.position, sim.velocity
+        x, v, whole = sim.position, sim.velocity, _whole_velocity(sim)
         contacts, _ = _expected(scene, x, v)
         approaching = [c for c in contacts if c.normal @ (v[c.balls[1]] - v[c.balls[0]]) < -0.5]
         sim.step()
         after = sim.velocity
         touched = np.unique([i for c in contacts for i in c.balls]).astype(int)
         others = np.setdiff1d(np.arange(N), touched)
-        assert np.array_equal(after[others], v[others])
+        assert np.array_equal(_whole_velocity(sim)[others], whole[others])
         for c in approaching:
             i, j = c.balls
             assert not np.array_equal(after[[i, j]], v[[i, j]])

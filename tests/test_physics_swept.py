@@ -49,9 +49,9 @@ def bullets(dim, n, seed):
     return scene, d, shot, rest, ends
 
 
-def check_bullets(dim, n, seed, **settings):
+def check_bullets(dim, n, seed, variant=VARIANTS[0], **settings):
     scene, d, shot, rest, ends = bullets(dim, n, seed)
-    with simulate(scene, dt=H, **settings) as sim:
+    with simulate(scene, variant, dt=H, **settings) as sim:
         p, scale = sim.momentum(), SPEED * scene.n_balls
         sim.step(12)
         x, v = sim.position, sim.velocity
@@ -75,7 +75,7 @@ def test_bullets_of_ten_radii_a_step_hit(dim):
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
 @each_dim
 def test_ten_thousand_bullets(dim, contacts):
-    check_bullets(dim, 3334, seed=2, contacts=contacts, driver="parallel")
+    check_bullets(dim, 3334, seed=2, variant=("ordered", "parallel"), contacts=contacts)
 
 
 def test_a_swung_stick_takes_balls_at_rest_along():

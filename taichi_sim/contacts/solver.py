@@ -15,7 +15,7 @@ from taichi_sim.contacts.walls import Walls
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import contact_law, sweeps, swept, taming
 from taichi_sim.model import Model
-from taichi_sim.settings import bounciest
+from taichi_sim.scene import bounciest
 from taichi_sim.state import State
 
 __all__ = ["ContactSolver"]
