@@ -111,8 +111,10 @@ def many(value: Any, item_ndim: int) -> Any:
     return [value] if single else value
 
 
-def indices(where: str, value: ArrayLike, limit: int, width: int | None = None) -> NDArray[np.int32]:
-    """Integers from 0 to limit - 1 as an array of shape (k,), or (k, width). Raises SceneError."""
+def indices(
+    where: str, value: ArrayLike, limit: int, width: int | None = None, what: str = "ball"
+) -> NDArray[np.int32]:
+    """Integers from 0 to limit - 1, numbers of `what`, as an array of shape (k,), or (k, width). Raises SceneError."""
     try:
         array = np.asarray(value)
     except ValueError:
@@ -123,7 +125,7 @@ def indices(where: str, value: ArrayLike, limit: int, width: int | None = None) 
         raise SceneError(f"{where}: {_short(value)} is not a list of integers")
     if array.ndim != (1 if width is None else 2) or (width is not None and array.shape[1] != width):
         raise SceneError(f"{where}: shape {array.shape} does not fit; it must be (k{f', {width}' if width else ','})")
-    allowed = f"a ball, from 0 to {limit - 1}" if limit else "a ball, but there is none"
+    allowed = f"a {what}, from 0 to {limit - 1}" if limit else f"a {what}, but there is none"
     bad = ((array < 0) | (array >= limit)).reshape(len(array), -1).any(axis=1)
     if bad.any():
         first = int(np.argmax(bad))

@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
 from taichi_sim.groups import EVERY, ONLY
-from taichi_sim.mesh import Surface, holes, inside_out, mesh_distance, read_surface
+from taichi_sim.mesh import Surface, holes, mesh_distance, read_surface, volume
 from taichi_sim.motion import Motion, keyframe, turn_matrix
 
 __all__ = ["BOX", "MESH", "ROUND", "SHAPES", "Box", "Capsule", "Collider", "Mesh", "Sphere", "build", "shape_of"]
 
 Floats = NDArray[np.float64]
 ROUND, BOX, MESH = range(3)
+FLAT = 1e-9  # of the cube around a mesh: what encloses less is a sheet
 MOST_CELLS = 512  # of a mesh's grid along its longest side
 
 
@@ -226,7 +227,8 @@ def _surface(shape: Mesh, dim: int, where: str) -> Surface:
         if not isinstance(shape.mesh, (list, tuple)) or len(shape.mesh) != 2:
             raise SceneError(f"{where}.mesh: {shape.mesh!r} is not allowed; it must be a file or (vertices, triangles)")
         vertices = checks.vectors(f"{where}.mesh: vertices", shape.mesh[0], None, 3)
-        surface, name = Surface(vertices, checks.indices(f"{where}.mesh", shape.mesh[1], len(vertices), 3)), "the mesh"
+        surface = Surface(vertices, checks.indices(f"{where}.mesh: triangles", shape.mesh[1], len(vertices), 3, "vertex"))
+        name = "the mesh"
     open_edges = holes(surface.triangles)
     if len(open_edges) or not len(surface.triangles):
         at = ""
@@ -236,7 +238,10 @@ def _surface(shape: Mesh, dim: int, where: str) -> Surface:
             f"{where}.mesh: {name} is not closed: {len(open_edges)} edges do not lie between exactly two triangles that"
             f" face the same way{at}; a collider needs an inside"
         )
-    triangles = surface.triangles[:, ::-1] if inside_out(surface) else surface.triangles
+    inside = volume(surface)
+    if abs(inside) < FLAT * float(np.max(np.ptp(surface.vertices, axis=0))) ** 3:
+        raise SceneError(f"{where}.mesh: {name} is flat: it encloses {inside:.2g} m^3; a collider needs an inside")
+    triangles = surface.triangles[:, ::-1] if inside < 0.0 else surface.triangles
     return Surface(surface.vertices * scale, np.ascontiguousarray(triangles))
 
 

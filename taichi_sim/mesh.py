@@ -14,11 +14,11 @@ __all__ = [
     "Surface",
     "hinge_pairs",
     "holes",
-    "inside_out",
     "mesh_distance",
     "read_surface",
     "surface_area",
     "unique_edges",
+    "volume",
 ]
 
 SUFFIXES = (".obj", ".ply", ".stl")
@@ -128,10 +128,11 @@ def holes(triangles: NDArray) -> NDArray[np.int32]:
     return unique[(count != 2) | (forward != 1)].astype(np.int32)
 
 
-def inside_out(surface: Surface) -> bool:
-    """Whether the triangles of a closed mesh face inward: the volume that they enclose counts as negative."""
-    a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
-    return float(np.sum(a * np.cross(b, c))) < 0.0
+def volume(surface: Surface) -> float:
+    """What a closed mesh encloses [m^3]; negative where its triangles face inward."""
+    origin = surface.vertices.mean(axis=0)  # of a mesh far out the products would cancel
+    a, b, c = (surface.vertices[surface.triangles[:, k]] - origin for k in range(3))
+    return float(np.sum(a * np.cross(b, c))) / 6.0
 
 
 def mesh_distance(surface: Surface, points: NDArray, far: float = np.inf) -> NDArray[np.float64]:

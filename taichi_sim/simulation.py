@@ -324,7 +324,8 @@ class Simulation:
     ) -> None:
         """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
 
-        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin.
+        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. The impulses that contacts held are
+        found anew in the first steps: a pile that rests goes on resting, but not with the same bits.
         """
         n, dim = self.scene.n_balls, self.scene.dim
         self._steps, self._begin = round(time / self.dt), 0.0

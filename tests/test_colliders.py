@@ -5,7 +5,7 @@ import pytest
 from conftest import PRECISION
 
 import taichi_sim as ts
-from taichi_sim.mesh import Surface, holes, inside_out, mesh_distance
+from taichi_sim.mesh import Surface, holes, mesh_distance, volume
 from taichi_sim.motion import turn_matrix, turn_vector
 
 CUBE = (
@@ -41,8 +41,8 @@ def test_distances_of_turned_and_hollow_shapes():
 def test_distance_of_a_mesh():
     surface = Surface(CUBE[0], CUBE[1])
     assert len(holes(surface.triangles)) == 0
-    assert not inside_out(surface)
-    assert inside_out(Surface(surface.vertices, surface.triangles[:, ::-1]))
+    assert volume(surface) == pytest.approx(1.0)
+    assert volume(Surface(surface.vertices, surface.triangles[:, ::-1])) == -volume(surface)
     assert len(holes(surface.triangles[1:])) == 3
     assert len(holes(np.concatenate([surface.triangles[1:], surface.triangles[:1, ::-1]]))) == 3  # one faces inward
     p = np.random.default_rng(0).uniform(-1.5, 1.5, (300, 3))
@@ -125,6 +125,8 @@ BAD = [
 ]  # fmt: skip
 BAD_3D = [
     (ts.Mesh((CUBE[0], CUBE[1][1:])), "colliders[0].mesh: the mesh is not closed: 3 edges"),
+    (ts.Mesh((CUBE[0] * [1, 1, 0], CUBE[1])), "colliders[0].mesh: the mesh is flat: it encloses 0 m^3"),
+    (ts.Mesh((CUBE[0], CUBE[1] + 1)), "colliders[0].mesh: triangles"),
     (ts.Mesh("none.obj"), "is not there"),
     (ts.Mesh(CUBE, scale=0.0), "colliders[0].scale: 0.0 is not allowed"),
     (ts.Mesh(CUBE, resolution=1), "colliders[0].resolution: 1 is not allowed; it must be a whole number from 4 to 512"),
