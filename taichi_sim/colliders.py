@@ -227,7 +227,9 @@ def _surface(shape: Mesh, dim: int, where: str) -> Surface:
         if not isinstance(shape.mesh, (list, tuple)) or len(shape.mesh) != 2:
             raise SceneError(f"{where}.mesh: {shape.mesh!r} is not allowed; it must be a file or (vertices, triangles)")
         vertices = checks.vectors(f"{where}.mesh: vertices", shape.mesh[0], None, 3)
-        surface = Surface(vertices, checks.indices(f"{where}.mesh: triangles", shape.mesh[1], len(vertices), 3, "vertex"))
+        surface = Surface(
+            vertices, checks.indices(f"{where}.mesh: triangles", shape.mesh[1], len(vertices), 3, "vertex")
+        )
         name = "the mesh"
     open_edges = holes(surface.triangles)
     if len(open_edges) or not len(surface.triangles):

@@ -54,7 +54,9 @@ class Summary:
                 f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
                 f" mean {now.mean_penetration:.3g} m at the end; largest speed {self.largest_speed:.3g} m/s"
             )
-        ratio = f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration > 0 else ""
+        ratio = (
+            f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration > 0 else ""
+        )
         parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){ratio}")
         return lines
