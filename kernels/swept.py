@@ -8,7 +8,7 @@ what has stopped early is not run through by a third.
 
 import taichi as ti
 
-from .direction import cross
+from .direction import cross, unit
 from .grid import bucket_of, cell_of, largest, run, same_row
 from .groups import balls_meet
 from .pairs import may_touch
@@ -17,6 +17,7 @@ from .sticks import closest
 ROUNDS = 64  # after the first
 ITERATIONS = 48  # of conservative advancement along a stick; then it stops where it is safe
 NEARER = 0.9  # of the distance
+ALREADY = 0.998  # of the distance at touch: what stopped in the step before is nearer
 TOUCHING = 0.995  # of the distance at touch: found touching in the next search, whatever rounding does
 
 
@@ -154,8 +155,8 @@ def touch(solver: ti.template(), ball: ti.template(), i, j):
 
 @ti.func
 def nearer(reach, distance):
-    """Distance at which a mover stops; what overlaps already may come a little nearer."""
-    return ti.select(distance > TOUCHING * reach, TOUCHING * reach, NEARER * distance)
+    """Distance at which a mover stops; what touches or overlaps already may come a little nearer."""
+    return ti.select(distance > ALREADY * reach, TOUCHING * reach, NEARER * distance)
 
 
 @ti.func
@@ -225,22 +226,44 @@ def path(solver: ti.template(), ball: ti.template(), i, t):
 
 @ti.func
 def stick_touch(solver: ti.template(), ball: ti.template(), i, one, two):
-    """Part of the step at which ball i first touches the stick, or 1: conservative advancement."""
-    speed = solver.before[i].norm() + ti.max(solver.before[one].norm(), solver.before[two].norm())
-    t = 0.0 * speed
-    d = stick_distance(solver, ball, i, one, two, t)
+    """Part of the step at which ball i first touches the stick, or 1: conservative advancement.
+
+    Seen along the direction from the nearest point of the stick to the ball, no point of the stick is nearer than the nearer of
+    its ends. Those move evenly, so until the first of them comes too near, or something stops, nothing can touch.
+    """
+    t = 0.0 * solver.before[i][0]
+    n, d = from_stick(solver, ball, i, one, two, t)
     distance = nearer(solver.model.radius[i], d)
     near = 1e-3 * distance
     for _ in range(ITERATIONS):
         if d > distance + near and t < 1.0:
-            t += (d - distance) / speed
-            d = stick_distance(solver, ball, i, one, two, t)
+            x, u = path(solver, ball, i, t), speed(solver, i, t)
+            until = ti.min(later(solver, i, t), ti.min(later(solver, one, t), later(solver, two, t)))
+            for which in ti.static(range(2)):
+                end = one if ti.static(which == 0) else two
+                closing = n.dot(speed(solver, end, t) - u)
+                if closing > 0.0:
+                    until = ti.min(until, t + (n.dot(x - path(solver, ball, end, t)) - distance) / closing)
+            t = until
+            n, d = from_stick(solver, ball, i, one, two, t)
     return ti.min(1.0, t)
 
 
 @ti.func
-def stick_distance(solver: ti.template(), ball: ti.template(), i, one, two, t):
-    """Distance of the centre of ball i from the stick at part t of the step."""
+def speed(solver: ti.template(), i, t):
+    """How ball i moves at part t of the step [m per step]."""
+    return ti.select(t < solver.stop[i], 1.0, 0.0) * solver.before[i]
+
+
+@ti.func
+def later(solver: ti.template(), i, t):
+    """Part of the step at which ball i stops, or 1 where it has stopped already."""
+    return ti.select(t < solver.stop[i], solver.stop[i], 1.0 + 0.0 * t)
+
+
+@ti.func
+def from_stick(solver: ti.template(), ball: ti.template(), i, one, two, t):
+    """Direction from the nearest point of the stick to ball i at part t of the step, and the distance."""
     a, b, x = path(solver, ball, one, t), path(solver, ball, two, t), path(solver, ball, i, t)
     along, _ = closest(x, a, b)
-    return (x - a - ti.max(0.0, ti.min(1.0, along)) * (b - a)).norm()
+    return unit(x - a - ti.max(0.0, ti.min(1.0, along)) * (b - a), one, i)

@@ -313,14 +313,16 @@ class Walls:
                 n = self.normal(i, k)
                 u = n.dot(self.relative(v, i, k))
                 self.contact[c].active = self._role(gap, u, ball[i].x, i, crowded)
-                if (ti.abs(u) > self.threshold and not crowded) or ti.static(not solver.warm):
+                # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
+                if u > self.threshold or (u < -self.threshold and not crowded) or ti.static(not solver.warm):
                     self._forget(c)
                 target = contact_law.target_speed(u, self.law(i, k).restitution, self.threshold, impacts)
                 if ti.static(self.crowds):
                     if crowded and gap > self.tolerance(ball[i].x, i):
-                        soon = target > 0.0 and gap * solver.rate[0] + u < 0.0
-                        if not soon:  # it may come to the wall, but not go on
-                            target = -gap * solver.rate[0]
+                        # it may come to the wall, but not go on; what will bounce there is left to `move`
+                        target = -gap * solver.rate[0]
+                        if self.law(i, k).restitution > 0.0 and ti.abs(u) > self.threshold:
+                            self.contact[c].active = OUT
                 if ti.static(self.has_colliders and impacts):
                     if k >= self.planes and target == 0.0 and self.contact[c].active == RESTING:
                         target = self._following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
