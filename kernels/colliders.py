@@ -232,7 +232,7 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
     extent = colliders.shape[k].extent
     found, time = 0, limit
     if start.norm() <= extent + r + travel:
-        finest = 1e-9 * r + walls.rounding * (ti.abs(x).max() + walls.extent)
+        finest = 1e-9 * r + walls.rounding * (ti.abs(x).max() + colliders.far(k))
         fastest = drift.norm() + a.norm() * limit
         curve = 0.0 * r  # how fast turning bends the path as the collider sees it
         if ti.static(colliders.turns):

@@ -26,7 +26,7 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
         pull = wall.normal.dot(a)
         closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining
         resting = walls.touched[i] > 0 and walls.contact[i * walls.count + k].active == 1
-        if gap >= -walls.tolerance(x, i) and closest <= 0.0 and not resting:
+        if gap >= -walls.tolerance(x, i, 0.0) and closest <= 0.0 and not resting:
             t = crossing(ti.max(gap, 0.0), u, pull, 2.0 * remaining)
             if t < time:
                 time = t
@@ -76,6 +76,14 @@ def strike(walls: ti.template(), i, k, x, v, a, after, threshold, h):
         speed, pull = bounce(walls, i, n, law, v - own, a, threshold, h)
         speed += own
     return speed, pull, rests
+
+
+@ti.func
+def pushed(walls: ti.template(), k, x, after, time):
+    """Displacement of a ball at x, which collider k touches `after` seconds into the step and pushes before it for `time`."""
+    d, n, _ = distance(walls.colliders, k, local(walls.colliders, k, x, after))
+    n = world(walls.colliders, k, n, after)
+    return time * ti.max(0.0, n.dot(surface_velocity(walls.colliders, k, x - d * n, after))) * n
 
 
 @ti.func
@@ -131,11 +139,16 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
             other = -1
             if ti.static(walls.has_colliders):
                 other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled)
-            waits = swift and (other != -1 or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i)
-            if ti.static(walls.moves):  # one that moves would not wait
-                waits = waits and other == -1
+            far = 0.0 * t
+            if ti.static(walls.has_colliders):
+                if other >= 0:
+                    far = walls.colliders.far(other)
+            waits = swift and (other != -1 or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
             if waits:
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
+                if ti.static(walls.moves):
+                    if other >= 0:
+                        shift += pushed(walls, other, x + shift, h - remaining + t, remaining - t)
                 speed += remaining * pull
                 remaining = 0.0
             elif other != -1:

@@ -120,7 +120,9 @@ def held_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
     held = solver.pairs.link[e].impulse
     if ti.static(solver.model.has_restitution):
         aim = solver.pairs.link[e].aim
-        if NONE < aim < 0.0:  # it bounced: that was once, and where a wall has thrown one of the two back since, not again
+        if (
+            NONE < aim < 0.0
+        ):  # it bounced: that was once, and where a wall has thrown one of the two back since, not again
             held = 0.0
             forget_impulse(solver.pairs, e)
     p = -held * n

@@ -1,9 +1,10 @@
 """Bouncing never adds kinetic energy.
 
 Where a crowd bounces, a solve that has not converged can add energy: a pair is pushed to its target speed although others,
-still to come, already part it; so does Newton's restitution together with friction. So all that touches is stopped first, from
-velocities v0 to v1, and bounces then, by changes d of v1. Where the energy of v1 + d is more than that of v0, all d are scaled
-down to where it is not, which keeps momentum and angular momentum; what only rests is held all the same.
+still to come, already part it; so does Newton's restitution together with friction. So pairs of balls that touch are stopped
+first, from velocities v0 to v1, and bounce then, by changes d of v1 (walls and sticks have their target speeds in both).
+Where the energy of v1 + d is more than that of v0, all d are scaled down to where it is not, which keeps momentum and angular
+momentum; what only rests is held all the same.
 """
 
 import taichi as ti
@@ -13,7 +14,7 @@ PART = 1024  # balls that one thread sums; parts are added in order: the same bi
 
 @ti.func
 def stopped(solver: ti.template(), ball: ti.template()):
-    """Note the velocities where all that touched has stopped."""
+    """Note the velocities where the pairs that touched have stopped."""
     for i in range(solver.n):
         solver.stop_v[i] = ball[i].v
         if ti.static(solver.spins):

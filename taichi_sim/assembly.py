@@ -25,7 +25,7 @@ from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
 from taichi_sim.order import in_order, spatial_order
-from taichi_sim.scene import Scene, bounciest
+from taichi_sim.scene import Scene, bounciest, used_materials
 from taichi_sim.settings import Settings
 from taichi_sim.state import State
 
@@ -264,7 +264,7 @@ def spins(scene: Scene, settings: Settings) -> bool:
     """Whether balls turn: "auto" where Coulomb friction can make them."""
     if settings.contacts == "off" or settings.spin is False:
         return False
-    return settings.spin is True or any(material.friction > 0 for material in scene.materials)
+    return settings.spin is True or any(material.friction > 0 for material in used_materials(scene))
 
 
 def may_gain(scene: Scene, rule: str, warm: bool) -> bool:

@@ -1,4 +1,4 @@
-"""Colliders that cannot do what their scene says: an error or a warning before anything runs. Imports no Taichi."""
+"""Walls and colliders that cannot do what their scene says: an error or a warning before anything runs. Imports no Taichi."""
 
 import warnings
 
@@ -15,8 +15,10 @@ FASTEST = 4.0  # radii of the smallest ball in a step: what pushes faster throws
 
 
 def check_colliders(scene: Scene, h: float) -> None:
-    """Raise SceneError where a collider starts around the centres of balls; warn where one moves too far in h seconds."""
+    """Raise SceneError where a collider starts around the centres of balls; warn where one moves too far in h seconds, and where
+    a wall does so: it puts balls out at once."""
     free = ~scene.pinned
+    _warn_of_walls(scene)
     for k, collider in enumerate(scene.colliders):
         depth = collider_depth(scene, collider, scene.position, 0.0)
         inside = np.flatnonzero((depth > scene.radius) & meet(scene.group, scene.mask, collider.group, collider.mask))
@@ -30,7 +32,10 @@ def check_colliders(scene: Scene, h: float) -> None:
             )
         if not collider.motion.moves or not free.any():
             continue
-        speed, keyframe = collider.motion.fastest(collider.extent)
+        with np.errstate(over="ignore", invalid="ignore"):
+            speed, keyframe = collider.motion.fastest(collider.extent)
+        if not np.isfinite(speed * h):
+            raise SceneError(f"colliders[{k}] ({collider.name}): moves faster than any number says")
         smallest = float(scene.radius[free].min())
         if speed * h > FASTEST * smallest:
             where = f", path[{keyframe}]" if len(collider.motion.times) > 1 else ""
@@ -38,4 +43,19 @@ def check_colliders(scene: Scene, h: float) -> None:
                 f"colliders[{k}] ({collider.name}){where}: moves at up to {speed:.4g} m/s, {speed * h / smallest:.3g} radii"
                 f" of the smallest ball in one step of {h:.4g} s: it jumps rather than pushes; take more time, or a smaller dt",
                 stacklevel=4,
+            )
+
+
+def _warn_of_walls(scene: Scene) -> None:
+    for k, wall in enumerate(scene.walls):
+        depth = wall.offset - scene.position @ wall.normal
+        depth[scene.pinned | ~meet(scene.group, scene.mask, wall.group, wall.mask)] = -np.inf
+        inside = np.flatnonzero(depth > 0.0)
+        if len(inside):
+            deepest = int(np.argmax(depth))
+            others = f" and {len(inside) - 1} more" if len(inside) > 1 else ""
+            warnings.warn(
+                f"walls[{k}]: ball {deepest}{others} start{'' if others else 's'} with the centre in the solid, up to"
+                f" {depth[deepest]:.4g} m deep: the wall puts them out at once, which adds what energy that takes",
+                stacklevel=5,
             )

@@ -222,7 +222,11 @@ def _surface(shape: Mesh, dim: int, where: str) -> Surface:
         raise SceneError(f"{where}: a mesh needs a scene in 3D")
     scale = checks.number(f"{where}.scale", shape.scale, positive=True)
     if isinstance(shape.mesh, (str, PathLike)):
-        surface, name = read_surface(shape.mesh), repr(str(shape.mesh))
+        name = repr(str(shape.mesh))
+        try:
+            surface = read_surface(shape.mesh)
+        except SceneError as problem:
+            raise SceneError(f"{where}.{problem}") from None
     else:
         if not isinstance(shape.mesh, (list, tuple)) or len(shape.mesh) != 2:
             raise SceneError(f"{where}.mesh: {shape.mesh!r} is not allowed; it must be a file or (vertices, triangles)")
@@ -241,7 +245,7 @@ def _surface(shape: Mesh, dim: int, where: str) -> Surface:
             f" face the same way{at}; a collider needs an inside"
         )
     inside = volume(surface)
-    if abs(inside) < FLAT * float(np.max(np.ptp(surface.vertices, axis=0))) ** 3:
+    if abs(inside) <= FLAT * float(np.max(np.ptp(surface.vertices, axis=0))) ** 3:
         raise SceneError(f"{where}.mesh: {name} is flat: it encloses {inside:.2g} m^3; a collider needs an inside")
     triangles = surface.triangles[:, ::-1] if inside < 0.0 else surface.triangles
     return Surface(surface.vertices * scale, np.ascontiguousarray(triangles))

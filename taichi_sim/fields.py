@@ -48,8 +48,8 @@ class Fields:
     def _size(self) -> int:
         return 8 if self.real == ti.f64 else 4
 
-    def _cast(self, data: NDArray) -> NDArray:
-        """A copy in the precision of the run; a number that it cannot hold is refused."""
+    def _cast(self, data: NDArray, what: str = "number") -> NDArray:
+        """A copy in the precision of the run; a number that it cannot hold is refused, with a word for what it is."""
         if self.real == ti.f64:
             return np.ascontiguousarray(data, dtype=np.float64)
         with np.errstate(over="ignore"):
@@ -57,7 +57,9 @@ class Fields:
         lost = ~np.isfinite(array) | ((array == 0) & (np.asarray(data) != 0))
         if lost.any():
             value = np.asarray(data)[lost].flat[0]
-            raise SceneError(f'precision: {value:.4g} does not fit into single precision; use precision "f64"')
+            raise SceneError(
+                f'precision: the {what} {value:.4g} does not fit into single precision; use precision "f64"'
+            )
         return array
 
     def reals(self, data: int | NDArray) -> Any:
@@ -93,14 +95,16 @@ class Fields:
 
     def table(self, columns: dict[str, Any], n: int, data: dict[str, NDArray] | None = None) -> Any:
         """n rows of a struct, members side by side. columns: name to Taichi type (a scalar or a vector type)."""
-        field = ti.Struct.field(columns)
         width = sum(getattr(t, "n", 1) * (4 if t == ti.i32 else self._size) for t in columns.values())
         typed = None
         if data is not None and n:
             typed = {
-                name: np.ascontiguousarray(data[name], dtype=np.int32) if t == ti.i32 else self._cast(data[name])
+                name: np.ascontiguousarray(data[name], dtype=np.int32) if t == ti.i32 else self._cast(data[name], name)
                 for name, t in columns.items()
             }
+        field = ti.Struct.field(
+            columns
+        )  # not before the cast, which may refuse: an unplaced field stops every later build
         return self._place(field, max(1, n), typed, width)
 
     def build(self) -> None:

@@ -37,17 +37,16 @@ class Groups:
         """The names of bits."""
         return [name for k, name in enumerate(self.names) if bits >> k & 1]
 
-    def check(self, groups: Iterable[int], masks: Iterable[int]) -> None:
-        """Raise SceneError where a mask names a group that nothing is in: a name that was mistyped."""
-        used, asked = 1, 0
+    def check(self, groups: Iterable[int], masks: Iterable[tuple[str, int]]) -> None:
+        """Raise SceneError where a mask, given with the name of its owner, names a group that nothing is in."""
+        used = 1
         for bits in groups:
             used |= bits
-        for bits in masks:
-            asked |= 0 if bits == EVERY else bits
-        unknown = self.listed(asked & ~used)
-        if unknown:
-            known = ", ".join(repr(name) for name in self.listed(used))
-            raise SceneError(f"collides_with: {unknown[0]!r} is no group of this scene; there are {known}")
+        for owner, bits in masks:
+            unknown = [] if bits == EVERY else self.listed(bits & ~used)
+            if unknown:
+                known = ", ".join(repr(name) for name in self.listed(used))
+                raise SceneError(f"{owner}.collides_with: {unknown[0]!r} is no group of this scene; there are {known}")
 
 
 def bits_of(column: NDArray[np.int32]) -> list[int]:

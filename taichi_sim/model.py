@@ -5,7 +5,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.fields import Fields
-from taichi_sim.scene import Scene
+from taichi_sim.scene import Scene, used_materials
 
 __all__ = ["TURNING", "Model"]
 
@@ -45,9 +45,10 @@ class Model:
         e = np.array([m.restitution for m in scene.materials])
         mu = np.array([m.friction for m in scene.materials])
         f = np.array([m.viscous_friction for m in scene.materials])
-        self.has_friction = bool(mu.any() or f.any())
-        self.has_viscous = bool(f.any())
-        self.has_restitution = bool(e.any())
+        used = used_materials(scene)
+        self.has_viscous = any(m.viscous_friction > 0 for m in used)
+        self.has_friction = self.has_viscous or any(m.friction > 0 for m in used)
+        self.has_restitution = any(m.restitution > 0 for m in used)
         real = fields.real
         self.laws = fields.table(
             {"restitution": real, "friction": real, "viscous_friction": real},

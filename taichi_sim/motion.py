@@ -140,6 +140,8 @@ class Motion:
             own = key.get("position")
             positions.append(position if own is None else checks.vector(f"{place}.position", own, dim))
             turned = key.get("rotation")
+            if dim == 3:
+                _check_turn(place, path[k - 1] if k else None, turned)
             rotations.append(
                 rotation if turned is None else rotation_matrix(f"{place}.rotation", turned, dim, whole=True)
             )
@@ -177,6 +179,19 @@ def keyframe(where: str, given: Any) -> Mapping[str, Any]:
     if not isinstance(given, (list, tuple)) or not 2 <= len(given) <= 3:
         raise SceneError(f"{where}: {given!r} is not a keyframe; it must have time, position and perhaps rotation")
     return dict(zip(KEYS, given))
+
+
+def _check_turn(place: str, before: Any, turned: Any) -> None:
+    """Raise SceneError where angles in 3D say a turn by half or more: which way around, no two rotations tell."""
+    last = None if before is None else keyframe(place, before).get("rotation")
+    if last is None or turned is None or np.ndim(last) != 1 or np.ndim(turned) != 1:
+        return
+    by = np.abs(checks.vector(f"{place}.rotation", turned, 3) - checks.vector(f"{place}.rotation", last, 3)).max()
+    if by >= 180.0:
+        raise SceneError(
+            f"{place}.rotation: {list(turned)} turns by {by:g} degrees since the keyframe before, and a turn in 3D takes the"
+            " shorter way around; put keyframes between, less than half a turn apart, or use angular_velocity"
+        )
 
 
 def rotation_matrix(where: str, rotation: Any, dim: int, whole: bool = False) -> Any:

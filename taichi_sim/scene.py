@@ -13,7 +13,7 @@ from taichi_sim.colliders import Collider, build
 from taichi_sim.errors import SceneError
 from taichi_sim.groups import EVERY, ONLY, Groups, bits_of
 
-__all__ = ["Material", "Scene", "Wall", "bounciest"]
+__all__ = ["Material", "Scene", "Wall", "bounciest", "used_materials"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,11 +312,12 @@ class Scene:
 
     def has_groups(self) -> bool:
         """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
-        solid: list[Wall | Collider] = [*self.walls, *self.colliders]
-        groups = {*bits_of(self.group), *(part.group for part in solid)}
-        masks = {*bits_of(self.mask), *(part.mask for part in solid)}
+        groups = {*bits_of(self.group), *(wall.group for wall in self.walls), *(c.group for c in self.colliders)}
+        masks = [("balls", bits) for bits in bits_of(self.mask)]
+        masks += [(f"walls[{k}]", wall.mask) for k, wall in enumerate(self.walls)]
+        masks += [(f"colliders[{k}]", collider.mask) for k, collider in enumerate(self.colliders)]
         self.groups.check(groups, masks)
-        return not masks <= {EVERY}
+        return any(bits != EVERY for _, bits in masks)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene as TOML; large arrays go to an .npz beside it."""
@@ -368,14 +369,19 @@ class Scene:
         return held
 
 
-def bounciest(scene: Scene) -> float:
-    """Largest restitution of anything in the scene; materials that nothing is made of do not count."""
+def used_materials(scene: Scene) -> list[Material]:
+    """The materials that something in the scene is made of."""
     used = {
         *np.unique(scene.material).tolist(),
         *(w.material for w in scene.walls),
         *(c.material for c in scene.colliders),
     }
-    return max((scene.materials[index].restitution for index in used), default=0.0)
+    return [scene.materials[index] for index in sorted(used)]
+
+
+def bounciest(scene: Scene) -> float:
+    """Largest restitution of anything in the scene."""
+    return max((material.restitution for material in used_materials(scene)), default=0.0)
 
 
 def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:

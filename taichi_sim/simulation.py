@@ -82,10 +82,13 @@ class Simulation:
         if self.backend.precision == "f64" or not scene.n_balls:
             return
         far, small = float(np.max(np.abs(scene.position))), float(np.min(scene.radius))
+        centres = max((float(np.abs(c.motion.positions).max()) for c in scene.colliders), default=0.0)
+        where = f"the centre of a collider lies {centres:.4g} m" if centres > far else f"{far:.4g} m"
+        far = max(far, centres)
         rounding = far * float(np.finfo(np.float32).eps)
         if rounding > COARSE * small:
             warnings.warn(
-                f"precision: {far:.4g} m from the origin single precision tells positions {rounding:.2g} m apart, and the"
+                f"precision: {where} from the origin; there single precision tells positions {rounding:.2g} m apart, and the"
                 f' smallest radius is {small:.2g} m; use precision "f64", or build the scene nearer to the origin',
                 stacklevel=3,
             )

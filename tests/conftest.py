@@ -25,12 +25,15 @@ ONCE = (
     "shapes",
 )
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}
-# Long ones whose bounds tell most in double precision: in single precision `make test-slow` runs them.
+# Long ones that tell most in double precision, or the same in both: in single precision `make test-slow` runs them.
 LONG = (
     "contact_energy",
     "hard_cases",
+    "order",
     "physics_brute_force",
     "physics_colliders",
+    "physics_drivers",
+    "physics_neighbours",
     "physics_swept",
     "validation_contacts",
 )

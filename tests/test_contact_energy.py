@@ -99,3 +99,47 @@ def test_packs_thrown_together(dim):
     assert left["jacobi", 1500] < 1e-3 * before, f"{left}, before {before:.3g} m/s"
     assert np.max(np.abs(ends["jacobi", 1500] - ends["gauss_seidel", 1500])) < 1e-2 * before
     assert left["sum", 30] > 10 * left["sum", 1] > 10 * before * 0.5
+
+
+# Bounces of several that touch each other ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
+def test_two_elastic_balls_on_each_other_bounce_and_keep_their_energy(contacts):
+    """At forty speeds: where in a step they meet the floor makes no difference, and walls push once only."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -10.0))
+    scene.add_material("default", restitution=1.0)
+    x = np.array([[0.0, 0.2], [0.0, 0.4002]])
+    scene.add_balls(x, radius=0.1)
+    scene.add_wall((0, 1))
+    rng = np.random.default_rng(1)
+    with simulate(scene, dt=1e-3, contacts=contacts) as sim:
+        for _ in range(40):
+            sim.set_position(x)
+            sim.set_velocity([[0.0, -rng.uniform(1.0, 4.0)]] * 2)
+            before = sim.energy()
+            sim.step(90)
+            assert abs(sim.energy().total - before.total) < 0.01 * before.kinetic
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("restitution", [0.3, 0.6, 0.8, 1.0])
+@pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
+def test_stacks_thrown_on_a_floor_never_gain_energy(contacts, restitution):
+    scene = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0))
+    scene.add_material("default", restitution=restitution)
+    x = np.stack([[0.0, 0.2 + 0.2001 * k, 0.0] for k in range(5)])
+    scene.add_balls(x, radius=0.1)
+    scene.add_wall((0, 1, 0))
+    rng = np.random.default_rng(2)
+    with simulate(scene, dt=1e-3, contacts=contacts) as sim:
+        for _ in range(60):
+            sim.set_position(x)
+            sim.set_velocity([[0.0, -rng.uniform(0.5, 5.0), 0.0]] * 5)
+            before = sim.energy()
+            most = before.total
+            for _ in range(15):
+                sim.step(10)
+                most = max(most, sim.energy().total)
+            # a push-out lifts what overlaps, by less than a hundredth of a radius each
+            assert most < before.total + 0.01 * before.kinetic

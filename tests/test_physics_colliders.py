@@ -317,3 +317,18 @@ def test_nothing_passes_through_a_collider_that_moves_fast(dim):
                 assert (collider.distance(x[balls], sim.time) - R).min() > -allowed * R, (step, collider.name)
         assert np.all(sim.velocity[groups[0], 0] == pytest.approx(SPEED))
         assert np.all(x[groups[0], 0] > scene.colliders[0].motion.at(sim.time)[0][0, 0])
+
+
+@pytest.mark.parametrize("shape", [ts.Sphere((1e4, 0.0), 1.0), ts.Box((0.0, -9.5), (1e6, 1.0))], ids=["far", "wide"])
+def test_a_far_or_wide_collider_lifts_no_ball(shape):
+    """How finely a contact is known depends on that contact alone."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -10.0))
+    scene.add_material("default", restitution=0.5)
+    scene.add_balls([[0.0, 0.2], [3.0, -8.8]], radius=0.1)
+    scene.add_wall((0, 1), -9.0)
+    scene.add_wall((0, 1), 0.0, group="upper", collides_with="upper")
+    scene.set_group([0], "upper")
+    scene.add_collider(shape)
+    with simulate(scene, dt=1e-3) as sim:
+        sim.run(3.0)
+        assert sim.position[:, 1] == pytest.approx([0.1, -8.9], abs=2e-5)

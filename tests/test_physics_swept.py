@@ -103,3 +103,50 @@ def test_a_ball_before_the_wall_is_hit_and_not_run_through_twice(variant):
             sim.step(1)
             assert sim.position[bullet[0], 0] > sim.position[target[0], 0]
         assert sim.energy().kinetic == pytest.approx(0.5 * 2000.0**2, rel=1e-6)
+
+
+@each_dim
+def test_a_bullet_leaves_the_stick_that_it_hit(dim):
+    """What stopped at a stick in one step lies just at the distance of touch in the next, and must not be held there."""
+    across = [0.0] * (dim - 2)
+    scene = ts.Scene(dim=dim)
+    scene.add_material("default", restitution=1.0)
+    ends = scene.add_balls([[-0.5, 0.0, *across], [0.5, 0.0, *across]], radius=0.02, mass=1.0)
+    scene.add_springs([ends], stiffness=1e5, collides=True)
+    scene.add_balls([[0.1, 1.0, *across]], radius=0.01, mass=0.1)
+    start, rng = scene.position, np.random.default_rng(0)
+    with simulate(scene, dt=H) as sim:
+        for _ in range(20):
+            speed = 10 ** rng.uniform(1.5, 4)
+            sim.set_position(start)
+            sim.set_velocity([[0.0] * dim] * 2 + [[0.0, -speed, *across]])
+            sim.step(int(np.ceil(1.0 / speed / H)) + 2)
+            height, upward = sim.position[2, 1], sim.velocity[2, 1]
+            assert upward > 0.5 * speed
+            sim.step(10)
+            assert sim.position[2, 1] - height == pytest.approx(10 * H * upward, rel=0.2)
+
+
+def test_a_ball_slides_fast_along_a_stick():
+    """Further than its radius in a step, just at the distance of touch."""
+    scene = ts.Scene(dim=2)
+    ends = scene.add_balls([[-0.5, 0.0], [0.5, 0.0]], radius=0.02, pinned=True)
+    scene.add_springs([ends], stiffness=1e5, collides=True)
+    scene.add_balls([[0.1, 0.00996]], radius=0.01, velocity=[20.0, 0.0])
+    with simulate(scene, dt=H) as sim:
+        sim.step(5)
+        assert sim.position[2, 0] == pytest.approx(0.2, rel=1e-5)
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["that_moves", "beside_one_that_moves"])
+def test_a_bullet_that_bounces_off_a_collider_meets_what_lies_behind(own):
+    """Within one step: a path with a bend is never taken for its chord, whatever moves."""
+    scene = ts.Scene(dim=2)
+    scene.add_material("default", restitution=1.0)
+    scene.add_balls([[-0.205, 0.215]], radius=0.01, velocity=[400.0, -400.0], mass=0.1)
+    target = scene.add_balls([[-0.1, 0.11]], radius=0.03)[0]
+    scene.add_collider(ts.Box((0, -0.5), (4, 1), velocity=(0.5, 0.1) if own else None))
+    scene.add_collider(ts.Sphere((50, 50), 0.5, velocity=(0.1, 0)))
+    with simulate(scene, dt=H) as sim:
+        sim.step(10)
+        assert np.linalg.norm(sim.velocity[target]) > 50.0

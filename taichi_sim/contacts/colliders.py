@@ -37,7 +37,6 @@ class Colliders:
         self.moving = moving
         self.movers, self.moves = len(moving), bool(moving)
         self.turns = any(bool(np.any(scene.colliders[k].motion.turns)) for k in moving)
-        self.extent = max(c.extent + float(np.abs(c.motion.positions).max()) for c in scene.colliders)
         self._shapes(model, fields, grids)
         vector, turn = ti.types.vector(model.dim, fields.real), fields.real
         if model.dim == 3:
@@ -82,6 +81,11 @@ class Colliders:
             columns["cells"] = whole
             data["cells"] = np.array([g.value.shape[::-1] for g in grids])
         self.shape = fields.table(columns, self.count, data)
+
+    @ti.func
+    def far(self, k):
+        """How far collider k is from the origin: the larger, the coarser are places as seen from its centre."""
+        return ti.abs(self.pose[k].x).max()
 
     def _start(self, k: int) -> tuple[NDArray, NDArray]:
         x, turned = self.scene.colliders[k].motion.at(0.0)

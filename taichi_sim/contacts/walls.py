@@ -47,9 +47,9 @@ class Walls:
         self.straight = straight  # the way of what is fast within a step, see kernels.swept
         self.model, self.state, self.colliders, self.threshold = model, state, colliders, threshold
         self.has_colliders = colliders is not None
-        self.moves, self.extent, self.faces = False, 0.0, 1
+        self.moves, self.faces = False, 1
         if colliders is not None:
-            self.moves, self.extent, self.faces = colliders.moves, colliders.extent, colliders.faces
+            self.moves, self.faces = colliders.moves, colliders.faces
         self.rounding = 4.0 * float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
         walls = model.scene.walls
         self.planes = len(walls)
@@ -90,12 +90,19 @@ class Walls:
         return ["walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else [])]
 
     @ti.func
-    def tolerance(self, x, i):
-        """Gap [m] below which ball i at x touches; never finer than its coordinates are."""
-        size = ti.abs(x).max()
+    def tolerance(self, x, i, far):
+        """Gap [m] below which ball i at x touches; never finer than its coordinates are. far [m]: those of a collider's centre,
+        from which points are looked at."""
+        return TOUCH * self.model.radius[i] + self.rounding * (ti.abs(x).max() + far)
+
+    @ti.func
+    def touch(self, x, i, k):
+        """The same for its contact k."""
+        far = 0.0 * self.model.radius[i]
         if ti.static(self.has_colliders):
-            size += self.extent  # points are looked at from the centre of a collider
-        return TOUCH * self.model.radius[i] + self.rounding * size
+            if k >= self.planes and self.held[i] > 0 and self.contact[i * self.count + k].key >= 0:
+                far = self.colliders.far(self.contact[i * self.count + k].key // self.faces)
+        return self.tolerance(x, i, far)
 
     @ti.func
     def law(self, i, k):
@@ -167,16 +174,16 @@ class Walls:
         return impact.move(self, i, x, v, a, h, self.threshold)
 
     @ti.func
-    def reach(self, x, i, crowded):
+    def _reach(self, i, touch, crowded):
         """Gap [m] up to which ball i minds a wall. One among others may be pushed there by them in this very step."""
-        return ti.select(crowded, self.model.radius[i], self.tolerance(x, i))
+        return ti.select(crowded, ti.max(touch, self.model.radius[i]), touch)
 
     @ti.func
-    def _role(self, gap, u, x, i, crowded):
-        """Part that a wall plays for ball i: OUT of the solve, RESTING in it, or NEAR."""
-        role = ti.select(ti.abs(u) <= self.threshold or gap < -self.tolerance(x, i), RESTING, OUT)
+    def _role(self, gap, u, touch, crowded):
+        """Part that a wall plays for a ball: OUT of the solve, RESTING in it, or NEAR."""
+        role = ti.select(ti.abs(u) <= self.threshold or gap < -touch, RESTING, OUT)
         if crowded:
-            role = ti.select(gap <= self.tolerance(x, i), RESTING, NEAR)
+            role = ti.select(gap <= touch, RESTING, NEAR)
         return role
 
     @ti.func
@@ -185,18 +192,18 @@ class Walls:
         count = 0
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
-        reach = self.reach(ball[i].x, i, crowded)
-        room = reach + FAR
+        room = FAR + 0.0 * self.model.radius[i]
         among = self.count
         if ti.static(self.has_colliders):
-            among = self._find(ball[i].x, i, reach)
+            among = self._find(ball[i].x, i, crowded)
         for k in range(among):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
+            touch = self.touch(ball[i].x, i, k)
             room = ti.min(room, gap)
-            if gap <= reach:
+            if gap <= self._reach(i, touch, crowded):
                 count += 1
-                role = self._role(gap, self.normal(i, k).dot(self.relative(ball[i].v, i, k)), ball[i].x, i, crowded)
+                role = self._role(gap, self.normal(i, k).dot(self.relative(ball[i].v, i, k)), touch, crowded)
                 self.contact[c].active = role
                 if role != OUT:
                     n = self.normal(i, k)
@@ -213,8 +220,8 @@ class Walls:
             self.crowded[i] = ti.select(crowded, 1, 0)
 
     @ti.func
-    def _find(self, x, i, reach):
-        """Fill the slots of ball i at x with the colliders within `reach`: each where it was before, those that are new in a
+    def _find(self, x, i, crowded):
+        """Fill the slots of ball i at x with the colliders that it minds: each where it was before, those that are new in a
         free one; where there are too many, the nearest. Returns how many contacts there are to look at: none of the slots of a
         ball that is and was far from all colliders, which are not even cleared."""
         first = i * self.count + self.planes
@@ -224,6 +231,7 @@ class Walls:
         if self.model.inverse_mass[i] > 0.0:
             r = self.model.radius[i]
             for k in range(self.colliders.count):
+                reach = self._reach(i, self.tolerance(x, i, self.colliders.far(k)), crowded)
                 if self.colliders.minds(self.model, i, k) and geometry.near(self.colliders, k, x, r + reach):
                     for face in range(self.faces):
                         d, n, within = self.colliders.distance(k, face, x, 0.0)
@@ -277,7 +285,8 @@ class Walls:
         key = self.contact[c].key
         d, _, _ = self.colliders.distance(key // self.faces, key % self.faces, after, h)
         fall = d - self.model.radius[i] - self.contact[c].gap
-        fall = ti.select(ti.abs(fall) > self.rounding * (ti.abs(x).max() + self.extent), fall, 0.0)
+        rounding = self.rounding * (ti.abs(x).max() + self.colliders.far(key // self.faces))
+        fall = ti.select(ti.abs(fall) > rounding, fall, 0.0)
         most = STEEP * self.model.radius[i]
         return -ti.max(-most, ti.min(most, fall)) / h
 
@@ -305,20 +314,20 @@ class Walls:
         crowded = False
         if ti.static(self.crowds):
             crowded = self.crowded[i] == 1
-        reach = self.reach(ball[i].x, i, crowded)
         for k in range(ti.select(self.touched[i] > 0, self.count, 0)):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
-            if gap <= reach:
+            touch = self.touch(ball[i].x, i, k)
+            if gap <= self._reach(i, touch, crowded):
                 n = self.normal(i, k)
                 u = n.dot(self.relative(v, i, k))
-                self.contact[c].active = self._role(gap, u, ball[i].x, i, crowded)
+                self.contact[c].active = self._role(gap, u, touch, crowded)
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
                 if u > self.threshold or (u < -self.threshold and not crowded) or ti.static(not solver.warm):
                     self._forget(c)
                 target = contact_law.target_speed(u, self.law(i, k).restitution, self.threshold, impacts)
                 if ti.static(self.crowds):
-                    if crowded and gap > self.tolerance(ball[i].x, i):
+                    if crowded and gap > touch:
                         # it may come to the wall, but not go on; what will bounce there is left to `move`
                         target = -gap * solver.rate[0]
                         if self.law(i, k).restitution > 0.0 and ti.abs(u) > self.threshold:
@@ -395,7 +404,7 @@ class Walls:
         total = survey.nothing()
         for k in range(ti.select(self.model.inverse_mass[i] > 0.0, self.count, 0)):
             gap = self.gap(ball[i].x, i, k)
-            if gap <= self.tolerance(ball[i].x, i):
+            if gap <= self.touch(ball[i].x, i, k):
                 u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
                 total = survey.join(total, survey.one(ti.max(0.0, -gap), self.model.radius[i], u))
         return total

@@ -189,20 +189,25 @@ def heavy_on_ten(contacts: str, short: bool) -> Verdict:
 
 
 def elastic_pack(contacts: str, short: bool) -> Verdict:
-    """A hexagonal pack of touching discs, e = 1, falls on the floor at 3 m/s."""
+    """A hexagonal pack of touching discs, e = 1, falls on the floor at several speeds, so that it meets it anywhere in a step."""
     scene = Scene(dim=2, gravity=(0.0, -G))
     ideal = scene.add_material("ideal", restitution=1.0)
     scene.add_wall((0.0, 1.0), 0.0, ideal)
     i, j = np.divmod(np.arange(100), 10)
     x = 2 * R * np.stack([j + 0.5 * (i % 2), np.sqrt(0.75) * i], axis=1) + [0.0, 1.1 * R]
-    scene.add_balls(x, radius=R, velocity=(0.0, -3.0), material=ideal)
+    scene.add_balls(x, radius=R, material=ideal)
+    rng = np.random.default_rng(7)
+    gain, left = -np.inf, np.inf
     with simulation(scene, contacts) as sim:
-        start, most = sim.energy().total, -np.inf
-        for _ in range(100):
-            sim.step(3)
-            most = max(most, sim.energy().total)
-        gain = most / start - 1.0
-        return Verdict(gain < rounding(sim), gain, f"gained at most; {sim.energy().total / start:.3f} left after 0.3 s")
+        for _ in range(2 if short else 10):
+            sim.set_position(x)
+            sim.set_velocity((0.0, -rng.uniform(1.0, 4.0)))
+            start, most = sim.energy().total, -np.inf
+            for _ in range(100):
+                sim.step(3)
+                most = max(most, sim.energy().total)
+            gain, left = max(gain, most / start - 1.0), min(left, sim.energy().total / start)
+        return Verdict(gain < rounding(sim), gain, f"gained at most; {left:.3f} left after 0.3 s")
 
 
 def piston(contacts: str, short: bool) -> Verdict:
