@@ -118,13 +118,12 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
 def held_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
     """Impulse [N s] on ball i that its contact with j in link e holds from before, along the present normal."""
     held = solver.pairs.link[e].impulse
-    if ti.static(solver.model.has_restitution):
+    if ti.static((solver.split or solver.tames) and solver.model.has_restitution):
         aim = solver.pairs.link[e].aim
-        if (
-            NONE < aim < 0.0
-        ):  # it bounced: that was once, and where a wall has thrown one of the two back since, not again
-            held = 0.0
-            forget_impulse(solver.pairs, e)
+        if NONE < aim < 0.0:  # it bounced, nothing presses it together: a split mass could not take the impulse back
+            if (ball[j].v - ball[i].v).dot(n) > 0.0:
+                held = 0.0
+                forget_impulse(solver.pairs, e)
     p = -held * n
     if ti.static(solver.model.has_friction):
         slide = solver.pairs.link[e].slide
@@ -290,8 +289,8 @@ def prepare(solver: ti.template(), i, j, c, n, stage: ti.template()):
             solver.pairs.link[c].aim = aim
         elif ti.static(solver.soft):
             aim = solver.pairs.link[c].aim
-            if aim > NONE:  # what was held stays so
-                target = ti.max(target, 0.0)
+            if aim > NONE:  # what was held stays so, what bounced keeps its speed
+                target = ti.max(target, ti.max(0.0, ti.min(-aim, speed)))
         solver.pairs.row[c].target = target
 
 

@@ -22,6 +22,15 @@ def stopped(solver: ti.template(), ball: ti.template()):
 
 
 @ti.func
+def compare_with_before(solver: ti.template()):
+    """Take the velocities before the solve as those that `tame` scales back to."""
+    for i in range(solver.n):
+        solver.stop_v[i] = solver.before[i]
+        if ti.static(solver.spins):
+            solver.stop_turn[i] = solver.before_turn[i]
+
+
+@ti.func
 def tame(solver: ti.template(), ball: ti.template()):
     """Scale the changes of velocity since `stopped` so that no energy has been added since `before`."""
     for c in range(solver.parts_of_energy):

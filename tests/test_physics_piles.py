@@ -92,7 +92,8 @@ def test_both_solvers_converge_to_the_same_velocities():
 @each_dim
 def test_a_pile_comes_to_rest(dim):
     """Dropped loosely into a box, with friction and spin: it lies still, hardly overlaps, and nothing has left it."""
-    scene = box_of_balls(dim, 10 if dim == 2 else 5, 20 if dim == 2 else 10, restitution=0.3, friction=0.3)
+    columns, rows = (20, 50) if dim == 2 else (5, 10)  # high enough that walls are hit by what others press
+    scene = box_of_balls(dim, columns, rows, restitution=0.3, friction=0.3)
     n = scene.n_balls
     with simulate(scene, dt=1 / 240) as sim:
         assert sim.substeps == 2

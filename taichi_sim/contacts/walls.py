@@ -328,10 +328,14 @@ class Walls:
                 target = contact_law.target_speed(u, self.law(i, k).restitution, self.threshold, impacts)
                 if ti.static(self.crowds):
                     if crowded and gap > touch:
-                        # it may come to the wall, but not go on; what will bounce there is left to `move`
-                        target = -gap * solver.rate[0]
-                        if self.law(i, k).restitution > 0.0 and ti.abs(u) > self.threshold:
-                            self.contact[c].active = OUT
+                        # It may come to the wall, but not go on. What leaves fast may be thrown back as fast as a bounce
+                        # would, for `move` to reflect: less would add energy.
+                        there = -gap * solver.rate[0]
+                        if ti.static(impacts):
+                            if not (target > 0.0 and u < there):  # it bounces within this step
+                                target = ti.min(there, ti.select(u > self.threshold, target, 0.0))
+                        else:
+                            target = ti.min(there, target)
                 if ti.static(self.has_colliders and impacts):
                     if k >= self.planes and target == 0.0 and self.contact[c].active == RESTING:
                         target = self._following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
