@@ -328,12 +328,11 @@ class Walls:
                 target = contact_law.target_speed(u, self.law(i, k).restitution, self.threshold, impacts)
                 if ti.static(self.crowds):
                     if crowded and gap > touch:
-                        # It may come to the wall, but not go on. What leaves fast may be thrown back as fast as a bounce
-                        # would, for `move` to reflect: less would add energy.
+                        # it may come to the wall, but not go on; what bounces there is left alone by the solve that ends a step
                         there = -gap * solver.rate[0]
                         if ti.static(impacts):
                             if not (target > 0.0 and u < there):  # it bounces within this step
-                                target = ti.min(there, ti.select(u > self.threshold, target, 0.0))
+                                target = there
                         else:
                             target = ti.min(there, target)
                 if ti.static(self.has_colliders and impacts):
