@@ -83,9 +83,9 @@ class Settings:
 
     def passes(self, scene: Scene, rule: str) -> int:
         """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where they
-        differ tenfold in mass: a light ball under a heavy one trembles with 1; up to 4 more for balls that bounce well. With split masses 4 for small scenes to 8 for
-        those whose piles can be high, and up to 12 more where balls bounce well: what has not converged then takes energy
-        for good."""
+        differ tenfold in mass: a light ball under a heavy one trembles with 1; up to 4 more for balls that bounce well. With
+        split masses 4 for small scenes to 8 for those whose piles can be high, and up to 12 more where balls bounce well: what
+        has not converged then takes energy for good."""
         if self.contact_passes != "auto":
             return int(self.contact_passes)
         if rule == "gauss_seidel":
