@@ -38,8 +38,8 @@ class Simulation:
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU, but jacobi where nothing
             presses balls together and restitutions are above 0.5).
         contact_passes: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8 by
-            jacobi, for restitutions above 0.5 up to 4 and 12 more ("auto"). With fewer, a crowd that should bounce elastically loses
-            energy where balls touch several others at once.
+            jacobi, for restitutions above 0.5 up to 4 and 12 more ("auto"). With fewer, a crowd that should bounce elastically
+            loses energy where balls touch several others at once.
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: True, False or "auto": where a material has Coulomb friction ("auto"). forces: your own force objects.
