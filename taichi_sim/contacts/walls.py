@@ -56,15 +56,10 @@ class Walls:
         self.slots = SLOTS[model.dim] if self.has_colliders else 0
         self.count = self.planes + self.slots
         vector = ti.types.vector(model.dim, fields.real)
-        columns = {"normal": vector, "offset": fields.real, "surface": ti.i32}
-        values = {
-            "normal": np.array([w.normal for w in walls]),
-            "offset": np.array([w.offset for w in walls]),
-            "surface": np.array([w.material for w in walls]),
-        }
+        columns = {"normal": vector, "offset": fields.real, "material": ti.i32}
         if model.has_groups:
             columns |= {"group": ti.i32, "mask": ti.i32}
-            values |= {"group": np.array([w.group for w in walls]), "mask": np.array([w.mask for w in walls])}
+        values = {name: np.array([getattr(wall, name) for wall in walls]) for name in columns}
         self.wall = fields.table(columns, self.planes, values)
 
         columns = {"impulse": fields.real, "target": fields.real, "active": ti.i32}
@@ -108,13 +103,10 @@ class Walls:
     def law(self, i, k):
         """Pair law of ball i and its contact k."""
         surface = 0
-        if ti.static(self.has_colliders):
-            if k < self.planes:
-                surface = self.wall[k].surface
-            else:
-                surface = self.colliders.shape[self.contact[i * self.count + k].key // self.faces].surface
-        else:
-            surface = self.wall[k].surface
+        if k < self.planes:
+            surface = self.wall[k].material
+        elif ti.static(self.has_colliders):
+            surface = self.colliders.shape[self.contact[i * self.count + k].key // self.faces].surface
         return self.law_with(i, surface)
 
     @ti.func
@@ -125,16 +117,12 @@ class Walls:
     @ti.func
     def gap(self, x, i, k):
         """Distance from the surface of ball i to wall k [m], negative inside; of a slot as it was found."""
-        gap = 0.0 * self.model.radius[i]
-        if ti.static(self.has_colliders):
-            if k < self.planes:
-                gap = self.plane_gap(x, i, k)
-            elif self.held[i] > 0:
-                gap = self.contact[i * self.count + k].gap
-            else:
-                gap = FAR
-        else:
+        gap = FAR + 0.0 * self.model.radius[i]
+        if k < self.planes:
             gap = self.plane_gap(x, i, k)
+        elif ti.static(self.has_colliders):
+            if self.held[i] > 0:
+                gap = self.contact[i * self.count + k].gap
         return gap
 
     @ti.func
@@ -150,13 +138,10 @@ class Walls:
     def normal(self, i, k):
         """Direction from contact k to ball i."""
         n = ti.Vector.zero(float, self.model.dim)
-        if ti.static(self.has_colliders):
-            if k < self.planes:  # noqa: SIM108  # a table must not be read where it ends
-                n = self.wall[k].normal
-            else:
-                n = self.contact[i * self.count + k].normal
-        else:
+        if k < self.planes:  # a table must not be read where it ends
             n = self.wall[k].normal
+        elif ti.static(self.has_colliders):
+            n = self.contact[i * self.count + k].normal
         return n
 
     @ti.func
