@@ -38,14 +38,15 @@ LONG = (
     "validation_contacts",
 )
 LONG_FILES = {f"test_{name}.py" for name in LONG}
+# And long ones for which single precision is enough: in double precision `make test-slow` runs them.
+LONG_ONCE_FILES = {"test_contact_report.py", "test_groups.py", "test_physics_piles.py"}
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(config, items):
-    if PRECISION == "f32":
-        for item in items:
-            if item.path.name in LONG_FILES:
-                item.add_marker(pytest.mark.slow)
+    for item in items:
+        if item.path.name in (LONG_FILES if PRECISION == "f32" else LONG_ONCE_FILES):
+            item.add_marker(pytest.mark.slow)
     if os.environ.get("TAICHI_SIM_PRECISION") == "f64":
         again = [item for item in items if item.path.name in ONCE_FILES]
         config.hook.pytest_deselected(items=again)

@@ -16,12 +16,12 @@ DIMS = (2, 3)
 VARIANTS = (("ordered", "fused"), ("ordered", "parallel"), ("atomic", "fused"), ("atomic", "parallel"))
 EXTREMES = (VARIANTS[0], VARIANTS[3])
 
-# (dim, method, variant) where contacts are compiled: in single precision the two middle variants are left to `make test-slow`
+# (dim, method, variant) where contacts are compiled: the two middle variants are left to `make test-slow`
 CONTACT_CASES = [
     pytest.param(
         (d, m, v),
         id=f"{d}d-{m}-{'-'.join(v)}",
-        marks=[pytest.mark.slow] if not F64 and m == "verlet" and v not in EXTREMES else [],
+        marks=[pytest.mark.slow] if m == "verlet" and v not in EXTREMES else [],
     )
     for d in DIMS
     for m in METHODS
