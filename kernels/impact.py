@@ -63,11 +63,17 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h):
 
 
 @ti.func
-def strike(walls: ti.template(), i, k, x, v, a, after, threshold, h):
-    """Velocity and acceleration of ball i after it met collider k `after` seconds into the step, and whether it rests on it."""
+def surface(walls: ti.template(), k, x, after):
+    """Direction from collider k to a ball at x that touches it `after` seconds into the step, and its velocity there."""
     d, n, _ = distance(walls.colliders, k, local(walls.colliders, k, x, after))
     n = world(walls.colliders, k, n, after)
-    own = surface_velocity(walls.colliders, k, x - d * n, after)
+    return n, surface_velocity(walls.colliders, k, x - d * n, after)
+
+
+@ti.func
+def strike(walls: ti.template(), i, k, x, v, a, after, threshold, h):
+    """Velocity and acceleration of ball i after it met collider k `after` seconds into the step, and whether it rests on it."""
+    n, own = surface(walls, k, x, after)
     law = walls.law_with(i, walls.colliders.shape[k].surface)
     u = n.dot(v - own)
     speed, pull = v, a
@@ -81,9 +87,8 @@ def strike(walls: ti.template(), i, k, x, v, a, after, threshold, h):
 @ti.func
 def pushed(walls: ti.template(), k, x, after, time):
     """Displacement of a ball at x, which collider k touches `after` seconds into the step and pushes before it for `time`."""
-    d, n, _ = distance(walls.colliders, k, local(walls.colliders, k, x, after))
-    n = world(walls.colliders, k, n, after)
-    return time * ti.max(0.0, n.dot(surface_velocity(walls.colliders, k, x - d * n, after))) * n
+    n, own = surface(walls, k, x, after)
+    return time * ti.max(0.0, n.dot(own)) * n
 
 
 @ti.func

@@ -154,3 +154,21 @@ def test_each_part_appears_with_what_needs_it():
     assert "grid" not in parts(alone)
     for rule in ("jacobi", "sum"):
         assert f"contacts.{rule}" in parts(alone, contacts=rule)
+
+
+def test_balls_that_start_in_a_wall_are_warned_of():
+    scene = falling()
+    scene.add_wall((0, 1), float(scene.position[0, 1]) + 7.0)
+    with pytest.warns(UserWarning, match=r"walls\[0\]: ball 0 starts with the centre in the solid, up to 7 m deep"):
+        ts.Simulation(scene, arch="cpu", precision=PRECISION, dt=H).close()
+
+
+if not F64:
+
+    def test_a_number_too_large_for_single_precision_spoils_nothing_for_others_f32():
+        scene = falling()
+        scene.add_wall((0, 1), -1e39)
+        with pytest.raises(ts.SceneError, match=r"precision: the offset -1e\+39 does not fit into single precision"):
+            simulate(scene, dt=H)
+        with simulate(falling(), dt=H) as sim:
+            sim.step(1)

@@ -132,6 +132,8 @@ def test_an_elastic_pack_that_hits_the_floor_gains_no_energy(contacts):
             p.append(sim.momentum()[1])
         hit = int(np.argmin(p[:20]))
         assert max(p[hit:]) > 0.2 * p[hit]  # at the floor: stopped, or thrown back
+        if contacts == "gauss_seidel":  # what the passes of split masses leave of this impact is a loss, and no bounce
+            assert max(p) > 5.0
 
 
 def test_what_spins_is_saved(tmp_path):
