@@ -70,7 +70,7 @@ class Assembly:
         if settings.driver == "fused" and not cpu:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
         self._grids = distance_grids(scene)  # kernels cannot run while fields are being declared
-        self.fields = Fields(backend.real)
+        self.fields = Fields(backend.real, backend.arch in ("cpu", "cuda"))
         try:
             self._assemble(scene, settings, backend, h, forces)
             self.fields.build()
@@ -103,7 +103,8 @@ class Assembly:
     def _springs(self, scene: Scene, cpu: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
             return None
-        order = "atomic" if self.atomic else fixed_order(self.model, cpu)
+        once = self.integrator.each_once  # in blocks, or where there are too few of those for a GPU with atomics
+        order = "atomic" if self.atomic or (once and not cpu) else "blocks" if once else fixed_order(self.model, cpu)
         return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
 
     def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactSolver:
@@ -147,7 +148,6 @@ class Assembly:
             serial=self.fused,
             warm=warm,
             soft=soft,
-            has_doubles=self.backend.arch in ("cpu", "cuda"),
             tames=pairs and not pushed and may_gain(scene, rule, warm),
         )
 

@@ -20,10 +20,13 @@ except (ImportError, OSError) as error:  # on Linux, Taichi's library is linked 
     )
     raise BackendError(f"Taichi cannot be loaded: {error}.{_hint}") from error
 
+from taichi_sim.front_end import quicken
+
 __all__ = ["ARCHES", "PRECISIONS", "Backend", "running", "start"]
 
 ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
+CACHE = 1 << 30  # bytes of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
 
 
 class Backend(NamedTuple):
@@ -84,11 +87,13 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
         raise BackendError(f"arch: {arch!r} was asked for, but no such device works here; use 'cpu' or 'auto'")
     real = ti.f64 if precision == "f64" else ti.f32
     with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner that no option turns off
+        quicken()
         ti.init(
             arch=getattr(ti, name),
             default_fp=real,
             cpu_max_num_threads=threads,
             offline_cache=True,
+            offline_cache_max_size_of_files=CACHE,
             log_level=ti.ERROR,
             fast_math=False,
             advanced_optimization=False,  # Taichi's own passes: LLVM repeats them; compiling takes a third, running the same

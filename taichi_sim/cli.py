@@ -29,7 +29,9 @@ main = typer.Typer(
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A TOML file, a Python file, or a demo's name.")]
 Arch = Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal.")]
 Step = Annotated[str | None, typer.Option("--dt", help="Time step in seconds, or auto.")]
-Integrator = Annotated[str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet or rk4.")]
+Integrator = Annotated[
+    str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet, rk4, xpbd, implicit_euler or tr_bdf2.")
+]
 Precision = Annotated[str | None, typer.Option(help="f32 or f64.")]
 Fps = Annotated[float | None, typer.Option(help="Frames per simulated second.")]
 Duration = Annotated[float | None, typer.Option(help="Simulated seconds.")]

@@ -37,6 +37,9 @@ class Drivers:
         """`steps` substeps by the chosen driver."""
         if fused:
             self.fused(steps, h, time)
+        elif self.integrator.hosted:
+            for k in range(steps):
+                self.integrator.advance(h, time + k * h)
         else:
             for k in range(steps):
                 self.parallel(h, time + k * h)

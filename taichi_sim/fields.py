@@ -18,8 +18,8 @@ class Fields:
     A field that would be empty gets one unused element, because Taichi has no empty fields.
     """
 
-    def __init__(self, real: Any) -> None:
-        self.real = real
+    def __init__(self, real: Any, has_doubles: bool = True) -> None:
+        self.real, self.has_doubles = real, has_doubles
         self._builder = ti.FieldsBuilder()
         self._first: list[tuple[Any, Any]] = []
         self._tree: Any = None
@@ -70,6 +70,11 @@ class Fields:
         width = array.shape[1] if array.ndim == 2 else 0
         field = ti.Vector.field(width, self.real) if width else ti.field(self.real)
         return self._place(field, max(1, len(array)), array if len(array) else None, self._size * max(1, width))
+
+    def doubles(self, n: int) -> Any:
+        """n zeros in double precision, for sums; in single precision where the device has no other."""
+        wide = ti.f64 if self.has_doubles else self.real
+        return self._place(ti.field(wide), max(1, n), None, 8)
 
     def vectors(self, n: int, dim: int) -> Any:
         """n zero vectors."""

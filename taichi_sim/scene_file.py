@@ -206,15 +206,11 @@ class _Reader:
         raise self._error(path, self._refusal(path, same))
 
     def _refusal(self, path: _Path, allowed: list[str]) -> str:
-        from taichi_sim.scene_schema import LATER
-
         value: Any = self.document
         for part in path:
             value = value[part]
         if len(path) == 1 and isinstance(value, dict):
             return f"is written as one table; there may be several of them: write [[{path[0]}]]"
-        if value in LATER.get(key_name(path), ()):
-            return f"{value!r} is not in this version; it must be {' or '.join(allowed)}"
         shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
         return f"{shown} is not allowed; it must be {' or '.join(dict.fromkeys(allowed))}"
 
@@ -236,11 +232,9 @@ def _wanted(path: _Path) -> str:
 
 def _unknown(path: _Path) -> str:
     """An unknown key's message: the closest of the keys that its table knows."""
-    from taichi_sim.scene_schema import LATER, TABLES, Document, Output, Simulation
+    from taichi_sim.scene_schema import TABLES, Document, Output, Simulation
 
     key = str(path[-1])
-    if len(path) == 1 and key in LATER[""]:
-        return "is not in this version"
     table = {"simulation": Simulation, "output": Output, **TABLES}.get(str(path[0])) if len(path) > 1 else Document
     known = list(table.model_fields) if table is not None else []  # type: ignore[attr-defined]
     return f"is not a known key; {_one_of(key, known)}"

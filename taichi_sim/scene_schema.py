@@ -23,17 +23,13 @@ from pydantic.errors import PydanticSchemaGenerationError
 from taichi_sim import colliders, shapes
 from taichi_sim.scene import Scene
 
-__all__ = ["LATER", "SHAPES", "TABLES", "Document", "Output", "Simulation"]
+__all__ = ["SHAPES", "TABLES", "Document", "Output", "Simulation"]
 
 MOST_BODIES = 1_000_000
 
 # the shapes a scene file may name, in the order in which they are added
 SHAPES: dict[str, Callable[..., shapes.Shape]] = {
     function.__name__: function for function in (shapes.cloth, shapes.jelly, shapes.rope, shapes.wheel, shapes.pile)
-}
-LATER: dict[str, tuple[Any, ...]] = {  # values and tables that the design promises for later
-    "simulation.integrator": ("xpbd", "implicit_euler", "tr_bdf2"),
-    "": (),
 }
 
 Seconds = Annotated[FiniteFloat, Gt(0)]
@@ -49,7 +45,9 @@ class Simulation(Strict):
     """[simulation]: arguments of Simulation; what is absent is left to its defaults."""
 
     dt: Seconds | Literal["auto"] = "auto"
-    integrator: Literal["explicit_euler", "symplectic_euler", "verlet", "rk4"] = "verlet"
+    integrator: Literal["explicit_euler", "symplectic_euler", "verlet", "rk4", "xpbd", "implicit_euler", "tr_bdf2"] = (
+        "verlet"
+    )
     precision: Literal["f32", "f64"] = "f32"
     arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = "auto"
     contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = "auto"

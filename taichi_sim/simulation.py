@@ -30,7 +30,8 @@ class Simulation:
     """Steps a scene through time.
 
     Args, all optional; what is left out is taken from scene.settings, then from the defaults in parentheses:
-        integrator: a name ("explicit_euler", "symplectic_euler", "verlet", "rk4") or an Integrator ("verlet").
+        integrator: a name ("explicit_euler", "symplectic_euler", "verlet", "rk4", and, for stiff springs, "xpbd",
+            "implicit_euler", "tr_bdf2") or an Integrator ("verlet").
         dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape ("auto").
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
             ("auto").
@@ -61,7 +62,7 @@ class Simulation:
             check_colliders(scene, self._h)
         s = self.settings
         self.backend = backend.start(s.arch, s.precision, s.threads)
-        self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN
+        self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
         self._parts = Assembly(scene, s, self.backend, self._h, forces)
         self._warn_of_rounding()
         self._steps, self._begin = 0, 0.0

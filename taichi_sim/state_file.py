@@ -30,7 +30,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     """
     scene = simulation.scene
     if simulation.has_own_parts:
-        raise ValueError("save: forces or an integrator of your own cannot be written to a file")
+        raise ValueError("save: forces, or an integrator with settings of your own, cannot be written to a file")
     own = simulation.settings
     settings = {name.name: getattr(own, name.name) for name in fields(own)}
     settings.update(

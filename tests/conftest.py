@@ -30,8 +30,10 @@ LONG = (
     "contact_energy",
     "hard_cases",
     "order",
+    "physics_article",
     "physics_brute_force",
     "physics_colliders",
+    "physics_contacts",
     "physics_drivers",
     "physics_neighbours",
     "physics_swept",
@@ -39,7 +41,8 @@ LONG = (
 )
 LONG_FILES = {f"test_{name}.py" for name in LONG}
 # And long ones for which single precision is enough: in double precision `make test-slow` runs them.
-LONG_ONCE_FILES = {"test_contact_report.py", "test_groups.py", "test_physics_piles.py"}
+LONG_ONCE = ("contact_report", "groups", "physics_arguments", "physics_piles", "physics_simulation", "state_file")
+LONG_ONCE_FILES = {f"test_{name}.py" for name in LONG_ONCE}
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects

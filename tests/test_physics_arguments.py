@@ -1,6 +1,7 @@
 """Bad arguments of Simulation, and backends that this process cannot have: one message that names what is allowed."""
 
 import pytest
+import taichi as ti
 from physics_support import F64, PRECISION, simulate
 
 import taichi_sim as ts
@@ -172,3 +173,19 @@ if not F64:
             simulate(scene, dt=H)
         with simulate(falling(), dt=H) as sim:
             sim.step(1)
+
+
+@ti.data_oriented
+class Mistaken:
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        impulse[0] += nonsense  # noqa: F821
+
+
+def test_a_mistake_in_ones_own_force_is_shown_with_its_line():
+    with pytest.raises(ti.TaichiCompilationError) as caught:
+        simulate(falling(), dt=H, forces=[Mistaken()]).step(1)
+    text = str(caught.value)
+    assert 'test_physics_arguments.py", line' in text
+    assert "in accumulate" in text
+    assert "impulse[0] += nonsense" in text

@@ -31,8 +31,16 @@ def test_cloth_has_the_same_bits_in_both_drivers_and_every_run(dim, method):
         assert physics_bits.digest(scene, 30, PRECISION, driver="fused", **settings) != first
 
 
-@pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
-@each_dim
+@pytest.mark.parametrize(
+    ("dim", "contacts"),
+    [
+        pytest.param(
+            dim, rule, id=f"{dim}d-{rule}", marks=[] if (dim == 3) == (rule == "jacobi") else [pytest.mark.slow]
+        )
+        for dim in (2, 3)
+        for rule in ("gauss_seidel", "jacobi")
+    ],
+)
 def test_pile_has_the_same_bits_in_both_drivers_and_every_run(dim, contacts):
     scene = physics_bits.pile(dim)
     settings = {"accumulate": "ordered", "contacts": contacts, "contact_passes": 2}
@@ -80,7 +88,7 @@ def test_gather_blocks_and_atomic_agree(dim, method, monkeypatch):
         assert found < exact(steps), f"{order}: {found:.2e}"
 
 
-@each_dim
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.slow), 3], ids=["2d", "3d"])
 def test_atomic_agrees_with_ordered_in_a_pile(dim):
     """Before collisions multiply the rounding: 20 steps."""
     scene = physics_bits.pile(dim)

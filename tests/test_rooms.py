@@ -26,6 +26,7 @@ LEVELS = (
     ("state",),
     ("model",),
     ("fields", "backend"),
+    ("front_end",),
     ("scene_file", "scene_save", "scene_source", "scene_lines", "scene_schema"),
     ("shapes", "shape_parts", "rates"),
     ("scene", "frame"),

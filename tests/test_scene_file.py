@@ -229,7 +229,6 @@ BAD = [
     ("dt = 0.001", "arch = 'gpu'", 5, "simulation.arch: 'gpu' is not allowed; it must be 'auto', 'cpu', 'cuda'"),
     ("dt = 0.001", "precision = 'f16'", 5, "simulation.precision: 'f16' is not allowed; it must be 'f32' or 'f64'"),
     ('"verlet"', '"verlot"', 6, "simulation.integrator: 'verlot' is not allowed; it must be 'explicit_euler', "),
-    ('"verlet"', '"xpbd"', 6, "simulation.integrator: 'xpbd' is not in this version"),
     ("restitution = 0.5", "restitution = 2", 9, "materials[0].restitution: 2.0 is not allowed; it must be from 0 to 1"),
     ("restitution = 0.5", "restitution = '1'", 9, "materials[0].restitution: '1' is not allowed; it must be a number"),
     ("restitution = 0.5", "bounce = 1", 9, "materials[0].bounce: is not a known key"),

@@ -37,8 +37,7 @@ class ContactSolver:
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
         which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
-        overlap is undone by offsets. tames: bouncing may not add kinetic energy, see kernels.taming. has_doubles:
-        the device computes in double precision.
+        overlap is undone by offsets. tames: bouncing may not add kinetic energy, see kernels.taming.
     """
 
     def __init__(
@@ -59,7 +58,6 @@ class ContactSolver:
         warm: bool,
         soft: bool,
         tames: bool,
-        has_doubles: bool,
     ) -> None:
         self.model, self.state, self.n = model, state, model.n
         self.walls, self.pairs, self.sticks = walls, pairs, sticks
@@ -96,7 +94,7 @@ class ContactSolver:
             if self.has_offset:
                 self.offset = fields.vectors(self.n, model.dim)
             if tames:
-                self.wide = ti.f64 if has_doubles else fields.real
+                self.wide = ti.f64 if fields.has_doubles else fields.real
                 self.parts_of_energy = -(-self.n // taming.PART)
                 self.energy = fields.table(
                     {"lost": self.wide, "linear": self.wide, "square": self.wide}, self.parts_of_energy + 1
@@ -324,12 +322,13 @@ class ContactSolver:
                     self.offset[i] = self.offset[i] + self.walls.offset(ball, self, i, h)
 
     @ti.func
-    def move(self, ball: ti.template(), i, v, a, h):
-        """Displacement of ball i over h, and its drift velocity v (mid-step, acceleration a) after impacts on walls."""
+    def move(self, ball: ti.template(), i, v, a, h, change):
+        """Displacement of ball i over h, and its drift velocity v (mid-step, acceleration a) after impacts on walls. change:
+        of v by forces in this step, where `a` does not tell it."""
         shift = h * v
         drift = v
         if ti.static(self.has_walls):
-            shift, drift = self.walls.move(i, ball[i].x, v, a, h)
+            shift, drift = self.walls.move(i, ball[i].x, v, a, h, change)
         if ti.static(self.has_grid):
             swept.note(self, i, shift)  # what only undoes overlap goes through nothing
         if ti.static(self.has_offset):

@@ -154,9 +154,10 @@ class Walls:
         return u
 
     @ti.func
-    def move(self, i, x, v, a, h):
-        """Displacement over h and drift velocity of ball i; see kernels.impact."""
-        return impact.move(self, i, x, v, a, h, self.threshold)
+    def move(self, i, x, v, a, h, change):
+        """Displacement over h and drift velocity of ball i; see kernels.impact. Speed that forces gave it in this very step
+        (change) is a load, not an impact: a loaded ball that bounced with it would never come to rest."""
+        return impact.move(self, i, x, v, a, h, ti.max(self.threshold, 2.0 * change.norm()))
 
     @ti.func
     def _reach(self, i, touch, crowded):

@@ -71,6 +71,27 @@ class TotalForce:
             force.accumulate(self.model, ball, self.impulse, h, time)
 
     @ti.func
+    def external(self, ball: ti.template(), h, time):
+        """impulse = h times the user's forces alone; `external_change` adds gravity."""
+        if ti.static(bool(self.extra)):
+            for i in range(self.n):
+                self.impulse[i] = ti.Vector.zero(float, self.model.dim)
+            for force in ti.static(self.extra):
+                force.accumulate(self.model, ball, self.impulse, h, time)
+
+    @ti.func
+    def external_change(self, i, h):
+        """Velocity change of ball i over h by gravity and the user's forces, for methods that treat springs apart."""
+        dv = ti.Vector.zero(float, self.model.dim)
+        w = self.model.inverse_mass[i]
+        if ti.static(self.model.has_gravity):
+            if w > 0.0:
+                dv += h * self.model.gravity[0]
+        if ti.static(bool(self.extra)):
+            dv += w * self.impulse[i]
+        return dv
+
+    @ti.func
     def elastic(self, ball: ti.template(), h, time):
         """impulse = h times all forces but spring damping."""
         if ti.static(self.has_springs):

@@ -19,13 +19,18 @@ class Integrator:
 
     `relaxes`: its substep ends with a contact pass that takes back what soft contacts add to velocities when they push out
     overlap; without it contacts are rigid. `implicit_damping`: spring damping acts in exponential halves that are stable for
-    any coefficient, else it is an explicit force. `allocate` may add fields of the method's own.
+    any coefficient, else it is an explicit force. `each_once`: it goes through the
+    springs itself, each once, see kernels.half. `hosted`: a substep has loops that end by what they find; `advance` runs one
+    from the host, kernel by kernel, because inside a kernel only the outermost loops run in parallel. `allocate` may add
+    fields of the method's own.
     """
 
     name = ""
     order = 0
     relaxes = False
     implicit_damping = False
+    each_once = False
+    hosted = False
 
     def damping(self, model: Model, h: float) -> NDArray:
         """Spring damping (m,) [N s/m] as this method wants it for substeps of h seconds."""

@@ -21,7 +21,7 @@ class ExplicitEuler(Integrator):
         for i in range(self.model.n):
             dv = self.forces.change(i, h)
             v = self.ball[i].v
-            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h)
+            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, dv)
             self.state.shift(i, shift)
             self.state.kick(i, (drift - v) + dv)
         self.contacts.refresh(self.ball)

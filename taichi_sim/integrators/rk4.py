@@ -52,7 +52,7 @@ class RK4(Integrator):
         self.contacts.solve(self.ball, 0.5 * h, self.contacts.passes, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
-            shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, self.sum[i].v / h, h)
+            shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, self.sum[i].v / h, h, 0.0 * self.ball[i].v)
             self.state.shift(i, shift)
             self.ball[i].v = drift
         self.contacts.refresh(self.ball)

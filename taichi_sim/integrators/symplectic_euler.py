@@ -27,7 +27,7 @@ class SymplecticEuler(Integrator):
             if ti.static(not self.contacts.active):
                 self.state.kick(i, self.forces.change(i, h))
             v = self.ball[i].v
-            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h)
+            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, self.forces.change(i, h))
             self.state.shift(i, shift)
             self.ball[i].v = drift
         self.contacts.refresh(self.ball)

@@ -43,7 +43,9 @@ class Verlet(Integrator):
         for i in range(self.model.n):
             if ti.static(not first_half):
                 self.state.kick(i, 0.5 * self.forces.change(i, h))
-            shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, self.forces.change(i, h) / h, h)
+            shift, drift = self.contacts.move(
+                self.ball, i, self.ball[i].v, self.forces.change(i, h) / h, h, 0.0 * self.ball[i].v
+            )
             self.state.shift(i, shift)
             self.ball[i].v = drift
         self.contacts.refresh(self.ball)

@@ -1,0 +1,73 @@
+"""Free bodies: balls that springs join, none of them pinned. What a solver leaves of their momentum is given to them whole."""
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from taichi_sim.fields import Fields
+from taichi_sim.kernels.springs import GRAIN
+from taichi_sim.model import Model
+
+__all__ = ["FreeBodies", "components"]
+
+PART = 1024  # balls whose terms one thread sums
+
+
+def components(pairs: NDArray[np.integer], n: int) -> NDArray[np.int64]:
+    """For each of n balls the lowest index among those that springs join it to, over any number of springs."""
+    label = np.arange(n)
+    while True:
+        lowest = np.minimum(label[pairs[:, 0]], label[pairs[:, 1]])
+        after = label.copy()
+        np.minimum.at(after, label[pairs[:, 0]], lowest)
+        np.minimum.at(after, label[pairs[:, 1]], lowest)
+        after = after[after]
+        if np.array_equal(after, label):
+            return label
+        label = after
+
+
+@ti.data_oriented
+class FreeBodies:
+    """Shifts the velocities of each free body together, so that its momentum is what it should be: conjugate gradients find
+    this, the softest of all modes, last."""
+
+    def __init__(self, model: Model, fields: Fields) -> None:
+        scene = model.scene
+        label = components(scene.pairs, model.n)
+        held = np.zeros(model.n, dtype=bool)
+        held[label[scene.pinned]] = True
+        single = np.bincount(label, minlength=model.n) == 1  # solved exactly anyway
+        free = np.flatnonzero(~held[label] & ~single[label])
+        member = free[np.argsort(label[free], kind="stable")]
+        body, first, count = np.unique(label[member], return_index=True, return_counts=True)
+        begins = [np.arange(f, f + c, PART) for f, c in zip(first, count)]
+        self.dim, self.members, self.bodies = model.dim, len(member), len(body)
+        self.parts = sum(len(b) for b in begins)
+        self.member = fields.integers(member)
+        self.body_of = fields.integers(np.repeat(np.arange(len(body)), count))
+        self.begin = fields.integers(np.append(np.concatenate([*begins, [0]])[:-1], len(member)))
+        self.part = fields.integers(np.append(0, np.cumsum([len(b) for b in begins])).astype(np.int32))
+        mass = np.bincount(np.repeat(np.arange(len(body)), count), scene.mass[member], len(body))
+        self.mass = fields.reals(mass if len(mass) else 1)
+        self.sum = fields.vectors(max(1, self.parts), self.dim)
+        self.shift = fields.vectors(max(1, self.bodies), self.dim)
+
+    @ti.func
+    def share(self, table: ti.template(), impulse: ti.template()):
+        """Velocities table.v of each body += the sum of `impulse` over its balls, divided by its mass."""
+        for k in range(self.parts * GRAIN):
+            if k % GRAIN == 0:
+                c = k // GRAIN
+                total = ti.Vector.zero(float, self.dim)
+                for e in range(self.begin[c], self.begin[c + 1]):
+                    total += impulse[self.member[e]]
+                self.sum[c] = total
+        for k in range(self.bodies):
+            total = ti.Vector.zero(float, self.dim)
+            for c in range(self.part[k], self.part[k + 1]):
+                total += self.sum[c]
+            self.shift[k] = total / self.mass[k]
+        for e in range(self.members):
+            i = self.member[e]
+            table[i].v = table[i].v + self.shift[self.body_of[e]]

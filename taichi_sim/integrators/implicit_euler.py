@@ -1,0 +1,44 @@
+"""Implicit (backward) Euler: x += h v, v += h a(x, v), both from new values."""
+
+import taichi as ti
+
+from taichi_sim.integrators.implicit import Implicit
+
+__all__ = ["ImplicitEuler"]
+
+
+@ti.data_oriented
+class ImplicitEuler(Implicit):
+    """Order 1, bounded at any step; its own damping takes the energy of everything faster than a step."""
+
+    name, order = "implicit_euler", 1
+    relaxes = True
+    tolerance = 1e-2
+
+    @ti.func
+    def begin(self, stage, h, time):
+        """From the present places; gravity and the user's forces act on old values."""
+        self.forces.external(self.ball, h, time)
+        for i in range(self.model.n):
+            self.solver.base[i] = self.ball[i]
+            self.solver.q[i] = self.ball[i].v + self.forces.external_change(i, h)
+
+    @ti.func
+    def end(self, stage, h):
+        """Nothing to keep."""
+
+    @ti.func
+    def finish(self, h):
+        """Contacts on the new velocity, then move."""
+        self.fresh[0] = 0
+        for i in range(self.model.n):
+            self.state.kick(i, self.solver.base[i].v - self.ball[i].v)
+        self.contacts.solve(self.ball, h, self.contacts.passes, True)
+        self.contacts.separate(self.ball, h)
+        for i in range(self.model.n):
+            v = self.ball[i].v
+            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, self.solver.base[i].v - self.solver.first[i])
+            self.state.shift(i, shift)
+            self.ball[i].v = drift
+        self.contacts.refresh(self.ball)
+        self.contacts.relax(self.ball, 0.0)

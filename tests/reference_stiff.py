@@ -1,0 +1,86 @@
+"""The stiff methods once more, slow and plain, in NumPy float64, with dense matrices; no contacts."""
+
+import numpy as np
+import reference as ref
+
+Array = np.ndarray
+ROUNDS = 200  # of Newton's method; its matrix leaves out the negative geometric stiffness, so it converges linearly
+
+
+def solve_stage(net: ref.Network, p: Array, q: Array, v: Array, s: float) -> Array:
+    """v with v = q + s w F(p + s v, v), from the guess v."""
+    dim = p.shape[1]
+    free = np.repeat(net.w > 0, dim)
+    m = np.repeat(1.0 / np.where(net.w > 0, net.w, 1.0), dim)
+    v = v.copy()
+    for _ in range(ROUNDS):
+        x = p + s * v
+        r = m * (q - v).ravel() + s * ref.spring_forces(x, v, net.pairs, net.k, net.c, net.rest).ravel()
+        r[~free] = 0.0
+        A = np.diag(m)
+        for (i, j), k, c, rest in zip(net.pairs, net.k, net.c, net.rest):
+            u, d = ref.direction(x, i, j)
+            along = np.outer(u, u)
+            geometric = max(0.0, 1.0 - rest / d) if d > 0 else float(rest == 0.0)
+            block = s * c * along + s * s * k * (along + geometric * (np.eye(dim) - along))
+            for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+                A[dim * a : dim * a + dim, dim * b : dim * b + dim] += sign * block
+        A[~free] = 0.0
+        A[~free, ~free] = 1.0
+        dv = np.linalg.solve(A, r)
+        v += dv.reshape(v.shape)
+        if np.max(np.abs(dv)) < 1e-15 * max(1.0, np.max(np.abs(v))):
+            break
+    return v
+
+
+def implicit_euler(net: ref.Network, x: Array, v: Array, h: float, steps: int) -> tuple[Array, Array]:
+    """x + h v', v' = v + h a(x + h v', v')."""
+    push = h * net.gravity * (net.w > 0)[:, None]
+    for _ in range(steps):
+        v = solve_stage(net, x, v + push, v, h)
+        x = x + h * v
+    return x, v
+
+
+def tr_bdf2(net: ref.Network, x: Array, v: Array, h: float, steps: int) -> tuple[Array, Array]:
+    """Trapezoidal rule to g h, then BDF2 to h, g = 2 - sqrt 2; the first slope by implicit Euler over g h / 2."""
+    g = 2.0 - np.sqrt(2.0)
+    s, c = 0.5 * g * h, 1.0 / (g * (2.0 - g))
+    push = net.gravity * (net.w > 0)[:, None]
+    q = v + s * push
+    slope = (solve_stage(net, x, q, v, s) - q) / s
+    for _ in range(steps):
+        middle = solve_stage(net, x + s * v, v + s * slope + g * h * push, v, s)
+        x_middle = x + s * (v + middle)
+        p = c * x_middle + (1.0 - c) * x
+        q = c * middle + (1.0 - c) * v + s * push
+        v = solve_stage(net, p, q, middle, s)
+        x = p + s * v
+        slope = (v - q) / s
+    return x, v
+
+
+def xpbd(net: ref.Network, x: Array, v: Array, h: float, steps: int) -> tuple[Array, Array]:
+    """Each spring in turn, ordered by its lower ball, then the other one: XPBD with one iteration, in positions.
+
+    Predict y = x + h v; for each spring C = |y_j - y_i| - l, with compliance 1 / k and damping as Macklin et al. (2016, eq. 26)
+    have it, beta = c / k^2: lambda = -(C + gamma n.(y_j - x_j - y_i + x_i)) / ((1 + gamma) W + a), a = 1 / (k h^2),
+    gamma = a beta k^2 h ... = c / (k h), and y_i -= w_i lambda n, y_j += w_j lambda n. In the end v = (y - x) / h.
+    """
+    order = np.lexsort((net.pairs.max(axis=1), net.pairs.min(axis=1)))
+    for _ in range(steps):
+        y = x + h * (v + h * net.gravity * (net.w > 0)[:, None])
+        for e in order:
+            i, j = net.pairs[e]
+            n, d = ref.direction(y, i, j)
+            a, gamma = 1.0 / (net.k[e] * h * h), net.c[e] / (net.k[e] * h)
+            moved = n @ ((y[j] - x[j]) - (y[i] - x[i]))
+            lam = -(d - net.rest[e] + gamma * moved) / ((1.0 + gamma) * (net.w[i] + net.w[j]) + a)
+            y[i] -= net.w[i] * lam * n
+            y[j] += net.w[j] * lam * n
+        x, v = y, (y - x) / h
+    return x, v
+
+
+RUN = {"xpbd": xpbd, "implicit_euler": implicit_euler, "tr_bdf2": tr_bdf2}

@@ -1,0 +1,306 @@
+"""xpbd, implicit_euler and tr_bdf2: against dense matrices and closed forms, at any step, with contacts, in either driver."""
+
+import numpy as np
+import pytest
+import reference as ref
+import reference_stiff as slow
+from physics_support import F64, each_dim, error, simulate, vector
+
+import taichi_sim as ts
+from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler
+from taichi_sim.stability import ANY_STEP
+
+STIFF = ("xpbd", "implicit_euler", "tr_bdf2")
+KINDS = {"xpbd": XPBD, "implicit_euler": ImplicitEuler, "tr_bdf2": TRBDF2}
+FUSED, PARALLEL = ("ordered", "fused"), ("ordered", "parallel")
+each_stiff = pytest.mark.parametrize("method", STIFF)
+
+
+def exactly(method):
+    """The method with solutions to rounding."""
+    return XPBD() if method == "xpbd" else KINDS[method](tolerance=1e-13 if F64 else 1e-6)
+
+
+def net_of(scene):
+    w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+    return ref.network(w, scene.pairs, scene.stiffness, scene.damping, scene.rest_length, scene.gravity)
+
+
+def random_net(dim, seed, n=20, stiffness=300.0):
+    """Balls of unequal mass, some pinned, joined to their neighbours by springs that are not at rest."""
+    rng = np.random.default_rng(seed)
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.3, -9.81, 1.0))
+    x = rng.uniform(-1.0, 1.0, (n, dim))
+    b = scene.add_balls(
+        x,
+        radius=0.01,
+        velocity=rng.normal(0.0, 1.0, (n, dim)),
+        mass=rng.uniform(0.2, 5.0, n),
+        pinned=rng.uniform(size=n) < 0.1,
+    )
+    far = np.linalg.norm(x[:, None] - x[None], axis=2)
+    pairs = np.array([(i, j) for i in range(n) for j in range(i) if j in np.argsort(far[i])[:5]])
+    length = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    scene.add_springs(
+        b[pairs],
+        stiffness=stiffness * rng.uniform(0.1, 1.0, len(pairs)),
+        damping=rng.uniform(0.0, 2.0, len(pairs)),
+        rest_length=length * rng.uniform(0.8, 1.2, len(pairs)),
+    )
+    return scene
+
+
+def test_methods_that_no_spring_limits():
+    assert ANY_STEP == STIFF
+    scene = random_net(2, 0)
+    for method in STIFF:
+        with simulate(scene, integrator=method) as sim:
+            assert sim.dt == 1e-3
+            assert np.isinf(sim.stability().dt_any_shape)
+            assert "any step" in sim.stability().reason
+
+
+@each_dim
+@each_stiff
+def test_agrees_with_dense_matrices(method, dim):
+    for seed in range(2):
+        scene = random_net(dim, seed)
+        x, v = slow.RUN[method](net_of(scene), scene.position, scene.velocity, 5e-3, 20)
+        with simulate(scene, integrator=exactly(method), dt=5e-3, contacts="off") as sim:
+            sim.step(20)
+            assert error(sim.position, x) < (1e-9 if F64 else 1e-4)
+            assert error(sim.velocity, v) < (1e-8 if F64 else 1e-3)
+
+
+@each_stiff
+def test_lone_spring(method):
+    """One spring is solved exactly by xpbd too: (1 + w^2 h^2)^-1/2 a step; tr_bdf2 by its own dense form."""
+    scene = ts.Scene(dim=2)
+    b = scene.add_balls([[0, 0], [1.0, 0]], radius=0.01, mass=[1.0, 2.0])
+    scene.add_springs([b], stiffness=100.0, rest_length=0.999)
+    h, steps = 0.01, 100
+    with simulate(scene, integrator=exactly(method), dt=h) as sim:
+        sim.step(steps)
+        stretch = sim.position[1, 0] - sim.position[0, 0] - 0.999
+    if method == "tr_bdf2":
+        x, _ = slow.tr_bdf2(net_of(scene), scene.position, scene.velocity, h, steps)
+        expected = x[1, 0] - x[0, 0] - 0.999
+    else:
+        step = np.linalg.inv([[1.0, -h], [150.0 * h, 1.0]])  # omega^2 = k (1/m1 + 1/m2)
+        assert np.allclose(np.abs(np.linalg.eigvals(step)), (1 + 150.0 * h * h) ** -0.5)
+        expected = (np.linalg.matrix_power(step, steps) @ [0.001, 0.0])[0]
+    assert abs(stretch - expected) < (1e-11 if F64 else 2e-6)
+
+
+@each_stiff
+def test_free_fall(method):
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls([[0, 0]], radius=0.1, velocity=(1, 2))
+    with simulate(scene, integrator=method, dt=0.01) as sim:
+        sim.step(100)
+        late = 0.0 if method == "tr_bdf2" else 0.05  # g t h / 2
+        assert np.allclose(sim.position, [[1.0, 2.0 - 5.0 - late]], atol=1e-12 if F64 else 1e-6)
+
+
+@each_stiff
+def test_momentum(method):
+    scene = random_net(3, 5)
+    scene.gravity = np.zeros(3)
+    scene.pinned[:] = False
+    with simulate(scene, integrator=exactly(method), dt=2e-3, contacts="off") as sim:
+        p, L = sim.momentum(), sim.angular_momentum()
+        sim.step(200)
+        size = np.sum(scene.mass * np.linalg.norm(sim.velocity, axis=1))
+        assert np.allclose(sim.momentum(), p, atol=(1e-10 if F64 else 2e-4) * size)
+        if method == "xpbd":  # its impulses act along the springs as they will be, not as they are
+            assert np.allclose(sim.angular_momentum(), L, atol=0.05 * size)
+
+
+def free_net(kind, power, h):
+    """A net without gravity and pins whose springs have K h^2, or C h, of ten to that power; and the slowest of its springs."""
+    scene = random_net(2, 7)
+    scene.gravity = np.zeros(2)
+    scene.pinned[:] = False
+    scene.stiffness[:] = 10.0**power / h**2 if kind == "elastic" else 1.0
+    scene.damping[:] = 10.0**power / h if kind == "damping" else 0.0
+    return scene
+
+
+def closing_speed(scene, x, v):
+    """RMS of the speeds along the springs."""
+    i, j = scene.pairs.T
+    r = x[j] - x[i]
+    return float(np.sqrt(np.mean((np.sum((v[j] - v[i]) * r, axis=1) / np.linalg.norm(r, axis=1)) ** 2)))
+
+
+@pytest.mark.parametrize("power", [2, 4, 6])
+@each_stiff
+def test_any_stiffness(method, power):
+    """Springs that are far from rest: bounded by the energy they start with, all of it shared out within the body."""
+    scene = free_net("elastic", power, 0.01)
+    start = sum(ref.energy(net_of(scene), scene.position, scene.velocity))
+    finely = ImplicitEuler(tolerance=1e-5) if method == "implicit_euler" else method
+    with simulate(scene, integrator=finely, dt=0.01, contacts="off") as sim:
+        momentum = sim.momentum()
+        size = np.sqrt(2.0 * scene.mass.sum() * start)
+        energy = [start]
+        for _ in range(50):
+            sim.step(1)
+            energy.append(sim.energy().total)
+        energy = np.array(energy)
+        assert np.all(np.isfinite(energy))
+        assert np.all(energy[1:] < start)
+        if method == "implicit_euler":  # its potential falls in each step
+            assert np.all(np.diff(energy) < 1e-5 * energy[:-1])
+        assert np.allclose(sim.momentum(), momentum, atol=(1e-9 if F64 else 1e-4) * size)
+
+
+@pytest.mark.parametrize("power", [2, 4, 6])
+@each_stiff
+def test_any_damping(method, power):
+    """Relative velocity along the springs decays at once, momentum is kept."""
+    scene = free_net("damping", power, 0.01)
+    start = sum(ref.energy(net_of(scene), scene.position, scene.velocity))
+    before = closing_speed(scene, scene.position, scene.velocity)
+    with simulate(scene, integrator=method, dt=0.01, contacts="off") as sim:
+        momentum = sim.momentum()
+        sim.step(50)
+        assert sim.energy().total < start
+        assert closing_speed(scene, sim.position, sim.velocity) < 0.05 * before
+        assert np.allclose(sim.momentum(), momentum, atol=1e-9 if F64 else 2e-3)
+
+
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_heavy_end(method):
+    """A chain of 20 whose last ball is 1e4 times heavier: the static stretch within 1 %. (xpbd, once per step and spring, lets
+    it sink for many seconds.)"""
+    n, k, m = 20, 1e7, 1.0
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    mass = np.full(n + 1, m)
+    mass[-1] = 1e4
+    b = scene.add_balls(
+        np.stack([np.zeros(n + 1), -0.1 * np.arange(n + 1)], axis=1), radius=0.01, mass=mass, pinned=[0]
+    )
+    scene.add_springs(np.stack([b[:-1], b[1:]], axis=1), stiffness=k, damping=np.sqrt(k * 1e4))
+    stretch = sum(10.0 * mass[i:].sum() / k for i in range(1, n + 1))
+    with simulate(scene, integrator=method, dt=0.02, contacts="off") as sim:
+        sim.run(20.0)
+        assert np.max(np.abs(sim.velocity)) < 1e-2
+        assert abs(-sim.position[-1, 1] - 0.1 * n - stretch) < 0.01 * stretch
+
+
+@each_stiff
+def test_both_drivers_give_the_same_bits(method):
+    """A net of four blocks."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(16, 16))
+    scene.pinned[sheet.balls[:2]] = True
+    found = []
+    for variant in (FUSED, PARALLEL):
+        with simulate(scene, variant, integrator=method, dt=5e-3, contacts="off") as sim:
+            sim.step(20)
+            found.append((sim.position, sim.velocity))
+    assert np.array_equal(found[0][0], found[1][0])
+    assert np.array_equal(found[0][1], found[1][1])
+    assert np.max(np.abs(found[0][1])) > 0.1
+
+
+@each_stiff
+def test_atomic_sums_agree(method):
+    scene = random_net(2, 9)
+    found = []
+    for accumulate in ("ordered", "atomic"):
+        integrator = method if method == "xpbd" else exactly(method)
+        with simulate(scene, (accumulate, "fused"), integrator=integrator, dt=1e-4, contacts="off") as sim:
+            sim.step(500)
+            found.append(sim.position)
+    bound = 2e-3 if method == "xpbd" else (1e-9 if F64 else 1e-4)  # two splittings of one method, of order 1
+    assert error(found[1], found[0]) < bound
+
+
+@each_stiff
+def test_a_jelly_lands_and_rests(method):
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_material("rubber", restitution=0.3, friction=0.4)
+    ts.shapes.jelly(
+        scene, size=(0.6, 0.4), resolution=(5, 4), position=(0, 0.3), stiffness=2e4, damping=20.0, material="rubber"
+    )
+    scene.add_wall((0, 1), 0.0, material="rubber")
+    with simulate(scene, integrator=method, dt=4e-3) as sim:
+        start = sim.energy().total
+        sim.run(3.0)
+        assert np.max(np.abs(sim.velocity)) < 0.01
+        assert sim.penetration() < 0.02 * scene.radius.max()
+        assert sim.energy().total < start
+
+
+@each_stiff
+def test_zero_length(method):
+    """Coincident balls on a spring with a length: finite, apart along an axis, the centre of mass fixed."""
+    scene = ts.Scene(dim=3)
+    b = scene.add_balls([[0, 0, 0], [0, 0, 0]], radius=0.01, mass=[1.0, 3.0])
+    scene.add_springs([b], stiffness=1e4, rest_length=0.5)
+    with simulate(scene, integrator=method, dt=0.01, contacts="off") as sim:
+        sim.step(100)
+        x = sim.position
+    assert np.all(np.isfinite(x))
+    assert 0.1 < np.linalg.norm(x[1] - x[0]) < 1.0
+    assert np.allclose(scene.mass @ x, 0.0, atol=1e-9 if F64 else 1e-4)
+
+
+@each_stiff
+def test_pinned_balls_keep_still(method):
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    b = scene.add_balls([[0, 0], [1, 0], [0, 1]], radius=0.1, pinned=True)
+    scene.add_springs([b[:2], b[1:]], stiffness=10.0, damping=1.0, rest_length=0.5)
+    with simulate(scene, integrator=method, dt=0.01) as sim:
+        sim.step(10)
+        assert np.array_equal(sim.velocity, np.zeros_like(sim.velocity))
+
+
+def test_tr_bdf2_takes_forces_of_ones_own_to_second_order():
+    """Linear drag on a swinging spring, which is explicit, against the closed form by matrix exponential."""
+    import taichi as ti
+
+    @ti.data_oriented
+    class Drag:
+        @ti.func
+        def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+            for i in range(model.n):
+                impulse[i] += -h * 0.8 * ball[i].v
+
+    scene = ts.Scene(dim=2)
+    b = scene.add_balls([[0, 0], [1.0, 0]], radius=0.01, pinned=[0], velocity=[[0, 0], [0.01, 0]])
+    scene.add_springs([b], stiffness=30.0)
+    A = np.array([[0.0, 1.0], [-30.0, -0.8]])
+    w, V = np.linalg.eig(A)
+    exact = ((V * np.exp(w * 0.64)) @ np.linalg.solve(V, [0.0, 0.01])).real
+    e = []
+    for n in (64, 128, 256):
+        with simulate(scene, integrator=exactly("tr_bdf2"), dt=0.64 / n, forces=[Drag()]) as sim:
+            sim.step(n)
+            e.append(abs(sim.position[1, 0] - 1.0 - exact[0]))
+    if F64:
+        assert np.all(np.abs(np.log2(np.divide(e[:-1], e[1:])) - 2.0) < 0.15), e
+    else:
+        assert e[0] < 1e-5
+
+
+def test_a_tolerance_out_of_range_is_refused():
+    with pytest.raises(ValueError, match="tolerance: 0 is not allowed; it must be between 0 and 1"):
+        ImplicitEuler(tolerance=0)
+
+
+def test_small_steps_keep_single_precision():
+    """A sheet at ten times smaller steps is no further from its end than at larger ones: velocities are no differences."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(6, 6), stiffness=100.0, damping=0.05, mass=0.3)
+    scene.pinned[sheet.balls[:6]] = True
+    x, _ = ref.run("rk4", net_of(scene), scene.position, scene.velocity, 5e-4, 600)
+    e = []
+    for n in (300, 3000, 30000):
+        with simulate(scene, integrator="xpbd", dt=0.3 / n, contacts="off") as sim:
+            sim.step(n)
+            e.append(float(np.sqrt(np.mean((sim.position - x) ** 2))))
+    assert e[1] < 0.2 * e[0]
+    assert e[2] < 0.3 * e[1]
