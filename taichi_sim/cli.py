@@ -139,9 +139,11 @@ def check(
 ) -> None:
     """Say which time step is safe for SCENE, and what limits it, before anything runs."""
     with _plain_errors():
+        from taichi_sim.reports import check as stability_report
+
         job = _Job(scene, fps=fps, duration=duration, size=None)
         with job.simulation(arch=arch, dt=dt, integrator=integrator, precision=precision, threads=threads) as sim:
-            typer.echo("\n".join(_stability(sim)))
+            typer.echo("\n".join(stability_report.lines(sim)))
 
 
 @main.command()
@@ -247,18 +249,6 @@ def _size(text: str | None) -> tuple[int, int] | None:
     if not all(16 <= side <= 8192 for side in (int(width), int(height))):
         raise ValueError(f"--size: {text!r} is not allowed; each side must be from 16 to 8192")
     return int(width), int(height)
-
-
-def _stability(sim: Any) -> Iterator[str]:
-    """The lines of the stability report."""
-    limits = sim.stability()
-    yield f"step used             {sim.dt / sim.substeps:.4g} s"
-    for name, value in (("for any shape", limits.dt_any_shape), ("for this shape", limits.dt_present)):
-        yield f"safe {name:17}" + ("no limit" if value == float("inf") else f"{value:.4g} s")
-    for name, index in (("spring", limits.spring), ("ball", limits.ball)):
-        if index is not None:
-            yield f"limited by            {name} {index}"
-    yield f"why                   {limits.reason}"
 
 
 @contextmanager

@@ -32,7 +32,8 @@ class Simulation:
     Args, all optional; what is left out is taken from scene.settings, then from the defaults in parentheses:
         integrator: a name ("explicit_euler", "symplectic_euler", "verlet", "rk4", and, for stiff springs, "xpbd",
             "implicit_euler", "tr_bdf2") or an Integrator ("verlet").
-        dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape ("auto").
+        dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape, 0.4 where
+            a spring is undamped and the method symplectic ("auto").
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
             ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
@@ -280,8 +281,10 @@ class Simulation:
         )
 
     def stability(self) -> Stability:
-        """The largest safe step, and what limits it."""
-        return self._stability
+        """The largest safe step, in every shape and in the present one, and what limits it."""
+        if self._still:
+            return self._stability
+        return stability(self.scene, self.settings.integrator.name, self.position)
 
     def kernels(self) -> list[str]:
         """The parts that were compiled for this scene; what it lacks is not among them."""

@@ -1,0 +1,80 @@
+"""The stability report: which step is safe with each method, what limits it, what it costs, and what to do."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from taichi_sim.scene import Scene
+from taichi_sim.simulation import Simulation
+from taichi_sim.stability import ANY_STEP, Stability, stability, without
+
+__all__ = ["lines"]
+
+EXPLICIT = ("verlet", "symplectic_euler", "rk4", "explicit_euler")
+MANY = 20_000  # passes over the springs in a simulated second, from which a stiff method is worth a try
+RARE = 2.0  # times longer step without the limiting spring, from which that one alone is to blame
+
+
+def passes(scene: Scene, integrator: str) -> int:
+    """How often a step of an explicit method goes through the springs."""
+    damped = bool(np.any(scene.damping > 0))
+    return {"rk4": 4, "verlet": 2 if damped else 1}.get(integrator, 1)
+
+
+def lines(sim: Simulation) -> Iterator[str]:
+    """The report on a simulation, line by line; positions are its present ones."""
+    scene, used = sim.scene, sim.settings.integrator.name
+    h = sim.dt / sim.substeps
+    limits = sim.stability()
+    yield f"method                {used}"
+    yield f"step used             {h:.4g} s" + (
+        "" if sim.substeps == 1 else f" ({sim.substeps} substeps of {sim.dt:.4g} s)"
+    )
+    yield f"safe for any shape    {_seconds(limits.dt_any_shape)}{_share(h, limits.dt_any_shape)}"
+    yield f"safe for this shape   {_seconds(limits.dt_present)}"
+    for name, index in (("spring", limits.spring), ("ball", limits.ball)):
+        if index is not None:
+            yield f"limited by            {name} {index}"
+    yield f"why                   {limits.reason}"
+    if not np.isfinite(limits.dt_any_shape):
+        yield f"advice                {_advice(sim, limits, np.inf)}"
+        return
+    longer = np.inf if limits.spring is None else without(scene, used, limits.spring)
+    yield f"without that spring   {_seconds(longer)}"
+    yield ""
+    yield f"{'method':18} {'any shape':>11} {'this shape':>11} {'passes per simulated second':>28}"
+    for name in dict.fromkeys((used, *EXPLICIT)):
+        found = limits if name == used else stability(scene, name, sim.position)
+        step = found.dt_any_shape
+        cost = f"{passes(scene, name) / step:.3g}" if 0 < step < np.inf else "-"
+        yield f"{name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
+    yield f"{', '.join(ANY_STEP)}: any step is stable, its error is another matter"
+    yield ""
+    yield f"advice                {_advice(sim, limits, longer)}"
+
+
+def _seconds(value: float) -> str:
+    return "no limit" if np.isinf(value) else "none" if value == 0 else f"{value:.4g} s"
+
+
+def _share(h: float, safe: float) -> str:
+    return f", of which {h / safe:.2g} is used" if 0 < safe < np.inf else ""
+
+
+def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
+    scene, used, h = sim.scene, sim.settings.integrator.name, sim.dt / sim.substeps
+    safe = limits.dt_any_shape
+    if np.isinf(safe):
+        return "no spring limits the step; choose it by the accuracy you need"
+    if safe == 0.0:
+        return "take symplectic_euler or verlet: explicit Euler gains energy on an undamped spring whatever the step"
+    if longer > RARE * safe and scene.n_springs > 1:
+        times = f"{longer / safe:.3g} times shorter"
+        return f"spring {limits.spring} alone makes the step {times}; is its stiffness, or its ball's mass, meant?"
+    if used != "verlet" and stability(scene, "verlet").dt_any_shape > RARE * safe:
+        return "verlet takes a longer step here: damping limits it at no coefficient"
+    if h > safe:
+        return f'dt above the bound of {safe:.4g} s may blow up; take that, or dt = "auto"'
+    if passes(scene, used) / safe > MANY:
+        return "if an error of a hundredth of the size will do, xpbd or implicit_euler may need fewer passes"
+    return f"{used} at {min(h, safe):.4g} s is safe in every shape"

@@ -1,0 +1,144 @@
+"""The safe step: below the exact limit of every method, near it for the present shape, and no blow-up where it is kept."""
+
+import numpy as np
+import pytest
+from physics_support import F64, simulate, vector
+
+import taichi_sim as ts
+from taichi_sim.reports import check
+from taichi_sim.stability import largest_eigenvalue, present_eigenvalue, stability
+
+EXPLICIT = ("symplectic_euler", "verlet", "rk4")
+
+
+def matrices(scene, x):
+    """M^-1/2 K M^-1/2 without the pressure of compressed springs, and the same of the damping, pinned balls left out."""
+    n, dim = x.shape
+    K, D = np.zeros((n, dim, n, dim)), np.zeros((n, dim, n, dim))
+    for (i, j), k, c, rest in zip(scene.pairs, scene.stiffness, scene.damping, scene.rest_length):
+        r = x[j] - x[i]
+        d = np.linalg.norm(r)
+        along = np.outer(r, r) / d**2
+        for A, block in ((K, k * (along + max(0.0, 1 - rest / d) * (np.eye(dim) - along))), (D, c * along)):
+            for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+                A[a, :, b, :] += sign * block
+    scale = np.repeat(np.where(scene.pinned, 0.0, scene.mass**-0.5), dim)
+    return [scale[:, None] * A.reshape(n * dim, n * dim) * scale[None] for A in (K, D)]
+
+
+def network(dim, seed, n=24, damped=True, unit=1.0):
+    """A random net, some of it pinned, masses over two decades; unit [s]: its time scale."""
+    rng = np.random.default_rng(seed)
+    scene = ts.Scene(dim=dim, gravity=vector(dim))
+    add_network(scene, rng, n, damped, unit)
+    return scene
+
+
+def add_network(scene, rng, n, damped, unit=1.0):
+    x = rng.uniform(-1.0, 1.0, (n, scene.dim))
+    b = scene.add_balls(x, radius=1e-3, mass=10.0 ** rng.uniform(-1, 1, n), pinned=rng.uniform(size=n) < 0.15)
+    pairs = np.array([(i, j) for i in range(n) for j in range(i) if rng.uniform() < 0.25])
+    m = len(pairs)
+    k, c = 10.0 ** rng.uniform(1, 3, m), damped * 10.0 ** rng.uniform(-2, 1, m)
+    length = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    scene.add_springs(b[pairs], stiffness=k / unit**2, damping=c / unit, rest_length=length * rng.uniform(0.7, 1.3, m))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_bounds_are_below_the_exact_eigenvalue_and_the_present_one_is_the_closer(dim):
+    closer = 0
+    for seed in range(40):
+        scene = network(dim, seed)
+        K, D = matrices(scene, scene.position)
+        zero = np.zeros(scene.n_springs)
+        for exact, k, c in (
+            (K, scene.stiffness, zero),
+            (D, zero, scene.damping),
+            (K + 30 * D, scene.stiffness, 30 * scene.damping),
+        ):
+            exact = np.linalg.eigvalsh(exact)[-1]
+            present = present_eigenvalue(scene, k, c, scene.position)[0]
+            any_shape = largest_eigenvalue(scene, k + c)[0]
+            assert exact <= present * (1 + 1e-9)
+            closer += present < any_shape
+    assert closer > 100  # of 120; on few and unequal balls the simpler one can be the better
+
+
+@pytest.mark.parametrize("side", [10, 20])
+def test_present_bound_of_a_hanging_cloth(side):
+    """Nine tenths of the exact step, masses over two decades."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(side, side), stiffness=1e3, damping=0.0)
+    scene.mass[:] *= 10.0 ** np.random.default_rng(side).uniform(-1, 1, scene.n_balls)
+    scene.pinned[sheet.balls[:side]] = True
+    exact = 2.0 / np.sqrt(np.linalg.eigvalsh(matrices(scene, scene.position)[0])[-1])
+    found = stability(scene, "verlet", scene.position)
+    assert 1.0 <= exact / found.dt_present < 1.25
+    assert found.dt_any_shape <= found.dt_present
+    assert stability(scene, "verlet").dt_present == found.dt_any_shape
+
+
+def test_a_zero_length_spring_has_every_direction():
+    scene = ts.Scene(dim=2)
+    b = scene.add_balls([[0, 0], [0, 0]], radius=0.1, pinned=[0])
+    scene.add_springs([b], stiffness=100.0, rest_length=0.0)
+    assert stability(scene, "verlet", scene.position).dt_present == pytest.approx(0.2)
+
+
+if F64:
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    @pytest.mark.parametrize("method", EXPLICIT)
+    @pytest.mark.parametrize("damped", [True, False], ids=["damped", "undamped"])
+    def test_no_automatic_step_blows_up_f64(damped, method, dim):
+        """A hundred networks, their time scales such that the bound is 1 ms, let go with springs stretched by up to 30 %."""
+        scene = ts.Scene(dim=dim, gravity=vector(dim))
+        owner = []
+        for seed in range(100):
+            alone = network(dim, seed, 12, damped)
+            add_network(scene, np.random.default_rng(seed), 12, damped, 1e-3 / stability(alone, method).dt_any_shape)
+            owner += [seed] * (scene.n_balls - len(owner))
+        assert stability(scene, method).dt_any_shape == pytest.approx(1e-3, rel=1e-6)
+        with simulate(scene, integrator=method, contacts="off") as sim:
+            assert sim.dt == pytest.approx(4e-4 if not damped and method != "rk4" else 9e-4, rel=1e-6)
+            start = energies(scene, sim.position, sim.velocity, owner)
+            sim.run(2.7)
+            assert np.all(energies(scene, sim.position, sim.velocity, owner) < (1.0 if damped else 8.0) * start)
+
+
+def energies(scene, x, v, owner):
+    """(100,) J: kinetic and spring energy of each network."""
+    owner = np.asarray(owner)
+    i, j = scene.pairs.T
+    stretch = np.linalg.norm(x[j] - x[i], axis=1) - scene.rest_length
+    kinetic = np.bincount(owner, 0.5 * scene.mass * np.sum(v**2, axis=1) * ~scene.pinned)
+    return kinetic + np.bincount(owner[i], 0.5 * scene.stiffness * stretch**2, len(kinetic))
+
+
+def test_check_names_what_limits_and_what_to_do():
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    b = scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1)
+    scene.add_springs([b[:2], b[1:]], stiffness=[100.0, 1e6])
+    with simulate(scene, dt=1e-3, contacts="off") as sim:
+        text = "\n".join(check.lines(sim))
+    assert "limited by            spring 1" in text
+    assert "without that spring   0.1414 s" in text
+    assert "spring 1 alone makes the step 100 times shorter; is its stiffness, or its ball's mass, meant?" in text
+    assert "no limit" not in text
+    with simulate(scene, integrator="implicit_euler", contacts="off") as sim:
+        text = "\n".join(check.lines(sim))
+    assert "any step" in text
+    assert "advice                no spring limits the step; choose it by the accuracy you need" in text
+    with simulate(scene, integrator="explicit_euler", dt=1e-3, contacts="off") as sim:
+        assert "gains energy on an undamped spring" in "\n".join(check.lines(sim))
+
+
+def test_check_of_scenes_without_springs_or_motion():
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    b = scene.add_balls([[0, 0], [1, 0]], radius=0.1)
+    with simulate(scene) as sim:
+        assert "no spring moves a ball: every step is stable" in "\n".join(check.lines(sim))
+    scene.add_springs([b], stiffness=100.0)
+    scene.pinned[:] = True
+    with simulate(scene) as sim:
+        assert "no spring moves a ball: every step is stable" in "\n".join(check.lines(sim))
