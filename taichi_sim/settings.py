@@ -36,10 +36,9 @@ WORDS: dict[str, tuple[Any, ...]] = {
 LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
 MOST_THREADS = 4096
 SAFETY = 0.9  # of the stability bound
-UNDAMPED = (
-    0.4  # the same where a spring is undamped: small motion is stable up to the bound, but large motion of symplectic
-)
-# methods meets resonances of the step itself from omega h = 1.2 on, and gains energy
+# The same for a symplectic method where a spring is undamped: small motion is stable up to the bound, but large motion meets
+# resonances of the step itself from omega h = 1.2 on, and gains energy.
+UNDAMPED = 0.4
 SYMPLECTIC = ("verlet", "symplectic_euler")
 SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
 FILLED = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
@@ -108,11 +107,8 @@ class Settings:
         if safe.dt_any_shape == 0.0:
             raise ValueError(f'dt: "auto" finds no safe step: {safe.reason}; give a number, or take another integrator')
         resonant = getattr(self.integrator, "name", "") in SYMPLECTIC and not np.all(scene.damping > 0)
-        limit = (
-            (UNDAMPED if resonant else SAFETY)
-            * safe.dt_any_shape
-            * (1 if self.substeps == "auto" else int(self.substeps))
-        )
+        part = UNDAMPED if resonant else SAFETY
+        limit = part * safe.dt_any_shape * (1 if self.substeps == "auto" else int(self.substeps))
         dt = float(np.minimum(LONGEST_STEP, limit))
         return dt, self._substeps(scene, dt)
 
