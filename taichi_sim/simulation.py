@@ -302,8 +302,9 @@ class Simulation:
         self._write(self.position, v)
 
     def set_position(self, position: ArrayLike) -> None:
-        """Replace all positions (n, dim) [m], pinned balls' too."""
-        self._write(checks.vectors("position", position, self.scene.n_balls, self.scene.dim), self.velocity)
+        """Replace all positions (n, dim) [m], pinned balls' too. Contacts find the load that they carry anew."""
+        x = checks.vectors("position", position, self.scene.n_balls, self.scene.dim)
+        self._write(x, self.velocity, moved=True)
 
     def set_velocity(self, velocity: ArrayLike) -> None:
         """Replace all velocities (n, dim) [m/s]; pinned balls keep 0."""
@@ -339,13 +340,18 @@ class Simulation:
         if abs(self.time - time) > 1e-9 * time:  # saved with another step: no multiple of this one
             self._steps, self._begin = 0, time
         if n:
-            self._write(checks.vectors("position", position, n, dim), checks.vectors("velocity", velocity, n, dim), low)
+            x, v = checks.vectors("position", position, n, dim), checks.vectors("velocity", velocity, n, dim)
+            self._write(x, v, low, moved=True)
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
 
-    def _write(self, x: NDArray, v: NDArray, low: tuple[NDArray, NDArray] | None = None) -> None:
+    def _write(
+        self, x: NDArray, v: NDArray, low: tuple[NDArray, NDArray] | None = None, *, moved: bool = False
+    ) -> None:
         if not self._still:
             self._state.write(x, v, low)
+            if moved:
+                self._parts.contacts.forget()
             self._primed = False
 
     def save(self, path: str | PathLike[str]) -> None:

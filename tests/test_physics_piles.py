@@ -112,6 +112,13 @@ def test_a_pile_comes_to_rest(dim):
         assert np.max(drift) < R
         assert x[:, 1].mean() < 0.95 * top
         assert np.min(x[:, [0, -1]]) > 0.99 * R
+        ends = []  # put back, it knows nothing of the load that contacts carried since
+        x, v, turn, low = sim.position, sim.velocity, sim.surface_speed, sim.rounded_off
+        for _ in range(2):
+            sim.resume(x, v - 1.0, 0.0, low, turn)
+            sim.step(20)
+            ends.append(sim.position)
+        assert np.array_equal(*ends)
 
 
 @each_solver

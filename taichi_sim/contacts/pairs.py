@@ -77,6 +77,10 @@ class Pairs:
         """What is compiled in, for `Simulation.kernels()`."""
         return ["grid", "pairs"]
 
+    def forget(self) -> None:
+        """Nothing is held from before, once the next search asks what was."""
+        self.touching.fill(0)
+
     @ti.func
     def detect(self, ball: ti.template()):
         """List all pairs within reach, where the last list no longer holds; the grid is built already."""

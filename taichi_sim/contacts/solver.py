@@ -120,6 +120,12 @@ class ContactSolver:
         """What is compiled in, for `Simulation.kernels()`."""
         return [f"contacts.{self.rule}", *(name for part in self.parts for name in part.names())] if self.active else []
 
+    def forget(self) -> None:
+        """Hold nothing from before: balls were put elsewhere, where the load is another one. `prime` has to follow."""
+        for part in (self.walls, self.pairs):
+            if part is not None:
+                part.forget()
+
     @ti.func
     def refresh(self, ball: ti.template()):
         """Find the contacts at the present positions, and how each ball splits its mass between them."""
