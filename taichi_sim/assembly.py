@@ -93,18 +93,24 @@ class Assembly:
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
         self.atomic = settings.accumulate == "atomic"
         self.integrator = settings.integrator
-        springs = self._springs(scene, cpu, h)
+        springs = self._springs(scene, cpu, small, h)
         self.forces = TotalForce(self.model, self.fields, springs, forces)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         self.drivers = Drivers(self.integrator)
 
-    def _springs(self, scene: Scene, cpu: bool, h: float) -> Springs | None:
+    def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
             return None
-        once = self.integrator.each_once  # in blocks, or where there are too few of those for a GPU with atomics
-        order = "atomic" if self.atomic or (once and not cpu) else "blocks" if once else fixed_order(self.model, cpu)
+        once = self.integrator.each_once  # in blocks or lanes; for a GPU there are too few blocks
+        order = fixed_order(self.model, cpu, small)
+        if self.atomic or (once and not cpu):
+            order = "atomic"
+        elif once and order == "gather":
+            order = "blocks"
+        elif self.integrator.in_turn and order == "lanes":
+            order = "waves"
         return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
 
     def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactSolver:

@@ -30,9 +30,12 @@ class Fields:
             self._builder.place(field)
         else:
             self._builder.dense(ti.i, max(1, n)).place(field)
+        return self._note(field, data, max(1, n) * item_bytes)
+
+    def _note(self, field: Any, data: Any, size: int) -> Any:
         if data is not None:
             self._first.append((field, data))
-        self._bytes[id(field)] = max(1, n) * item_bytes
+        self._bytes[id(field)] = size
         return field
 
     @property
@@ -98,8 +101,11 @@ class Fields:
         """n zero vectors of 32-bit integers."""
         return self._place(ti.Vector.field(dim, ti.i32), max(1, n), None, 4 * dim)
 
-    def table(self, columns: dict[str, Any], n: int, data: dict[str, NDArray] | None = None) -> Any:
-        """n rows of a struct, members side by side. columns: name to Taichi type (a scalar or a vector type)."""
+    def table(
+        self, columns: dict[str, Any], n: int, data: dict[str, NDArray] | None = None, *, by_column: bool = False
+    ) -> Any:
+        """n rows of a struct, members side by side, or column after column. columns: name to Taichi type (a scalar or a vector
+        type)."""
         width = sum(getattr(t, "n", 1) * (4 if t == ti.i32 else self._size) for t in columns.values())
         typed = None
         if data is not None and n:
@@ -110,6 +116,10 @@ class Fields:
         field = ti.Struct.field(
             columns
         )  # not before the cast, which may refuse: an unplaced field stops every later build
+        if by_column:
+            for name in columns:
+                self._builder.dense(ti.i, max(1, n)).place(field.get_member_field(name))
+            return self._note(field, typed, max(1, n) * width)
         return self._place(field, max(1, n), typed, width)
 
     def build(self) -> None:

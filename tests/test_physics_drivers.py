@@ -68,20 +68,19 @@ def test_one_and_two_threads_have_the_same_bits():
 
 @pytest.mark.parametrize("method", ["verlet", "symplectic_euler"])
 @each_dim
-def test_gather_blocks_and_atomic_agree(dim, method, monkeypatch):
-    """Three orders of one sum, after 100 steps of a cloth."""
+def test_all_orders_of_springs_agree(dim, method, monkeypatch):
+    """Four orders of one sum, after 100 steps of a cloth."""
     scene, steps = physics_bits.cloth(dim), 100
     ends = {}
-    for order in ("blocks", "gather", "atomic"):
-        if order == "gather":
-            monkeypatch.setattr(assembly, "fixed_order", lambda model, cpu: "gather")
+    for order in ("blocks", "gather", "lanes", "atomic"):
+        monkeypatch.setattr(assembly, "fixed_order", lambda *_, order=order: order)
         with simulate(
             scene, ("atomic" if order == "atomic" else "ordered", "parallel"), integrator=method, dt=H, contacts="off"
         ) as sim:
             assert f"springs.{order}" in sim.kernels()
             sim.step(steps)
             ends[order] = sim.position, sim.velocity
-    for order in ("gather", "atomic"):
+    for order in ("gather", "lanes", "atomic"):
         # in phase space: velocities in units of omega times the size, where omega^2 = k / m
         size = float(np.max(np.abs(ends["blocks"][0])))
         found = max(error(ends[order][k], ends["blocks"][k], size * (1.0, np.sqrt(2000.0))[k]) for k in (0, 1))

@@ -1,10 +1,12 @@
-"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks or with atomics."""
+"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks, in lanes or with atomics."""
 
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.fields import Fields
+from taichi_sim.forces.waves import waves
+from taichi_sim.kernels import lanes
 from taichi_sim.kernels import springs as loops
 from taichi_sim.model import Model, incidence
 
@@ -38,18 +40,20 @@ class Springs:
 
     Args:
         damping: (m,) [N s/m] as the integrator wants it (explicit, or made stable by `decay_damping`).
-        order: "gather", "blocks" (both fixed orders) or "atomic".
+        order: "gather", "blocks", "lanes", "waves" (fixed orders) or "atomic".
     """
 
     def __init__(self, model: Model, fields: Fields, damping: NDArray[np.float64], order: str) -> None:
         scene = model.scene
-        self.n, self.m = model.n, scene.n_springs
+        self.n, self.m, self.dim = model.n, scene.n_springs, model.dim
+        self.padded = self.m
         self.damped = bool(np.any(scene.damping > 0))
         self.order = order
         low = scene.pairs.min(axis=1)
         high = scene.pairs.max(axis=1)
         if order == "gather":
             start, other, spring = incidence(scene.pairs, self.n)
+            self.padded = 2 * self.m
         else:
             spring = np.lexsort((high, low))
             other = high[spring]
@@ -61,13 +65,29 @@ class Springs:
         if self.damped:
             columns["damping"] = fields.real
             data["damping"] = damping[spring]
-        if order == "atomic":
+        if order in ("atomic", "lanes", "waves"):
             columns["one"] = ti.i32
             data["one"] = low[spring]
-        self.spring = fields.table(columns, len(spring), data)
+        if order in ("lanes", "waves"):
+            data = self._in_groups(data, fields)
+        self.spring = fields.table(columns, self.padded, data)
         self.block = max(MINIMUM_BLOCK, bandwidth(model) + 1)
         self.blocks = -(-self.n // self.block)
-        self.loop = {"gather": loops.gather, "blocks": loops.blocks, "atomic": loops.scatter}[order]
+        orders = {"gather": loops.gather, "blocks": loops.blocks, "lanes": lanes.springs, "atomic": loops.scatter}
+        self.loop = orders.get(order)  # waves are for methods that take springs in turn
+
+    def _in_groups(self, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
+        """The same springs in groups of kernels.lanes, and idle ones from ball 0 to ball 1 where a group is not full."""
+        if self.order == "waves":
+            chosen = waves(np.stack([data["one"], data["other"]], axis=1), lanes.WIDTH).ravel()
+        else:
+            chosen = np.append(np.arange(self.m), np.full(-self.m % lanes.WIDTH, -1))
+            self.second = fields.integers(np.argsort(data["other"], kind="stable"))
+            self.second_start = fields.integers(np.append(0, np.cumsum(np.bincount(data["other"], minlength=self.n))))
+            self.given = fields.reals(2 * len(chosen) * self.dim)  # [N s]
+        self.padded = len(chosen)
+        self.groups = self.padded // lanes.WIDTH
+        return {name: np.where(chosen < 0, name == "other", values[chosen]) for name, values in data.items()}
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
@@ -100,7 +120,9 @@ def bandwidth(model: Model) -> int:
     return int(np.abs(pairs[:, 1] - pairs[:, 0]).max()) if len(pairs) else 0
 
 
-def fixed_order(model: Model, cpu: bool) -> str:
-    """The faster fixed order: blocks where springs reach few indices far (each spring once), else gather; GPUs gather."""
+def fixed_order(model: Model, cpu: bool, small: bool) -> str:
+    """The fastest fixed order: lanes in a cache; blocks where springs reach few indices far, else gather; GPUs gather."""
+    if cpu and small:
+        return "lanes"
     blocks = model.n // max(MINIMUM_BLOCK, bandwidth(model) + 1)
     return "blocks" if cpu and blocks >= BLOCKS else "gather"

@@ -1,11 +1,12 @@
 """StageSolver: an implicit stage on springs by Newton's method and conjugate gradients, with no matrix."""
 
+import numpy as np
 import taichi as ti
 
 from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.components import FreeBodies
-from taichi_sim.kernels import half
+from taichi_sim.kernels import half, lanes
 from taichi_sim.kernels import implicit as parts
 from taichi_sim.kernels.springs import GRAIN
 from taichi_sim.model import Model, phase_type
@@ -19,6 +20,8 @@ ROUNDING = 1e3  # of the potential, in units of the machine's
 FINEST = 8.0  # the same, of a solution
 FORCING = 0.1  # part of the residual that a round leaves: more would be lost to what is not linear
 LOCAL = 0.05  # part of the local error that a solution may add
+SHRINKING = 0.5  # squared changes of two rounds; they do not in mere rounding
+CERTAIN = 4.0  # times the square of what rounding leaves of a residual
 MISSED = 10.0  # tolerances; a stage that leaves more counts as not solved
 
 
@@ -88,14 +91,18 @@ class StageSolver:
         self.last = fields.vectors(self.n * stages, self.dim)
         self.block = fields.matrices(self.n, self.dim)  # of the diagonal, then its inverse
         vector = ti.types.vector(self.dim, fields.real)
-        self.row = fields.table({"g": vector, "b": fields.real}, springs.m)
+        self.row = fields.table({"g": vector, "b": fields.real}, springs.padded)
         self.product = Product(self, fields)
         self.bodies = FreeBodies(model, fields)
         self.parts = -(-self.n // parts.PART)
         self.one, self.two, self.three, self.four = (fields.doubles(self.parts) for _ in range(4))
+        self.five = fields.doubles(self.parts)
         self.potential = fields.reals(self.n)
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         self.rounding, self.least = ROUNDING * eps, max(tolerance**2, FINEST * eps)
+        scene = model.scene
+        stiff = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness**2, 2), self.n)
+        self.rough = fields.reals(eps * np.sqrt(stiff))  # N/m: what rounding of a place makes of the forces on a ball
 
     # Residual and matrix -------------------------------------------------------------------------------------------
 
@@ -139,7 +146,7 @@ class StageSolver:
             if k % GRAIN == 0:
                 c = k // GRAIN
                 rr, ff, phi = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-                kinetic = ti.cast(0.0, self.wide)
+                kinetic, noise = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
                 for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
                     phi += ti.cast(self.potential[i], self.wide)
                     w = self.model.inverse_mass[i]
@@ -151,20 +158,25 @@ class StageSolver:
                         rr += ti.cast(self.sum[i].dot(inverse @ self.sum[i]), self.wide)
                         ff += ti.cast(f.dot(inverse @ f), self.wide)
                         kinetic += ti.cast(own.dot(own) / w, self.wide)
+                        blur = s * self.rough[i] * ti.abs(self.base[i].x).max()
+                        noise += ti.cast(blur * blur * inverse.trace(), self.wide)
                     self.block[i] = inverse
                 self.one[c] = rr
                 self.two[c] = ff
                 self.three[c] = phi
                 self.four[c] = kinetic
+                self.five[c] = noise
         ti.loop_config(serialize=True)
         for _ in range(1):
             rr, ff = self._total()
             self.number[parts.RESIDUAL] = rr
             self.number[parts.FORCE] = ff
-            phi, kinetic = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+            phi, kinetic, noise = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
             for c in range(self.parts):
                 phi += self.three[c]
                 kinetic += self.four[c]
+                noise += self.five[c]
+            self.number[parts.NOISE] = CERTAIN * noise
             self.number[parts.POTENTIAL] = phi
             self.number[parts.SCALE] = ti.max(self.number[parts.SCALE], ti.max(ff, kinetic))
             self.number[parts.PASSES] += 1.0
@@ -192,10 +204,12 @@ class StageSolver:
 
     @ti.func
     def unsolved(self):
-        """Whether another round is due: not where the residual is small, nor where the last change was, so that the residual can
-        only be rounding."""
+        """Whether another round is due: not where the residual is small, nor where the last change was, nor where the residual may
+        be rounding and changes do not shrink any more."""
         target, turns = self.number[parts.TARGET], self.number[parts.TURNS] < MOST_TURNS
         large = self.number[parts.RESIDUAL] > target and self.number[parts.MOVED] > target and turns
+        if self.number[parts.RESIDUAL] < self.number[parts.NOISE] and self.number[parts.ROUNDS] > 1.0:
+            large = large and self.number[parts.MOVED] < SHRINKING * self.number[parts.EARLIER]
         return ti.cast(large and self.number[parts.ROUNDS] < MOST_ROUNDS, ti.i32)
 
     @ti.func
@@ -207,6 +221,7 @@ class StageSolver:
             self.product.p[i] = self.last[stage * self.n + i] if opening else self.block[i] @ self.sum[i]
         self.number[parts.BEFORE] = self.number[parts.POTENTIAL]
         self.number[parts.LEFT] = self.number[parts.RESIDUAL]
+        self.number[parts.EARLIER] = self.number[parts.MOVED]
         self.number[parts.MOVED] = 0.0
         self.number[parts.RZ] = self.number[parts.RESIDUAL]
         self.number[parts.ROUNDS] += 1.0
@@ -225,7 +240,10 @@ class StageSolver:
     @ti.func
     def turn(self):
         """The best change along p; the next p conjugate to it."""
-        half.sums(self.product, self.springs, 0.0)
+        if ti.static(self.springs.order == "lanes"):
+            lanes.sums(self.product, self.springs, 0.0)
+        else:
+            half.sums(self.product, self.springs, 0.0)
         for k in range(self.parts * GRAIN):
             if k % GRAIN == 0:
                 c = k // GRAIN

@@ -5,7 +5,7 @@ import taichi as ti
 
 from taichi_sim.fields import Fields
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.kernels import half
+from taichi_sim.kernels import half, lanes
 from taichi_sim.kernels.direction import unit
 
 __all__ = ["XPBD"]
@@ -25,7 +25,7 @@ class XPBD(Integrator):
 
     name, order = "xpbd", 1
     relaxes = True
-    each_once = True
+    each_once = in_turn = True
 
     def allocate(self, fields: Fields) -> None:
         """`sum` [N s]: impulses of springs that act on old values. `start` [m/s]: velocities before forces changed them."""
@@ -42,22 +42,25 @@ class XPBD(Integrator):
             self.parts = fields.reals(count.astype(np.float64))  # springs of each ball
 
     @ti.func
-    def _impulse(self, i, j, e, h, split: ti.template()):
-        """Impulse on ball i of spring e to ball j."""
+    def _impulse(self, i, j, e, h, n, d, split: ti.template()):
+        """Impulse on ball i of spring e to ball j, which will lie d metres away along n."""
         spring = self.springs.spring[e]
-        a, b = self.ball[i], self.ball[j]
         wi, wj = self.model.inverse_mass[i], self.model.inverse_mass[j]
         if ti.static(split):
             wi *= self.parts[i]
             wj *= self.parts[j]
-        u = b.v - a.v
-        n, d = unit((b.x - a.x) + h * u, i, j)
         pull = spring.stiffness * (d - spring.rest_length)
         rate = h * spring.stiffness
         if ti.static(self.springs.damped):
-            pull += spring.damping * u.dot(n)
+            pull += spring.damping * (self.ball[j].v - self.ball[i].v).dot(n)
             rate += spring.damping
         return h * pull / (1.0 + h * rate * (wi + wj)) * n
+
+    @ti.func
+    def _ahead(self, i, j, h):
+        """From ball i to ball j after the step."""
+        a, b = self.ball[i], self.ball[j]
+        return (b.x - a.x) + h * (b.v - a.v)
 
     @ti.func
     def own(self, i):
@@ -67,12 +70,26 @@ class XPBD(Integrator):
     @ti.func
     def term(self, i, j, e, h):
         """What spring e gives its lower ball i, each ball's mass split between its springs."""
-        return self._impulse(i, j, e, h, True)
+        n, d = unit(self._ahead(i, j, h), i, j)
+        return self._impulse(i, j, e, h, n, d, True)
 
     @ti.func
     def change(self, i, j, e, h):
         """Apply spring e at both ends."""
-        p = self._impulse(i, j, e, h, False)
+        n, d = unit(self._ahead(i, j, h), i, j)
+        self.take(i, j, self._impulse(i, j, e, h, n, d, False))
+
+    @ti.func
+    def give(self, i, j, e, h):
+        """The impulse of spring e on ball i where its ends do not meet, without a branch; the square of their distance."""
+        r = self._ahead(i, j, h)
+        square = r.dot(r)
+        inverse = ti.rsqrt(ti.max(square, lanes.NEAR))
+        return self._impulse(i, j, e, h, r * inverse, square * inverse, False), square
+
+    @ti.func
+    def take(self, i, j, p):
+        """Impulse p on ball i, -p on ball j."""
         self.state.kick(i, self.model.inverse_mass[i] * p)
         self.state.kick(j, -self.model.inverse_mass[j] * p)
 
@@ -88,6 +105,8 @@ class XPBD(Integrator):
             half.sums(self, self.springs, h)
             for i in range(self.model.n):
                 self.state.kick(i, self.model.inverse_mass[i] * self.sum[i])
+        elif ti.static(self.active and self.springs.order == "waves"):
+            lanes.in_turn(self, self.springs, h)
         elif ti.static(self.active):
             half.in_turn(self, self.springs, h)
         self.contacts.solve(self.ball, h, self.contacts.passes, True)
