@@ -19,9 +19,9 @@ class Integrator:
 
     `relaxes`: its substep ends with a contact pass that takes back what soft contacts add to velocities when they push out
     overlap; without it contacts are rigid. `implicit_damping`: spring damping acts in exponential halves that are stable for
-    any coefficient, else it is an explicit force. `each_once`: it goes through the
-    springs itself, each once, see kernels.half; `in_turn`: each sees what those before it changed. `hosted`: a substep has loops that end by what they find; `advance` runs one
-    from the host, kernel by kernel, because inside a kernel only the outermost loops run in parallel. `allocate` may add
+    any coefficient, else it is an explicit force. `each_once`: it goes through the springs itself, each once, see kernels.half;
+    `in_turn`: each sees what those before it changed. `hosted`: a substep has loops that end by what they find; `advance` runs
+    one from the host, kernel by kernel, because inside a kernel only the outermost loops run in parallel. `allocate` may add
     fields of the method's own.
     """
 

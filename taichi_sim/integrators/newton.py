@@ -204,8 +204,8 @@ class StageSolver:
 
     @ti.func
     def unsolved(self):
-        """Whether another round is due: not where the residual is small, nor where the last change was, nor where the residual may
-        be rounding and changes do not shrink any more."""
+        """Whether another round is due: not where the residual is small, nor where the last change was, nor where the residual
+        may be rounding and changes do not shrink any more."""
         target, turns = self.number[parts.TARGET], self.number[parts.TURNS] < MOST_TURNS
         large = self.number[parts.RESIDUAL] > target and self.number[parts.MOVED] > target and turns
         if self.number[parts.RESIDUAL] < self.number[parts.NOISE] and self.number[parts.ROUNDS] > 1.0:

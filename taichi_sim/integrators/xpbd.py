@@ -18,9 +18,9 @@ class XPBD(Integrator):
     Each spring asks where its ends would be after the step, and gives the impulse that would be right at the end of it if the
     spring were alone: J = h (k (d - l) + c u) / (1 + (h^2 k + h c) W), d and u predicted, W the sum of inverse masses. That is
     XPBD's projection, written for velocities: with v a variable, and not a difference of positions, small steps lose no digits.
-    Springs see what those before them changed (Gauss-Seidel, in blocks of a fixed order); where sums are atomic, and on GPUs,
-    all act on old values and every ball splits its mass between its springs. Order 1 with a large constant: stiff springs act
-    softer than they are, unless steps are small.
+    Springs see what those before them changed (Gauss-Seidel, in a fixed order: blocks, in small scenes waves); where sums are
+    atomic, and on GPUs, all act on old values and every ball splits its mass between its springs. Order 1 with a large
+    constant: stiff springs act softer than they are, unless steps are small.
     """
 
     name, order = "xpbd", 1
@@ -36,6 +36,7 @@ class XPBD(Integrator):
         if self.notes:
             self.start = fields.vectors(self.model.n, self.dim)
         self.at_once = self.active and self.springs.order == "atomic"
+        self.in_waves = self.active and self.springs.order == "waves"
         if self.at_once:
             self.sum = fields.vectors(self.model.n, self.dim)
             count = np.bincount(self.model.scene.pairs.ravel(), minlength=self.model.n)
@@ -105,7 +106,7 @@ class XPBD(Integrator):
             half.sums(self, self.springs, h)
             for i in range(self.model.n):
                 self.state.kick(i, self.model.inverse_mass[i] * self.sum[i])
-        elif ti.static(self.active and self.springs.order == "waves"):
+        elif ti.static(self.in_waves):
             lanes.in_turn(self, self.springs, h)
         elif ti.static(self.active):
             half.in_turn(self, self.springs, h)
