@@ -68,6 +68,7 @@ class Springs:
         if order in ("atomic", "lanes", "waves"):
             columns["one"] = ti.i32
             data["one"] = low[spring]
+        self.number = spring  # in the scene, of each stored here; -1 of idle ones
         if order in ("lanes", "waves"):
             data = self._in_groups(data, fields)
         self.spring = fields.table(columns, self.padded, data)
@@ -80,6 +81,9 @@ class Springs:
         """The same springs in groups of kernels.lanes, and idle ones from ball 0 to ball 1 where a group is not full."""
         if self.order == "waves":
             chosen = waves(np.stack([data["one"], data["other"]], axis=1), lanes.WIDTH).ravel()
+            self.place = fields.integers(
+                np.argsort(chosen, kind="stable")[-self.m :]
+            )  # where the springs of `start` lie
         else:
             chosen = np.append(np.arange(self.m), np.full(-self.m % lanes.WIDTH, -1))
             self.second = fields.integers(np.argsort(data["other"], kind="stable"))
@@ -87,7 +91,15 @@ class Springs:
             self.given = fields.reals(2 * len(chosen) * self.dim)  # [N s]
         self.padded = len(chosen)
         self.groups = self.padded // lanes.WIDTH
+        self.number = np.where(chosen < 0, -1, self.number[chosen])
         return {name: np.where(chosen < 0, name == "other", values[chosen]) for name, values in data.items()}
+
+    def set_damping(self, damping: NDArray[np.float64]) -> None:
+        """Replace the damping (m,) [N s/m] of all springs."""
+        if self.damped:
+            field = self.spring.damping
+            stored = np.where(self.number < 0, 0.0, damping[self.number])
+            field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
