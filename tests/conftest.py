@@ -23,6 +23,7 @@ ONCE = (
     "scene",
     "scene_file",
     "shapes",
+    "waves",
 )
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}
 # Long ones that tell most in double precision, or the same in both: in single precision `make test-slow` runs them.
