@@ -124,7 +124,7 @@ def hung(side):
 
 
 def blow_up(method, side, damped, ratios):
-    """(the step of the first cloth that grows) / (the advised one), each cloth at one of these ratios to it, side by side at 1 ms:
+    """(the step of the first cloth that grows) / (the advised one), the cloths at these ratios to it, side by side at 1 ms:
     moved by 1e-6 m off rest, what comes a thousand times further grows."""
     rest = hung(side)
     alone = sheet(ts.Scene(dim=3, gravity=(0, -10, 0)), side, damped)
