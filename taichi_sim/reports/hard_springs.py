@@ -142,7 +142,7 @@ def inverted(method: str, short: bool) -> Verdict:
 
 
 def cloth_on_ball(method: str, short: bool) -> Verdict:
-    """A square metre of 1e5 balls (short: 144) falls on a pinned ball."""
+    """A square metre of 1e5 balls (short: 144) falls on a pinned ball; 0.25 s, of which it falls 0.1 s."""
     side, size = 12 if short else 316, 0.2
     scene = Scene(dim=3, gravity=(0.0, -G, 0.0))
     rough = scene.add_material("rough", friction=0.5)
@@ -151,18 +151,18 @@ def cloth_on_ball(method: str, short: bool) -> Verdict:
     ball = int(scene.add_balls([[0.0, -gap, 0.0]], radius=size, pinned=True, material=rough)[0])
     middle = int(sheet.balls[np.argmin(np.linalg.norm(scene.position[sheet.balls], axis=1))])
     with heeding(scene, method) as sim:
-        start, most, nearest = sim.energy().total, -np.inf, np.inf
-        for _ in range(8):
+        start, gained, nearest = sim.energy(), -np.inf, np.inf
+        for _ in range(5):
             sim.run(0.05)
-            most = max(most, sim.energy().total - start)
+            now = sim.energy()
+            gained = max(gained, (now.total - start.total) / (start.gravity - now.gravity))
             r = sim.position[sheet.balls] - sim.position[ball]
             nearest = min(nearest, float(np.min(np.linalg.norm(r, axis=1))) / (gap - 0.05))
         on_top = sim.position[middle, 1] > sim.position[ball, 1] + 0.9 * size
-        fall = float(scene.mass[sheet.balls].sum()) * G * 0.05
     return Verdict(
-        on_top and nearest > 0.99 and most < 0.01 * fall,
-        most / fall,
-        f"of what the fall brings gained at most; {max(0.0, 1.0 - nearest):.0e} of the ball deep",
+        on_top and nearest > 0.99 and gained < 0.01,
+        gained,
+        f"of what gravity gave gained at most; {max(0.0, 1.0 - nearest):.0e} of the ball deep",
     )
 
 
@@ -197,7 +197,7 @@ CASES = (
     Case("inverted jelly cells", "no energy gained; only counted: springs alone have no term for volume", inverted),
     Case(
         "cloth dropped on a ball",
-        "overlap < 1 % of the ball, energy gained < 1 % of what the fall brings",
+        "overlap < 1 % of the ball, energy gained < 1 % of what gravity gave",
         cloth_on_ball,
     ),
     Case("jelly at 50 m/s", "no ball below the floor, no energy gained", jelly_at_50),
