@@ -60,20 +60,22 @@ def show(title: str, cases: Sequence[Case], columns: Sequence[str]) -> bool:
     from rich.live import Live
     from rich.table import Table
 
-    table = Table("case", "must", *columns, title=title, show_lines=True)
+    table = Table(
+        "case", "must", "verdict", title=title, show_lines=True
+    )  # seven columns of verdicts would be too narrow
     good = True
     with Live(table, console=Console(), auto_refresh=False) as live:
         for case in cases:
             verdicts = [judge(case, column) for column in columns]
-            table.add_row(case.name, case.bound, *map(_cell, verdicts))
+            table.add_row(case.name, case.bound, "\n".join(map(_line, columns, verdicts)))
             live.refresh()
             good = good and any(verdict.passed for verdict in verdicts)
     return good
 
 
-def _cell(verdict: Verdict) -> str:
+def _line(column: str, verdict: Verdict) -> str:
     mark = "[green]pass[/]" if verdict.passed else "[yellow]refuses[/]" if verdict.refused else "[red]FAIL[/]"
-    return f"{mark} {verdict.figure:.3g} {verdict.words}"
+    return f"{column}: {mark} {verdict.figure:.3g} {verdict.words}"
 
 
 def simulation(scene: Scene, contacts: str, **settings: Any) -> Simulation:
