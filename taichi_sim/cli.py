@@ -150,10 +150,10 @@ def check(
 def report(
     scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help="Not in this version.")] = None,
     hard_cases: Annotated[
-        bool, typer.Option("--hard-cases", help="Verdicts on the hard cases, for each contact rule.")
+        bool, typer.Option("--hard-cases", help="Verdicts on the hard cases, for each contact rule and method.")
     ] = False,
 ) -> None:
-    """Judge the hard cases of contacts; exit status 1 if one fails with every rule."""
+    """Judge the hard cases of contacts and springs; exit status 1 if one passes with no rule or method."""
     if not hard_cases:
         what = "report" if scene is None else f"report {scene}"
         _fail(f"{what}: speed against error is not in this version; use report --hard-cases", BAD_INPUT)

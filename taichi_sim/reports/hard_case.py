@@ -1,42 +1,107 @@
-"""What hard cases share: the verdict, and the simulation that they run in."""
+"""What hard cases share: the verdict, the table of them, and the simulation that they run in."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from taichi_sim.scene import Scene
 from taichi_sim.simulation import Simulation
+from taichi_sim.stability import stability
 
-__all__ = ["Case", "Verdict", "double", "rounding", "simulation"]
+__all__ = ["Case", "Verdict", "double", "heeding", "judge", "rounding", "show", "simulation"]
 
 H = 1e-3  # s
 
 
 class Verdict(NamedTuple):
-    """What became of a case. figure: the number that its bound is about."""
+    """What became of a case. figure: the number that its bound is about; refused: a warning or an error came before step 1."""
 
     passed: bool
     figure: float
     words: str
+    refused: bool = False
 
 
 class Case(NamedTuple):
-    """A hard case; `bound` says what it must do to pass."""
+    """A hard case; `bound` says what it must do to pass. run: of a column's name, and whether in its short form."""
 
     name: str
     bound: str
     run: Callable[[str, bool], Verdict]
 
 
+class RefusedError(Exception):
+    """What a simulation says before its first step, and the safe step [s]."""
+
+    def __init__(self, words: str, safe: float) -> None:
+        super().__init__(words)
+        self.safe = safe
+
+
+def judge(case: Case, column: str, short: bool = False) -> Verdict:
+    """The verdict on a case; one that ends with an error, or without a finite figure, has failed."""
+    try:
+        verdict = case.run(column, short)
+    except RefusedError as refusal:
+        safe = np.isfinite(refusal.safe)
+        return Verdict(False, refusal.safe, "s is the safe step" if safe else str(refusal), refused=True)
+    except Exception as error:
+        return Verdict(False, float("nan"), f"{type(error).__name__}: {error}")
+    if not np.isfinite(verdict.figure):
+        return Verdict(False, verdict.figure, verdict.words)
+    return verdict
+
+
+def show(title: str, cases: Sequence[Case], columns: Sequence[str]) -> bool:
+    """Judge all cases in all columns and print the table. False when a case passed in none."""
+    from rich.console import Console
+    from rich.live import Live
+    from rich.table import Table
+
+    table = Table(
+        "case", "must", "verdict", title=title, show_lines=True
+    )  # seven columns of verdicts would be too narrow
+    good = True
+    with Live(table, console=Console(), auto_refresh=False) as live:
+        for case in cases:
+            verdicts = [judge(case, column) for column in columns]
+            table.add_row(case.name, case.bound, "\n".join(map(_line, columns, verdicts)))
+            live.refresh()
+            good = good and any(verdict.passed for verdict in verdicts)
+    return good
+
+
+def _line(column: str, verdict: Verdict) -> str:
+    mark = "[green]pass[/]" if verdict.passed else "[yellow]refuses[/]" if verdict.refused else "[red]FAIL[/]"
+    return f"{column}: {mark} {verdict.figure:.3g} {verdict.words}"
+
+
 def simulation(scene: Scene, contacts: str, **settings: Any) -> Simulation:
     """On the CPU, with what the process runs or double precision; warnings are the business of the case that is about them."""
+    _start()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Simulation(scene, **{"dt": H, "contacts": contacts, "arch": "cpu", **settings})
+
+
+def heeding(scene: Scene, integrator: str, **settings: Any) -> Simulation:
+    """The same for a method, dt "auto" if none is given. Raises RefusedError for a warning, or a step that it does not find."""
+    _start()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)
+            return Simulation(scene, integrator=integrator, arch="cpu", **settings)
+    except (UserWarning, ValueError) as words:
+        raise RefusedError(str(words), stability(scene, integrator).dt_any_shape) from words
+
+
+def _start() -> None:
     from taichi_sim import backend
 
     if backend.running() is None:
         backend.start("cpu", "f64")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return Simulation(scene, **{"dt": H, "contacts": contacts, "arch": "cpu", **settings})
 
 
 def double(sim: Simulation) -> bool:

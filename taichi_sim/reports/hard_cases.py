@@ -1,4 +1,5 @@
-"""Hard cases: what breaks simulators, each with a bound and a measured verdict for each rule of the contact solver.
+"""Hard cases: what breaks simulators, each with a bound and a measured verdict for each rule of the contact solver; those of
+springs, for each method, lie in `hard_springs`.
 
 A case is a function of the rule and of `short` (a smaller form for quick tests): it builds a scene, runs it, and returns whether
 it passed, the figure that the bound speaks of, and words. `taichi-sim report --hard-cases` prints them all.
@@ -9,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.hard_case import Case, H, Verdict, rounding, simulation
+from taichi_sim.reports import hard_springs
+from taichi_sim.reports.hard_case import Case, H, Verdict, rounding, show, simulation
 from taichi_sim.reports.hard_places import (
     crowded_cell,
     negative_coordinates,
@@ -19,7 +21,7 @@ from taichi_sim.reports.hard_places import (
 )
 from taichi_sim.scene import Scene
 
-__all__ = ["CASES", "RULES", "Case", "Verdict", "judge", "main"]
+__all__ = ["CASES", "RULES", "main"]
 
 RULES = ("gauss_seidel", "jacobi")
 G, R = 10.0, 0.05
@@ -287,33 +289,8 @@ CASES = (
 )
 
 
-def judge(case: Case, contacts: str, short: bool = False) -> Verdict:
-    """The verdict on a case; one that ends with an error has failed."""
-    try:
-        verdict = case.run(contacts, short)
-    except Exception as error:
-        return Verdict(False, float("nan"), f"{type(error).__name__}: {error}")
-    if not np.isfinite(verdict.figure):
-        return Verdict(False, verdict.figure, verdict.words)
-    return verdict
-
-
-def main(cases: Sequence[Case] = CASES) -> bool:
-    """Run all cases in double precision and print the table. False when a case failed with every rule."""
-    from rich.console import Console
-    from rich.live import Live
-    from rich.table import Table
-
-    table = Table("case", "must", *RULES, title="Hard cases of contacts, double precision", show_lines=True)
-    good = True
-    with Live(table, console=Console(), auto_refresh=False) as live:
-        for case in cases:
-            verdicts = [judge(case, contacts) for contacts in RULES]
-            cells = []
-            for verdict in verdicts:
-                mark = "[green]pass[/]" if verdict.passed else "[red]FAIL[/]"
-                cells.append(f"{mark} {verdict.figure:.3g} {verdict.words}")
-            table.add_row(case.name, case.bound, *cells)
-            live.refresh()
-            good = good and any(verdict.passed for verdict in verdicts)
-    return good
+def main(cases: Sequence[Case] = CASES, of_springs: Sequence[Case] = hard_springs.CASES) -> bool:
+    """Run all cases in double precision and print both tables. False when a case passed in no column of its table."""
+    contacts = show("Hard cases of contacts, double precision", cases, RULES)
+    springs = show("Hard cases of springs and soft bodies, double precision", of_springs, hard_springs.METHODS)
+    return contacts and springs
