@@ -55,7 +55,7 @@ class Springs:
             other = high[spring]
             start = np.zeros(self.n + 1, dtype=np.int32)
             np.cumsum(np.bincount(low, minlength=self.n), out=start[1:])
-        self.start = fields.integers(start)
+        self.start, self._stored = fields.integers(start), spring
         columns = {"other": ti.i32, "stiffness": fields.real, "rest_length": fields.real}
         data = {"other": other, "stiffness": scene.stiffness[spring], "rest_length": scene.rest_length[spring]}
         if self.damped:
@@ -72,6 +72,12 @@ class Springs:
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
         return [f"springs.{self.order}"] + (["springs.damping"] if self.damped else [])
+
+    def set_damping(self, damping: NDArray[np.float64]) -> None:
+        """Replace the damping (m,) [N s/m] of the springs, which is what the integrator makes of its step."""
+        if self.damped:
+            real = np.float64 if self.spring.damping.dtype == ti.f64 else np.float32
+            self.spring.damping.from_numpy(damping[self._stored].astype(real))
 
     @ti.func
     def elastic(self, ball: ti.template(), impulse: ti.template(), h):
