@@ -148,23 +148,64 @@ def check(
 
 @main.command()
 def report(
-    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help="Not in this version.")] = None,
+    scene: Annotated[
+        str | None, typer.Argument(metavar="[SCENE]", help="A TOML file, a Python file, or a demo's name.")
+    ] = None,
     hard_cases: Annotated[
-        bool, typer.Option("--hard-cases", help="Verdicts on the hard cases, for each contact rule.")
+        bool, typer.Option("--hard-cases", help="Instead: verdicts on the hard cases, for each contact rule.")
     ] = False,
+    methods: Annotated[str | None, typer.Option(help="Integrators, like verlet,rk4; all of them otherwise.")] = None,
+    dts: Annotated[str | None, typer.Option(help="Steps in seconds, like 1e-3,5e-4; halvings otherwise.")] = None,
+    precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
+    tolerance: Annotated[
+        float, typer.Option(help="An error that you would accept, as a part of the scene's size.")
+    ] = 1e-3,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
+    ] = None,
+    limit: Annotated[float, typer.Option(help="Wall seconds that one run may take.")] = 4.0,
+    out: Annotated[str | None, typer.Option("--out", "-o", help="Folder of the pages; NAME_report otherwise.")] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a report of something else in that folder.")
+    ] = False,
+    arch: Arch = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
-    """Judge the hard cases of contacts; exit status 1 if one fails with every rule."""
-    if not hard_cases:
-        what = "report" if scene is None else f"report {scene}"
-        _fail(f"{what}: speed against error is not in this version; use report --hard-cases", BAD_INPUT)
-    if scene is not None:
-        _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
-    with _plain_errors():
-        from taichi_sim.reports import hard_cases as cases
+    """Speed against error of SCENE, for methods, steps and precisions; an interrupted report goes on when it is run again.
+    With --hard-cases: verdicts on what breaks simulators; exit status 1 if a case fails with every rule."""
+    if hard_cases:
+        if scene is not None:
+            _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
+        with _plain_errors():
+            from taichi_sim.reports import hard_cases as cases
 
-        good = cases.main()
-    if not good:
-        raise typer.Exit(FAILED)
+            good = cases.main()
+        if not good:
+            raise typer.Exit(FAILED)
+        return
+    if scene is None:
+        _fail("report: give a SCENE, or --hard-cases", BAD_INPUT)
+    with _plain_errors():
+        from pathlib import Path
+
+        from taichi_sim.reports.speed_error import command
+
+        file, made, plan = command.read(
+            scene,
+            methods=methods,
+            dts=dts,
+            precision=precision,
+            tolerance=tolerance,
+            duration=duration,
+            limit=limit,
+            arch=arch,
+            threads=threads,
+        )
+        from taichi_sim.reports.speed_error.report import main as make
+
+        folder = Path(out or f"{file.stem}_report")
+        make(made, plan, folder, overwrite=overwrite, progress=not quiet, say=_quiet if quiet else typer.echo)
 
 
 @main.command()
@@ -223,6 +264,10 @@ class _Job:
         if given:
             backend.start(**given)
         return open_simulation(self.file)
+
+
+def _quiet(line: str) -> None:
+    pass
 
 
 def _positive(option: str, value: float | None) -> float | None:

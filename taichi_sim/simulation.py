@@ -294,7 +294,7 @@ class Simulation:
     # Changing it ---------------------------------------------------------------------------------------------------
 
     def set_dt(self, dt: float | str) -> None:
-        """Go on with steps of dt seconds, or as "auto" finds; nothing is compiled anew. Raises ValueError; warns as at the start."""
+        """Go on with steps of dt seconds, or as "auto" finds; nothing is compiled anew. Raises ValueError; warns as at first."""
         settings = replace(self.settings, dt=dt if dt == "auto" else checks.number("dt", dt, positive=True))
         self._begin, self._steps = self.time, 0
         self.settings = settings
