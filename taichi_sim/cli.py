@@ -18,7 +18,8 @@ FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3
 main = typer.Typer(
     help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
     " simulation(), or the name of a demo.",
-    epilog="Exit status: 0 done, 1 a hard case failed, 2 bad input, 3 the simulation became unstable, 130 interrupted.",
+    epilog="Exit status: 0 done, 1 a hard case failed or tune found nothing, 2 bad input,"
+    " 3 the simulation became unstable, 130 interrupted.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -206,6 +207,39 @@ def report(
 
         folder = Path(out or f"{file.stem}_report")
         make(made, plan, folder, overwrite=overwrite, progress=not quiet, say=_quiet if quiet else typer.echo)
+
+
+@main.command()
+def tune(
+    scene: SceneName,
+    tolerance: Annotated[float, typer.Option(help="The error that you accept, as a part of the scene's size.")] = 1e-2,
+    methods: Annotated[str | None, typer.Option(help="Integrators to choose from, like verlet,rk4.")] = None,
+    precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
+    ] = None,
+    limit: Annotated[float, typer.Option(help="Wall seconds that one run may take.")] = 4.0,
+    write: Annotated[bool, typer.Option("--write", help="Write the settings into the scene file.")] = False,
+    arch: Arch = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Find the method, step and precision that meet a tolerance in SCENE at the least cost."""
+    with _plain_errors():
+        from taichi_sim.reports.speed_error import command
+        from taichi_sim.reports.speed_error import tune as tuning
+
+        options = {"methods": methods, "precision": precision, "arch": arch}
+        file, made, plan = command.read(
+            scene, tolerance=tolerance, duration=duration, limit=limit, threads=threads, **options
+        )
+        settings = tuning.main(made, plan, progress=not quiet, say=typer.echo)
+        if settings is None:
+            raise typer.Exit(FAILED)
+        if write:
+            command.require_own_file(scene, file)
+            tuning.write_settings(file, settings)
+            typer.echo(f"written      {file}")
 
 
 @main.command()

@@ -9,7 +9,7 @@ from taichi_sim.reports.speed_error.plan import METHODS, PRECISIONS, Plan, durat
 from taichi_sim.scene import Scene
 from taichi_sim.scene_source import checked_output, demos, open_scene, resolve
 
-__all__ = ["read"]
+__all__ = ["read", "require_own_file"]
 
 
 def read(
@@ -51,6 +51,14 @@ def read(
             f"--dts: {max(choices['steps']):g} is not allowed; a step must be within --duration, {duration:g}"
         )
     return file, scene, Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
+
+
+def require_own_file(name: str, file: Path) -> None:
+    """Raises SceneError where settings cannot be written into the scene."""
+    if file.suffix != ".toml":
+        raise SceneError(f"--write: {file} is Python; set scene.settings there to what stands above")
+    if not Path(name).is_file():
+        raise SceneError(f"--write: {name} is a demo; copy {file} and put the lines above there")
 
 
 def _items(option: str, text: str) -> list[str]:

@@ -33,7 +33,8 @@ def measure(
 def row_of(
     scene: Scene, plan: Plan, reference: Reference, outcome: Outcome, precision: str, method: str, step: Step
 ) -> Row:
-    """What an outcome says beside the reference. An unstable run has costs and errors where it went on to the end."""
+    """What an outcome says beside the reference. A run that ended early has no error, and for its cost what its first
+    step promised."""
     safe = stability(scene, method).dt_any_shape
     verdict, reason = _verdict(reference, outcome)
     known = verdict != LEFT_OUT and len(outcome.position) == PARTS
@@ -44,7 +45,7 @@ def row_of(
     )
     off = rms(np.array(errors)) if errors else None
     steps = step.number * PARTS
-    seconds = outcome.seconds if known else None
+    seconds = None if verdict == LEFT_OUT else outcome.seconds
     return Row(
         scene=plan.name,
         balls=scene.n_balls,

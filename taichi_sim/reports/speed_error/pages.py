@@ -35,8 +35,8 @@ tr.bad td { color: var(--bad) }
 """
 NOTES = """h / safe: the step as a part of the one that is safe in every shape. Passes: over the forces, per simulated second.
 Errors: of positions, over all balls that are not pinned and eight moments. Drift: of the total energy from the
-reference's, as a part of the largest kinetic and spring energy. Times: medians of five runs, or of the eighths of a long one; compiling is left out.
-Bold: on the Pareto front."""
+reference's, as a part of the largest kinetic and spring energy. Times: medians of five runs, or of the eighths of a long one;
+compiling is left out. Bold: on the Pareto front."""
 
 
 def write_pages(findings: Findings, folder: Path) -> None:

@@ -35,7 +35,7 @@ def draw(findings: Findings) -> Any:
         axis.set_xlim(low, margin * (high / low) ** 0.04)
         for method in findings.plan.methods:
             _curve(axis, findings, [r for r in findings.rows if (r.method, r.precision) == (method, precision)], margin)
-        _front(axis, findings)
+        _front(axis, findings, precision)
         axis.axvline(high, color=INK, lw=0.5, ls=":")
         if findings.reference.parts and findings.reference.known:
             axis.axvspan(0.1 * low, CLEAR * findings.reference.known / size, color=INK, alpha=0.08, lw=0)
@@ -80,14 +80,14 @@ def _curve(axis: Any, findings: Findings, rows: list[Row], margin: float) -> Non
         axis.plot([margin] * len(bad), bad, color=colour, marker="$\\times$", ms=9, lw=0, label="unstable")
 
 
-def _front(axis: Any, findings: Findings) -> None:
+def _front(axis: Any, findings: Findings, precision: str) -> None:
+    """The front of both precisions as a band in each panel, circles where its rows belong."""
     front = findings.front
     if front:
         points = [(row.relative_error, row.seconds) for row in front]
+        own = [(row.relative_error, row.seconds) for row in front if row.precision == precision] or [(None, None)]
         axis.plot(*zip(*points), color=INK, lw=7, alpha=0.13, solid_capstyle="round", solid_joinstyle="round", zorder=0)
-        axis.plot(
-            *zip(*points), color=INK, lw=0, marker="o", ms=11, mfc="none", mew=0.9, label="Pareto front", zorder=0
-        )
+        axis.plot(*zip(*own), color=INK, lw=0, marker="o", ms=11, mfc="none", mew=0.9, label="Pareto front", zorder=0)
 
 
 def svg(figure: Any) -> str:

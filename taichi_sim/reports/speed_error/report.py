@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,10 +15,10 @@ from taichi_sim.reports.speed_error.measure import measure, row_of
 from taichi_sim.reports.speed_error.plan import Plan, key_of, size_of, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import LEFT_OUT
-from taichi_sim.reports.speed_error.worker import Outcome, Trial, Worker
+from taichi_sim.reports.speed_error.worker import Outcome, Workers
 from taichi_sim.scene import Scene
 
-__all__ = ["floor_of", "main", "run_all"]
+__all__ = ["coarse", "floor_of", "main", "progress_bar", "run_all"]
 
 Say = Callable[[str], None]
 
@@ -34,7 +33,7 @@ def main(
     from taichi_sim.reports.speed_error.pages import write_pages
 
     folder = Folder(out, key_of(scene, plan), overwrite)
-    with _bar(plan, progress) as step_done:
+    with progress_bar(progress) as step_done:
         findings = run_all(scene, plan, folder, say, step_done)
     write_pages(findings, folder.open())
     say("\n".join(findings.lines()))
@@ -46,7 +45,7 @@ def run_all(scene: Scene, plan: Plan, folder: Folder, say: Say, step_done: Calla
     """All runs that the folder does not hold yet."""
     for words in coarse(scene, plan, None):
         say(words)
-    with _Workers(scene, plan, step_done) as workers:
+    with Workers(scene, plan, step_done) as workers:
         reference = folder.reference()
         if reference is None:
             reference = references.make(scene, plan, workers("f64"))
@@ -65,38 +64,7 @@ def run_all(scene: Scene, plan: Plan, folder: Folder, say: Say, step_done: Calla
     return Findings(plan, scene, reference, table.with_orders(asked, reference.known), statistics.intervals(seeds))
 
 
-class _Workers:
-    """The process of a precision, started when it is first asked for; the one before has ended then."""
-
-    def __init__(self, scene: Scene, plan: Plan, step_done: Callable[[str], None]) -> None:
-        self._made = lambda precision: Worker(scene, plan, precision)
-        self._step_done = step_done
-        self._worker: Worker | None = None
-
-    def __call__(self, precision: str) -> Callable[[Trial], Outcome]:
-        def run(trial: Trial) -> Outcome:
-            if self._worker is None or self._worker.precision != precision:
-                self.close(None, None, None)
-                self._worker = self._made(precision)
-            self._step_done(f"{precision} {trial.method} {trial.step.seconds:.3g} s")
-            return self._worker.run(trial)
-
-        return run
-
-    def close(self, *error: Any) -> None:
-        """End the process."""
-        if self._worker is not None:
-            self._worker.__exit__(*error)
-            self._worker = None
-
-    def __enter__(self) -> "_Workers":
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.close(*error)
-
-
-def _rows(scene: Scene, plan: Plan, folder: Folder, reference: Reference, workers: _Workers, precision: str) -> None:
+def _rows(scene: Scene, plan: Plan, folder: Folder, reference: Reference, workers: Workers, precision: str) -> None:
     """Each method from its longest step on, until one takes too long: those after it take longer still."""
     for method in plan.methods:
         too_long = None
@@ -117,7 +85,7 @@ def _rows(scene: Scene, plan: Plan, folder: Folder, reference: Reference, worker
                 too_long = row
 
 
-def _seeds(scene: Scene, plan: Plan, folder: Folder, workers: _Workers, precision: str) -> list[statistics.Seed]:
+def _seeds(scene: Scene, plan: Plan, folder: Folder, workers: Workers, precision: str) -> list[statistics.Seed]:
     path = folder.path / "seeds.csv"
     seeds = statistics.read(path)
     done = {seed.key for seed in seeds}
@@ -149,7 +117,7 @@ def coarse(scene: Scene, plan: Plan, reference: Reference | None) -> Iterator[st
 
 
 @contextmanager
-def _bar(plan: Plan, shown: bool) -> Iterator[Callable[[str], None]]:
+def progress_bar(shown: bool) -> Iterator[Callable[[str], None]]:
     """A line on standard error with the run in progress and the time it all has taken."""
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

@@ -8,6 +8,7 @@ import signal
 import time
 import traceback
 import warnings
+from collections.abc import Callable
 from copy import copy
 from multiprocessing.connection import Connection
 from types import TracebackType
@@ -20,7 +21,7 @@ from taichi_sim.errors import BackendError, UnstableError
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
 from taichi_sim.scene import Scene
 
-__all__ = ["Outcome", "Trial", "Worker"]
+__all__ = ["Outcome", "Trial", "Worker", "Workers"]
 
 Floats = NDArray[np.float64]
 SHORT = 0.25  # s; a shorter run is made five times
@@ -95,6 +96,37 @@ class Worker:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
+
+
+class Workers:
+    """Processes, one at a time: that of a precision is started when it is asked for, and the one before ends then."""
+
+    def __init__(self, scene: Scene, plan: Plan, step_done: Callable[[str], None]) -> None:
+        self._made = lambda precision: Worker(scene, plan, precision)
+        self._step_done = step_done
+        self._worker: Worker | None = None
+
+    def __call__(self, precision: str) -> Callable[[Trial], Outcome]:
+        def run(trial: Trial) -> Outcome:
+            if self._worker is None or self._worker.precision != precision:
+                self.close(None, None, None)
+                self._worker = self._made(precision)
+            self._step_done(f"{precision} {trial.method} {trial.step.seconds:.3g} s")
+            return self._worker.run(trial)
+
+        return run
+
+    def close(self, *error: Any) -> None:
+        """End the process."""
+        if self._worker is not None:
+            self._worker.__exit__(*error)
+            self._worker = None
+
+    def __enter__(self) -> "Workers":
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close(*error)
 
 
 def _serve(pipe: Connection, scene: Scene, plan: Plan, precision: str) -> None:
@@ -182,7 +214,10 @@ class Track:
         self._begin(trial)
         before, times = self._passes(), []
         for part in range(PARTS):
-            times.append(self._time(trial.step.number))
+            try:
+                times.append(self._time(trial.step.number))
+            except UnstableError as error:
+                return outcome._replace(seconds=promised, unstable=str(error).split("; the last good")[0])
             outcome.position.append(self.sim.position)
             outcome.energy.append(tuple(self.sim.energy()))
             if trial.look:
