@@ -21,15 +21,15 @@ STYLE = """
 @media (prefers-color-scheme: dark) {
   :root { --ink: #e4e7eb; --paper: #14171a; --line: #363c43; --soft: #1d2125; --bad: #ff8a80 } }
 body { font: 16px/1.55 system-ui, sans-serif; color: var(--ink); background: var(--paper); margin: 0 auto; padding: 2rem 1.5rem;
-  max-width: 76rem }
+  max-width: 84rem }
 h1 { font-size: 1.7rem; margin: 0 0 .3rem } h2 { font-size: 1.15rem; margin: 2.2rem 0 .6rem }
-p, ul { max-width: 46rem } .small { font-size: .85rem; opacity: .75 }
+p, ul { max-width: 52rem } details { margin: 1rem 0 } summary { cursor: pointer } .small { font-size: .85rem; opacity: .75 }
 svg { width: 100%; height: auto } svg text { font-family: inherit }
 .wide { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px }
 table { border-collapse: collapse; font-size: .82rem; font-variant-numeric: tabular-nums; min-width: 100% }
 th, td { padding: .3rem .7rem; text-align: right; white-space: nowrap; border-bottom: 1px solid var(--line) }
 th { background: var(--soft); font-weight: 600 } tr:last-child td { border-bottom: 0 }
-th:nth-child(-n+2), td:nth-child(-n+2) { text-align: left }
+th:nth-child(-n+3), td:nth-child(-n+3) { text-align: left }
 td.words { text-align: left; white-space: normal; min-width: 22rem } tr.front td { font-weight: 650 }
 tr.bad td { color: var(--bad) }
 """
@@ -78,6 +78,7 @@ def _cells(row: Row) -> list[str]:
     return [
         row.method,
         row.precision,
+        row.verdict,
         _number(row.step),
         _number(row.part_of_safe_step, 2),
         _number(row.passes),
@@ -88,12 +89,28 @@ def _cells(row: Row) -> list[str]:
         _number(row.relative_error, 2),
         "" if row.order is None else f"{row.order:.2f}",
         _number(row.energy_drift, 2),
-        row.verdict + (f": {row.reason}" if row.reason else ""),
     ]
 
 
-HEAD = ["method", "precision", "h [s]", "h / safe", "passes/s", "wall s per s", "ns per ball-step", "rms error [m]"]
-HEAD += ["max error [m]", "of the size", "order", "drift", "verdict"]
+HEAD = [
+    "method",
+    "precision",
+    "verdict",
+    "h [s]",
+    "h / safe",
+    "passes/s",
+    "wall s per s",
+    "ns per ball-step",
+    "rms error [m]",
+]
+HEAD += ["max error [m]", "of the size", "order", "drift"]
+
+
+def _reasons(findings: Findings) -> Iterator[str]:
+    """Why rows are unstable or left out, and what was warned of."""
+    for row in findings.rows:
+        if row.reason:
+            yield f"{row.method}, {row.precision}, {row.step:.3g} s: {row.verdict}: {row.reason}"
 
 
 def _statistics(findings: Findings) -> Table:
@@ -129,6 +146,7 @@ def _markdown(findings: Findings, pictured: bool) -> str:
         front = findings.front
         cells = [[f"**{c}**" if row in front and c else c for c in _cells(row)] for row in findings.rows]
         parts += ["## All runs", "\n".join(_rows((HEAD, cells))), " ".join(NOTES.split())]
+        parts.append("\n".join(f"- {line}" for line in _reasons(findings)))
     if findings.intervals:
         parts += ["## Statistics", "\n".join(_rows(_statistics(findings))), " ".join(STATISTICS.split())]
     return "\n\n".join(parts) + "\n"
@@ -158,6 +176,9 @@ def _html(findings: Findings, picture: str) -> str:
         kinds = ["front" if row in front else "bad" if row.verdict == "unstable" else "" for row in findings.rows]
         cells = [_cells(row) for row in findings.rows]
         parts.append(f"<h2>All runs</h2>{_html_table((HEAD, cells), kinds)}<p class=small>{html.escape(NOTES)}</p>")
+        reasons = "".join(f"<li>{html.escape(line)}</li>" for line in _reasons(findings))
+        if reasons:
+            parts.append(f"<details open><summary>Why</summary><ul class=small>{reasons}</ul></details>")
     if findings.intervals:
         parts.append(
             f"<h2>Statistics</h2>{_html_table(_statistics(findings))}<p class=small>{html.escape(STATISTICS)}</p>"

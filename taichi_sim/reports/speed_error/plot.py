@@ -43,7 +43,11 @@ def draw(findings: Findings) -> Any:
             axis.axvline(findings.floor, color=INK, lw=0.9, ls="--", label="floor of f32")
     axes[0].set_ylabel("wall time per simulated second [s]", color=INK)
     marks = {label: mark for axis in axes for mark, label in zip(*axis.get_legend_handles_labels())}
-    legend = figure.legend(marks.values(), marks.keys(), loc="outside right upper", frameon=False, fontsize=9)
+    order = {name: k for k, name in enumerate(METHODS)}
+    labels = sorted(marks, key=lambda label: order.get(label, len(order)))
+    legend = figure.legend(
+        [marks[label] for label in labels], labels, loc="outside right upper", frameon=False, fontsize=9
+    )
     for text in legend.get_texts():
         text.set_color(INK)
     return figure
