@@ -19,10 +19,12 @@ ONCE = (
     "outputs",
     "readme",
     "render",
+    "report",
     "rooms",
     "scene",
     "scene_file",
     "shapes",
+    "tune",
 )
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}
 # Long ones that tell most in double precision, or the same in both: in single precision `make test-slow` runs them.

@@ -14,7 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.files import replacing
-from taichi_sim.reports.speed_error.plan import FRAME, PARTS, Plan, Step, fitting, halved, limit, own_step, size_of
+from taichi_sim.reports.speed_error.plan import (
+    FRAME,
+    PARTS,
+    WORK,
+    Plan,
+    Step,
+    fitting,
+    halved,
+    limit,
+    own_step,
+    size_of,
+)
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
 from taichi_sim.scene import Scene
 
@@ -23,6 +34,7 @@ __all__ = ["APART", "PARTED", "Reference", "load", "make", "save"]
 Floats = NDArray[np.float64]
 APART, PARTED = 1e-8, 1e-3  # of the size, at the start and at the horizon
 GOOD = 1e-6  # of the size: a reference known to that needs no other method
+FINE = 1e-9  # of the size: finer steps are tried up to that where they cost little
 ATTEMPTS = 3  # at half the step, where it became unstable
 
 
@@ -67,7 +79,9 @@ class Reference:
         return bool(len(self.position)) and self.parts < PARTS
 
     def moves(self, scene: Scene) -> bool:
-        """Whether anything moves by more than rounding."""
+        """Whether anything moves by more than rounding; taken to be so without a reference."""
+        if not len(self.position):
+            return True
         return bool(np.any(np.abs(self.position - scene.position) > 1e-12 * self.size))
 
 
@@ -107,10 +121,22 @@ def _by(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], method: str, 
         coarse, fine = run(Trial(method, step)), run(Trial(method, halved(plan.duration, step), look=True))
         why = coarse.unstable or fine.unstable or coarse.left_out or fine.left_out
         if not why:
+            while _off(scene, coarse, fine) > FINE * size_of(scene) and _cheap(scene, plan, step):
+                step = halved(plan.duration, step)
+                coarse, fine = fine, run(Trial(method, halved(plan.duration, step), look=True))
             return _reference(scene, method, step, coarse, fine, run(Trial(method, step, start=apart(scene, APART, 0))))
         step = halved(plan.duration, step)
     none = np.zeros((0, 4))
     return Reference(method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, why)
+
+
+def _off(scene: Scene, coarse: Outcome, fine: Outcome) -> float:
+    return rms(np.array([distance(scene, a, b) for a, b in zip(coarse.position, fine.position)]))
+
+
+def _cheap(scene: Scene, plan: Plan, step: Step) -> bool:
+    """Whether a run at a quarter of this step is a small part of what the default duration allows for."""
+    return 4 * 4 * step.number * PARTS * (scene.n_balls + scene.n_springs) < WORK / 8
 
 
 def _reference(scene: Scene, method: str, step: Step, coarse: Outcome, fine: Outcome, other: Outcome) -> Reference:

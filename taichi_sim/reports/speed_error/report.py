@@ -50,9 +50,8 @@ def run_all(scene: Scene, plan: Plan, folder: Folder, say: Say, step_done: Calla
         if reference is None:
             reference = references.make(scene, plan, workers("f64"))
             folder.keep(reference)
-        moves = reference.moves(scene) or not len(reference.position)
         seeds: list[statistics.Seed] = []
-        if moves:
+        if reference.moves(scene):
             for precision in plan.precisions:
                 if precision == "f32":
                     for words in coarse(scene, plan, reference):
