@@ -56,8 +56,8 @@ class Findings:
         """What was done and how well it is known, a sentence each."""
         plan, scene, reference = self.plan, self.scene, self.reference
         yield (
-            f"{scene.n_balls} balls, {scene.n_springs} springs in {scene.dim}D, {plan.duration:g} simulated seconds from the"
-            f" start; the size of the scene is {reference.size:.3g} m."
+            f"{scene.n_balls} balls, {scene.n_springs} springs in {scene.dim}D, the first {plan.duration:g} simulated seconds;"
+            f" the size of the scene is {reference.size:.3g} m."
         )
         if not scene.n_springs:
             yield "The scene has no springs: nothing limits the step."
@@ -76,8 +76,8 @@ class Findings:
         if reference.parts and not any(tells(row, reference.known) for row in self.rows):
             yield "The reference has not converged enough to tell any method's error."
         elif self.dropped and reference.parts:
-            yield f"{len(self.dropped)} stable rows lie so near to the reference."
-        grown = f"Two runs that start {APART:g} of the size apart are {self._parted():.1g} of it apart at the end"
+            yield f"Stable runs that lie so near to the reference: {len(self.dropped)}."
+        grown = f"Two runs that start {APART:g} of the size apart part by up to {self._parted():.1g} of it"
         if not reference.chaotic:
             yield f"{grown}: errors of single positions mean something all along."
         elif reference.parts:
@@ -95,7 +95,7 @@ class Findings:
             yield f"In single precision smaller steps do not go below an error of {self.floor:.1g} of the size."
 
     def _parted(self) -> float:
-        return float(self.reference.parting[-1]) / self.reference.size
+        return float(self.reference.parting.max()) / self.reference.size
 
     def lines(self) -> Iterator[str]:
         """For the terminal."""
