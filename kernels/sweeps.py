@@ -239,7 +239,7 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
         law = law_of(solver.pairs, i, j)
         slip = 0.0 * mass
         if ti.static(stage not in (NEXT, BOUNCE)):
-            slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold, time)
+            slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], time)
         arm = 0.0 * mass
         if ti.static(solver.spins):
             arm = solver.pairs.row[c].arm
@@ -273,8 +273,8 @@ def prepare(solver: ti.template(), i, j, c, n, stage: ti.template()):
         restitution = 0.0 * speed
         if ti.static(solver.model.has_restitution):
             restitution = law_of(solver.pairs, i, j).restitution
-        target = contact_law.target_speed(speed, restitution, solver.threshold, stage == FIRST)
-        fast = speed < -solver.threshold  # an impact: never soft
+        target = contact_law.target_speed(speed, restitution, solver.threshold[0], stage == FIRST)
+        fast = speed < -solver.threshold[0]  # an impact: never soft
         aim = ti.cast(NONE, float)
         if ti.static(solver.model.has_restitution):
             aim = ti.select(fast and target > 0.0, -target, aim)
@@ -284,7 +284,7 @@ def prepare(solver: ti.template(), i, j, c, n, stage: ti.template()):
                 target = ti.min(target, ti.select(fast and restitution > 0.0, speed, depth * solver.rate[0]))
                 aim = NONE
             elif not fast:
-                aim = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push)
+                aim = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push * solver.threshold[0])
         if ti.static(stage == FIRST):
             solver.pairs.link[c].aim = aim
         elif ti.static(solver.soft):

@@ -115,12 +115,13 @@ class Assembly:
 
     def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactSolver:
         on = settings.contacts != "off" and bool(np.any(~scene.pinned))
-        threshold = max(2.0 * float(np.linalg.norm(scene.gravity)) * h, SLOWEST_BOUNCE)
         sticks = on and bool(np.any(scene.collides)) and scene.n_balls > 2
         pairs = on and (sticks or may_collide(scene))
         walled = on and bool(scene.walls or scene.colliders)
         if pairs or walled:
             self.model.add_contact_fields()
+        # fields, so that another step compiles nothing anew
+        self.threshold = self.fields.reals(np.array([_slowest_bounce(scene, h)])) if pairs or walled else None
         # sticks look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
         skin = 0.0 if sticks or type(settings.integrator) not in BUILT_IN else SKIN
         pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0))
@@ -132,7 +133,7 @@ class Assembly:
         pair_part = Pairs(self.model, self.fields, grid, warm, soft, self.room.pairs) if grid is not None else None
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
         wall_part = (
-            Walls(self.model, self.state, self.fields, threshold, soft, pairs, self.colliders) if walled else None
+            Walls(self.model, self.state, self.fields, self.threshold, soft, pairs, self.colliders) if walled else None
         )
         stick_part = (
             Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
@@ -146,7 +147,7 @@ class Assembly:
             wall_part,
             pair_part,
             stick_part,
-            threshold=threshold,
+            threshold=self.threshold,
             h=h,
             passes=settings.passes(scene, rule),
             rule=rule,
@@ -173,6 +174,16 @@ class Assembly:
         """What was compiled in."""
         driver = "driver.fused" if self.fused else "driver.parallel"
         return [driver, f"integrator.{self.integrator.name}", *self.forces.names(), *self.contacts.names()]
+
+    def set_step(self, h: float) -> None:
+        """Go on with substeps of h seconds; nothing is compiled. `prime` must follow."""
+        scene, settings, backend, _, forces = self.arguments
+        self.arguments = (scene, settings, backend, h, forces)
+        if self.forces.springs is not None:
+            self.forces.springs.set_damping(self.integrator.damping(self.model, h))
+        if self.threshold is not None:
+            self.threshold.fill(_slowest_bounce(scene, h))
+            self.contacts.rate.fill(1.0 / h)
 
     def prime(self, h: float, time: float) -> None:
         """Forces and contacts at the present positions."""
@@ -264,6 +275,11 @@ def _rounds(scene: Scene, backend: Backend) -> bool:
     if backend.precision == "f32" or not scene.n_balls:
         return backend.precision == "f32"
     return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINE * float(np.min(scene.radius))
+
+
+def _slowest_bounce(scene: Scene, h: float) -> float:
+    """The approach speed below which nothing bounces, with substeps of h seconds [m/s]."""
+    return max(2.0 * float(np.linalg.norm(scene.gravity)) * h, SLOWEST_BOUNCE)
 
 
 def spins(scene: Scene, settings: Settings) -> bool:

@@ -18,7 +18,8 @@ FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3
 main = typer.Typer(
     help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
     " simulation(), or the name of a demo.",
-    epilog="Exit status: 0 done, 1 a hard case failed, 2 bad input, 3 the simulation became unstable, 130 interrupted.",
+    epilog="Exit status: 0 done, 1 a hard case failed or tune found nothing, 2 bad input,"
+    " 3 the simulation became unstable, 130 interrupted.",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -148,23 +149,98 @@ def check(
 
 @main.command()
 def report(
-    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help="Not in this version.")] = None,
+    scene: Annotated[
+        str | None, typer.Argument(metavar="[SCENE]", help="A TOML file, a Python file, or a demo's name.")
+    ] = None,
     hard_cases: Annotated[
-        bool, typer.Option("--hard-cases", help="Verdicts on the hard cases, for each contact rule and method.")
+        bool,
+        typer.Option("--hard-cases", help="Instead: verdicts on the hard cases, for each contact rule and method."),
     ] = False,
+    methods: Annotated[str | None, typer.Option(help="Integrators, like verlet,rk4; all of them otherwise.")] = None,
+    dts: Annotated[str | None, typer.Option(help="Steps in seconds, like 1e-3,5e-4; halvings otherwise.")] = None,
+    precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
+    tolerance: Annotated[
+        float, typer.Option(help="An error that you would accept, as a part of the scene's size.")
+    ] = 1e-3,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
+    ] = None,
+    limit: Annotated[float, typer.Option(help="Wall seconds that one run may take.")] = 4.0,
+    out: Annotated[str | None, typer.Option("--out", "-o", help="Folder of the pages; NAME_report otherwise.")] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a report of something else in that folder.")
+    ] = False,
+    arch: Arch = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
 ) -> None:
-    """Judge the hard cases of contacts and springs; exit status 1 if one passes with no rule or method."""
-    if not hard_cases:
-        what = "report" if scene is None else f"report {scene}"
-        _fail(f"{what}: speed against error is not in this version; use report --hard-cases", BAD_INPUT)
-    if scene is not None:
-        _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
-    with _plain_errors():
-        from taichi_sim.reports import hard_cases as cases
+    """Speed against error of SCENE, for methods, steps and precisions; an interrupted report goes on when it is run again.
+    With --hard-cases: verdicts on what breaks simulators; exit status 1 if a case passes with none."""
+    if hard_cases:
+        if scene is not None:
+            _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
+        with _plain_errors():
+            from taichi_sim.reports import hard_cases as cases
 
-        good = cases.main()
-    if not good:
-        raise typer.Exit(FAILED)
+            good = cases.main()
+        if not good:
+            raise typer.Exit(FAILED)
+        return
+    if scene is None:
+        _fail("report: give a SCENE, or --hard-cases", BAD_INPUT)
+    with _plain_errors():
+        from pathlib import Path
+
+        from taichi_sim.reports.speed_error import command
+
+        file, made, plan = command.read(
+            scene,
+            methods=methods,
+            dts=dts,
+            precision=precision,
+            tolerance=tolerance,
+            duration=duration,
+            limit=limit,
+            arch=arch,
+            threads=threads,
+        )
+        from taichi_sim.reports.speed_error.report import main as make
+
+        folder = Path(out or f"{file.stem}_report")
+        make(made, plan, folder, overwrite=overwrite, progress=not quiet, say=_quiet if quiet else typer.echo)
+
+
+@main.command()
+def tune(
+    scene: SceneName,
+    tolerance: Annotated[float, typer.Option(help="The error that you accept, as a part of the scene's size.")] = 1e-2,
+    methods: Annotated[str | None, typer.Option(help="Integrators to choose from, like verlet,rk4.")] = None,
+    precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
+    ] = None,
+    limit: Annotated[float, typer.Option(help="Wall seconds that one run may take.")] = 4.0,
+    write: Annotated[bool, typer.Option("--write", help="Write the settings into the scene file.")] = False,
+    arch: Arch = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Find the method, step and precision that meet a tolerance in SCENE at the least cost."""
+    with _plain_errors():
+        from taichi_sim.reports.speed_error import command
+        from taichi_sim.reports.speed_error import tune as tuning
+
+        options = {"methods": methods, "precision": precision, "arch": arch}
+        file, made, plan = command.read(
+            scene, tolerance=tolerance, duration=duration, limit=limit, threads=threads, **options
+        )
+        settings = tuning.main(made, plan, progress=not quiet, say=typer.echo)
+        if settings is None:
+            raise typer.Exit(FAILED)
+        if write:
+            command.require_own_file(scene, file)
+            tuning.write_settings(file, settings)
+            typer.echo(f"written      {file}")
 
 
 @main.command()
@@ -223,6 +299,10 @@ class _Job:
         if given:
             backend.start(**given)
         return open_simulation(self.file)
+
+
+def _quiet(line: str) -> None:
+    pass
 
 
 def _positive(option: str, value: float | None) -> float | None:

@@ -12,7 +12,7 @@ from taichi_sim import backend, checks
 from taichi_sim.scene import Scene, bounciest
 from taichi_sim.stability import Stability
 
-__all__ = ["Settings"]
+__all__ = ["Settings", "part_of_bound"]
 
 DEFAULTS: dict[str, Any] = {
     "integrator": "verlet",
@@ -106,9 +106,11 @@ class Settings:
             return dt, self._substeps(scene, dt)
         if safe.dt_any_shape == 0.0:
             raise ValueError(f'dt: "auto" finds no safe step: {safe.reason}; give a number, or take another integrator')
-        resonant = getattr(self.integrator, "name", "") in SYMPLECTIC and not np.all(scene.damping > 0)
-        part = UNDAMPED if resonant else SAFETY
-        limit = part * safe.dt_any_shape * (1 if self.substeps == "auto" else int(self.substeps))
+        limit = (
+            part_of_bound(scene, getattr(self.integrator, "name", ""))
+            * safe.dt_any_shape
+            * (1 if self.substeps == "auto" else int(self.substeps))
+        )
         dt = float(np.minimum(LONGEST_STEP, limit))
         return dt, self._substeps(scene, dt)
 
@@ -124,6 +126,11 @@ class Settings:
         radius = float(np.median(scene.radius[loose]))
         longest = np.sqrt(SINKING[scene.dim] * radius / (g * _layers(scene, loose)))
         return int(np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS))
+
+
+def part_of_bound(scene: Scene, method: str) -> float:
+    """Part of the stability bound that is safe in the long run."""
+    return UNDAMPED if method in SYMPLECTIC and not np.all(scene.damping > 0) else SAFETY
 
 
 def _layers(scene: Scene, loose: NDArray[np.bool_]) -> float:

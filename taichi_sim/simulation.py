@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
@@ -291,6 +292,19 @@ class Simulation:
         return self._parts.names()
 
     # Changing it ---------------------------------------------------------------------------------------------------
+
+    def set_dt(self, dt: float | str) -> None:
+        """Go on with steps of dt seconds, or as "auto" finds; nothing is compiled anew. Raises ValueError; warns as at first."""
+        settings = replace(self.settings, dt=dt if dt == "auto" else checks.number("dt", dt, positive=True))
+        self._begin, self._steps = self.time, 0
+        self.settings = settings
+        self.dt, self.substeps = settings.time_step(self.scene, self._stability)
+        self._h = self.dt / self.substeps
+        self._warn()
+        if settings.contacts != "off":
+            check_colliders(self.scene, self._h)
+        self._parts.set_step(self._h)
+        self._primed = False
 
     def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:
         """Add an impulse (dim,) or (k, dim) [N s] to the balls (k,). Pinned ones do not move."""

@@ -19,10 +19,12 @@ ONCE = (
     "outputs",
     "readme",
     "render",
+    "report",
     "rooms",
     "scene",
     "scene_file",
     "shapes",
+    "tune",
     "waves",
 )
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}

@@ -75,7 +75,7 @@ def test_help_is_light(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert done.stdout.endswith("[]\n")
-    for word in ("run", "view", "check", "report", "bench", "demos", "--version"):
+    for word in ("run", "view", "check", "report", "tune", "bench", "demos", "--version"):
         assert word in done.stdout
 
 
@@ -201,7 +201,17 @@ REFUSED = [
     (("run", "ball.toml", "-o", "none/x.mp4"), "none/x.mp4: there is no folder 'none'; make it first"),
     (("run", "ball.toml", "-o", "full"), "full: the folder is not empty; use --overwrite, --resume or another name"),
     (("view", "ball.toml"), "there is no display for a window; use `taichi-sim run SCENE -o x.mp4` instead"),
-    (("report", "ball.toml"), "report ball.toml: speed against error is not in this version"),
+    (("report",), "report: give a SCENE, or --hard-cases"),
+    (("report", "ball.toml", "--hard-cases"), "--hard-cases takes no scene"),
+    (("report", "ball.toml", "--methods", "verlet,magic"), "--methods: 'magic' is not allowed; it must be of verlet,"),
+    (("report", "ball.toml", "--dts", "1e-3,"), "--dts: '1e-3,' is not allowed"),
+    (("report", "ball.toml", "--dts", "1,2", "--duration", "1"), "a step must be within --duration, 1"),
+    (("report", "ball.toml", "--precision", "f16"), "--precision: 'f16' is not allowed; it must be of f64, f32"),
+    (("report", "ball.toml", "--tolerance", "2"), "--tolerance: 2 is not allowed; it is a part of the scene's size"),
+    (("report", "ball.toml", "-o", "full"), "full: the folder is not empty and holds no report"),
+    (("report", "ball.toml", "-o", "none/r"), "none/r: there is no folder 'none'; make it first"),
+    (("tune", "none.toml"), "none.toml: there is no such file"),
+    (("tune", "ball.toml", "--limit", "0"), "--limit: 0.0 is not allowed; it must be a number greater than 0"),
 ]
 FROM_TAICHI = [
     (("run", "ball.toml", "-o", "x.mp4", "--arch", "gpu"), "arch: 'gpu' is not allowed; it must be one of auto, cpu"),

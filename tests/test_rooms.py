@@ -174,7 +174,7 @@ def test_public_names():
 
 
 SIMULATION = """step run time position velocity energy momentum angular_momentum frames stability save restore dt substeps
-kernels close apply_impulse set_position set_velocity __enter__ __exit__"""
+kernels close apply_impulse set_dt set_position set_velocity __enter__ __exit__"""
 
 
 @pytest.mark.parametrize("name", SIMULATION.split())

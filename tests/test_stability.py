@@ -142,3 +142,34 @@ def test_check_of_scenes_without_springs_or_motion():
     scene.pinned[:] = True
     with simulate(scene) as sim:
         assert "no spring moves a ball: every step is stable" in "\n".join(check.lines(sim))
+
+
+def test_another_step_gives_the_bits_of_a_simulation_made_with_it():
+    """What depends on the step (damping, the slowest bounce, soft contacts) is set anew. Nothing touches in the first steps:
+    what contacts hold may outlast `resume`."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_material("wood", restitution=0.5)
+    scene.add_wall((0, 1), 0.0, "wood")
+    b = scene.add_balls([[0, 0.12], [1, 0.12], [0, 0.33], [1, 0.34]], radius=0.1, material="wood")
+    scene.add_springs([b[:2]], stiffness=100.0, damping=5.0, rest_length=0.9)
+    with (
+        simulate(scene, integrator="verlet", dt=1e-3, substeps=1) as sim,
+        simulate(scene, integrator="verlet", dt=1e-2, substeps=1) as made,
+    ):
+        sim.step(7)
+        compiled = sim.kernels()
+        sim.set_dt(1e-2)
+        assert (sim.dt, sim.time) == (1e-2, pytest.approx(7e-3))
+        sim.step(1)
+        assert sim.time == pytest.approx(1.7e-2)
+        sim.resume(scene.position, scene.velocity, 0.0)
+        made.resume(scene.position, scene.velocity, 0.0)
+        for one in (sim, made):
+            one.step(40)
+        assert sim.contacts().number > 0
+        assert np.array_equal(sim.position, made.position)
+        assert np.array_equal(sim.velocity, made.velocity)
+        assert sim.kernels() == compiled
+        with pytest.raises(ValueError, match="dt: -1"):
+            sim.set_dt(-1)
+        assert sim.dt == 1e-2

@@ -33,7 +33,7 @@ class ContactSolver:
 
     Args:
         walls, pairs, sticks: the kinds of contact that the scene has, or None.
-        threshold: m/s, approach speed below which nothing bounces. h: seconds per substep.
+        threshold: field (1) [m/s], approach speed below which nothing bounces. h: seconds per substep.
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
         which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
@@ -49,7 +49,7 @@ class ContactSolver:
         pairs: Pairs | None,
         sticks: Sticks | None,
         *,
-        threshold: float,
+        threshold: ti.Field,
         h: float,
         passes: int,
         rule: str,
@@ -70,7 +70,7 @@ class ContactSolver:
         self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
         self.warm, self.soft = warm, soft and pairs is not None
         self.tames = tames
-        self.fastest_push = FASTEST_PUSH * threshold
+        self.fastest_push = FASTEST_PUSH
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_colliders = walls is not None and walls.has_colliders

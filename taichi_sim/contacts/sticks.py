@@ -76,7 +76,7 @@ class Sticks:
             g, n, _ = loops.geometry(self, ball, self.row[c])
             u = self.relative_velocity(ball, self.row[c], g).dot(n)
             law = self.law(self.row[c])
-            self.row[c].target = contact_law.target_speed(u, law.restitution, solver.threshold, impacts)
+            self.row[c].target = contact_law.target_speed(u, law.restitution, solver.threshold[0], impacts)
             self.row[c].held = 0.0 * u
             self.slide[c] = 0.0 * n
 
@@ -94,7 +94,7 @@ class Sticks:
             self.row[c].held = total
             if ti.static(self.model.has_friction):
                 law = self.law(row)
-                slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold, time)
+                slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold[0], time)
                 if ti.static(solver.spins):
                     u -= lever(solver.state.turn[row.ball], n)
                     mass = 1.0 / (inverse + solver.turning * solver.lightness[row.ball])

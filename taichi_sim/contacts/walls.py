@@ -39,7 +39,7 @@ class Walls:
         model: Model,
         state: State,
         fields: Fields,
-        threshold: float,
+        threshold: ti.Field,
         crowds: bool,
         straight: bool,
         colliders: Colliders | None = None,
@@ -163,7 +163,7 @@ class Walls:
     def move(self, i, x, v, a, h, change):
         """Displacement over h and drift velocity of ball i; see kernels.impact. Speed that forces gave it in this very step
         (change) is a load, not an impact: a loaded ball that bounced with it would never come to rest."""
-        return impact.move(self, i, x, v, a, h, ti.max(self.threshold, 2.0 * change.norm()))
+        return impact.move(self, i, x, v, a, h, ti.max(self.threshold[0], 2.0 * change.norm()))
 
     @ti.func
     def _reach(self, i, touch, crowded):
@@ -173,7 +173,7 @@ class Walls:
     @ti.func
     def _role(self, gap, u, touch, crowded):
         """Part that a wall plays for a ball: OUT of the solve, RESTING in it, or NEAR."""
-        role = ti.select(ti.abs(u) <= self.threshold or gap < -touch, RESTING, OUT)
+        role = ti.select(ti.abs(u) <= self.threshold[0] or gap < -touch, RESTING, OUT)
         if crowded:
             role = ti.select(gap <= touch, RESTING, NEAR)
         return role
@@ -315,9 +315,9 @@ class Walls:
                 u = n.dot(self.relative(v, i, k))
                 self.contact[c].active = self._role(gap, u, touch, crowded)
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
-                if u > self.threshold or (u < -self.threshold and not crowded) or ti.static(not solver.warm):
+                if u > self.threshold[0] or (u < -self.threshold[0] and not crowded) or ti.static(not solver.warm):
                     self._forget(c)
-                target = contact_law.target_speed(u, self.law(i, k).restitution, self.threshold, impacts)
+                target = contact_law.target_speed(u, self.law(i, k).restitution, self.threshold[0], impacts)
                 if ti.static(self.crowds):
                     if crowded and gap > touch:
                         # it may come to the wall, but not go on; what bounces there is left alone by the solve that ends a step
@@ -360,7 +360,7 @@ class Walls:
                 self.contact[c].impulse = now
                 if ti.static(self.model.has_friction):
                     law = self.law(i, k)
-                    slip = contact_law.viscous_share(self.model, law, now, mass, self.threshold, time)
+                    slip = contact_law.viscous_share(self.model, law, now, mass, self.threshold[0], time)
                     u = self.relative(v, i, k)
                     if ti.static(solver.spins):
                         u -= lever(turn, n)

@@ -81,9 +81,8 @@ class Springs:
         """The same springs in groups of kernels.lanes, and idle ones from ball 0 to ball 1 where a group is not full."""
         if self.order == "waves":
             chosen = waves(np.stack([data["one"], data["other"]], axis=1), lanes.WIDTH).ravel()
-            self.place = fields.integers(
-                np.argsort(chosen, kind="stable")[-self.m :]
-            )  # where the springs of `start` lie
+            # where the springs of `start` lie
+            self.place = fields.integers(np.argsort(chosen, kind="stable")[-self.m :])
         else:
             chosen = np.append(np.arange(self.m), np.full(-self.m % lanes.WIDTH, -1))
             self.second = fields.integers(np.argsort(data["other"], kind="stable"))

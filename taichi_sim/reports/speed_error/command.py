@@ -1,0 +1,85 @@
+"""What the commands `report` and `tune` take: a scene and options, checked before anything runs."""
+
+from pathlib import Path
+from typing import Any
+
+from taichi_sim import checks
+from taichi_sim.errors import SceneError
+from taichi_sim.reports.speed_error.plan import METHODS, PRECISIONS, Plan, duration_of
+from taichi_sim.scene import Scene
+from taichi_sim.scene_source import checked_output, demos, open_scene, resolve
+
+__all__ = ["read", "require_own_file"]
+
+
+def read(
+    name: str | None,
+    *,
+    methods: str | None = None,
+    dts: str | None = None,
+    precision: str | None = None,
+    tolerance: float = 1e-3,
+    duration: float | None = None,
+    limit: float = 4.0,
+    arch: str | None = None,
+    threads: int | None = None,
+) -> tuple[Path, Scene, Plan]:
+    """The file, its scene, and the plan. Raises ValueError or OSError that names the option and what is allowed."""
+    assert name is not None
+    choices: dict[str, Any] = {
+        "methods": _words("--methods", methods, METHODS),
+        "precisions": _words("--precision", precision, PRECISIONS),
+        "steps": None if dts is None else tuple(_positive("--dts", text) for text in _items("--dts", dts)),
+        "tolerance": _positive("--tolerance", tolerance),
+        "most": _positive("--limit", limit),
+    }
+    if choices["tolerance"] >= 1.0:
+        raise ValueError(f"--tolerance: {tolerance:g} is not allowed; it is a part of the scene's size, below 1")
+    if duration is not None:
+        _positive("--duration", duration)
+    file = resolve(name)
+    scene = open_scene(file)
+    if scene is None:
+        raise SceneError(f"{file}: makes its own simulation(); methods and steps can be compared for a scene() only")
+    if not scene.n_balls:
+        raise SceneError(f"{file}: holds no ball; there is nothing to compare")
+    checked_output(scene.output)
+    known = {made: key for key, made in demos().items()}
+    title = known.get(file, file.stem)
+    if choices["steps"] and duration is not None and max(choices["steps"]) > duration:
+        raise ValueError(
+            f"--dts: {max(choices['steps']):g} is not allowed; a step must be within --duration, {duration:g}"
+        )
+    return file, scene, Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
+
+
+def require_own_file(name: str, file: Path) -> None:
+    """Raises SceneError where settings cannot be written into the scene."""
+    if file.suffix != ".toml":
+        raise SceneError(f"--write: {file} is Python; set scene.settings there to what stands above")
+    if not Path(name).is_file():
+        raise SceneError(f"--write: {name} is a demo; copy {file} and put the lines above there")
+
+
+def _items(option: str, text: str) -> list[str]:
+    items = [item.strip() for item in text.split(",")]
+    if not all(items):
+        raise ValueError(f"{option}: {text!r} is not allowed; give words or numbers with commas between them")
+    return items
+
+
+def _words(option: str, text: str | None, allowed: tuple[str, ...]) -> tuple[str, ...]:
+    if text is None:
+        return allowed
+    words = _items(option, text)
+    for word in words:
+        if word not in allowed:
+            raise ValueError(f"{option}: {word!r} is not allowed; it must be of {', '.join(allowed)}")
+    return tuple(word for word in allowed if word in words)
+
+
+def _positive(option: str, value: Any) -> float:
+    try:
+        return checks.number(option, float(value), positive=True)
+    except (TypeError, ValueError):
+        raise ValueError(f"{option}: {value!r} is not allowed; it must be a number greater than 0") from None

@@ -1,0 +1,134 @@
+"""Findings: what a report has to say, for the terminal and for the pages."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from taichi_sim.reports.speed_error.plan import PARTS, Plan
+from taichi_sim.reports.speed_error.reference import APART, PARTED, Reference
+from taichi_sim.reports.speed_error.rows import CLEAR, LEFT_OUT, STABLE, UNSTABLE, Row, cheapest, pareto, tells
+from taichi_sim.reports.speed_error.statistics import Interval
+from taichi_sim.scene import Scene
+
+__all__ = ["TOLERANCES", "Findings"]
+
+TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Rows are sorted, with their orders."""
+
+    plan: Plan
+    scene: Scene
+    reference: Reference
+    rows: list[Row]
+    intervals: list[Interval]
+
+    @property
+    def front(self) -> list[Row]:
+        """What none beats in both speed and error."""
+        return pareto(self.rows, self.reference.known)
+
+    @property
+    def floor(self) -> float | None:
+        """The least error seen in single precision, as a part of the size, where smaller steps did not lessen it."""
+        best = []
+        for method in self.plan.methods:
+            own = [r for r in self.rows if r.precision == "f32" and r.method == method and r.verdict == STABLE]
+            errors = [r.relative_error for r in own if r.relative_error]
+            if len(errors) > 1 and errors[-1] > 0.7 * errors[-2]:
+                best.append(min(errors))
+        return min(best, default=None)
+
+    @property
+    def dropped(self) -> list[Row]:
+        """Stable rows whose errors say more of the reference than of the method."""
+        return [row for row in self.rows if row.verdict == STABLE and not tells(row, self.reference.known)]
+
+    def fastest(self, tolerances: tuple[float, ...] = TOLERANCES) -> Iterator[tuple[float, Row | None]]:
+        """The cheapest row for each tolerance, that of the plan among them."""
+        for tolerance in sorted({*tolerances, self.plan.tolerance}, reverse=True):
+            yield tolerance, cheapest(self.rows, tolerance, self.reference.size, self.reference.known)
+
+    def about(self) -> Iterator[str]:
+        """What was done and how well it is known, a sentence each."""
+        plan, scene, reference = self.plan, self.scene, self.reference
+        yield (
+            f"{scene.n_balls} balls, {scene.n_springs} springs in {scene.dim}D, the first {plan.duration:g} simulated seconds;"
+            f" the size of the scene is {reference.size:.3g} m."
+        )
+        if not scene.n_springs:
+            yield "The scene has no springs: nothing limits the step."
+        if reference.why:
+            yield f"There is no reference, so errors are not known: {reference.why}."
+            return
+        if not reference.moves(scene):
+            yield "Nothing moves in this scene: there is nothing to compare."
+            return
+        if reference.parts:
+            yield (
+                f"Reference: {reference.method} in double precision at {2 * reference.step:.3g} s and {reference.step:.3g} s,"
+                f" which differ by {reference.known:.2g} m ({reference.known / reference.size:.1g} of the size). Errors within"
+                f" {CLEAR:g} times of that are left out of orders and of the front."
+            )
+        if reference.parts and not any(tells(row, reference.known) for row in self.rows):
+            yield "The reference has not converged enough to tell any method's error."
+        elif self.dropped and reference.parts:
+            yield f"Stable runs that lie so near to the reference: {len(self.dropped)}."
+        grown = f"Two runs that start {APART:g} of the size apart part by up to {self._parted():.1g} of it"
+        if not reference.chaotic:
+            yield f"{grown}: errors of single positions mean something all along."
+        elif reference.parts:
+            horizon = reference.parts * plan.duration / PARTS
+            yield (
+                f"{grown}; the horizon, where it is {PARTED:g}, comes after {horizon:.3g} s. Errors are taken up to there only,"
+                " and the rest is compared by statistics."
+            )
+        else:
+            yield (
+                f"{grown}, and more than {PARTED:g} after {plan.duration / PARTS:.3g} s already: no error of single positions"
+                " means anything, and the runs are compared by statistics alone."
+            )
+        if self.floor is not None:
+            yield f"In single precision smaller steps do not go below an error of {self.floor:.1g} of the size."
+
+    def _parted(self) -> float:
+        return float(self.reference.parting.max()) / self.reference.size
+
+    def lines(self) -> Iterator[str]:
+        """For the terminal."""
+        yield f"report       {self.plan.name}"
+        yield from self.about()
+        if self.front:
+            yield ""
+            yield "Not beaten in both speed and error:"
+            yield f"{'method':18}{'precision':>10}{'step':>12}{'wall s per s':>14}{'error [m]':>12}{'of the size':>13}"
+            for row in self.front:
+                yield (
+                    f"{row.method:18}{row.precision:>10}{row.step:>10.3g} s{row.seconds:>14.3g}{row.rms_error:>12.2g}"
+                    f"{row.relative_error:>13.2g}"
+                )
+        if any(row.rms_error is not None for row in self.rows):
+            yield ""
+            for tolerance, best in self.fastest((1e-2, 1e-3, 1e-4)):
+                yield f"fastest for {100 * tolerance:g} %: {choice(best)}"
+        for verdict, words in ((UNSTABLE, "became unstable"), (LEFT_OUT, "left out")):
+            some = [row for row in self.rows if row.verdict == verdict]
+            if some:
+                yield f"{len(some)} of {len(self.rows)} runs {words}; the pages say which and why"
+        if self.intervals:
+            yield f"statistics over 8 starts for {len(self.intervals)} methods and steps: see the pages"
+
+
+def choice(row: Row | None) -> str:
+    """A row as advice."""
+    if row is None:
+        return "none of these"
+    return f"{row.method} at {row.step:.3g} s in {row.precision}, {row.seconds:.3g} s of wall time per simulated second"
+
+
+def agrees(interval: Interval, other: Interval, name: str) -> bool:
+    """Whether two means differ by less than their intervals together."""
+    return bool(abs(interval.mean[name] - other.mean[name]) <= np.hypot(interval.half[name], other.half[name]))

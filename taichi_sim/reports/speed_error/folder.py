@@ -1,0 +1,62 @@
+"""The folder of a report: what it holds is added row by row, so that an interrupted report goes on where it stopped."""
+
+import json
+from pathlib import Path
+
+from taichi_sim.files import replacing
+from taichi_sim.reports.speed_error import reference as references
+from taichi_sim.reports.speed_error import rows as table
+from taichi_sim.reports.speed_error.reference import Reference
+from taichi_sim.reports.speed_error.rows import Row
+
+__all__ = ["Folder"]
+
+MARK = "report.json"  # what makes a folder one of ours, with the key of its rows
+OURS = (MARK, "rows.csv", "seeds.csv", "reference.npz", "report.md", "report.html", "error.svg", "error.png")
+
+
+class Folder:
+    """rows.csv, reference.npz, and beside them the pages. `rows`: those that are there already."""
+
+    def __init__(self, path: Path, key: str, overwrite: bool = False) -> None:
+        """Raises OSError or ValueError before anything is written where the folder cannot be used."""
+        self.path = path
+        if not path.parent.is_dir():
+            raise FileNotFoundError(f"{path}: there is no folder {str(path.parent)!r}; make it first")
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError(f"{path}: is a file; give the name of a folder")
+        mark = path / MARK
+        if path.is_dir() and any(path.iterdir()):
+            if not mark.is_file():
+                raise FileExistsError(f"{path}: the folder is not empty and holds no report; use another name")
+            if json.loads(mark.read_text())["key"] != key:
+                if not overwrite:
+                    raise FileExistsError(
+                        f"{path}: holds a report of another scene or with other settings; use --overwrite or another --out"
+                    )
+        self.key = key
+        if path.is_dir() and overwrite:
+            for name in OURS:
+                (path / name).unlink(missing_ok=True)
+        self.rows = table.read(path / "rows.csv")
+
+    def open(self) -> Path:
+        """Make the folder, once there is something to keep."""
+        if not (self.path / MARK).is_file():
+            self.path.mkdir(exist_ok=True)
+            with replacing(self.path / MARK) as file:
+                file.write(json.dumps({"key": self.key}).encode())
+        return self.path
+
+    def add(self, row: Row) -> None:
+        """Keep a row, on disk at once."""
+        self.rows.append(row)
+        table.write(self.open() / "rows.csv", self.rows)
+
+    def reference(self) -> Reference | None:
+        """The one that an interrupted report has made."""
+        return references.load(self.path / "reference.npz")
+
+    def keep(self, reference: Reference) -> None:
+        """Save it."""
+        references.save(self.open() / "reference.npz", reference)

@@ -1,0 +1,83 @@
+"""From a trial to a row."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
+from taichi_sim.reports.speed_error.reference import Reference, distance, rms
+from taichi_sim.reports.speed_error.rows import LEFT_OUT, STABLE, UNSTABLE, Row
+from taichi_sim.reports.speed_error.worker import Outcome, Trial
+from taichi_sim.scene import Scene
+from taichi_sim.stability import stability
+
+__all__ = ["measure", "row_of"]
+
+GAIN = 1.0  # of the largest kinetic and spring energy: more motion than that is not the scene's
+
+
+def measure(
+    scene: Scene,
+    plan: Plan,
+    reference: Reference,
+    run: Callable[[Trial], Outcome],
+    precision: str,
+    method: str,
+    step: Step,
+) -> Row:
+    """Run one method with one step, and say what it cost and how far it was off."""
+    outcome = run(Trial(method, step, most=plan.most, timed=True))
+    return row_of(scene, plan, reference, outcome, precision, method, step)
+
+
+def row_of(
+    scene: Scene, plan: Plan, reference: Reference, outcome: Outcome, precision: str, method: str, step: Step
+) -> Row:
+    """What an outcome says beside the reference. A run that ended early has no error, and for its cost what its first
+    step promised."""
+    safe = stability(scene, method).dt_any_shape
+    verdict, reason = _verdict(reference, outcome)
+    known = verdict != LEFT_OUT and len(outcome.position) == PARTS
+    errors = (
+        [distance(scene, a, b) for a, b in zip(outcome.position, reference.position[: reference.parts])]
+        if known
+        else []
+    )
+    off = rms(np.array(errors)) if errors else None
+    steps = step.number * PARTS
+    seconds = None if verdict == LEFT_OUT else outcome.seconds
+    return Row(
+        scene=plan.name,
+        balls=scene.n_balls,
+        springs=scene.n_springs,
+        precision=precision,
+        device=outcome.device,
+        method=method,
+        step=step.seconds,
+        part_of_safe_step=step.seconds / safe if 0.0 < safe < np.inf else None,
+        passes=None if not known or outcome.passes is None else outcome.passes / plan.duration,
+        seconds=None if seconds is None else seconds / plan.duration,
+        ns_per_ball_step=None if seconds is None else 1e9 * seconds / steps / max(1, scene.n_balls),
+        rms_error=off,
+        max_error=float(np.max(errors, initial=0.0)) if errors else None,
+        relative_error=None if off is None else off / reference.size,
+        order=None,
+        energy_drift=(outcome.energy[-1][3] - reference.energy[-1, 3]) / reference.scale
+        if known and len(reference.energy)
+        else None,
+        verdict=verdict,
+        reason=reason,
+    )
+
+
+def _verdict(reference: Reference, outcome: Outcome) -> tuple[str, str]:
+    if outcome.left_out:
+        return LEFT_OUT, outcome.left_out
+    if outcome.unstable:
+        return UNSTABLE, outcome.unstable
+    if len(reference.energy):
+        # kinetic alone: springs that act softer than they are hold much of what is no motion
+        gained = np.max(np.array(outcome.energy)[:, 0] - reference.energy[:, 0]) / reference.scale
+        if not gained <= GAIN:
+            return UNSTABLE, f"moves with {gained:.3g} times the largest energy of the reference more than that"
+    return STABLE, outcome.warning

@@ -1,0 +1,140 @@
+"""The plan of a report: which methods, steps and precisions, for how long, and the key that tells it from another."""
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from taichi_sim import __version__
+from taichi_sim.scene import Scene
+from taichi_sim.settings import Settings
+from taichi_sim.stability import ANY_STEP, stability
+
+__all__ = [
+    "METHODS",
+    "PARTS",
+    "PRECISIONS",
+    "Plan",
+    "Step",
+    "duration_of",
+    "fitting",
+    "halved",
+    "key_of",
+    "limit",
+    "own_step",
+    "size_of",
+    "steps_of",
+]
+
+METHODS = ("verlet", "symplectic_euler", "rk4", "explicit_euler", "xpbd", "implicit_euler", "tr_bdf2")
+PRECISIONS = ("f64", "f32")
+PARTS = 8  # of the duration, at whose ends states are compared; steps fit into each a whole number of times
+FRAME = 1.0 / 60.0  # s, the longest step tried
+HALVINGS = 4  # of the longest step
+WORK = 6e8  # springs and balls that the reference goes through, about 8 s on one core; what the default duration is chosen by
+NICE = (5.0, 2.5, 2.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a report is asked to do. duration [s]; steps [s], or None for halvings that are chosen by method; tolerance: a part
+    of the scene's size; most: wall seconds that one run may take."""
+
+    name: str
+    duration: float
+    methods: tuple[str, ...] = METHODS
+    precisions: tuple[str, ...] = PRECISIONS
+    steps: tuple[float, ...] | None = None
+    tolerance: float = 1e-3
+    most: float = 4.0
+    arch: str | None = None
+    threads: int | None = None
+
+
+class Step(NamedTuple):
+    """A step that fits: `number` of them in each of the PARTS of the duration."""
+
+    number: int
+    seconds: float
+
+
+def fitting(duration: float, seconds: float) -> Step:
+    """The longest step of at most about `seconds` that fits."""
+    number = max(1, math.ceil(duration / (PARTS * seconds) * (1.0 - 1e-9)))
+    return Step(number, duration / (PARTS * number))
+
+
+def halved(duration: float, step: Step) -> Step:
+    """Half of a step."""
+    return Step(2 * step.number, duration / (PARTS * 2 * step.number))
+
+
+def steps_of(scene: Scene, method: str, plan: Plan) -> list[Step]:
+    """The steps to try with a method, the longest first: by default twice the safe step, which shows what becomes of it there,
+    and halvings of that; for methods without a limit from a frame on."""
+    if plan.steps is not None:
+        return sorted({fitting(plan.duration, seconds) for seconds in plan.steps}, key=lambda step: step.number)
+    steps = [fitting(plan.duration, min(FRAME, 2.0 * limit(scene, method)))]
+    for _ in range(HALVINGS + (method in ANY_STEP)):
+        steps.append(halved(plan.duration, steps[-1]))
+    return steps
+
+
+def limit(scene: Scene, method: str) -> float:
+    """The safe step [s]; of Verlet where explicit Euler has none."""
+    return stability(scene, method).dt_any_shape or stability(scene, "verlet").dt_any_shape
+
+
+def own_step(scene: Scene, method: str | None = None) -> tuple[str, float]:
+    """A method, by default the scene's own, and the substep [s] that the scene would be run with, or less where that is safe."""
+    settings = Settings.resolve(scene, {"precision": None, "arch": None, "threads": None})
+    own = settings.integrator.name
+    dt, substeps = settings.time_step(scene, stability(scene, own))
+    return method or own, min(dt / substeps, 0.9 * limit(scene, method or own))
+
+
+def duration_of(scene: Scene) -> float:
+    """The simulated seconds [s] of a report that is not told: the scene's own, or less where its reference would take long."""
+    whole = float(scene.output.get("duration", 5.0))
+    step = min(FRAME, limit(scene, "rk4"))
+    per_second = (
+        3.0 * 4.0 * 4.0 / step * max(1, scene.n_balls + scene.n_springs)
+    )  # steps of a quarter and an eighth, 4 passes
+    most = WORK / per_second
+    if most >= whole:
+        return whole
+    power = 10.0 ** math.floor(math.log10(most))
+    return next(nice * power for nice in NICE if nice * power <= most)
+
+
+def size_of(scene: Scene) -> float:
+    """The diagonal of the box around all balls at the start [m]."""
+    reach = scene.radius[:, None]
+    return float(np.linalg.norm((scene.position + reach).max(axis=0) - (scene.position - reach).min(axis=0)))
+
+
+def key_of(scene: Scene, plan: Plan) -> str:
+    """A digest of the scene's content and of all of the plan that rows depend on; methods and precisions may be added later."""
+    about: dict[str, Any] = {
+        "version": __version__,
+        "dim": scene.dim,
+        "gravity": scene.gravity.tolist(),
+        "materials": [asdict(material) for material in scene.materials],
+        "groups": scene.groups.names,
+        "walls": [asdict(wall) for wall in scene.walls],
+        "settings": scene.settings,
+        "plan": {"duration": plan.duration, "arch": plan.arch, "threads": plan.threads, "most": plan.most},
+    }
+    digest = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode())
+    for name, array in scene.to_arrays().items():
+        digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
+    for collider in scene.colliders:
+        for name, value in collider.given.items():
+            if name != "mesh":
+                digest.update(f"{name} {value!r}".encode())
+        if "mesh" in collider.given:
+            digest.update(np.ascontiguousarray(collider.vertices).tobytes())
+    return digest.hexdigest()

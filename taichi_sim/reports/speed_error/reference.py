@@ -1,0 +1,171 @@
+"""The reference that errors are measured from, to what it is known, and how far ahead the scene can be told at all.
+
+It is the scene in double precision by Runge-Kutta's method at two steps, or by the scene's own method where contacts keep that
+from converging. The difference of the two is published: the finer one is at least as good. A third run starts 1e-8 of the size
+away; when it has parted by a thousandth of the size, pointwise errors say nothing any more, of any method.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.files import replacing
+from taichi_sim.reports.speed_error.plan import (
+    FRAME,
+    PARTS,
+    WORK,
+    Plan,
+    Step,
+    fitting,
+    halved,
+    limit,
+    own_step,
+    size_of,
+)
+from taichi_sim.reports.speed_error.worker import Outcome, Trial
+from taichi_sim.scene import Scene
+
+__all__ = ["APART", "PARTED", "Reference", "load", "make", "save"]
+
+Floats = NDArray[np.float64]
+APART, PARTED = 1e-8, 1e-3  # of the size, at the start and at the horizon
+GOOD = 1e-6  # of the size: a reference known to that needs no other method
+FINE = 1e-9  # of the size: finer steps are tried up to that where they cost little
+ATTEMPTS = 3  # at half the step, where it became unstable
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the runs of the reference say, an entry for each of the PARTS of the duration. Without one, `position` is empty."""
+
+    method: str
+    step: float  # s, of the finer run
+    size: float  # m, of the scene
+    position: Floats  # (PARTS, n, dim) m
+    energy: Floats  # (PARTS, 4) J
+    difference: Floats  # (PARTS,) m, rms between the two steps
+    parting: Floats  # (PARTS,) m, rms between the runs that start APART
+    contacts: int  # the most that were seen
+    why: str  # there is none
+
+    @property
+    def parts(self) -> int:
+        """How many parts of the duration come before the horizon."""
+        gone = np.flatnonzero(~(self.parting <= PARTED * self.size))
+        return int(gone[0]) if len(gone) else len(self.parting)
+
+    @property
+    def known(self) -> float:
+        """To what the reference is known [m], rms over the parts before the horizon; infinite where there is none."""
+        return float(np.sqrt(np.mean(self.difference[: self.parts] ** 2))) if self.parts else np.inf
+
+    @property
+    def growth(self) -> float:
+        """How many times a small difference at the start has grown at the horizon or the end."""
+        return float(self.parting[: max(1, self.parts)].max(initial=0.0)) / (APART * self.size)
+
+    @property
+    def scale(self) -> float:
+        """Largest kinetic and spring energy [J], which energies are compared with."""
+        return float(self.energy[:, :2].sum(axis=1).max(initial=0.0)) or 1.0
+
+    @property
+    def chaotic(self) -> bool:
+        """Whether the horizon comes before the end."""
+        return bool(len(self.position)) and self.parts < PARTS
+
+    def moves(self, scene: Scene) -> bool:
+        """Whether anything moves by more than rounding; taken to be so without a reference."""
+        if not len(self.position):
+            return True
+        return bool(np.any(np.abs(self.position - scene.position) > 1e-12 * self.size))
+
+
+def apart(scene: Scene, share: float, seed: int) -> Floats:
+    """Positions (n, dim) [m] a share of the size away from the scene's, rms over the balls that are not pinned."""
+    noise = np.random.default_rng(seed).normal(size=scene.position.shape) / np.sqrt(scene.dim)
+    noise[scene.pinned] = 0.0
+    return scene.position + share * size_of(scene) * noise
+
+
+def distance(scene: Scene, a: Floats, b: Floats) -> Floats:
+    """Distances (n',) [m] of the balls that are not pinned."""
+    return np.linalg.norm((a - b)[~scene.pinned], axis=1)
+
+
+def rms(values: Floats) -> float:
+    """Root of the mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome]) -> Reference:
+    """Run what the reference needs in double precision."""
+    reference = _by(scene, plan, run, "rk4", min(FRAME, limit(scene, "rk4")) / 4.0)
+    own, step = own_step(scene)
+    if own != "rk4" and (
+        not len(reference.position) or (reference.contacts and reference.known > GOOD * reference.size)
+    ):
+        other = _by(scene, plan, run, own, step / 4.0)
+        if len(other.position) and (not len(reference.position) or other.known < reference.known):
+            return other
+    return reference
+
+
+def _by(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], method: str, seconds: float) -> Reference:
+    step = fitting(plan.duration, seconds)
+    for _ in range(ATTEMPTS):
+        coarse, fine = run(Trial(method, step)), run(Trial(method, halved(plan.duration, step), look=True))
+        why = coarse.unstable or fine.unstable or coarse.left_out or fine.left_out
+        if not why:
+            while _off(scene, coarse, fine) > FINE * size_of(scene) and _cheap(scene, plan, step):
+                step = halved(plan.duration, step)
+                coarse, fine = fine, run(Trial(method, halved(plan.duration, step), look=True))
+            return _reference(scene, method, step, coarse, fine, run(Trial(method, step, start=apart(scene, APART, 0))))
+        step = halved(plan.duration, step)
+    none = np.zeros((0, 4))
+    return Reference(method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, why)
+
+
+def _off(scene: Scene, coarse: Outcome, fine: Outcome) -> float:
+    return rms(np.array([distance(scene, a, b) for a, b in zip(coarse.position, fine.position)]))
+
+
+def _cheap(scene: Scene, plan: Plan, step: Step) -> bool:
+    """Whether a run at a quarter of this step is a small part of what the default duration allows for."""
+    return 4 * 4 * step.number * PARTS * (scene.n_balls + scene.n_springs) < WORK / 8
+
+
+def _reference(scene: Scene, method: str, step: Step, coarse: Outcome, fine: Outcome, other: Outcome) -> Reference:
+    parting = [rms(distance(scene, a, b)) for a, b in zip(coarse.position, other.position)]
+    parting += [np.inf] * (PARTS - len(parting))
+    return Reference(
+        method=method,
+        step=step.seconds / 2.0,
+        size=size_of(scene),
+        position=np.array(fine.position),
+        energy=np.array(fine.energy),
+        difference=np.array([rms(distance(scene, a, b)) for a, b in zip(coarse.position, fine.position)]),
+        parting=np.array(parting),
+        contacts=max(number for number, _ in fine.contacts),
+        why="",
+    )
+
+
+def save(path: Path, reference: Reference) -> None:
+    """As an .npz."""
+    with replacing(path) as file:
+        np.savez(file, **{name: np.asarray(value) for name, value in asdict(reference).items()})  # type: ignore[arg-type]
+
+
+def load(path: Path) -> Reference | None:
+    """What `save` wrote, or None."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            values = {field.name: file[field.name] for field in fields(Reference)}
+    except (FileNotFoundError, BadZipFile, KeyError, ValueError):
+        return None
+    return Reference(**{name: value.item() if value.ndim == 0 else value for name, value in values.items()})

@@ -1,0 +1,132 @@
+"""The report: plan, reference, every method with every step in each precision, statistics where nothing else holds, pages."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from taichi_sim.reports.speed_error import reference as references
+from taichi_sim.reports.speed_error import rows as table
+from taichi_sim.reports.speed_error import statistics
+from taichi_sim.reports.speed_error.findings import Findings
+from taichi_sim.reports.speed_error.folder import Folder
+from taichi_sim.reports.speed_error.measure import measure, row_of
+from taichi_sim.reports.speed_error.plan import Plan, key_of, size_of, steps_of
+from taichi_sim.reports.speed_error.reference import Reference
+from taichi_sim.reports.speed_error.rows import LEFT_OUT
+from taichi_sim.reports.speed_error.worker import Outcome, Workers
+from taichi_sim.scene import Scene
+
+__all__ = ["coarse", "floor_of", "main", "progress_bar", "run_all"]
+
+Say = Callable[[str], None]
+
+
+def main(
+    scene: Scene, plan: Plan, out: Path, *, overwrite: bool = False, progress: bool = True, say: Say = print
+) -> Findings:
+    """Make or finish the report of a scene in the folder `out`; `say` gets the lines for the terminal.
+
+    Raises ValueError, OSError, BackendError.
+    """
+    from taichi_sim.reports.speed_error.pages import write_pages
+
+    folder = Folder(out, key_of(scene, plan), overwrite)
+    with progress_bar(progress) as step_done:
+        findings = run_all(scene, plan, folder, say, step_done)
+    write_pages(findings, folder.open())
+    say("\n".join(findings.lines()))
+    say(f"written      {out / 'report.html'}, report.md, rows.csv, error.svg, error.png")
+    return findings
+
+
+def run_all(scene: Scene, plan: Plan, folder: Folder, say: Say, step_done: Callable[[str], None]) -> Findings:
+    """All runs that the folder does not hold yet."""
+    for words in coarse(scene, plan, None):
+        say(words)
+    with Workers(scene, plan, step_done) as workers:
+        reference = folder.reference()
+        if reference is None:
+            reference = references.make(scene, plan, workers("f64"))
+            folder.keep(reference)
+        seeds: list[statistics.Seed] = []
+        if reference.moves(scene):
+            for precision in plan.precisions:
+                if precision == "f32":
+                    for words in coarse(scene, plan, reference):
+                        say(words)
+                _rows(scene, plan, folder, reference, workers, precision)
+                if reference.chaotic or reference.contacts:
+                    seeds = _seeds(scene, plan, folder, workers, precision)
+    asked = [row for row in folder.rows if row.method in plan.methods and row.precision in plan.precisions]
+    return Findings(plan, scene, reference, table.with_orders(asked, reference.known), statistics.intervals(seeds))
+
+
+def _rows(scene: Scene, plan: Plan, folder: Folder, reference: Reference, workers: Workers, precision: str) -> None:
+    """Each method from its longest step on, until one takes too long: those after it take longer still."""
+    for method in plan.methods:
+        too_long = None
+        for step in steps_of(scene, method, plan):
+            known = [row for row in folder.rows if row.key == (precision, method, step.seconds)]
+            if known:
+                row = known[0]
+            elif too_long is not None:
+                outcome = Outcome(
+                    too_long.device, [], [], [], left_out=f"a step of {too_long.step:.3g} s takes too long already"
+                )
+                row = row_of(scene, plan, reference, outcome, precision, method, step)
+            else:
+                row = measure(scene, plan, reference, workers(precision), precision, method, step)
+            if not known:
+                folder.add(row)
+            if row.verdict == LEFT_OUT and too_long is None:
+                too_long = row
+
+
+def _seeds(scene: Scene, plan: Plan, folder: Folder, workers: Workers, precision: str) -> list[statistics.Seed]:
+    path = folder.path / "seeds.csv"
+    seeds = statistics.read(path)
+    done = {seed.key for seed in seeds}
+    failed = {seed.key[:3] for seed in seeds if seed.failed}
+    for method, step in statistics.steps_of_seeds(scene, plan):
+        for number in range(statistics.SEEDS):
+            key = (precision, method, step.seconds)
+            if (*key, number) not in done and key not in failed:
+                seeds.append(statistics.one_seed(scene, plan, workers(precision), precision, method, step, number))
+                done.add(seeds[-1].key)
+                if seeds[-1].failed:
+                    failed.add(key)
+                statistics.write(folder.open() / "seeds.csv", seeds)
+    return seeds
+
+
+def floor_of(scene: Scene, reference: Reference | None) -> float:
+    """What single precision can resolve, as a part of the size: the rounding of the farthest position, which grows along the way
+    like any other small difference."""
+    rounding = 2.0**-24 * float(np.max(np.abs(scene.position), initial=0.0)) / size_of(scene)
+    return rounding * (1.0 if reference is None else max(1.0, reference.growth))
+
+
+def coarse(scene: Scene, plan: Plan, reference: Reference | None) -> Iterator[str]:
+    """A line where single precision cannot meet the tolerance, to be said before it is tried."""
+    floor = floor_of(scene, reference)
+    if "f32" in plan.precisions and floor > plan.tolerance:
+        yield f"note: single precision resolves about {floor:.1g} of the size here, more than the tolerance {plan.tolerance:g}"
+
+
+@contextmanager
+def progress_bar(shown: bool) -> Iterator[Callable[[str], None]]:
+    """A line on standard error with the run in progress and the time it all has taken."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("run {task.completed:.0f}: {task.description}"))
+    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
+        task = progress.add_task("starting", total=None)
+
+        def step_done(what: str) -> None:
+            progress.update(task, advance=1, description=what)
+
+        yield step_done

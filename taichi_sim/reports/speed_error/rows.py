@@ -1,0 +1,127 @@
+"""Rows: what was measured of one method with one step, the file that holds them, and what they say together."""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from taichi_sim.files import replacing
+from taichi_sim.reports.speed_error.plan import METHODS
+
+__all__ = ["Row", "cheapest", "pareto", "read", "tells", "with_orders", "write"]
+
+STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
+CLEAR = 10.0  # times what the reference is known to, below which an error says more of the reference than of the method
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method with one step. None: not known, or not a number that means anything. Errors are of positions, over all balls
+    that are not pinned and all moments compared."""
+
+    scene: str
+    balls: int
+    springs: int
+    precision: str
+    device: str
+    method: str
+    step: float  # s
+    part_of_safe_step: float | None  # None where nothing limits the step, or no step is safe
+    passes: float | None  # over the forces, per simulated second
+    seconds: float | None  # of wall time, per simulated second
+    ns_per_ball_step: float | None
+    rms_error: float | None  # m
+    max_error: float | None  # m
+    relative_error: float | None  # the rms as a part of the scene's size
+    order: float | None  # observed, from the step twice as long
+    energy_drift: float | None  # from the reference, as a part of its largest kinetic and spring energy
+    verdict: str  # stable, unstable, left out
+    reason: str  # of the verdict, or a warning
+
+    @property
+    def key(self) -> tuple[str, str, float]:
+        """What tells rows of one report apart."""
+        return self.precision, self.method, self.step
+
+
+NUMBERS = {field.name for field in fields(Row) if "float" in str(field.type)}
+WHOLE = {field.name for field in fields(Row) if field.type is int}
+
+
+def write(path: Path, rows: Sequence[Row]) -> None:
+    """All rows as CSV, the old file replaced when the new one is complete."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
+    table.writeheader()
+    for row in rows:
+        table.writerow({name: "" if value is None else value for name, value in asdict(row).items()})
+    with replacing(path) as file:
+        file.write(text.getvalue().encode())
+
+
+def read(path: Path) -> list[Row]:
+    """The rows that `write` wrote; none where there is no such file."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [_row(line) for line in csv.DictReader(file)]
+
+
+def _row(line: dict[str, str]) -> Row:
+    values: dict[str, Any] = {name: _value(name, text) for name, text in line.items()}
+    return Row(**values)
+
+
+def _value(name: str, text: str) -> str | float | int | None:
+    if name in NUMBERS:
+        return float(text) if text else None
+    return int(text) if name in WHOLE else text
+
+
+def tells(row: Row, known: float) -> bool:
+    """Whether the row's error is one of the method's: it is stable and clear of what the reference is known to [m]."""
+    return row.verdict == STABLE and row.rms_error is not None and row.rms_error > CLEAR * known
+
+
+def with_orders(rows: Sequence[Row], known: float) -> list[Row]:
+    """The rows, sorted by precision and method, steps falling, with the order from each pair of steps that tell."""
+    found = sorted(rows, key=lambda row: (row.precision != "f64", METHODS.index(row.method), -row.step))
+    for k in range(1, len(found)):
+        coarse, fine = found[k - 1], found[k]
+        order = None
+        if (
+            (coarse.precision, coarse.method) == (fine.precision, fine.method)
+            and tells(coarse, known)
+            and tells(fine, known)
+        ):
+            assert coarse.rms_error is not None
+            assert fine.rms_error is not None
+            order = math.log(coarse.rms_error / fine.rms_error) / math.log(coarse.step / fine.step)
+        found[k] = replace(fine, order=order)
+    return found
+
+
+def pareto(rows: Sequence[Row], known: float) -> list[Row]:
+    """The rows that none beats in both speed and error, the fastest first."""
+    front: list[Row] = []
+    telling = [row for row in rows if tells(row, known) and row.seconds is not None]
+    for row in sorted(telling, key=lambda row: (row.seconds, row.rms_error)):
+        if not front or row.rms_error < front[-1].rms_error:  # type: ignore[operator]
+            front.append(row)
+    return front
+
+
+def cheapest(rows: Sequence[Row], tolerance: float, size: float, known: float) -> Row | None:
+    """The fastest row whose error, and what the reference may be off, are together within the tolerance, a part of the size."""
+    good = [
+        row
+        for row in rows
+        if row.verdict == STABLE
+        and row.seconds is not None
+        and row.rms_error is not None
+        and row.rms_error + known <= tolerance * size
+    ]
+    return min(good, key=lambda row: row.seconds or 0.0, default=None)

@@ -1,0 +1,263 @@
+"""A process that runs trials in one precision, because Taichi holds one per process.
+
+It is spawned, never forked: a child forked after Taichi has started hangs. Each method is compiled once, its steps are changed.
+"""
+
+import multiprocessing
+import signal
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from copy import copy
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.errors import BackendError, UnstableError
+from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
+from taichi_sim.scene import Scene
+
+__all__ = ["Outcome", "Trial", "Worker", "Workers"]
+
+Floats = NDArray[np.float64]
+SHORT = 0.25  # s; a shorter run is made five times
+REPEATS = 5
+AGAIN = 8  # steps of a second look
+PATIENCE = 3.0  # times what a run may take that its first steps may promise
+
+
+class Trial(NamedTuple):
+    """A run through the whole duration. start: positions (n, dim) [m] other than the scene's. most: seconds that it may take.
+    look: at contacts, too. timed: repeat a short run for the median."""
+
+    method: str
+    step: Step
+    start: Floats | None = None
+    most: float = np.inf
+    look: bool = False
+    timed: bool = False
+
+
+class Outcome(NamedTuple):
+    """What came of a trial; lists have an entry for each part of the duration that was reached."""
+
+    device: str
+    position: list[Floats]  # (n, dim) m
+    energy: list[tuple[float, float, float, float]]  # J: kinetic, spring, gravity, total
+    contacts: list[tuple[int, float]]  # number, and the largest overlap in radii
+    seconds: float | None = None  # wall, for the whole duration
+    passes: float | None = None  # over the forces
+    unstable: str = ""  # why it ended early
+    left_out: str = ""
+    warning: str = ""
+
+
+class Worker:
+    """The parent's end: `run` one trial after the other. Use it as a context; leaving it ends the process."""
+
+    def __init__(self, scene: Scene, plan: Plan, precision: str) -> None:
+        scene = copy(scene)
+        # the trial says these; objects of one's own among them could not be sent
+        scene.settings = {key: value for key, value in scene.settings.items() if key not in ("integrator", "dt")}
+        context = multiprocessing.get_context("spawn")
+        self._pipe, other = context.Pipe()
+        self.precision = precision
+        self._process = context.Process(target=_serve, args=(other, scene, plan, precision), daemon=True)
+        self._process.start()
+        other.close()
+
+    def run(self, trial: Trial) -> Outcome:
+        """Raises BackendError where the process cannot go on; a trial that fails by itself says so in its outcome."""
+        try:
+            self._pipe.send(trial)
+            answer = self._pipe.recv()
+        except (EOFError, OSError):
+            self._process.join(5.0)
+            raise BackendError(
+                f"report: the {self.precision} process ended with status {self._process.exitcode} in {trial.method} at"
+                f" {trial.step.seconds:.4g} s"
+            ) from None
+        if isinstance(answer, BaseException):
+            raise answer
+        return answer
+
+    def __enter__(self) -> "Worker":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._pipe.close()
+        if kind is not None:
+            self._process.terminate()
+        self._process.join(10.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+
+class Workers:
+    """Processes, one at a time: that of a precision is started when it is asked for, and the one before ends then."""
+
+    def __init__(self, scene: Scene, plan: Plan, step_done: Callable[[str], None]) -> None:
+        self._made = lambda precision: Worker(scene, plan, precision)
+        self._step_done = step_done
+        self._worker: Worker | None = None
+
+    def __call__(self, precision: str) -> Callable[[Trial], Outcome]:
+        def run(trial: Trial) -> Outcome:
+            if self._worker is None or self._worker.precision != precision:
+                self.close(None, None, None)
+                self._worker = self._made(precision)
+            self._step_done(f"{precision} {trial.method} {trial.step.seconds:.3g} s")
+            return self._worker.run(trial)
+
+        return run
+
+    def close(self, *error: Any) -> None:
+        """End the process."""
+        if self._worker is not None:
+            self._worker.__exit__(*error)
+            self._worker = None
+
+    def __enter__(self) -> "Workers":
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close(*error)
+
+
+def _serve(pipe: Connection, scene: Scene, plan: Plan, precision: str) -> None:
+    """The child: trials in, outcomes out, until the parent closes the pipe or is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's business
+    track: Track | None = None
+    while True:
+        try:
+            trial = pipe.recv()
+        except EOFError:
+            return
+        try:
+            track = track or Track(scene, plan, precision)
+            answer: Any = track.run(trial)
+        except BackendError as error:
+            answer = error
+        except Exception as error:  # to be raised by the parent, with the place that the pipe would lose
+            answer = BackendError(f"report: {trial.method}: {error}\n{traceback.format_exc()}")
+        try:
+            pipe.send(answer)
+        except OSError:
+            return
+
+
+class Track:
+    """The simulation of one method after the other, each compiled once."""
+
+    def __init__(self, scene: Scene, plan: Plan, precision: str) -> None:
+        from taichi_sim import backend
+
+        self.scene, self.duration = scene, plan.duration
+        runs = backend.start(
+            plan.arch or scene.settings.get("arch"), precision, plan.threads or scene.settings.get("threads")
+        )
+        self.device = runs.arch if runs.arch != "cpu" else f"cpu, {runs.threads} threads"
+        self.settings: dict[str, Any] = {"arch": runs.arch, "precision": precision, "threads": None, "substeps": 1}
+        self.method = ""
+        self.sim: Any = None
+
+    def run(self, trial: Trial) -> Outcome:
+        """One trial from the start of the scene."""
+        outcome = Outcome(self.device, [], [], [])
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            try:
+                self._prepare(trial)
+                outcome = self._measure(trial, outcome)
+            except UnstableError as error:
+                outcome = outcome._replace(unstable=str(error).split("; the last good")[0])
+            except ValueError as error:  # a scene that this method, step or precision cannot take
+                outcome = outcome._replace(left_out=str(error))
+        return outcome._replace(warning="; ".join(dict.fromkeys(str(one.message) for one in said)))
+
+    def _prepare(self, trial: Trial) -> None:
+        """The compiled simulation of the trial's method with its step."""
+        from taichi_sim.simulation import Simulation
+
+        if self.sim is None or self.method != trial.method:
+            if self.sim is not None:
+                self.sim.close()
+            self.sim = None
+            self.sim = Simulation(self.scene, **{**self.settings, "integrator": trial.method, "dt": trial.step.seconds})
+            self.method = trial.method
+            self._begin(trial)
+            self.sim.step(1)  # the parallel driver compiles with its first step
+            if trial.look:
+                self.sim.contacts()
+        else:
+            self.sim.set_dt(trial.step.seconds)
+
+    def _begin(self, trial: Trial) -> None:
+        """Back to the start."""
+        sim, scene = self.sim, self.scene
+        start = scene.position if trial.start is None else trial.start
+        sim.resume(start, scene.velocity, 0.0, None, np.zeros_like(sim.surface_speed))
+        sim.step(0)
+
+    def _measure(self, trial: Trial, outcome: Outcome) -> Outcome:
+        self._begin(trial)
+        promised = self._time(1) * trial.step.number * PARTS
+        if promised > PATIENCE * trial.most:  # one step alone may have been held up
+            promised = self._time(AGAIN) / AGAIN * trial.step.number * PARTS
+        if promised > PATIENCE * trial.most:
+            return outcome._replace(left_out=_too_long(promised, trial.most))
+        self._begin(trial)
+        before, times = self._passes(), []
+        for part in range(PARTS):
+            try:
+                times.append(self._time(trial.step.number))
+            except UnstableError as error:
+                return outcome._replace(seconds=promised, unstable=str(error).split("; the last good")[0])
+            outcome.position.append(self.sim.position)
+            outcome.energy.append(tuple(self.sim.energy()))
+            if trial.look:
+                contacts = self.sim.contacts()
+                outcome.contacts.append((contacts.number, contacts.relative_penetration))
+            if sum(times) > trial.most and part + 1 < PARTS:
+                return outcome._replace(left_out=_too_long(PARTS * float(np.mean(times)), trial.most))
+        passes = self._passes()
+        return outcome._replace(
+            seconds=self._median(trial, times),
+            passes=self._counted(trial) if passes is None else passes - (before or 0.0),
+        )
+
+    def _median(self, trial: Trial, times: list[float]) -> float:
+        """Of five whole runs, part by part, or of the parts of a long one."""
+        if not trial.timed or sum(times) >= SHORT:
+            return PARTS * float(np.median(times))
+        runs = [times]
+        for _ in range(REPEATS - 1):
+            self._begin(trial)
+            runs.append([self._time(trial.step.number) for _ in range(PARTS)])
+        return float(np.sum(np.median(runs, axis=0)))
+
+    def _time(self, steps: int) -> float:
+        begin = time.perf_counter()
+        self.sim.step(steps)  # ends with a look for balls that are not finite, so it is done
+        return time.perf_counter() - begin
+
+    def _passes(self) -> float | None:
+        """What an implicit method has counted so far."""
+        from taichi_sim.kernels.implicit import PASSES
+
+        solver = getattr(self.sim._parts.integrator, "solver", None)
+        return None if solver is None else float(solver.number[PASSES])
+
+    def _counted(self, trial: Trial) -> float:
+        from taichi_sim.reports.check import passes
+
+        return float(passes(self.scene, trial.method) * trial.step.number * PARTS)
+
+
+def _too_long(seconds: float, most: float) -> str:
+    return f"would take about {seconds:.3g} s, more than the {most:.3g} s that one run may take (--limit)"

@@ -1,0 +1,65 @@
+"""What the tests of `report` and `tune` share: a scene with a closed solution, and made-up runs that need no process."""
+
+import numpy as np
+
+import taichi_sim as ts
+from taichi_sim.reports.speed_error.plan import PARTS, Plan
+from taichi_sim.reports.speed_error.worker import Outcome
+
+STIFFNESS, STRETCH = 100.0, 0.1
+RATE = np.sqrt(2 * STIFFNESS)  # 1/s, of two balls of 1 kg
+ORDER = {"verlet": 2, "symplectic_euler": 1, "rk4": 4, "implicit_euler": 1}
+
+
+def pair():
+    """Two balls on a stretched spring: its length is 1 + STRETCH cos(RATE t)."""
+    scene = ts.Scene(dim=2)
+    balls = scene.add_balls([[0, 0], [1 + STRETCH, 0]], radius=0.05)
+    scene.add_springs([balls], stiffness=STIFFNESS, rest_length=1.0)
+    return scene
+
+
+def length(times):
+    return 1 + STRETCH * np.cos(RATE * times)
+
+
+def plan(**other):
+    given = {"name": "pair", "duration": 0.4, "methods": ("verlet", "symplectic_euler"), "precisions": ("f64",)}
+    return Plan(**{**given, **other})
+
+
+class MadeUp:
+    """Stands for Workers: the pair's solution with an error of (h RATE)^order, and a cost of 1 ms a step (RK4 4 ms).
+
+    grows: how many times a difference at the start is larger at each part. fail: after so many runs comes a Ctrl-C.
+    """
+
+    def __init__(self, scene, *, grows=1.0, fail=None, cost=None):
+        self.scene, self.grows, self.fail, self.trials = scene, grows, fail, []
+        self.cost = cost or {}
+
+    def __call__(self, precision):
+        return lambda trial: self.run(precision, trial)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
+    def run(self, precision, trial):
+        if self.fail is not None and len(self.trials) == self.fail:
+            raise KeyboardInterrupt
+        self.trials.append((precision, trial))
+        start = self.scene.position if trial.start is None else trial.start
+        position, energy = [], []
+        for k in range(1, PARTS + 1):
+            x = start + self.grows**k * (start - self.scene.position)
+            x[:, 0] += 0.1 * np.sin(k) + (trial.step.seconds * RATE) ** ORDER[trial.method]
+            position.append(x)
+            energy.append((0.5, 0.5, 0.0, 1.0))
+        cost = self.cost.get((precision, trial.method), 4e-3 if trial.method == "rk4" else 1e-3)
+        seconds = cost * trial.step.number * PARTS
+        if seconds > trial.most:
+            return Outcome("made up", [], [], [], left_out="too long")
+        return Outcome("made up", position, energy, [(0, 0.0)] * PARTS, seconds, passes=1.0)

@@ -1,0 +1,304 @@
+"""`taichi-sim report SCENE`: errors against a closed solution, orders, what is cheapest, pages, resuming, and what is refused."""
+
+import re
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from speed_support import MadeUp, length, pair, plan
+
+import taichi_sim as ts
+from taichi_sim.reports.speed_error import report, rows, statistics
+from taichi_sim.reports.speed_error.findings import Findings
+from taichi_sim.reports.speed_error.folder import Folder
+from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
+from taichi_sim.scene_source import open_scene, resolve
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A report in both precisions, by processes of its own: folder, findings, lines."""
+    folder, said = tmp_path_factory.mktemp("report") / "pair", []
+    findings = report.main(pair(), plan(precisions=("f64", "f32")), folder, progress=False, say=said.append)
+    return folder, findings, "\n".join(said)
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """Replace the processes; gives a function that does, for what MadeUp takes."""
+
+    def install(scene, **options):
+        workers = MadeUp(scene, **options)
+        monkeypatch.setattr(report, "Workers", lambda *_: workers)
+        return workers
+
+    return install
+
+
+# What was measured -------------------------------------------------------------------------------------------------
+
+
+def test_reference_is_the_closed_solution(made):
+    _, findings, _ = made
+    reference = findings.reference
+    x = reference.position
+    times = 0.4 * np.arange(1, PARTS + 1) / PARTS
+    off = np.abs(x[:, 1, 0] - x[:, 0, 0] - length(times))
+    assert off.max() < 4 * reference.known
+    assert 0 < reference.known < 1e-6
+    assert not reference.chaotic
+
+
+@pytest.mark.parametrize(("method", "order"), [("verlet", 2.0), ("symplectic_euler", 1.0)])
+def test_orders(made, method, order):
+    found = [row.order for row in made[1].rows if (row.method, row.precision) == (method, "f64") and row.order]
+    assert len(found) >= 2
+    assert found[-1] == pytest.approx(order, abs=0.15)
+
+
+def test_errors_are_those_of_the_closed_solution(made):
+    """Each end is off by half of what the length is."""
+    _, findings, _ = made
+    row = next(row for row in findings.rows if (row.method, row.precision) == ("verlet", "f64"))
+    with ts.Simulation(pair(), integrator="verlet", dt=row.step, substeps=1) as sim:
+        off = []
+        for k in range(1, PARTS + 1):
+            sim.step(round(0.4 / PARTS / row.step))
+            x = sim.position[:, 0]
+            off.append((x[1] - x[0] - length(0.4 * k / PARTS)) / 2)
+    assert row.rms_error == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=0.02)
+    assert row.max_error == pytest.approx(np.abs(off).max(), rel=0.02)
+
+
+def test_both_precisions_have_all_rows_with_costs(made):
+    _, findings, _ = made
+    for precision in ("f64", "f32"):
+        for method in ("verlet", "symplectic_euler"):
+            own = [row for row in findings.rows if (row.precision, row.method) == (precision, method)]
+            assert len(own) == 5
+            assert all(row.seconds > 0 and row.ns_per_ball_step > 0 and row.passes > 0 for row in own)
+            assert own[0].passes == pytest.approx(1 / own[0].step)
+
+
+def test_pages(made):
+    folder, findings, said = made
+    names = {p.name for p in folder.iterdir()}
+    assert names == {"report.md", "report.html", "rows.csv", "error.svg", "error.png", "reference.npz", "report.json"}
+    page, text = (folder / "report.html").read_text(), (folder / "report.md").read_text()
+    assert "<svg" in page
+    assert not re.search(r"(src|href)=\"(http|/|\w+\.)", page)  # nothing is loaded from elsewhere
+    assert "#010203" not in page
+    for row in findings.rows:
+        assert f"{row.step:.3g}" in text
+    assert "fastest for 1 %: " in said
+    assert "fastest for 0.01 %: " in said
+    assert rows.read(folder / "rows.csv") == [replace(row, order=None) for row in sorted_as(folder, findings.rows)]
+
+
+def sorted_as(folder, found):
+    """The rows in the order of the file."""
+    keys = [row.key for row in rows.read(folder / "rows.csv")]
+    return sorted(found, key=lambda row: keys.index(row.key))
+
+
+# What follows from rows --------------------------------------------------------------------------------------------
+
+
+def row(seconds, error, verdict="stable", step=1e-3):
+    none = dict.fromkeys([f for f in rows.NUMBERS])
+    given = {"scene": "s", "balls": 1, "springs": 1, "precision": "f64", "device": "d", "method": "rk4", "reason": ""}
+    values = {**none, **given, "step": step, "seconds": seconds, "rms_error": error, "relative_error": error}
+    return rows.Row(**values, verdict=verdict)
+
+
+def test_pareto_front_and_the_cheapest():
+    fast, good, worse, best, wild, near = found = [
+        row(1.0, 1e-2),
+        row(2.0, 1e-3),
+        row(3.0, 1e-2),
+        row(4.0, 1e-4),
+        row(0.1, 1e-6, "unstable"),
+        row(5.0, 1e-9),
+    ]
+    assert rows.pareto(found, known=1e-9) == [fast, good, best]  # what is near to the reference tells nothing
+    assert rows.pareto(found, known=1e-12) == [fast, good, best, near]
+    assert rows.cheapest(found, 1e-3, size=1.0, known=0.0) is good
+    assert rows.cheapest(found, 1e-3, size=10.0, known=0.0) is fast
+    assert rows.cheapest(found, 1e-3, size=1.0, known=1e-5) is best  # what the reference may be off counts as well
+    assert rows.cheapest(found, 1e-10, size=1.0, known=0.0) is None
+    assert worse not in rows.pareto(found, 0.0)
+    assert wild not in rows.pareto(found, 0.0)
+
+
+def test_steps_fit_and_halve():
+    for method in METHODS:
+        steps = steps_of(pair(), method, Plan("pair", 0.37))
+        for step in steps:
+            assert step.number * PARTS * step.seconds == pytest.approx(0.37)
+        assert all(b.seconds == pytest.approx(a.seconds / 2) for a, b in pairwise(steps))
+    assert [s.number for s in steps_of(pair(), "verlet", plan(steps=(0.4, 0.01)))] == [1, 5]
+
+
+def test_duration_is_short_where_a_scene_is_expensive():
+    assert duration_of(open_scene(resolve("cloth"))) == pytest.approx(0.2)
+    assert duration_of(pair()) == 5.0
+
+
+def test_key_knows_the_scene():
+    other = pair()
+    other.add_wall((0, 1), -1.0)
+    keys = {key_of(scene, p) for scene in (pair(), other) for p in (plan(), plan(duration=0.5))}
+    assert len(keys) == 4
+    assert key_of(pair(), plan()) == key_of(pair(), plan(methods=("rk4",), precisions=("f32",)))
+
+
+# Interrupted, refused ----------------------------------------------------------------------------------------------
+
+
+def test_an_interrupted_report_goes_on(tmp_path, made_up):
+    scene, say = pair(), lambda line: None
+    first = made_up(scene, fail=14)
+    with pytest.raises(KeyboardInterrupt):
+        report.main(scene, plan(), tmp_path / "r", progress=False, say=say)
+    kept = rows.read(tmp_path / "r" / "rows.csv")
+    of_reference = sum(not trial.timed for _, trial in first.trials)
+    assert 1 <= len(kept) == 14 - of_reference <= 9
+    assert not (tmp_path / "r" / "report.md").exists()
+    second = made_up(scene)
+    findings = report.main(scene, plan(), tmp_path / "r", progress=False, say=say)
+    assert len(findings.rows) == 10
+    assert len(first.trials) + len(second.trials) == of_reference + 10
+    third = made_up(scene)
+    report.main(scene, plan(methods=("verlet", "symplectic_euler", "rk4")), tmp_path / "r", progress=False, say=say)
+    assert {trial.method for _, trial in third.trials} == {"rk4"}  # a method more is added to what is there
+
+
+def test_folders_of_others_are_refused(tmp_path, made_up):
+    scene, say = pair(), lambda line: None
+    made_up(scene)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("mine")
+    for path, words in (("full", "is not empty and holds no report"), ("no/r", "there is no folder")):
+        with pytest.raises(OSError, match=words):
+            report.main(scene, plan(), tmp_path / path, progress=False, say=say)
+    report.main(scene, plan(), tmp_path / "r", progress=False, say=say)
+    with pytest.raises(FileExistsError, match="another scene or with other settings"):
+        report.main(scene, plan(duration=0.5), tmp_path / "r", progress=False, say=say)
+    findings = report.main(scene, plan(duration=0.5), tmp_path / "r", overwrite=True, progress=False, say=say)
+    assert len(rows.read(tmp_path / "r" / "rows.csv")) == len(findings.rows)
+    assert [p.name for p in (tmp_path / "full").iterdir()] == ["notes.txt"]
+
+
+def test_a_run_that_takes_too_long_is_listed_with_its_reason(tmp_path, made_up):
+    scene = pair()
+    made_up(scene)
+    findings = report.main(scene, plan(most=0.07), tmp_path / "r", progress=False, say=lambda line: None)
+    verdicts = [row.verdict for row in findings.rows if row.method == "verlet"]
+    assert verdicts[0] == "stable"
+    assert verdicts[-2:] == ["left out", "left out"]
+    assert "takes too long already" in findings.rows[4].reason
+    assert "takes too long already" in (tmp_path / "r" / "report.html").read_text()
+
+
+def test_single_precision_that_cannot_meet_the_tolerance_is_said_before_the_run(tmp_path, made_up):
+    scene, said = pair(), []
+    workers = made_up(scene, fail=0)
+    with pytest.raises(KeyboardInterrupt):
+        report.main(
+            scene, plan(precisions=("f64", "f32"), tolerance=1e-9), tmp_path / "r", progress=False, say=said.append
+        )
+    assert not workers.trials
+    assert "single precision resolves about 5e-08 of the size" in said[0]
+    assert list(tmp_path.iterdir()) == []  # nothing was kept
+
+
+# Chaos, and nothing at all -----------------------------------------------------------------------------------------
+
+
+def chaotic(tmp_path, made_up, grows):
+    scene = pair()
+    made_up(scene, grows=grows)
+    findings = report.main(scene, plan(), tmp_path / "r", progress=False, say=lambda line: None)
+    return findings, (tmp_path / "r" / "report.md").read_text()
+
+
+def test_no_errors_beyond_the_horizon(tmp_path, made_up):
+    findings, page = chaotic(tmp_path, made_up, 15.0)  # 15^4 < 1e5 < 15^5
+    assert findings.reference.parts == 4
+    assert "the horizon, where it is 0.001, comes after 0.2 s" in page
+    assert all(row.rms_error is not None for row in findings.rows)
+    assert "## Statistics" in page
+
+
+def test_statistics_alone_where_there_is_no_horizon(tmp_path, made_up):
+    findings, page = chaotic(tmp_path, made_up, 1e6)
+    assert all(row.rms_error is None for row in findings.rows)
+    assert "no error of single positions means anything" in page
+    assert len(findings.intervals) == 3
+    assert findings.intervals[0].mean["total"] == 1.0
+    assert findings.intervals[0].half["height"] > 0.0
+    assert "![" not in page
+
+
+def test_intervals_hold_the_mean():
+    rng = np.random.default_rng(5)
+    hits = 0
+    for _ in range(400):
+        seeds = [
+            statistics.Seed("f64", "rk4", 1e-3, k, rng.normal(3.0, 2.0), 0.0, 0.0, 0.0) for k in range(statistics.SEEDS)
+        ]
+        (found,) = statistics.intervals(seeds)
+        hits += abs(found.mean["kinetic"] - 3.0) < found.half["kinetic"]
+    assert 0.92 < hits / 400 < 0.98
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory):
+    """Reports of a scene in which nothing moves, and of one without springs."""
+    pinned = ts.Scene(dim=2, gravity=(0, -10))
+    pinned.add_balls([[0, 0], [1, 0]], radius=0.1, pinned=True)
+    falling = ts.Scene(dim=2, gravity=(0, -10))
+    falling.add_balls([[0, 0]], radius=0.1, velocity=(1, 0))
+    folder = tmp_path_factory.mktemp("odd")
+    found: dict[str, Findings] = {}
+    for name, scene in (("pinned", pinned), ("falling", falling)):
+        chosen = plan(name=name, methods=("symplectic_euler",))
+        found[name] = report.main(scene, chosen, folder / name, progress=False, say=lambda line: None)
+    return folder, found
+
+
+def test_nothing_moves(odd):
+    folder, found = odd
+    assert found["pinned"].rows == []
+    assert "Nothing moves in this scene" in (folder / "pinned" / "report.html").read_text()
+
+
+def test_no_springs(odd):
+    folder, found = odd
+    assert "has no springs" in (folder / "falling" / "report.md").read_text()
+    first = found["falling"].rows[0]
+    assert first.part_of_safe_step is None
+    assert first.rms_error == pytest.approx(  # g t h / 2 below the parabola
+        10 * first.step / 2 * np.sqrt(np.mean((0.4 * np.arange(1, PARTS + 1) / PARTS) ** 2)), rel=1e-6
+    )
+
+
+def test_a_scene_that_the_reference_cannot_follow_says_so(tmp_path, made_up, monkeypatch):
+    workers = made_up(pair())
+    run = workers.run
+
+    def fails(precision, trial):
+        outcome = run(precision, trial)
+        return outcome._replace(unstable="ball 0 left the world") if trial.look else outcome
+
+    workers.run = fails
+    findings = report.main(pair(), plan(), tmp_path / "r", progress=False, say=lambda line: None)
+    assert "There is no reference" in (tmp_path / "r" / "report.md").read_text()
+    assert findings.rows
+    assert all(row.rms_error is None for row in findings.rows)
+
+
+def test_another_folder_key_does_not_touch_the_disk(tmp_path):
+    Folder(tmp_path / "r", "a")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,123 @@
+"""`taichi-sim tune SCENE`: the cheapest settings, and what becomes of the scene file."""
+
+import os
+
+import pytest
+from speed_support import MadeUp, pair, plan
+
+import taichi_sim as ts
+from taichi_sim.errors import SceneError
+from taichi_sim.reports.speed_error import command, tune
+
+FILE = """# Two balls on a spring
+format = 1   # the only one
+dim = 2
+[simulation]  # as it was
+dt = 0.5      # s, far too long
+contacts = "off"
+
+[[balls]]
+position = [[0.0, 0.0], [1.1, 0.0]]
+radius = 0.05
+[[springs]]
+pairs = [[0, 1]]
+stiffness = 100.0   # N/m
+rest_length = 1.0
+"""
+
+
+def tuned(monkeypatch, tolerance, said, cost=None, grows=1.0, **other):
+    """What tune finds with made-up runs."""
+    scene = pair()
+    monkeypatch.setattr(tune, "Workers", lambda *_: MadeUp(scene, cost=cost, grows=grows))
+    chosen = plan(methods=("verlet", "symplectic_euler", "rk4"), tolerance=tolerance, **other)
+    return tune.main(scene, chosen, progress=False, say=said.append)
+
+
+def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
+    said = []
+    assert tuned(monkeypatch, 0.05, said)["integrator"] == "verlet"
+    assert tuned(monkeypatch, 1e-6, said)["integrator"] == "rk4"
+    cheap = {("f32", "symplectic_euler"): 1e-7}
+    assert tuned(monkeypatch, 0.05, said, cost=cheap, precisions=("f64", "f32")) == {
+        "integrator": "symplectic_euler",
+        "dt": pytest.approx(0.00416, abs=1e-9),
+        "precision": "f32",
+    }
+    assert 'integrator = "verlet"' in said[1]
+
+
+def test_nothing_meets_it(monkeypatch):
+    said = []
+    assert tuned(monkeypatch, 1e-2, said, most=1e-3) is None
+    assert said[-1].startswith("no method and step within --limit 0.001 s meets an error of 0.01 of the size")
+
+
+def test_what_cannot_be_tuned_says_why(monkeypatch):
+    said = []
+    with pytest.raises(SceneError, match="small differences grow too fast"):
+        tuned(monkeypatch, 1e-2, said, grows=1e6)
+    with pytest.raises(ValueError, match="f32 cannot meet --tolerance 1e-09"):
+        tuned(monkeypatch, 1e-9, said, precisions=("f32",))
+    assert tuned(monkeypatch, 1e-8, said, precisions=("f64", "f32"), most=100.0)["precision"] == "f64"
+
+
+def test_the_file_keeps_all_else(tmp_path):
+    file = tmp_path / "pair.toml"
+    file.write_text(FILE)
+    file.chmod(0o640)
+    link = tmp_path / "link.toml"
+    link.symlink_to(file)
+    tune.write_settings(link, {"integrator": "rk4", "dt": 0.00125, "precision": "f64"})
+    text = file.read_text()
+    assert text.replace('integrator = "rk4"\n', "").replace('precision = "f64"\n', "") == FILE.replace(
+        "dt = 0.5 ", "dt = 0.00125 "
+    )
+    assert link.is_symlink()
+    assert os.stat(file).st_mode & 0o777 == 0o640
+    assert ts.load_scene(file).settings == {"dt": 0.00125, "contacts": "off", "integrator": "rk4", "precision": "f64"}
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["link.toml", "pair.toml"]
+
+
+def test_a_file_without_settings_gets_them(tmp_path):
+    file = tmp_path / "pair.toml"
+    file.write_bytes(
+        FILE.replace('[simulation]  # as it was\ndt = 0.5      # s, far too long\ncontacts = "off"\n', "").encode()
+    )
+    before = file.read_text()
+    tune.write_settings(file, {"integrator": "rk4", "dt": 0.001})
+    assert file.read_text().startswith(before.rstrip("\n"))
+    assert ts.load_scene(file).settings == {"integrator": "rk4", "dt": 0.001}
+
+
+def test_dt_is_rounded_down_to_what_was_measured():
+    from test_report import row
+
+    for step in (0.0015625, 0.05, 1 / 3000):
+        dt = tune.settings_of(pair(), row(1.0, 1e-3, step=step))["dt"]
+        assert 0.99 * step < dt <= step
+
+
+def test_demos_and_python_are_not_written():
+    with pytest.raises(SceneError, match="box is a demo; copy"):
+        command.require_own_file("box", command.resolve("box"))
+    with pytest.raises(SceneError, match=r"is Python; set scene\.settings there"):
+        command.require_own_file("cloth", command.resolve("cloth"))
+
+
+def test_the_settings_that_were_written_meet_the_tolerance(tmp_path, monkeypatch):
+    """From the file to the file, with processes; the scene then runs as it is told."""
+    file = tmp_path / "pair.toml"
+    file.write_text(FILE)
+    _, scene, chosen = command.read(
+        str(file), methods="symplectic_euler", precision="f64", tolerance=2e-3, duration=0.4
+    )
+    found = tune.main(scene, chosen, progress=False, say=lambda line: None)
+    tune.write_settings(file, found)
+    from speed_support import length
+
+    settings = {**ts.load_scene(file).settings, "precision": None}
+    with ts.Simulation(ts.load_scene(file), **settings) as sim:
+        sim.run(0.4)
+        off = abs(sim.position[1, 0] - sim.position[0, 0] - length(sim.time)) / 2
+    assert 1e-5 < off < 2 * 2e-3 * 1.2
