@@ -21,6 +21,7 @@ from taichi_sim.errors import SceneError
 from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs, fixed_order
 from taichi_sim.forces.total import TotalForce
+from taichi_sim.gauge import Gauge
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
@@ -52,7 +53,7 @@ USUAL = Room()
 
 
 class Assembly:
-    """All parts of one simulation. h: seconds per substep."""
+    """All parts of one simulation. h: seconds per substep; `set_step` changes it."""
 
     def __init__(
         self,
@@ -64,7 +65,7 @@ class Assembly:
         room: Room = USUAL,
     ) -> None:
         self.arguments = (scene, settings, backend, h, forces)
-        self.backend = backend
+        self.backend, self.h = backend, h
         self.room = room
         cpu = backend.arch == "cpu"
         if settings.driver == "fused" and not cpu:
@@ -97,6 +98,7 @@ class Assembly:
         self.forces = TotalForce(self.model, self.fields, springs, forces)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
+        self.gauge = Gauge(self.model, self.state, springs, self.fields, self.fused)
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         self.drivers = Drivers(self.integrator)
 
@@ -184,6 +186,17 @@ class Assembly:
             self.colliders.load(time + first * h, h, now)
             self.drivers.run(now, h, time + first * h, self.fused)
 
+    def set_step(self, h: float) -> None:
+        """Take substeps of h seconds from now on; `prime` is due. What is fitted to a step is fitted anew: damping that decays
+        over half of one, the rate at which overlap is left, the impulses that contacts hold. The speed below which nothing bounces
+        stays that of the step that the simulation began with: a law of the scene, not of the method."""
+        if h == self.h:
+            return
+        if self.forces.springs is not None and self.integrator.implicit_damping:
+            self.forces.springs.set_damping(self.integrator.damping(self.model, h))
+        self.contacts.set_step(h, h / self.h)
+        self.h = h
+
     def survey(self) -> NDArray[np.float64]:
         """Tally (7,) of all contacts, see kernels.survey; they must be active."""
         assert self._survey is not None
@@ -228,6 +241,7 @@ class Assembly:
         x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
         self.free()
         larger = Assembly(*self.arguments, room=Room(**room))
+        larger.set_step(self.h)
         larger.state.write(x, v, low)
         larger.state.write_turn(turn)
         return larger

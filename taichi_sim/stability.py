@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.scene import Scene
 
-__all__ = ["ANY_STEP", "Stability", "largest_eigenvalue", "present_eigenvalue", "stability", "without"]
+__all__ = ["ANY_STEP", "Stability", "largest_eigenvalue", "present_eigenvalue", "present_limit", "stability", "without"]
 
 ANY_STEP = ("xpbd", "implicit_euler", "tr_bdf2")  # methods that no spring limits
 ROUNDS = 3  # that improve the weights of the present bound
@@ -96,9 +96,8 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     h, spring = _step(k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))
     if np.isinf(h):
         return Stability(np.inf, np.inf, None, None, "no spring has stiffness or damping: every step is stable")
-    now = h
-    if position is not None:
-        now = max(h, _step(k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position))[0])
+    now = h if position is None else present_limit(scene, integrator, position)[0]
+    now = max(h, now)
     i, j = (int(b) for b in scene.pairs[spring])
     load = np.bincount(scene.pairs.ravel(), np.repeat(k + c, 2), scene.n_balls) / scene.mass * ~scene.pinned
     ball = i if load[i] >= load[j] else j
@@ -109,6 +108,12 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     if h == 0.0:
         reason = f"spring {spring} (balls {i} and {j}) is undamped: explicit Euler gains energy whatever the step"
     return Stability(h, now, spring, ball, reason)
+
+
+def present_limit(scene: Scene, integrator: str, position: Floats) -> tuple[float, int]:
+    """The largest safe step [s] of a method that has one, at `position` (n, dim) [m], and the spring that sets it."""
+    k, c = scene.stiffness, scene.damping
+    return _step(k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position))
 
 
 def without(scene: Scene, integrator: str, spring: int) -> float:

@@ -65,9 +65,16 @@ class Springs:
             columns["one"] = ti.i32
             data["one"] = low[spring]
         self.spring = fields.table(columns, len(spring), data)
+        self.number = spring  # in the scene, of each stored here
         self.block = max(MINIMUM_BLOCK, bandwidth(model) + 1)
         self.blocks = -(-self.n // self.block)
         self.loop = {"gather": loops.gather, "blocks": loops.blocks, "atomic": loops.scatter}[order]
+
+    def set_damping(self, damping: NDArray[np.float64]) -> None:
+        """Replace the damping (m,) [N s/m] of all springs."""
+        if self.damped:
+            field = self.spring.damping
+            field.from_numpy(damping[self.number].astype(np.float64 if field.dtype == ti.f64 else np.float32))
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
