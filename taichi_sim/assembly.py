@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim import memory
 from taichi_sim.backend import Backend
+from taichi_sim.companion import Companion
 from taichi_sim.contacts.colliders import TICKS, Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.contacts.grid import SKIN, Grid
@@ -98,8 +99,12 @@ class Assembly:
         self.forces = TotalForce(self.model, self.fields, springs, forces)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
+        self.state.serial = self.fused
         self.gauge = Gauge(self.model, self.state, springs, self.fields, self.fused)
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
+        self.companion: Companion | None = None
+        if settings.tolerance is not None:
+            self.companion = Companion(self.state, self.integrator, self.fields, self.fused)
         self.drivers = Drivers(self.integrator)
 
     def _springs(self, scene: Scene, cpu: bool, h: float) -> Springs | None:
@@ -174,7 +179,7 @@ class Assembly:
         """Forces and contacts at the present positions."""
         if self.colliders is not None:
             self.colliders.load(time, h, 0)
-        self.drivers.prime(h, time)
+        self.drivers.prime(h, time, self.fused)
 
     def run(self, substeps: int, h: float, time: float) -> None:
         """Advance the fields. 0 substeps compile the fused driver; the parallel one compiles with its first."""
@@ -187,9 +192,9 @@ class Assembly:
             self.drivers.run(now, h, time + first * h, self.fused)
 
     def set_step(self, h: float) -> None:
-        """Take substeps of h seconds from now on; `prime` is due. What is fitted to a step is fitted anew: damping that decays
-        over half of one, the rate at which overlap is left, the impulses that contacts hold. The speed below which nothing bounces
-        stays that of the step that the simulation began with: a law of the scene, not of the method."""
+        """Take substeps of h seconds from now on; `prime` is due. What is fitted to a step is fitted anew: damping that
+        decays over half of one, the rate at which overlap is left, the impulses that contacts hold. The speed below which nothing
+        bounces stays that of the step that the simulation began with: a law of the scene, not of the method."""
         if h == self.h:
             return
         if self.forces.springs is not None and self.integrator.implicit_damping:
@@ -239,8 +244,12 @@ class Assembly:
             room[name] = entries
         state = self.state
         x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
-        self.free()
+        if self.companion is None:  # else both are there for a moment
+            self.free()
         larger = Assembly(*self.arguments, room=Room(**room))
+        if self.companion is not None and larger.companion is not None:
+            larger.companion.take(self.companion)
+            self.free()
         larger.set_step(self.h)
         larger.state.write(x, v, low)
         larger.state.write_turn(turn)

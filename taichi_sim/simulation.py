@@ -11,8 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import backend, checks, diagnostics
 from taichi_sim.assembly import Assembly
 from taichi_sim.collider_checks import check_colliders
+from taichi_sim.controlled import Controlled, StepError, check_digits
 from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
+from taichi_sim.integrators.base import Solver
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, stability
@@ -63,8 +65,11 @@ class Simulation:
         s = self.settings
         self.backend = backend.start(s.arch, s.precision, s.threads)
         self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
+        if s.tolerance is not None:
+            check_digits(scene, s.tolerance, self.backend.precision, self.dt, substeps)
         parts = Assembly(scene, s, self.backend, h, forces)
-        self._stepper = Stepper(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
+        kind = Stepper if s.tolerance is None else Controlled
+        self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
         self._warn_of_rounding()
         self._closed = False
         self._still = scene.n_balls == 0
@@ -215,6 +220,14 @@ class Simulation:
             energy=diagnostics.energy(scene, x, v, self._spin()),
         )
 
+    def error(self) -> StepError | None:
+        """What the control of the error found so far; None without `tolerance`."""
+        return self._stepper.report() if isinstance(self._stepper, Controlled) else None
+
+    def solver(self) -> Solver | None:
+        """How well an implicit method solved its stages so far; None for methods that solve nothing."""
+        return self._parts.integrator.solver_report() if self._state is not None else None
+
     def stability(self) -> Stability:
         """The largest safe step, in every shape and in the present one, and what limits it."""
         if self._still:
@@ -275,6 +288,15 @@ class Simulation:
             self._write(checks.vectors("position", position, n, dim), checks.vectors("velocity", velocity, n, dim), low)
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
+
+    def stepping(self) -> tuple[dict[str, Any], list[NDArray]]:
+        """What a saved run needs besides its state to go on with the same steps."""
+        return self._stepper.state()
+
+    def set_stepping(self, state: dict[str, Any], moment: list[NDArray]) -> None:
+        """Go on as `stepping` said, after `resume`."""
+        if not self._still:
+            self._stepper.set_state(state, moment)
 
     def _write(self, x: NDArray, v: NDArray, low: tuple[NDArray, NDArray] | None = None) -> None:
         if not self._still:

@@ -30,6 +30,7 @@ class State:
         self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
         self.kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
         self.compensated = compensated
+        self.serial = False  # whether copies go on one thread, for which a launch that wakes none is ten times shorter
         if compensated:
             self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
         self.spins = model.spins
@@ -60,8 +61,13 @@ class State:
 
     @ti.kernel
     def _copy(self, target: ti.template(), source: ti.template()):
-        for i in range(self.n):
-            target[i] = source[i]
+        if ti.static(self.serial):
+            ti.loop_config(serialize=True)
+            for i in range(self.n):
+                target[i] = source[i]
+        else:
+            for i in range(self.n):
+                target[i] = source[i]
 
     def keep(self) -> None:
         """Remember the present state as good."""

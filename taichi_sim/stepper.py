@@ -5,6 +5,7 @@ import warnings
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.assembly import Assembly
 from taichi_sim.errors import SceneError, UnstableError
@@ -50,6 +51,8 @@ class Stepper:
             precision=parts.backend.precision,
         )
         # beyond the bound for every shape the present one decides; where nothing is safe the user was told at the start
+        self._single = parts.backend.precision == "f32"
+        self.solves = parts.integrator.solver_report() is not None
         self.strays = part > 1.0 + 1e-9
 
     @property
@@ -130,6 +133,7 @@ class Stepper:
     def _accept(self, steps: int) -> None:
         self.steps += steps
         self.parts.state.keep()
+        self._look_at_solver()
         if self.strays and self._chunks % LOOKS == 0 and self.scene.n_balls + self.scene.n_springs <= MANY:
             self._look_at_bound()
         self._chunks += 1
@@ -234,6 +238,19 @@ class Stepper:
             )
         self._warn("growth", f"energy grew {_from_to(growth)} by t = {time:.6g} s, which nothing explains{cure}")
 
+    def _look_at_solver(self) -> None:
+        """Whether an implicit method has left a stage unsolved."""
+        if not self.solves or "solver" in self._warned:
+            return
+        found = self.parts.integrator.solver_report()
+        if found is not None and found.misses:
+            single = '; single precision may be what stands in the way: try "f64"' if self._single else ""
+            self._warn(
+                "solver",
+                f"{self.method} left {found.worst:.2g} of the impulses of a stage unsolved by t = {self.time:.6g} s, more than ten"
+                f" times its tolerance of {found.tolerance:g}: take shorter steps{single}",
+            )
+
     def _look_at_bound(self) -> None:
         """Whether the shape has stiffened so that the step is not safe any more, where it is not safe in every shape."""
         if self._warned & {"bound", "growth"}:
@@ -254,11 +271,11 @@ class Stepper:
             self._warned.add(kind)
             warnings.warn(text, stacklevel=6)
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> tuple[dict[str, Any], list[NDArray]]:
         """What a saved run needs besides positions and velocities to go on with the same steps."""
-        return {"may_shorten": self.may_shorten}
+        return {"may_shorten": self.may_shorten}, []
 
-    def set_state(self, state: dict[str, Any]) -> None:
+    def set_state(self, state: dict[str, Any], moment: list[NDArray]) -> None:
         """The reverse."""
         self.may_shorten = bool(state.get("may_shorten", self.may_shorten))
 

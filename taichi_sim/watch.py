@@ -31,7 +31,7 @@ DIGITS = 64.0  # units of rounding that sums and positions may differ by
 
 
 class Growth(NamedTuple):
-    """Energy that nothing explains [J]: the least there was, and what there is. `sure`: False where something may have done work."""
+    """Energy that nothing explains [J]: the least there was, and what there is. `sure`: False where something may do work."""
 
     before: float
     after: float
@@ -76,7 +76,9 @@ class Watch:
 
     def _rounding(self, look: Any) -> float:
         """Joule by which sums may be off. Elastic: each stretch by the rounding of positions, (s + ds)^2 - s^2."""
-        return self.digits * (look.weight + look.motion) + self.jitter + 2.0 * float(np.sqrt(look.elastic * self.jitter))
+        return (
+            self.digits * (look.weight + look.motion) + self.jitter + 2.0 * float(np.sqrt(look.elastic * self.jitter))
+        )
 
 
 def _swing(method: str, part: float) -> float:
