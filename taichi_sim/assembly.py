@@ -31,7 +31,7 @@ from taichi_sim.scene import Scene, bounciest, used_materials
 from taichi_sim.settings import Settings
 from taichi_sim.state import State
 
-__all__ = ["Assembly"]
+__all__ = ["Assembly", "compensates"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
 MOST_BOUNCE = 0.5  # above that, only split masses are sure never to gain energy
@@ -89,9 +89,8 @@ class Assembly:
             scene = in_order(scene, order)
         self.model = Model(scene, self.fields)
         self.model.spins = spins(scene, settings)
-        small = scene.n_balls + scene.n_springs <= FUSED_UP_TO
-        # Larger scenes are bound by memory, where the rounded-off parts would cost a tenth of the speed.
-        self.state = State(self.model, self.fields, compensated=small and _rounds(scene, backend), order=order)
+        small = _is_small(scene)
+        self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
         self.atomic = settings.accumulate == "atomic"
         self.integrator = settings.integrator
@@ -274,6 +273,16 @@ class Assembly:
     def free(self) -> None:
         """Give all memory back."""
         self.fields.free()
+
+
+def _is_small(scene: Scene) -> bool:
+    return scene.n_balls + scene.n_springs <= FUSED_UP_TO
+
+
+def compensates(scene: Scene, backend: Backend) -> bool:
+    """Whether sums keep what rounding takes from them. Large scenes are bound by memory, where that would cost a tenth of the
+    speed."""
+    return _is_small(scene) and _rounds(scene, backend)
 
 
 def _rounds(scene: Scene, backend: Backend) -> bool:

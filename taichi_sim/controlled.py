@@ -32,7 +32,7 @@ JUMP = 4  # steps' worth that one step may add by itself
 AIM = 0.6  # of the tolerance
 DOUBLINGS = 12  # of the substeps within one step
 IMPACT_DOUBLINGS = 4  # the same where there are contacts
-ROUNDINGS = 4.0  # units of rounding that a substep may add by itself
+ROUNDINGS = 4.0  # units of rounding that a window, or a substep, may add by itself
 
 
 KEPT = ("coarse", "error", "past", "rough", "age", "rough_steps", "repeated", "seen", "least", "most")
@@ -61,12 +61,12 @@ def size(scene: Scene) -> float:
     return float(((scene.position + scene.radius[:, None]).max(axis=0) - low).max())
 
 
-def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, substeps: int) -> None:
-    """Raise ValueError where rounding alone adds more than the tolerance: each substep about the rounding of positions, which
-    springs turn into speed and back, in random directions."""
+def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, substeps: int, compensated: bool) -> None:
+    """Raise ValueError where rounding alone adds more than the tolerance: a window about the rounding of positions, and, where
+    sums are not compensated, each substep as much, in random directions."""
     eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
     far = float(np.max(np.abs(scene.position), initial=0.0))
-    least = ROUNDINGS * eps * far * np.sqrt(WINDOW * substeps) / (WINDOW * dt * size(scene))
+    least = ROUNDINGS * eps * far * np.sqrt(1 if compensated else WINDOW * substeps) / (WINDOW * dt * size(scene))
     if tolerance < least:
         cure = 'use precision "f64"' if precision == "f32" else "build the scene nearer to the origin"
         raise ValueError(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import backend, checks, diagnostics
-from taichi_sim.assembly import Assembly
+from taichi_sim.assembly import Assembly, compensates
 from taichi_sim.collider_checks import check_colliders
 from taichi_sim.controlled import Controlled, StepError, check_digits
 from taichi_sim.frame import Contacts, Frame, Placed
@@ -66,7 +66,9 @@ class Simulation:
         self.backend = backend.start(s.arch, s.precision, s.threads)
         self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
         if s.tolerance is not None:
-            check_digits(scene, s.tolerance, self.backend.precision, self.dt, substeps)
+            check_digits(
+                scene, s.tolerance, self.backend.precision, self.dt, substeps, compensates(scene, self.backend)
+            )
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else Controlled
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)

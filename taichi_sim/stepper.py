@@ -247,8 +247,8 @@ class Stepper:
             single = '; single precision may be what stands in the way: try "f64"' if self._single else ""
             self._warn(
                 "solver",
-                f"{self.method} left {found.worst:.2g} of the impulses of a stage unsolved by t = {self.time:.6g} s, more than ten"
-                f" times its tolerance of {found.tolerance:g}: take shorter steps{single}",
+                f"{self.method} left {found.worst:.2g} of the impulses of a stage unsolved by t = {self.time:.6g} s, more than"
+                f" ten times its tolerance of {found.tolerance:g}: take shorter steps{single}",
             )
 
     def _look_at_bound(self) -> None:
