@@ -17,7 +17,7 @@ from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
-from taichi_sim.stability import Stability, stability
+from taichi_sim.stability import Stability, coarsest_spring, sinking_spring, stability
 from taichi_sim.state import State
 from taichi_sim.stepper import Stepper
 
@@ -35,6 +35,7 @@ class Simulation:
             "implicit_euler", "tr_bdf2") or an Integrator ("verlet").
         dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape, 0.4 where
             a spring is undamped and the method symplectic ("auto").
+        tolerance: in place of dt: the error allowed in a simulated second, as a part of the scene's size; see `error` (None).
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
             ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
@@ -73,6 +74,8 @@ class Simulation:
         kind = Stepper if s.tolerance is None else Controlled
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
         self._warn_of_rounding()
+        self._warn_of_stretch()
+        self._warn_of_sinking(h)
         self._closed = False
         self._still = scene.n_balls == 0
 
@@ -98,6 +101,28 @@ class Simulation:
             warnings.warn(
                 f"precision: {where} from the origin; there single precision tells positions {rounding:.2g} m apart, and the"
                 f' smallest radius is {small:.2g} m; use precision "f64", or build the scene nearer to the origin',
+                stacklevel=3,
+            )
+
+    def _warn_of_stretch(self) -> None:
+        """Where springs are too stiff for their load to show in single precision."""
+        found = coarsest_spring(self.scene) if self.backend.precision == "f32" else None
+        if found is not None:
+            spring, stretch, rounding = found
+            warnings.warn(
+                f"precision: the weight at spring {spring} stretches it by {stretch:.2g} m, and single precision tells positions"
+                f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin',
+                stacklevel=3,
+            )
+
+    def _warn_of_sinking(self, h: float) -> None:
+        """Where xpbd, which lets each spring give once in a step what it would alone, lets heavy balls sink."""
+        found = sinking_spring(self.scene, h) if self.settings.integrator.name == "xpbd" else None
+        if found is not None:
+            spring, ball, depth = found
+            warnings.warn(
+                f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by about {depth:.2g} m for want of"
+                " passes; take shorter steps, implicit_euler or tr_bdf2",
                 stacklevel=3,
             )
 
