@@ -24,7 +24,7 @@ def exact_end(seconds=T):
 @pytest.mark.parametrize("method", ["verlet", "rk4", "tr_bdf2"])
 def test_the_error_is_what_was_asked_for(method):
     """Never above, and not far below, where stability leaves a choice; the estimate tells it within a factor of 8."""
-    for tolerance in (1e-2, 1e-3, 1e-4, 1e-5) if F64 else (1e-2, 1e-3):
+    for tolerance in (1e-3, 1e-5) if F64 else (1e-3,):
         with simulate(pair(), integrator=method, tolerance=tolerance) as sim:
             sim.run(T)
             found = sim.error()
