@@ -6,10 +6,10 @@ see it: in positions. Their largest distance over 2^p - 1, p the order of the me
 At the end of a window the companion is set to the solution that is kept, and the substeps for the next one are chosen.
 
 Asked: at most tolerance x size of the scene for each simulated second, of any ball; size: the longest side of the box around all
-balls. A window that has more than its share ends at once. A step that adds much by itself is repeated with twice as many
-substeps. Where that gains less than half of the powers of two that the order promises, twice in a row (four times where there
-are no contacts, and fast motion may only not be resolved yet), the motion is not smooth there (an impact, a contact that closes)
-and no shorter step helps: the step is accepted, counted as rough, and the window ends.
+balls. A window that has more than its share ends at once. A step that adds much ends it too, and if it does so by itself, it is
+repeated with twice as many substeps. Where that gains less than half of the powers of two that the order promises, twice in a
+row (four times where there are no contacts, and fast motion may only not be resolved yet), the motion is not smooth there (an
+impact, a contact that closes) and no shorter step helps: the step is accepted, counted as rough, and the window ends.
 """
 
 from typing import Any, NamedTuple
@@ -35,7 +35,7 @@ IMPACT_DOUBLINGS = 4  # the same where there are contacts
 ROUNDINGS = 4.0  # units of rounding that a window, or a substep, may add by itself
 
 
-KEPT = ("coarse", "error", "past", "rough", "age", "rough_steps", "repeated", "seen", "least", "most")
+KEPT = ("coarse", "error", "past", "rough", "age", "taken", "rough_steps", "repeated", "seen", "least", "most")
 
 
 class StepError(NamedTuple):
@@ -89,8 +89,13 @@ class Controlled(Stepper):
         self.floor = substeps // 2  # of the companion: stability, and what piles need
         self.coarse = self.floor
         self.order = max(1, settings.integrator.order)
+        if (
+            settings.integrator.implicit_damping
+            and np.bincount(scene.pairs[scene.damping > 0].ravel()).max(initial=0) > 1
+        ):
+            self.order = 1  # of the damping halves in a network
         self.error = self.past = self.rough = 0.0  # m: of this window so far, of those before, of rough steps
-        self.age = 0  # steps of this window
+        self.age = self.taken = 0  # steps of this window, and of all
         self.rough_steps = self.repeated = 0
         self.least, self.most = substeps, substeps
         self.seen = 0  # rough steps before this window
@@ -117,6 +122,7 @@ class Controlled(Stepper):
         if not self.primed:
             super().prime()
             self.remembers = False
+            self._companion.copy(FINE, LIVE)
             self._meet()
 
     def advance(self, steps: int) -> None:
@@ -130,6 +136,11 @@ class Controlled(Stepper):
         most, patience = (IMPACT_DOUBLINGS, 2) if self.parts.contacts.active else (DOUBLINGS, 4)
         for attempt in range(most + 1):
             look, error = self._try()
+            if (
+                self._sudden(error) and self.age
+            ):  # what the window brought along may grow by itself: look at this step alone
+                self._meet()
+                look, error = self._try()
             if not self._sudden(error):
                 self._take(error, look)
                 return
@@ -147,8 +158,10 @@ class Controlled(Stepper):
         self._take(error, look)
 
     def _allowed(self) -> float:
-        """The error [m] that this window may have after this step."""
-        return self.share * max(self.age + 1, HEAD)
+        """The error [m] that this window may have after this step: some more than its share at first, if all before has left it."""
+        left = self.share * (self.taken + HEAD) - self.past
+        own = self.share * (self.age + 1)
+        return max(own, min(self.share * HEAD, left))
 
     def _sudden(self, error: float) -> bool:
         """Whether a step makes the window's error too large, and added much to it by itself."""
@@ -193,6 +206,7 @@ class Controlled(Stepper):
         over = error > self._allowed()
         self.error = max(self.error, error)
         self.age += 1
+        self.taken += 1
         if over or self.age == WINDOW:
             self._adapt()
             self._meet()
@@ -201,13 +215,12 @@ class Controlled(Stepper):
         """Substeps of the next window, by what this one came to, unless one impact made most of it."""
         if self.error > 0.0 and self.rough_steps == self.seen:
             used = (self.error / (AIM * self.share * self.age)) ** (1.0 / self.order)
-            self.coarse = max(self.floor, int(np.ceil(self.coarse * float(np.clip(used, 0.5, 2.0)))))
+            self.coarse = max(self.floor, int(np.ceil(self.coarse * float(np.clip(used, 0.1, 4.0)))))
         self.seen = self.rough_steps
 
     def _meet(self) -> None:
         """A new window: the companion is where the solution is."""
-        self._companion.copy(FINE, LIVE)
-        self._companion.copy(COARSE, LIVE)
+        self._companion.copy(COARSE, FINE)
         self.past += self.error
         self.error, self.age = 0.0, 0
 
