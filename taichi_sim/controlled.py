@@ -30,8 +30,8 @@ WINDOW = 64  # steps between two meetings
 HEAD = 16  # steps' worth of error that the first of a window may use up
 JUMP = 4  # steps' worth that one step may add by itself
 AIM = 0.6  # of the tolerance
-DOUBLINGS = 12  # of the substeps within one step
-IMPACT_DOUBLINGS = 4  # the same where there are contacts
+DOUBLINGS = 12  # of the substeps, from what stability asks
+IMPACT_DOUBLINGS = 6  # the same where there are contacts
 ROUNDINGS = 4.0  # units of rounding that a window, or a substep, may add by itself
 
 
@@ -88,6 +88,7 @@ class Controlled(Stepper):
         self.share = settings.tolerance * self.size * dt  # m, of one step
         self.floor = substeps // 2  # of the companion: stability, and what piles need
         self.coarse = self.floor
+        self.ceiling = self.floor << (IMPACT_DOUBLINGS if parts.contacts.active else DOUBLINGS)
         self.order = max(1, settings.integrator.order)
         if (
             settings.integrator.implicit_damping
@@ -133,8 +134,8 @@ class Controlled(Stepper):
     def _one(self) -> None:
         """One step, with substeps doubled where it adds too much at once, until they do not help."""
         start, before, poor = self.coarse, np.inf, 0
-        most, patience = (IMPACT_DOUBLINGS, 2) if self.parts.contacts.active else (DOUBLINGS, 4)
-        for attempt in range(most + 1):
+        patience = 2 if self.parts.contacts.active else 4
+        while True:
             look, error = self._try()
             if (
                 self._sudden(error) and self.age
@@ -145,9 +146,9 @@ class Controlled(Stepper):
                 self._take(error, look)
                 return
             poor = poor + 1 if error > before * 2.0 ** (-0.5 * self.order) else 0
-            if not np.isfinite(error) and attempt == most:
+            if not np.isfinite(error) and self.coarse >= self.ceiling:
                 self._fail(0 if look.bad is None else look.bad)
-            if np.isfinite(error) and (poor == patience or attempt == most):
+            if np.isfinite(error) and (poor == patience or self.coarse >= self.ceiling):
                 break
             before = error
             self.repeated += 1
@@ -158,7 +159,7 @@ class Controlled(Stepper):
         self._take(error, look)
 
     def _allowed(self) -> float:
-        """The error [m] that this window may have after this step: some more than its share at first, if all before has left it."""
+        """The error [m] that this window may have after this step: at first some more than its share."""
         left = self.share * (self.taken + HEAD) - self.past
         own = self.share * (self.age + 1)
         return max(own, min(self.share * HEAD, left))
@@ -215,7 +216,8 @@ class Controlled(Stepper):
         """Substeps of the next window, by what this one came to, unless one impact made most of it."""
         if self.error > 0.0 and self.rough_steps == self.seen:
             used = (self.error / (AIM * self.share * self.age)) ** (1.0 / self.order)
-            self.coarse = max(self.floor, int(np.ceil(self.coarse * float(np.clip(used, 0.1, 4.0)))))
+            wanted = int(np.ceil(self.coarse * float(np.clip(used, 0.1, 4.0))))
+            self.coarse = min(max(self.floor, wanted), self.ceiling)
         self.seen = self.rough_steps
 
     def _meet(self) -> None:

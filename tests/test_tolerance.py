@@ -80,6 +80,7 @@ def test_it_ends_where_small_steps_end(swinging):
     assert apart < 1.5 * TOLERANCE * T
 
 
+@pytest.mark.slow
 def test_impacts_do_not_drive_the_step_to_nothing():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.add_material("rubber", restitution=0.5)
@@ -87,12 +88,12 @@ def test_impacts_do_not_drive_the_step_to_nothing():
     scene.add_wall((0, 1), 0.0, material="rubber")
     for normal in ((1, 0), (-1, 0)):
         scene.add_wall(normal, -0.3, material="rubber")
-    with simulate(scene, tolerance=1e-5 if F64 else 1e-4) as sim:
+    with simulate(scene, tolerance=1e-3) as sim:
         start = sim.energy().total
-        sim.run(1.5)
+        sim.run(0.8)
         found = sim.error()
         assert 0 < found.rough_steps < 200
-        assert found.most <= 4096
+        assert found.most <= 2**7 * 8
         assert found.rough > 0.0
         assert sim.energy().total < start
         assert sim.penetration() < 0.02
