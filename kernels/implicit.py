@@ -20,7 +20,7 @@ PART = 1024  # balls whose terms of a scalar product one thread sums
 RESIDUAL, FORCE, SCALE, POTENTIAL, BEFORE, LEFT, MOVED, GAIN, RZ, TARGET, STEP, RESTART, ROUNDS, TURNS, TRIES = range(
     15
 )
-PASSES, WORST, MISSES, NOISE, EARLIER, SIZE = range(15, 21)
+PASSES, WORST, MISSES, SOLVED, NOISE, EARLIER, SIZE = range(15, 22)
 
 
 @ti.func

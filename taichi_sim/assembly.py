@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim import memory
 from taichi_sim.backend import Backend
+from taichi_sim.companion import Companion
 from taichi_sim.contacts.colliders import TICKS, Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.contacts.grid import SKIN, Grid
@@ -21,6 +22,7 @@ from taichi_sim.errors import SceneError
 from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs, fixed_order
 from taichi_sim.forces.total import TotalForce
+from taichi_sim.gauge import Gauge
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
@@ -29,7 +31,7 @@ from taichi_sim.scene import Scene, bounciest, used_materials
 from taichi_sim.settings import Settings
 from taichi_sim.state import State
 
-__all__ = ["Assembly"]
+__all__ = ["Assembly", "compensates"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
 MOST_BOUNCE = 0.5  # above that, only split masses are sure never to gain energy
@@ -52,7 +54,7 @@ USUAL = Room()
 
 
 class Assembly:
-    """All parts of one simulation. h: seconds per substep."""
+    """All parts of one simulation. h: seconds per substep; `set_step` changes it."""
 
     def __init__(
         self,
@@ -64,7 +66,7 @@ class Assembly:
         room: Room = USUAL,
     ) -> None:
         self.arguments = (scene, settings, backend, h, forces)
-        self.backend = backend
+        self.backend, self.h = backend, h
         self.room = room
         cpu = backend.arch == "cpu"
         if settings.driver == "fused" and not cpu:
@@ -87,9 +89,8 @@ class Assembly:
             scene = in_order(scene, order)
         self.model = Model(scene, self.fields)
         self.model.spins = spins(scene, settings)
-        small = scene.n_balls + scene.n_springs <= FUSED_UP_TO
-        # Larger scenes are bound by memory, where the rounded-off parts would cost a tenth of the speed.
-        self.state = State(self.model, self.fields, compensated=small and _rounds(scene, backend), order=order)
+        small = _is_small(scene)
+        self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
         self.atomic = settings.accumulate == "atomic"
         self.integrator = settings.integrator
@@ -97,7 +98,12 @@ class Assembly:
         self.forces = TotalForce(self.model, self.fields, springs, forces)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
+        self.state.serial = self.fused
+        self.gauge = Gauge(self.model, self.state, springs, self.fields, self.fused)
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
+        self.companion: Companion | None = None
+        if settings.tolerance is not None:
+            self.companion = Companion(self.state, self.integrator, self.fields, self.fused)
         self.drivers = Drivers(self.integrator)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
@@ -175,21 +181,11 @@ class Assembly:
         driver = "driver.fused" if self.fused else "driver.parallel"
         return [driver, f"integrator.{self.integrator.name}", *self.forces.names(), *self.contacts.names()]
 
-    def set_step(self, h: float) -> None:
-        """Go on with substeps of h seconds; nothing is compiled. `prime` must follow."""
-        scene, settings, backend, _, forces = self.arguments
-        self.arguments = (scene, settings, backend, h, forces)
-        if self.forces.springs is not None:
-            self.forces.springs.set_damping(self.integrator.damping(self.model, h))
-        if self.threshold is not None:
-            self.threshold.fill(_slowest_bounce(scene, h))
-            self.contacts.rate.fill(1.0 / h)
-
     def prime(self, h: float, time: float) -> None:
         """Forces and contacts at the present positions."""
         if self.colliders is not None:
             self.colliders.load(time, h, 0)
-        self.drivers.prime(h, time)
+        self.drivers.prime(h, time, self.fused)
 
     def run(self, substeps: int, h: float, time: float) -> None:
         """Advance the fields. 0 substeps compile the fused driver; the parallel one compiles with its first."""
@@ -200,6 +196,23 @@ class Assembly:
             now = min(TICKS, substeps - first)
             self.colliders.load(time + first * h, h, now)
             self.drivers.run(now, h, time + first * h, self.fused)
+
+    def set_step(self, h: float, *, anew: bool = False) -> None:
+        """Take substeps of h seconds from now on; nothing is compiled, and `prime` is due. What is fitted to a step is fitted
+        anew: damping that decays over half of one, the rate at which overlap is left, the impulses that contacts hold. The speed
+        below which nothing bounces stays that of the step that the simulation began with, a law of the scene and not of the
+        method, unless it begins `anew`."""
+        if anew:
+            scene, settings, backend, _, forces = self.arguments
+            self.arguments = (scene, settings, backend, h, forces)
+            if self.threshold is not None:
+                self.threshold.fill(_slowest_bounce(scene, h))
+        if h == self.h:
+            return
+        if self.forces.springs is not None and self.integrator.implicit_damping:
+            self.forces.springs.set_damping(self.integrator.damping(self.model, h))
+        self.contacts.set_step(h, h / self.h)
+        self.h = h
 
     def survey(self) -> NDArray[np.float64]:
         """Tally (7,) of all contacts, see kernels.survey; they must be active."""
@@ -243,8 +256,13 @@ class Assembly:
             room[name] = entries
         state = self.state
         x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
-        self.free()
+        if self.companion is None:  # else both are there for a moment
+            self.free()
         larger = Assembly(*self.arguments, room=Room(**room))
+        if self.companion is not None and larger.companion is not None:
+            larger.companion.take(self.companion)
+            self.free()
+        larger.set_step(self.h)
         larger.state.write(x, v, low)
         larger.state.write_turn(turn)
         return larger
@@ -268,6 +286,16 @@ class Assembly:
     def free(self) -> None:
         """Give all memory back."""
         self.fields.free()
+
+
+def _is_small(scene: Scene) -> bool:
+    return scene.n_balls + scene.n_springs <= FUSED_UP_TO
+
+
+def compensates(scene: Scene, backend: Backend) -> bool:
+    """Whether sums keep what rounding takes from them. Large scenes are bound by memory, where that would cost a tenth of the
+    speed."""
+    return _is_small(scene) and _rounds(scene, backend)
 
 
 def _rounds(scene: Scene, backend: Backend) -> bool:

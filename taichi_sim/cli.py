@@ -30,6 +30,10 @@ main = typer.Typer(
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A TOML file, a Python file, or a demo's name.")]
 Arch = Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal.")]
 Step = Annotated[str | None, typer.Option("--dt", help="Time step in seconds, or auto.")]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(help="Chooses the step: error allowed in a simulated second, as a part of the scene's size."),
+]
 Integrator = Annotated[
     str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet, rk4, xpbd, implicit_euler or tr_bdf2.")
 ]
@@ -69,6 +73,7 @@ def run(
     resume: Resume = False,
     arch: Arch = None,
     dt: Step = None,
+    tolerance: Tolerance = None,
     integrator: Integrator = None,
     precision: Precision = None,
     fps: Fps = None,
@@ -89,7 +94,9 @@ def run(
         elif overwrite or resume:
             raise ValueError("--overwrite and --resume need --out")
         try:
-            with job.simulation(arch=arch, dt=dt, integrator=integrator, precision=precision, threads=threads) as sim:
+            with job.simulation(
+                arch=arch, dt=dt, tolerance=tolerance, integrator=integrator, precision=precision, threads=threads
+            ) as sim:
                 summary = export(sim, target, progress=not quiet, **job.output)
         except BaseException as error:
             if target is not None and isinstance(error, UnstableError) and target.frames:
@@ -107,6 +114,7 @@ def view(
     size: Size = None,
     arch: Arch = None,
     dt: Step = None,
+    tolerance: Tolerance = None,
     integrator: Integrator = None,
     precision: Precision = None,
     fps: Fps = None,
@@ -120,8 +128,8 @@ def view(
 
         require_display()
         job = _Job(scene, fps=fps, duration=duration, size=size)
-        options: dict[str, Any] = {"arch": arch, "dt": dt, "integrator": integrator, "precision": precision}
-        options["threads"] = threads
+        options: dict[str, Any] = {"arch": arch, "dt": dt, "tolerance": tolerance, "integrator": integrator}
+        options |= {"precision": precision, "threads": threads}
         fps, size_px, style = (job.output[key] for key in ("fps", "size", "style"))
         show(lambda: job.simulation(**options), fps=fps, size=size_px, until=duration, style=style)
 
@@ -131,6 +139,7 @@ def check(
     scene: SceneName,
     arch: Arch = None,
     dt: Step = None,
+    tolerance: Tolerance = None,
     integrator: Integrator = None,
     precision: Precision = None,
     fps: Fps = None,
@@ -143,7 +152,9 @@ def check(
         from taichi_sim.reports import check as stability_report
 
         job = _Job(scene, fps=fps, duration=duration, size=None)
-        with job.simulation(arch=arch, dt=dt, integrator=integrator, precision=precision, threads=threads) as sim:
+        with job.simulation(
+            arch=arch, dt=dt, tolerance=tolerance, integrator=integrator, precision=precision, threads=threads
+        ) as sim:
             typer.echo("\n".join(stability_report.lines(sim)))
 
 
@@ -282,9 +293,9 @@ class _Job:
         style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}
         self.output: dict[str, Any] = chosen | {"style": style}
 
-    def simulation(self, *, dt: str | None, integrator: str | None, **process: Any) -> Any:
+    def simulation(self, *, dt: str | None, tolerance: float | None, integrator: str | None, **process: Any) -> Any:
         """The Simulation, with the command line's options over the scene's own."""
-        options = {"dt": _step(dt), "integrator": integrator, **process}
+        options = {"dt": _step(dt), "tolerance": tolerance, "integrator": integrator, **process}
         given = {key: value for key, value in options.items() if value is not None}
         if self.scene is not None:
             from taichi_sim.simulation import Simulation
@@ -293,7 +304,7 @@ class _Job:
         from taichi_sim import backend
         from taichi_sim.scene_source import open_simulation
 
-        for key in ("dt", "integrator"):
+        for key in ("dt", "tolerance", "integrator"):
             if key in given:
                 raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
         if given:

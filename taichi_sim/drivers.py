@@ -17,9 +17,14 @@ class Drivers:
         self.integrator = integrator
 
     @ti.kernel
-    def prime(self, h: float, time: float):
+    def prime(self, h: float, time: float, fused: ti.template()):
         """Forces and contacts at the present positions."""
-        self.integrator.prime(h, time)
+        if ti.static(fused):
+            ti.loop_config(serialize=True)
+            for _ in range(1):
+                self.integrator.prime(h, time)
+        else:
+            self.integrator.prime(h, time)
 
     @ti.kernel
     def parallel(self, h: float, time: float):

@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Lt
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -45,6 +45,7 @@ class Simulation(Strict):
     """[simulation]: arguments of Simulation; what is absent is left to its defaults."""
 
     dt: Seconds | Literal["auto"] = "auto"
+    tolerance: Annotated[FiniteFloat, Gt(0), Lt(1)] | None = None
     integrator: Literal["explicit_euler", "symplectic_euler", "verlet", "rk4", "xpbd", "implicit_euler", "tr_bdf2"] = (
         "verlet"
     )

@@ -17,6 +17,7 @@ __all__ = ["Settings", "part_of_bound"]
 DEFAULTS: dict[str, Any] = {
     "integrator": "verlet",
     "dt": "auto",
+    "tolerance": None,
     "substeps": "auto",
     "precision": None,
     "arch": None,
@@ -34,6 +35,10 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "spin": ("auto", True, False),
 }
 LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
+STRIDE = (
+    1.0 / 240.0
+)  # s, the longest step between two looks at the error, which divides frames of 24, 30 and 60 a second
+MOST_PARTS = 256  # of such a step, where springs need short ones
 MOST_THREADS = 4096
 SAFETY = 0.9  # of the stability bound
 # The same for a symplectic method where a spring is undamped: small motion is stable up to the bound, but large motion meets
@@ -53,6 +58,7 @@ class Settings:
 
     integrator: Any
     dt: float | str
+    tolerance: float | None
     substeps: int | str
     precision: str | None
     arch: str | None
@@ -71,7 +77,14 @@ class Settings:
                 near = get_close_matches(name, DEFAULTS, n=1)
                 hint = f"; did you mean {near[0]!r}?" if near else ""
                 raise ValueError(f"{name}: no such argument; there are {', '.join([*DEFAULTS, 'forces'])}{hint}")
-        values = {**DEFAULTS, **scene.settings, **given}
+        for source in (scene.settings, given):
+            if source.get("tolerance") is not None:
+                for name in ("dt", "substeps"):
+                    if source.get(name, "auto") != "auto":
+                        raise ValueError(
+                            f"tolerance: chooses the step, but {name} = {source[name]!r} is given too; leave one out"
+                        )
+        values = {**DEFAULTS, **_over(scene.settings, given)}
         for name, allowed in WORDS.items():
             if not any(values[name] is word or values[name] == word for word in allowed):
                 words = ", ".join(str(word) for word in allowed)
@@ -83,6 +96,10 @@ class Settings:
                 values[name] = _whole(name, values[name])
         if values["dt"] != "auto":
             values["dt"] = checks.number("dt", values["dt"], positive=True)
+        if values["tolerance"] is not None:
+            values["tolerance"] = checks.number("tolerance", values["tolerance"], positive=True)
+            if values["tolerance"] >= 1.0:
+                raise ValueError(f"tolerance: {values['tolerance']:g} is not allowed; it must be less than 1")
         return cls(**values)
 
     def passes(self, scene: Scene, rule: str) -> int:
@@ -106,11 +123,11 @@ class Settings:
             return dt, self._substeps(scene, dt)
         if safe.dt_any_shape == 0.0:
             raise ValueError(f'dt: "auto" finds no safe step: {safe.reason}; give a number, or take another integrator')
-        limit = (
-            part_of_bound(scene, getattr(self.integrator, "name", ""))
-            * safe.dt_any_shape
-            * (1 if self.substeps == "auto" else int(self.substeps))
-        )
+        longest = part_of_bound(scene, getattr(self.integrator, "name", "")) * safe.dt_any_shape
+        if self.tolerance is not None:
+            dt = float(np.minimum(STRIDE, MOST_PARTS * longest))
+            return dt, 2 * max(1, int(np.ceil(dt / longest)), self._substeps(scene, dt))
+        limit = longest * (1 if self.substeps == "auto" else int(self.substeps))
         dt = float(np.minimum(LONGEST_STEP, limit))
         return dt, self._substeps(scene, dt)
 
@@ -141,6 +158,16 @@ def _layers(scene: Scene, loose: NDArray[np.bool_]) -> float:
     size = np.pi * radius**2 if scene.dim == 2 else 4.0 / 3.0 * np.pi * radius**3
     height = float(np.sum(size)) / (FILLED[scene.dim] * float(np.prod(width)))
     return max(1.0, height / (2.0 * float(np.median(radius))))
+
+
+def _over(settings: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Arguments over the scene's own; a tolerance takes the place of a step, and a step that of a tolerance."""
+    left = dict(settings)
+    if given.get("tolerance") is not None:
+        left.update(dt="auto", substeps="auto")
+    elif given.get("dt", "auto") != "auto":
+        left["tolerance"] = None
+    return left | given
 
 
 def _check_backend(values: dict[str, Any]) -> None:

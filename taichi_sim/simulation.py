@@ -10,19 +10,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import backend, checks, diagnostics
-from taichi_sim.assembly import Assembly
+from taichi_sim.assembly import Assembly, compensates
 from taichi_sim.collider_checks import check_colliders
-from taichi_sim.errors import SceneError, UnstableError
+from taichi_sim.controlled import Controlled, StepError, check_digits
 from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
+from taichi_sim.integrators.base import Solver
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
-from taichi_sim.stability import Stability, stability
+from taichi_sim.stability import Stability, coarsest_spring, sinking_spring, stability
 from taichi_sim.state import State
+from taichi_sim.stepper import Stepper
 
 __all__ = ["Simulation"]
 
-CHUNK = 256  # substeps between two looks for non-finite balls
 MOST_FRAMES = 10_000_000
 COARSE = 0.01  # of a radius: rounding of positions that shows
 
@@ -35,6 +36,7 @@ class Simulation:
             "implicit_euler", "tr_bdf2") or an Integrator ("verlet").
         dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape, 0.4 where
             a spring is undamped and the method symplectic ("auto").
+        tolerance: in place of dt: the error allowed in a simulated second, as a part of the scene's size; see `error` (None).
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
             ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
@@ -57,25 +59,32 @@ class Simulation:
         self.settings = Settings.resolve(scene, settings)
         scene.has_groups()  # a mistyped name is an error, whatever collides
         self._stability = stability(scene, self.settings.integrator.name)
-        self.dt, self.substeps = self.settings.time_step(scene, self._stability)
-        self._h = self.dt / self.substeps
-        self._warn()
+        self.dt, substeps = self.settings.time_step(scene, self._stability)
+        h = self.dt / substeps
+        self._warn(h)
         if self.settings.contacts != "off":
-            check_colliders(scene, self._h)
+            check_colliders(scene, h)
         s = self.settings
         self.backend = backend.start(s.arch, s.precision, s.threads)
         self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
-        self._parts = Assembly(scene, s, self.backend, self._h, forces)
+        if s.tolerance is not None:
+            check_digits(
+                scene, s.tolerance, self.backend.precision, self.dt, substeps, compensates(scene, self.backend)
+            )
+        parts = Assembly(scene, s, self.backend, h, forces)
+        kind = Stepper if s.tolerance is None else Controlled
+        self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
         self._warn_of_rounding()
-        self._steps, self._begin = 0, 0.0
-        self._primed = self._closed = False
+        self._warn_of_stretch()
+        self._warn_of_sinking(h)
+        self._closed = False
         self._still = scene.n_balls == 0
 
-    def _warn(self) -> None:
+    def _warn(self, h: float) -> None:
         safe = self._stability.dt_any_shape
-        if self._h > safe * (1.0 + 1e-9):
+        if h > safe * (1.0 + 1e-9):
             warnings.warn(
-                f"dt = {self._h:.6g} s is above the safe bound of {safe:.6g} s for every shape of this scene:"
+                f"dt = {h:.6g} s is above the safe bound of {safe:.6g} s for every shape of this scene:"
                 f" {self._stability.reason}",
                 stacklevel=3,
             )
@@ -96,10 +105,41 @@ class Simulation:
                 stacklevel=3,
             )
 
+    def _warn_of_stretch(self) -> None:
+        """Where springs are too stiff for their load to show in single precision."""
+        found = coarsest_spring(self.scene) if self.backend.precision == "f32" else None
+        if found is not None:
+            spring, stretch, rounding = found
+            warnings.warn(
+                f"precision: the weight at spring {spring} stretches it by {stretch:.2g} m, and single precision tells positions"
+                f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin',
+                stacklevel=3,
+            )
+
+    def _warn_of_sinking(self, h: float) -> None:
+        """Where xpbd, which lets each spring give once in a step what it would alone, lets heavy balls sink."""
+        found = sinking_spring(self.scene, h) if self.settings.integrator.name == "xpbd" else None
+        if found is not None:
+            spring, ball, depth = found
+            warnings.warn(
+                f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by about {depth:.2g} m for want of"
+                " passes; take shorter steps, implicit_euler or tr_bdf2",
+                stacklevel=3,
+            )
+
     @property
-    def _state(self) -> State:
+    def substeps(self) -> int:
+        """Parts that each step is divided into; with dt = "auto" more, once energy has grown that nothing explains."""
+        return self._stepper.substeps
+
+    @property
+    def _parts(self) -> Assembly:
         if self._closed:  # its memory is gone: touching it would end the process
             raise RuntimeError("this simulation is closed; make a new one")
+        return self._stepper.parts
+
+    @property
+    def _state(self) -> State:
         return self._parts.state
 
     # Moving on -----------------------------------------------------------------------------------------------------
@@ -109,16 +149,9 @@ class Simulation:
         if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
             raise ValueError(f"step: {n!r} is not allowed; it must be a whole number, 0 or more")
         if self._still:
-            self._steps += int(n)
-            return
-        self._prime()
-        if n == 0:
-            self._parts.run(0, self._h, self.time)
-        left = int(n)
-        while left:
-            now = min(left, max(1, CHUNK // self.substeps))
-            self._advance(now)
-            left -= now
+            self._stepper.steps += int(n)
+        elif self._state is not None:  # not closed
+            self._stepper.step(int(n))
 
     def run(self, duration: float) -> None:
         """Advance by round(duration / dt) steps; duration in seconds."""
@@ -139,83 +172,17 @@ class Simulation:
             warnings.warn(
                 f"dt = {self.dt:.6g} s is longer than a frame, 1/{rate:g} s: some frames repeat", stacklevel=2
             )
-        start = self._steps
+        start = self._stepper.steps
         for k in range(count):
-            self.step(max(0, start + round(k / rate / self.dt) - self._steps))
+            self.step(max(0, start + round(k / rate / self.dt) - self._stepper.steps))
             yield self.frame()
-
-    def _prime(self) -> None:
-        state = self._state
-        if not self._primed:
-            self._prime_parts()
-            state = self._state
-            bad = state.first_bad()  # also compiles the check, so that step(0) leaves nothing to compile
-            if bad is not None:
-                x, v = self.position[bad].tolist(), self.velocity[bad].tolist()
-                raise SceneError(
-                    f"ball {bad}: starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
-                )
-            state.keep()
-            self._primed = True
-
-    def _prime_parts(self) -> None:
-        """Find contacts at the present positions, with as much room as they need."""
-        self._parts.prime(self._h, self.time)
-        while (needed := self._parts.lacking()) is not None:
-            self._parts = self._parts.with_room(needed)
-            self._parts.prime(self._h, self.time)
-
-    def _run(self, steps: int) -> int | None:
-        """Run the parts, and look for a ball that is not finite. Where contacts did not fit, the steps are repeated from the
-        last good state with more room."""
-        self._parts.run(steps * self.substeps, self._h, self.time)
-        while (needed := self._parts.lacking()) is not None:
-            self._state.restore()
-            self._primed = False
-            self._parts = self._parts.with_room(needed)
-            self._prime()
-            self._parts.run(steps * self.substeps, self._h, self.time)
-        return self._state.first_bad()
-
-    def _advance(self, steps: int) -> None:
-        """A chunk of steps, then a look at the result: a bad one is taken back and searched step by step."""
-        if self._run(steps) is None:
-            self._steps += steps
-            self._state.keep()
-            return
-        self._state.restore()
-        self._prime_parts()
-        for _ in range(steps):
-            bad = self._run(1)
-            if bad is not None:
-                self._fail(bad)
-            self._steps += 1
-            self._state.keep()
-
-    def _fail(self, ball: int) -> None:
-        self._state.restore()
-        self._primed = False
-        scene, time = self.scene, self.time + self.dt
-        own = np.flatnonzero((scene.pairs == ball).any(axis=1))
-        spring = int(own[np.argmax(scene.stiffness[own] + scene.damping[own])]) if len(own) else None
-        safe = self._stability.dt_any_shape
-        hint = f"; the largest safe step is {safe:.6g} s, this run used {self._h:.6g} s" if np.isfinite(safe) else ""
-        joined = f" at spring {spring}" if spring is not None else ""
-        raise UnstableError(
-            f"ball {ball}{joined} is not finite or left the world at t = {time:.6g} s{hint}; the last good state,"
-            f" t = {self.time:.6g} s, is kept",
-            time,
-            ball,
-            spring,
-            safe if np.isfinite(safe) else None,
-        )
 
     # Looking at it -------------------------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
         """Seconds since the start: steps x dt."""
-        return self._begin + self._steps * self.dt
+        return self._stepper.time
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -254,7 +221,7 @@ class Simulation:
         fastest = diagnostics.largest_speed(self.velocity)
         if self._still or not self._parts.contacts.active:
             return diagnostics.contacts(None, 0, self.substeps, fastest, 0)
-        self._prime()
+        self._stepper.prime()
         parts = self._parts  # after priming, for which lists may have grown
         return diagnostics.contacts(parts.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches())
 
@@ -281,6 +248,14 @@ class Simulation:
             energy=diagnostics.energy(scene, x, v, self._spin()),
         )
 
+    def error(self) -> StepError | None:
+        """What the control of the error found so far; None without `tolerance`."""
+        return self._stepper.report() if isinstance(self._stepper, Controlled) else None
+
+    def solver(self) -> Solver | None:
+        """How well an implicit method solved its stages so far; None for methods that solve nothing."""
+        return self._parts.integrator.solver_report() if self._state is not None else None
+
     def stability(self) -> Stability:
         """The largest safe step, in every shape and in the present one, and what limits it."""
         if self._still:
@@ -295,16 +270,19 @@ class Simulation:
 
     def set_dt(self, dt: float | str) -> None:
         """Go on with steps of dt seconds, or as "auto" finds; nothing is compiled anew. Raises ValueError; warns as at first."""
+        if self.settings.tolerance is not None:
+            raise ValueError("dt: the tolerance chooses the step of this simulation; make another one")
+        parts, time = self._parts, self.time
         settings = replace(self.settings, dt=dt if dt == "auto" else checks.number("dt", dt, positive=True))
-        self._begin, self._steps = self.time, 0
-        self.settings = settings
-        self.dt, self.substeps = settings.time_step(self.scene, self._stability)
-        self._h = self.dt / self.substeps
-        self._warn()
+        seconds, substeps = settings.time_step(self.scene, self._stability)
+        h = seconds / substeps
+        self._warn(h)
         if settings.contacts != "off":
-            check_colliders(self.scene, self._h)
-        self._parts.set_step(self._h)
-        self._primed = False
+            check_colliders(self.scene, h)
+        parts.set_step(h, anew=True)
+        self.settings, self.dt = settings, seconds
+        self._stepper = Stepper(self.scene, settings, parts, seconds, substeps, self._stability, self.has_own_parts)
+        self._stepper.set_time(time)
 
     def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:
         """Add an impulse (dim,) or (k, dim) [N s] to the balls (k,). Pinned ones do not move."""
@@ -350,14 +328,21 @@ class Simulation:
         found anew in the first steps: a pile that rests goes on resting, but not with the same bits.
         """
         n, dim = self.scene.n_balls, self.scene.dim
-        self._steps, self._begin = round(time / self.dt), 0.0
-        if abs(self.time - time) > 1e-9 * time:  # saved with another step: no multiple of this one
-            self._steps, self._begin = 0, time
+        self._stepper.set_time(time)
         if n:
             x, v = checks.vectors("position", position, n, dim), checks.vectors("velocity", velocity, n, dim)
             self._write(x, v, low, moved=True)
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
+
+    def stepping(self) -> tuple[dict[str, Any], list[NDArray]]:
+        """What a saved run needs besides its state to go on with the same steps."""
+        return self._stepper.state()
+
+    def set_stepping(self, state: dict[str, Any], moment: list[NDArray]) -> None:
+        """Go on as `stepping` said, after `resume`."""
+        if not self._still:
+            self._stepper.set_state(state, moment)
 
     def _write(
         self, x: NDArray, v: NDArray, low: tuple[NDArray, NDArray] | None = None, *, moved: bool = False
@@ -366,7 +351,7 @@ class Simulation:
             self._state.write(x, v, low)
             if moved:
                 self._parts.contacts.forget()
-            self._primed = False
+            self._stepper.primed = False
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene, all arguments and the present state to an .npz file."""
@@ -384,8 +369,8 @@ class Simulation:
     def close(self) -> None:
         """Free all fields. The simulation cannot be used after that; closing twice does nothing."""
         if not self._closed:
-            self._closed = True
             self._parts.free()
+            self._closed = True
 
     def __enter__(self) -> "Simulation":
         return self

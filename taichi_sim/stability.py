@@ -15,9 +15,21 @@ from numpy.typing import NDArray
 
 from taichi_sim.scene import Scene
 
-__all__ = ["ANY_STEP", "Stability", "largest_eigenvalue", "present_eigenvalue", "stability", "without"]
+__all__ = [
+    "ANY_STEP",
+    "Stability",
+    "coarsest_spring",
+    "largest_eigenvalue",
+    "present_eigenvalue",
+    "present_limit",
+    "sinking_spring",
+    "stability",
+    "without",
+]
 
 ANY_STEP = ("xpbd", "implicit_euler", "tr_bdf2")  # methods that no spring limits
+SINKING = 0.05  # of a rest length: what a heavy ball may sink by with xpbd
+VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
 ROUNDS = 3  # that improve the weights of the present bound
 
 Floats = NDArray[np.float64]
@@ -96,9 +108,8 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     h, spring = _step(k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))
     if np.isinf(h):
         return Stability(np.inf, np.inf, None, None, "no spring has stiffness or damping: every step is stable")
-    now = h
-    if position is not None:
-        now = max(h, _step(k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position))[0])
+    now = h if position is None else present_limit(scene, integrator, position)[0]
+    now = max(h, now)
     i, j = (int(b) for b in scene.pairs[spring])
     load = np.bincount(scene.pairs.ravel(), np.repeat(k + c, 2), scene.n_balls) / scene.mass * ~scene.pinned
     ball = i if load[i] >= load[j] else j
@@ -111,11 +122,52 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     return Stability(h, now, spring, ball, reason)
 
 
+def present_limit(scene: Scene, integrator: str, position: Floats) -> tuple[float, int]:
+    """The largest safe step [s] of a method that has one, at `position` (n, dim) [m], and the spring that sets it."""
+    k, c = scene.stiffness, scene.damping
+    return _step(k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position))
+
+
 def without(scene: Scene, integrator: str, spring: int) -> float:
     """The bound for any shape if one spring were not there [s]."""
     k, c = scene.stiffness.copy(), scene.damping.copy()
     k[spring] = c[spring] = 0.0
     return _step(k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))[0]
+
+
+def sinking_spring(scene: Scene, h: float) -> tuple[int, int, float] | None:
+    """The spring whose heavier ball xpbd lets sink the furthest, that ball, and how far [m]; None where that is less than SINKING
+    of the rest length, or no more than the spring gives anyway.
+
+    In one pass a spring gives h k s / (1 + h^2 k W), s its stretch, W the inverse masses of both ends: it pulls as one of the
+    compliance 1 / k + h^2 W, however still its lighter end is held by others. Under m g that gives m g h^2 W more.
+    """
+    g = float(np.linalg.norm(scene.gravity))
+    if g == 0.0 or not scene.n_springs:
+        return None
+    mass = np.where(scene.pinned, 0.0, scene.mass)[scene.pairs]
+    w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)[scene.pairs].sum(axis=1)
+    load = mass.max(axis=1) * g
+    depth = np.where(mass.min(axis=1) > 0, load * h**2 * w, 0.0)  # a pinned end is held by itself
+    own = np.divide(load, scene.stiffness, out=np.full_like(load, np.inf), where=scene.stiffness > 0)
+    depth[(depth < own) | (depth < SINKING * scene.rest_length)] = 0.0
+    spring = int(np.argmax(depth))
+    ball = int(scene.pairs[spring, np.argmax(mass[spring])])
+    return (spring, ball, float(depth[spring])) if depth[spring] > 0.0 else None
+
+
+def coarsest_spring(scene: Scene) -> tuple[int, float, float] | None:
+    """The spring whose load shows least in single precision, the stretch [m] by its heavier ball's weight, and the distance [m]
+    between neighbouring numbers there; None where each stretch is at least VISIBLE of those."""
+    g = float(np.linalg.norm(scene.gravity))
+    if g == 0.0 or not scene.n_springs:
+        return None
+    load = np.where(scene.pinned, 0.0, scene.mass)[scene.pairs].max(axis=1) * g
+    rounding = np.abs(scene.position).max(axis=1)[scene.pairs].max(axis=1) * float(np.finfo(np.float32).eps)
+    stretch = np.divide(load, scene.stiffness, out=np.full_like(load, np.inf), where=(scene.stiffness > 0) & (load > 0))
+    ratio = np.divide(stretch, rounding, out=np.full_like(load, np.inf), where=rounding > 0)
+    spring = int(np.argmin(ratio))
+    return (spring, float(stretch[spring]), float(rounding[spring])) if ratio[spring] < VISIBLE else None
 
 
 def _step(k: Floats, c: Floats, integrator: str, bound: Bound) -> tuple[float, int]:

@@ -8,15 +8,15 @@ import taichi as ti
 from taichi_sim.fields import Fields
 from taichi_sim.model import Model, phase_type
 
-__all__ = ["State"]
+__all__ = ["FAR", "State"]
 
 FAR = 1e12  # m; a ball beyond this has left the world
 
 
 @ti.data_oriented
 class State:
-    """`ball` (n) struct with x [m] and v [m/s]; `kept`: the last state known to be good; `bad` (1): lowest index of a non-finite
-    ball, or n. `compensated` keeps what single precision rounds off of x and v in `low` and gives it back with the next change
+    """`ball` (n) struct with x [m] and v [m/s]; `kept`: the last state known to be good.
+    `compensated` keeps what single precision rounds off of x and v in `low` and gives it back with the next change
     (Kahan's sum). `turn` (n), where balls spin: radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
 
     order: number in the user's scene of each ball stored here, or None where they are the same. What goes in and out below
@@ -30,9 +30,9 @@ class State:
         self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
         self.kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
         self.compensated = compensated
+        self.serial = False  # whether copies go on one thread, for which a launch that wakes none is ten times shorter
         if compensated:
             self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
-        self.bad = fields.integers(1)
         self.spins = model.spins
         if self.spins:
             self.turn, self.kept_turn = fields.turns(self.n, model.dim), fields.turns(self.n, model.dim)
@@ -60,29 +60,14 @@ class State:
             self.ball[i].v = self.ball[i].v + dv
 
     @ti.kernel
-    def _check(self):
-        self.bad[0] = self.n
-        for i in range(self.n):
-            good = True
-            for a in ti.static(range(self.dim)):  # one by one: a comparison with nan is false, a maximum may drop it
-                good = good and ti.abs(self.ball[i].x[a]) < FAR and ti.abs(self.ball[i].v[a]) < FAR
-            if not good:
-                ti.atomic_min(self.bad[0], i)
-
-    @ti.kernel
     def _copy(self, target: ti.template(), source: ti.template()):
-        for i in range(self.n):
-            target[i] = source[i]
-
-    def first_bad(self) -> int | None:
-        """Index of the first ball that is not finite or has left the world, or None."""
-        if self.n == 0:
-            return None
-        self._check()
-        bad = int(self.bad[0])
-        if bad == self.n:
-            return None
-        return bad if self.order is None else int(self.order[bad])
+        if ti.static(self.serial):
+            ti.loop_config(serialize=True)
+            for i in range(self.n):
+                target[i] = source[i]
+        else:
+            for i in range(self.n):
+                target[i] = source[i]
 
     def keep(self) -> None:
         """Remember the present state as good."""

@@ -20,6 +20,7 @@ __all__ = ["restore_state", "save_state"]
 
 FORMAT = 1
 MESH = ("vertices", "triangles")
+STEPPING = "companion."  # arrays of the second solution by which the error is measured
 LOW = ("low_position", "low_velocity")  # what single precision rounded off: without it a run goes on with other bits
 
 
@@ -35,10 +36,11 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     settings = {name.name: getattr(own, name.name) for name in fields(own)}
     settings.update(
         integrator=own.integrator.name,
-        dt=simulation.dt,
-        substeps=simulation.substeps,
+        dt="auto" if own.tolerance is not None else simulation.dt,
+        substeps="auto" if own.tolerance is not None else simulation.substeps,
         precision=simulation.backend.precision,
     )
+    stepping, moment = simulation.stepping()
     about = {
         "format": FORMAT,
         "dim": scene.dim,
@@ -50,8 +52,10 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "settings": settings,
         "output": scene.output,
         "time": simulation.time,
+        "stepping": stepping,
     }
     state = {"position": simulation.position, "velocity": simulation.velocity}
+    state.update({f"{STEPPING}{k}": part for k, part in enumerate(moment)})
     if simulation.rounded_off is not None:
         state.update(zip(LOW, simulation.rounded_off))
     if np.any(simulation.surface_speed):
@@ -86,6 +90,8 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         turning = None
         if "surface_speed" in arrays:
             turning = checks.vectors("surface_speed", arrays["surface_speed"], n, 1 if dim == 2 else 3)
+        stepping = about.get("stepping", {})
+        moment = [arrays[f"{STEPPING}{k}"] for k in range(sum(name.startswith(STEPPING) for name in arrays))]
         settings = {key: about["settings"][key] for key in about["settings"]}
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         if isinstance(error, SceneError) and str(error).startswith(str(path)):
@@ -93,6 +99,8 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         raise SceneError(f"{path}: is not a state that Simulation.save wrote ({error})") from None
     simulation = kind(scene, **{**settings, **overrides})
     simulation.resume(x, v, time, low, turning)
+    if not {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
+        simulation.set_stepping(stepping, moment)
     return simulation
 
 

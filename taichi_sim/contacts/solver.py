@@ -126,6 +126,25 @@ class ContactSolver:
             if part is not None:
                 part.forget()
 
+    def set_step(self, h: float, ratio: float) -> None:
+        """Take substeps of h seconds, `ratio` times what they were: contacts that rest hold as much less or more."""
+        if self.active:
+            self.rate[0] = 1.0 / h
+            self._scale_held(ratio)
+
+    @ti.kernel
+    def _scale_held(self, ratio: float):
+        if ti.static(self.has_grid):
+            for e in range(self.pairs.capacity):
+                self.pairs.link[e].impulse = ratio * self.pairs.link[e].impulse
+                if ti.static(self.model.has_friction):
+                    self.pairs.link[e].slide = ratio * self.pairs.link[e].slide
+        if ti.static(self.has_walls):
+            for e in range(self.n * self.walls.count):
+                self.walls.contact[e].impulse = ratio * self.walls.contact[e].impulse
+                if ti.static(self.model.has_friction):
+                    self.walls.contact[e].slide = ratio * self.walls.contact[e].slide
+
     @ti.func
     def refresh(self, ball: ti.template()):
         """Find the contacts at the present positions, and how each ball splits its mass between them."""

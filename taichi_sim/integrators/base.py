@@ -1,5 +1,7 @@
 """What every integrator has."""
 
+from typing import Any, NamedTuple
+
 import taichi as ti
 from numpy.typing import NDArray
 
@@ -10,7 +12,18 @@ from taichi_sim.forces.total import TotalForce
 from taichi_sim.model import Model
 from taichi_sim.state import State
 
-__all__ = ["Integrator"]
+__all__ = ["Integrator", "Solver"]
+
+
+class Solver(NamedTuple):
+    """How well an implicit method solved its stages since the simulation was made. `worst`: the largest part of the impulses of a
+    stage that was left over; `misses`: stages that left more than ten times the tolerance; `passes`: over all springs."""
+
+    tolerance: float
+    stages: int
+    passes: int
+    worst: float
+    misses: int
 
 
 @ti.data_oriented
@@ -45,6 +58,17 @@ class Integrator:
 
     def allocate(self, fields: Fields) -> None:
         """Declare fields of the method's own."""
+
+    def solver_report(self) -> Solver | None:
+        """How well equations were solved, where a method solves some."""
+        return None
+
+    def memory(self) -> list[Any]:
+        """Fields (n) of the method's own that one step hands to the next and `prime` does not make anew."""
+        return []
+
+    def recall(self) -> None:
+        """The memory holds what a step left; called after `prime`."""
 
     @ti.func
     def prime(self, h, time):

@@ -5,8 +5,9 @@ from collections.abc import Callable
 import taichi as ti
 
 from taichi_sim.fields import Fields
-from taichi_sim.integrators.base import Integrator
+from taichi_sim.integrators.base import Integrator, Solver
 from taichi_sim.integrators.newton import Launched, StageSolver
+from taichi_sim.kernels import implicit as numbers
 
 __all__ = ["Implicit"]
 
@@ -43,6 +44,14 @@ class Implicit(Integrator):
         self.has_springs = self.forces.springs is not None
         self.solver = StageSolver(self.model, self.forces.springs, fields, self.stages, self.order, self.tolerance)
         self.launched = Launched(self.solver)
+
+    def solver_report(self) -> Solver | None:
+        """From the numbers that the solver keeps; None without springs, where there is nothing to solve."""
+        if not self.has_springs:
+            return None
+        n = self.solver.number.to_numpy()
+        stages, passes, misses = (int(n[k]) for k in (numbers.SOLVED, numbers.PASSES, numbers.MISSES))
+        return Solver(self.tolerance, stages, passes, float(n[numbers.WORST]), misses)
 
     @ti.func
     def prime(self, h, time):

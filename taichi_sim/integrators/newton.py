@@ -319,6 +319,7 @@ class StageSolver:
         self.bodies.share(self.base, self.sum)
         for i in range(self.n):
             self.last[stage * self.n + i] = self.base[i].v - self.first[i]
+        self.number[parts.SOLVED] += 1.0
         left, scale = ti.min(self.number[parts.RESIDUAL], self.number[parts.MOVED]), self.number[parts.SCALE]
         if scale > 0.0:
             left = ti.sqrt(left / scale)

@@ -1,6 +1,7 @@
 """TR-BDF2: the trapezoidal rule over a first part of the step, then the second backward difference formula."""
 
 import math
+from typing import Any
 
 import taichi as ti
 
@@ -38,6 +39,14 @@ class TRBDF2(Implicit):
         self.slope, self.kick, self.pull, self.rest = (fields.vectors(n, dim) for _ in range(4))
         if self.forces.extra:
             self.here = fields.table(phase_type(dim, fields.real), n)
+
+    def memory(self) -> list[Any]:
+        """What springs did at the end of the step before."""
+        return [self.slope]
+
+    def recall(self) -> None:
+        """No opening stage is due."""
+        self.fresh[0] = 0
 
     @ti.func
     def begin(self, stage, h, time):

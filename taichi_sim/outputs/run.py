@@ -33,6 +33,8 @@ class Summary:
     relative_penetration: float = 0.0  # of the smaller radius
     residual: float = 0.0  # m/s
     largest_speed: float = 0.0  # m/s
+    error: Any = None  # see Simulation.error, at the end
+    solver: Any = None  # see Simulation.solver
 
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""
@@ -53,6 +55,19 @@ class Summary:
             lines.append(
                 f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
                 f" mean {now.mean_penetration:.3g} m at the end; largest speed {self.largest_speed:.3g} m/s"
+            )
+        if self.error is not None:
+            e = self.error
+            lines.append(
+                f"error        {e.estimate:.2g} of {e.size:.3g} m so far, {e.tolerance:g} a second asked;"
+                f" {e.least} to {e.most} substeps"
+                + (f"; {e.rough_steps} rough steps added up to {e.rough:.2g}" if e.rough_steps else "")
+            )
+        if self.solver is not None:
+            s = self.solver
+            lines.append(
+                f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
+                f" {s.misses} not solved"
             )
         ratio = (
             f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration > 0 else ""
@@ -115,6 +130,7 @@ def export(
                 clock.charge("writing")
             advance(frame.time)
         summary.duration = duration
+        summary.error, summary.solver = simulation.error(), simulation.solver()
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
     clock.charge("writing")
     return summary

@@ -248,10 +248,8 @@ class Track:
 
     def _passes(self) -> float | None:
         """What an implicit method has counted so far."""
-        from taichi_sim.kernels.implicit import PASSES
-
-        solver = getattr(self.sim._parts.integrator, "solver", None)
-        return None if solver is None else float(solver.number[PASSES])
+        solved = self.sim.solver()
+        return None if solved is None else float(solved.passes)
 
     def _counted(self, trial: Trial) -> float:
         from taichi_sim.reports.check import passes

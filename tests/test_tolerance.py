@@ -1,0 +1,136 @@
+"""tolerance: the step is chosen by its error, which is what was asked; with files, frames, drivers, contacts."""
+
+import numpy as np
+import pytest
+from physics_support import F64, PRECISION, error, simulate
+
+import taichi_sim as ts
+
+T = 0.5
+
+
+def pair():
+    """Two balls on a spring, 200 rad/s: 48 s of the clock for each second of the motion at 60 fps."""
+    scene = ts.Scene(dim=2)
+    b = scene.add_balls([[0, 0], [1.1, 0]], radius=0.01, pinned=[0])
+    scene.add_springs([b], stiffness=4e4, rest_length=1.0)
+    return scene
+
+
+def exact_end(seconds=T):
+    return 1.0 + 0.1 * np.cos(200.0 * seconds)
+
+
+@pytest.mark.parametrize("method", ["verlet", "rk4", "tr_bdf2"])
+def test_the_error_is_what_was_asked_for(method):
+    """Never above, and not far below, where stability leaves a choice; the estimate tells it within a factor of 8."""
+    for tolerance in (1e-3, 1e-5) if F64 else (1e-3,):
+        with simulate(pair(), integrator=method, tolerance=tolerance) as sim:
+            sim.run(T)
+            found = sim.error()
+            got = abs(sim.position[1, 0] - exact_end()) / found.size
+            assert got < 1.5 * tolerance * T
+            assert got < 1.5 * found.estimate
+            assert found.estimate < 2.0 * tolerance * T
+            assert found.estimate > tolerance * T / 30
+            assert found.tolerance == pytest.approx(tolerance)
+            assert found.size == pytest.approx(1.12)
+
+
+@pytest.fixture(scope="module")
+def swinging():
+    """A damped net of 25 balls in 3D with verlet, whose damping depends on the step."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(5, 5), stiffness=200.0, damping=0.005)
+    scene.pinned[sheet.balls[:5]] = True
+    return scene
+
+
+TOLERANCE = 1e-4
+
+
+def test_both_drivers_save_and_resume_give_the_same_bits(swinging, tmp_path):
+    ends = []
+    for driver in ("fused", "parallel"):
+        with simulate(swinging, ("ordered", driver), tolerance=TOLERANCE) as sim:
+            sim.step(20)
+            sim.save(tmp_path / "state.npz")
+            for _ in range(20):
+                sim.step()
+            ends.append(sim.position)
+            assert sim.time == pytest.approx(40 / 240)
+            if driver == "fused":
+                said = sim.error()
+    assert np.array_equal(*ends)
+    with ts.Simulation.restore(tmp_path / "state.npz", driver="fused") as again:
+        again.run(20 / 240)
+        assert np.array_equal(again.position, ends[0])
+        assert again.error() == said
+
+
+def test_it_ends_where_small_steps_end(swinging):
+    with simulate(swinging, tolerance=TOLERANCE) as sim:
+        frames = list(sim.frames(fps=60, duration=T))
+        sim.run(T - sim.time)
+        assert [f.time for f in frames] == pytest.approx([k / 60 for k in range(30)])
+        end, found = sim.position, sim.error()
+    with simulate(swinging, dt=5e-5) as sim:
+        sim.run(T)
+        apart = np.linalg.norm(sim.position - end, axis=1).max() / found.size
+    assert apart < 1.5 * TOLERANCE * T
+
+
+@pytest.mark.slow
+def test_impacts_do_not_drive_the_step_to_nothing():
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_material("rubber", restitution=0.5)
+    scene.add_balls([[0, 0.5], [0.05, 0.8], [0, 1.1]], radius=0.1, material="rubber")
+    scene.add_wall((0, 1), 0.0, material="rubber")
+    for normal in ((1, 0), (-1, 0)):
+        scene.add_wall(normal, -0.3, material="rubber")
+    with simulate(scene, tolerance=1e-3) as sim:
+        start = sim.energy().total
+        sim.run(0.8)
+        found = sim.error()
+        assert 0 < found.rough_steps < 200
+        assert found.most <= 2**7 * 8
+        assert found.rough > 0.0
+        assert sim.energy().total < start
+        assert sim.penetration() < 0.02
+
+
+def test_what_is_refused():
+    scene = pair()
+    for bad, words in (
+        ({"tolerance": 0.0}, "tolerance: 0"),
+        ({"tolerance": 2.0}, "tolerance: 2 is not allowed; it must be less than 1"),
+        ({"tolerance": "fine"}, "tolerance"),
+        ({"tolerance": 1e-3, "dt": 1e-3}, r"tolerance: chooses the step, but dt = 0\.001 is given too"),
+        ({"tolerance": 1e-3, "substeps": 2}, "but substeps = 2 is given too"),
+        ({"tolerance": 1e-17}, "is less than what rounding leaves in f"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            ts.Simulation(scene, arch="cpu", precision=PRECISION, **bad)
+    if not F64:
+        with pytest.raises(ValueError, match='use precision "f64"'):
+            simulate(scene, tolerance=1e-7)
+
+
+def test_arguments_replace_what_the_scene_says():
+    scene = pair()
+    scene.settings = {"dt": 1e-3, "substeps": 2}
+    with simulate(scene, tolerance=1e-2) as sim:
+        assert sim.error() is not None
+    scene.settings = {"tolerance": 1e-2}
+    with simulate(scene, dt=1e-3) as sim:
+        assert sim.error() is None
+        assert sim.dt == 1e-3
+
+
+def test_a_scene_file_may_name_it(tmp_path):
+    scene = pair()
+    scene.settings = {"tolerance": 2e-3}
+    scene.save(tmp_path / "pair.toml")
+    again = ts.load_scene(tmp_path / "pair.toml")
+    assert again.settings["tolerance"] == 2e-3
+    assert error(again.position, scene.position) == 0.0

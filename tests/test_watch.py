@@ -1,0 +1,223 @@
+"""The watch: what grows without a cause is warned of once, or taken back where dt is "auto"; what is healthy is not."""
+
+import contextlib
+import warnings
+
+import numpy as np
+import pytest
+import taichi as ti
+from physics_support import F64, PRECISION, simulate, vector
+
+import taichi_sim as ts
+from taichi_sim import stepper
+from taichi_sim.gauge import Look
+from taichi_sim.stability import present_limit
+from taichi_sim.watch import Watch
+
+
+def stiffening(amplitude=1.0):
+    """A ball between two pins on slack springs: across them they are soft, and stiff where it is far aside."""
+    scene = ts.Scene(dim=2)
+    b = scene.add_balls([[-1, 0], [0, amplitude], [1, 0]], radius=0.01, pinned=[0, 2])
+    scene.add_springs([b[:2], b[1:]], stiffness=1e4, rest_length=0.2)
+    return scene
+
+
+def net(dim=2):
+    """Six balls, unequal, swinging under gravity."""
+    rng = np.random.default_rng(3)
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -10.0))
+    b = scene.add_balls(rng.uniform(-1, 1, (6, dim)), radius=1e-3, mass=rng.uniform(0.5, 2.0, 6), pinned=[0])
+    scene.add_springs([[b[i], b[j]] for i in range(6) for j in range(i)], stiffness=200.0, damping=0.1)
+    return scene
+
+
+def run_quietly(sim, seconds):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sim.run(seconds)
+
+
+def break_it(sim):
+    for _ in range(200):
+        with contextlib.suppress(ts.UnstableError):
+            sim.step(4)
+
+
+@pytest.mark.parametrize("driver", ["fused", "parallel"])
+def test_a_look_is_what_numpy_sums(driver):
+    scene = ts.Scene(dim=2, gravity=(1, -10))
+    rng = np.random.default_rng(0)
+    x, v = rng.uniform(-9, 9, (2000, 2)), rng.normal(size=(2000, 2))
+    b = scene.add_balls(x, radius=0.01, mass=2.0, velocity=v, pinned=[5])
+    scene.add_springs(np.stack([b[:-1], b[1:]], axis=1), stiffness=30.0, rest_length=1.0)
+    with simulate(scene, ("ordered", driver), dt=1e-3, contacts="off") as sim:
+        want, seen = sim.energy(), sim._parts.gauge.look()
+        assert seen.bad is None
+        assert seen[2:5] == pytest.approx(want[:3], rel=1e-12 if F64 else 1e-5)
+        assert seen.speed == pytest.approx(np.linalg.norm(sim.velocity, axis=1).max(), rel=1e-6)
+        v = sim.velocity
+        v[1234, 1] = np.float32(1e15)
+        sim.set_velocity(v)
+        assert sim._parts.gauge.look().bad == 1234
+
+
+def test_a_look_counts_spin():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 3]], radius=0.5, mass=2.0, velocity=[[1, 0]])
+    scene.add_wall((0, 1), 0.0)
+    with simulate(scene, spin=True) as sim:
+        sim.resume(scene.position, scene.velocity, 0.0, None, np.array([[2.0]]))
+        assert sim._parts.gauge.look().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(3.0)
+
+
+def test_energy_from_nowhere_is_warned_of_once():
+    scene = net()
+    safe = simulate(scene, dt=1e-3, contacts="off")
+    limit = safe.stability().dt_present
+    safe.close()
+    with simulate(scene, dt=1.3 * limit, contacts="off") as sim:
+        with pytest.warns(UserWarning, match="energy grew") as seen:
+            break_it(sim)
+        said = [str(w.message) for w in seen if "energy grew" in str(w.message)]
+        assert len(said) == 1
+        for part in ("t = ", " J to ", "spring ", "in this shape", "limits verlet to"):
+            assert part in said[0]
+
+
+def test_a_shape_that_stiffens_is_warned_of(monkeypatch):
+    """The step is below the bound of the first shape, above that for every shape, and the ball then swings aside."""
+    scene = net()
+    monkeypatch.setattr(stepper, "LOOKS", 1)
+    stretched = scene.position.copy()
+    stretched[1:] *= 10.0  # springs that are long are stiff in all directions
+    first, later = (present_limit(scene, "verlet", x)[0] for x in (scene.position, stretched))
+    between = 0.5 * (first + later)
+    assert later < between < first
+    with simulate(scene, dt=between, contacts="off") as sim:
+        run_quietly(sim, between)
+        sim.set_position(stretched)
+        with pytest.warns(UserWarning, match=r"not safe any more: in this shape spring \d+ limits verlet to 0\.0"):
+            sim.step(1)
+
+
+def test_automatic_steps_are_taken_back_and_shortened():
+    """The bound is made to lie fourfold, as if it had missed a spring: the run must find out."""
+    scene = net()
+    with simulate(scene, contacts="off", substeps=1) as sim:
+        own = sim._stepper
+        lie = 2.2 * sim.stability().dt_present / sim.dt
+        sim.dt = own.dt = sim.dt * lie
+        sim._parts.set_step(own.h)
+        start = sim.energy().total
+        with pytest.warns(
+            UserWarning, match=r"taken back to t = .* s and repeated with substeps of .* which are kept"
+        ) as seen:
+            sim.run(400 * sim.dt)
+        assert len(seen) == 1
+        assert sim.substeps in (2, 4, 8)
+        assert sim.time == pytest.approx(400 * sim.dt)
+        assert np.all(np.isfinite(sim.position))
+        assert sim.energy().total < start + 8.0 * abs(start)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            sim.run(2000 * sim.dt)
+
+
+@ti.data_oriented
+class Pump:
+    """Negative drag: energy grows as exp(40 t), rightly."""
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i] += h * 20.0 * ball[i].v
+
+
+def test_work_is_no_fault():
+    scene = ts.Scene(dim=2)
+    b = scene.add_balls([[0, 0], [1, 0]], radius=0.01, velocity=[[0.01, 0], [0.01, 0]])
+    scene.add_springs([b], stiffness=100.0)
+    with simulate(scene, dt=1e-3, forces=[Pump()], contacts="off") as sim:
+        before = sim.energy().total
+        run_quietly(sim, 0.6)
+        assert sim.energy().total > 1e6 * before
+
+
+@pytest.mark.parametrize("method", ["verlet", "symplectic_euler", "rk4", "xpbd", "implicit_euler", "tr_bdf2"])
+def test_healthy_motion_is_not_warned_of(method):
+    """Swinging nets, landing, and balls that overlap at the start, all at automatic steps."""
+    scene = net()
+    scene.add_material("rubber", restitution=1.0)
+    if method == "verlet":  # contacts take long to compile
+        scene.add_balls([[5, 0.0], [5.05, 0.1], [5, 0.2]], radius=0.1, material="rubber")
+        scene.add_wall((0, 1), -3.0, material="rubber")
+    with simulate(scene, integrator=method) as sim:
+        run_quietly(sim, 3.0)
+        assert np.all(np.isfinite(sim.position))
+
+
+def look(kinetic, elastic=0.0, gravity=0.0):
+    return Look(None, 0.0, kinetic, elastic, gravity, abs(gravity))
+
+
+def test_the_rule():
+    scene = stiffening()
+    watch = Watch(scene, "verlet", 0.5, closed=True, contacts=False, precision="f64")
+    assert watch.limit == 8.0
+    watch.begin(look(0.0, 0.0, 10.0))
+    assert watch.judge(look(9.0, 1.0, 0.0)) is None  # fell, and none is lost
+    assert watch.judge(look(1.0, 0.0, 0.0)) is None  # damped
+    assert watch.judge(look(7.9)) is None  # a method's own swing
+    assert watch.judge(look(8.1)) == (1.0, 8.1, True)
+    assert Watch(scene, "symplectic_euler", 0.9, closed=True, contacts=False, precision="f64").limit == pytest.approx(
+        28.5
+    )
+    driven = Watch(scene, "verlet", 0.5, closed=False, contacts=False, precision="f64")
+    driven.begin(look(1.0))
+    assert driven.judge(look(99.0)) is None
+    assert driven.judge(look(9901.0)) == (99.0, 9901.0, False)
+    crowd = Watch(net(), "verlet", 0.5, closed=True, contacts=True, precision="f64")
+    crowd.begin(look(0.0))
+    assert crowd.judge(look(0.9 * crowd.slack)) is None
+
+
+def test_solver_of_implicit_methods_is_public():
+    scene = net()
+    with simulate(scene, integrator="tr_bdf2", dt=0.01, contacts="off") as sim:
+        run_quietly(sim, 1.0)
+        found = sim.solver()
+        assert found.stages == 201  # two in a step, and one that opens
+        assert found.passes > found.stages
+        assert found.misses == 0
+        assert 0.0 < found.worst <= 10 * found.tolerance
+        sim._parts.integrator.solver.number[17] = 3.0  # misses
+        with pytest.warns(UserWarning, match="of the impulses of a stage unsolved"):
+            sim.step(2)
+        run_quietly(sim, 0.02)  # once
+    with ts.Simulation(scene, arch="cpu", precision=PRECISION, dt=1e-3, contacts="off") as sim:
+        assert sim.solver() is None
+
+
+def test_xpbd_says_what_sinks():
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    b = scene.add_balls([[0, 0], [0, -0.1], [0, -0.2]], radius=0.01, mass=[1.0, 1.0, 1e4], pinned=[0])
+    scene.add_springs([b[:2], b[1:]], stiffness=1e7, damping=10.0)
+    with pytest.warns(
+        UserWarning, match="xpbd: ball 2, much heavier than the other end of spring 1, sinks by about 0.1 m"
+    ):
+        ts.Simulation(scene, arch="cpu", precision=PRECISION, integrator="xpbd", dt=1e-3).close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ts.Simulation(scene, arch="cpu", precision=PRECISION, integrator="xpbd", dt=1e-4).close()
+
+
+def test_stretch_that_single_precision_does_not_show():
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    b = scene.add_balls([[100, 0], [100, -1]], radius=0.1, pinned=[0])
+    scene.add_springs([b], stiffness=1e7, damping=1.0)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        ts.Simulation(scene, arch="cpu", precision=PRECISION).close()
+    said = any("the weight at spring 0 stretches it by 1e-06 m" in str(w.message) for w in seen)
+    assert said == (not F64)
