@@ -12,10 +12,10 @@ SPRINGS = {case.name: case for case in hard_springs.CASES}
 QUICK_SPRINGS = {
     "K h^2 = 1e6": ("explicit_euler", "symplectic_euler", "verlet", "rk4", "xpbd"),
     "C h = 1e6": ("verlet", "tr_bdf2"),
-    "chain of 20, the last 1e4 times heavier": ("implicit_euler",),
+    "chain of 20, the last 1e4 times heavier": ("implicit_euler", "xpbd"),
 }
 REFUSED = {("K h^2 = 1e6", method) for method in ("explicit_euler", "symplectic_euler", "verlet", "rk4")}
-SINKING = ("chain of 20, the last 1e4 times heavier", "xpbd")  # fails, unless a warning says so
+REFUSED |= {("chain of 20, the last 1e4 times heavier", "xpbd")}
 
 
 def test_quick_hard_cases():
@@ -33,7 +33,7 @@ def test_quick_hard_cases_of_springs():
             verdict = hard_case.judge(SPRINGS[name], method, short=True)
             assert verdict.passed or verdict.refused, f"{name}, {method}: {verdict.figure:.3g} {verdict.words}"
             assert verdict.refused == ((name, method) in REFUSED), f"{name}, {method}: {verdict.words}"
-            assert "safe" in verdict.words or not verdict.refused
+            assert "safe" in verdict.words or "shorter steps" in verdict.words or not verdict.refused
 
 
 def test_an_error_before_the_first_step_refuses():
@@ -86,6 +86,4 @@ def test_hard_case(name, contacts):
 def test_hard_case_of_springs(name, method):
     """In its short form: passed, or refused before the first step. Each case passes with TR-BDF2."""
     verdict = hard_case.judge(SPRINGS[name], method, short=True)
-    if (name, method) == SINKING and not verdict.refused:
-        pytest.xfail("a chain of light balls carries a heavy one only after many steps, and nothing says so")
     assert verdict.passed or (verdict.refused and method != "tr_bdf2"), f"{verdict.figure:.3g} {verdict.words}"
