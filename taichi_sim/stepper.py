@@ -17,7 +17,8 @@ from taichi_sim.watch import Growth, Watch
 
 __all__ = ["Stepper"]
 
-CHUNK = 256  # substeps between two looks
+CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two looks
+WORK = 1 << 21  # balls and springs gone through between two looks in small scenes, for which a look then costs a hundredth
 LOOKS = 16  # chunks between two looks at the bound for the present shape, in scenes of at most MANY balls and springs
 MANY = 20_000
 HALVINGS = 6  # of the substep, before a run is given up
@@ -35,6 +36,7 @@ class Stepper:
         self.scene, self.settings, self.parts, self.safe = scene, settings, parts, safe
         self.dt, self.substeps = dt, substeps
         self.steps, self.begin = 0, 0.0
+        self.chunk = int(np.clip(WORK // max(1, scene.n_balls + scene.n_springs), CHUNK, LONGEST_CHUNK))
         self.may_shorten = settings.dt == "auto"
         self.method = settings.integrator.name
         self.primed = False
@@ -79,7 +81,7 @@ class Stepper:
         if n == 0:
             self.parts.run(0, self.h, self.time)
         while n:
-            now = min(n, max(1, CHUNK // self.substeps))
+            now = min(n, max(1, self.chunk // self.substeps))
             self.advance(now)
             n -= now
 
