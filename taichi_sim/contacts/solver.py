@@ -122,9 +122,12 @@ class ContactSolver:
 
     def forget(self) -> None:
         """Hold nothing from before: balls were put elsewhere, where the load is another one. `prime` has to follow."""
-        for part in (self.walls, self.pairs):
-            if part is not None:
-                part.forget()
+        if self.pairs is not None:
+            self.pairs.forget()
+        if self.walls is not None:
+            self.walls.contact.impulse.fill(0)
+            if self.model.has_friction:
+                self.walls.contact.slide.fill(0)
 
     def set_step(self, h: float, ratio: float) -> None:
         """Take substeps of h seconds, `ratio` times what they were: contacts that rest hold as much less or more."""

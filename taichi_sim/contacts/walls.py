@@ -84,12 +84,6 @@ class Walls:
         """What is compiled in, for `Simulation.kernels()`."""
         return ["walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else [])]
 
-    def forget(self) -> None:
-        """Nothing is held from before."""
-        self.contact.impulse.fill(0)
-        if self.model.has_friction:
-            self.contact.slide.fill(0)
-
     @ti.func
     def tolerance(self, x, i, far):
         """Gap [m] below which ball i at x touches; never finer than its coordinates are. far [m]: those of a collider's centre,
