@@ -18,7 +18,7 @@ from taichi_sim.watch import Growth, Watch
 __all__ = ["Stepper"]
 
 CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two looks
-WORK = 1 << 21  # balls and springs gone through between two looks in small scenes, for which a look then costs a hundredth
+WORK = 1 << 21  # balls and springs gone through between two looks in small scenes: a look costs about a hundredth
 LOOKS = 16  # chunks between two looks at the bound for the present shape, in scenes of at most MANY balls and springs
 MANY = 20_000
 HALVINGS = 6  # of the substep, before a run is given up
