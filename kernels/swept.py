@@ -14,7 +14,6 @@ from .groups import balls_meet
 from .pairs import may_touch
 from .sticks import closest
 
-ROUNDS = 64  # after the first
 ITERATIONS = 48  # of conservative advancement along a stick; then it stops where it is safe
 NEARER = 0.9  # of the distance
 ALREADY = 0.998  # of the distance at touch: what stopped in the step before is nearer
@@ -36,7 +35,7 @@ def stop(solver: ti.template(), ball: ti.template()):
     look(solver, ball)
     ti.loop_config(serialize=True)  # few balls have others that stopped in their way: in turn, until nothing changes
     for _ in range(1):
-        rounds = ti.select(solver.fast[1] > 0, ROUNDS, 0)
+        rounds = solver.fast[1]  # each of them settles at least the earliest stop that is left
         while rounds > 0 and solver.fast[3] > 0:
             look(solver, ball)
             rounds -= 1

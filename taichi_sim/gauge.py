@@ -87,8 +87,10 @@ class Gauge:
     def _turn(self, i):
         """I omega^2 / m of ball i [m^2/s^2]."""
         turn = self.state.turn[i]
-        square = turn * turn
-        if ti.static(self.model.dim == 3):
+        square = ti.cast(0.0, float)
+        if ti.static(self.model.dim == 2):
+            square = turn * turn
+        else:
             square = turn.dot(turn)
         return square / self.model.turning
 

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import taichi as ti
-from physics_support import F64, PRECISION, simulate, vector
+from physics_support import F64, PRECISION, each_dim, simulate, vector
 
 import taichi_sim as ts
 from taichi_sim import stepper
@@ -62,13 +62,15 @@ def test_a_look_is_what_numpy_sums(driver):
         assert sim._parts.gauge.look().bad == 1234
 
 
-def test_a_look_counts_spin():
-    scene = ts.Scene(dim=2)
-    scene.add_balls([[0, 3]], radius=0.5, mass=2.0, velocity=[[1, 0]])
-    scene.add_wall((0, 1), 0.0)
+@each_dim
+def test_a_look_counts_spin(dim):
+    scene = ts.Scene(dim=dim)
+    scene.add_balls([vector(dim, 0, 3)], radius=0.5, mass=2.0, velocity=[vector(dim, 1)])
+    scene.add_wall(vector(dim, 0, 1), 0.0)
     with simulate(scene, spin=True) as sim:
-        sim.resume(scene.position, scene.velocity, 0.0, None, np.array([[2.0]]))
-        assert sim._parts.gauge.look().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(3.0)
+        sim.resume(scene.position, scene.velocity, 0.0, None, np.array([[2.0] + [0.0] * (0 if dim == 2 else 2)]))
+        want = 1.0 + 0.5 * 2.0 * 2.0**2 * (0.5 if dim == 2 else 0.4)
+        assert sim._parts.gauge.look().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(want)
 
 
 def test_energy_from_nowhere_is_warned_of_once():
