@@ -87,12 +87,10 @@ class Gauge:
     def _turn(self, i):
         """I omega^2 / m of ball i [m^2/s^2]."""
         turn = self.state.turn[i]
-        square = ti.cast(0.0, float)
         if ti.static(self.model.dim == 2):
-            square = turn * turn
+            return turn * turn / self.model.turning
         else:
-            square = turn.dot(turn)
-        return square / self.model.turning
+            return turn.dot(turn) / self.model.turning
 
     @ti.kernel
     def _look(self, row: ti.types.ndarray()):

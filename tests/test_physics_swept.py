@@ -127,6 +127,19 @@ def test_a_bullet_leaves_the_stick_that_it_hit(dim):
             assert sim.position[2, 1] - height == pytest.approx(10 * H * upward, rel=0.2)
 
 
+def test_a_row_of_bullets_stops_one_by_one():
+    """A hundred and fifty, each in the way of the one behind it: in their order after one step, however many rounds it takes."""
+    scene = ts.Scene(dim=2)
+    n, r = 150, 0.1
+    scene.add_balls([[0.0, 0.0]], radius=r, pinned=True)
+    scene.add_balls(np.stack([-0.3 - 0.205 * np.arange(n), np.zeros(n)], axis=1), radius=r, velocity=(5000.0, 0.0))
+    with simulate(scene, dt=H) as sim:
+        sim.step()
+        x = sim.position[:, 0]
+        assert np.all(np.diff(x) < -r)
+        assert sim.penetration() < r
+
+
 def test_a_ball_slides_fast_along_a_stick():
     """Further than its radius in a step, just at the distance of touch."""
     scene = ts.Scene(dim=2)
