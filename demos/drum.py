@@ -12,8 +12,8 @@ def scene():
     scene.output = {"fps": 60, "duration": 5, "size": (960, 720)}
     scene.settings = {"dt": 0.002, "substeps": 2}
     rubber = scene.add_material("rubber", restitution=0.2, friction=0.6)
-    small = {"resolution": (17, 16), "radius": 0.04, "jitter": 0.1, "position": (-0.74, -0.45)}
-    large = {"resolution": (6, 2), "radius": 0.09, "mass": 5.0, "jitter": 0.1, "position": (-0.5, 0.65)}
+    small = {"resolution": (17, 11), "radius": 0.04, "jitter": 0.1, "position": (-0.74, -0.5)}
+    large = {"resolution": (6, 2), "radius": 0.09, "mass": 5.0, "jitter": 0.1, "position": (-0.55, 0.54)}
     for grains in (small, large):
         ts.shapes.pile(scene, material=rubber, **grains)
     scene.add_collider(ts.Sphere((0, 0), RADIUS, hollow=0.1, angular_velocity=TURN, material=rubber))

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 
 import taichi_sim as ts
+from taichi_sim import assembly
 
 
 def cloth(dim):
@@ -55,7 +56,10 @@ def digest(scene, steps, precision, **settings):
 
 if __name__ == "__main__":
     precision, threads = sys.argv[1], int(sys.argv[2])
-    for scene, steps, contacts in ((cloth(2), 50, "off"), (pile(2), 60, "jacobi"), (pile(2), 1000, "gauss_seidel")):
+    runs = [(cloth(2), 50, "off", ""), (cloth(2), 50, "off", "blocks")]
+    runs += [(pile(2), 60, "jacobi", ""), (pile(2), 1000, "gauss_seidel", "")]
+    for scene, steps, contacts, order in runs:
+        assembly.FUSED_UP_TO = 0 if order == "blocks" else 20_000  # above it springs go in blocks, below in lanes
         settings = {
             "driver": "parallel",
             "accumulate": "ordered",

@@ -31,6 +31,16 @@ def test_cloth_has_the_same_bits_in_both_drivers_and_every_run(dim, method):
         assert physics_bits.digest(scene, 30, PRECISION, driver="fused", **settings) != first
 
 
+def test_blocks_have_the_same_bits_in_both_drivers(monkeypatch):
+    """The order of springs in scenes that are too large for lanes."""
+    monkeypatch.setattr(assembly, "FUSED_UP_TO", 0)
+    scene = physics_bits.cloth(2)
+    one, two = (
+        physics_bits.digest(scene, 30, PRECISION, driver=driver, contacts="off") for driver in ("fused", "parallel")
+    )
+    assert one == two
+
+
 @pytest.mark.parametrize(
     ("dim", "contacts"),
     [
@@ -62,7 +72,7 @@ def test_one_and_two_threads_have_the_same_bits():
         return done.stdout.split()
 
     one = run(1)
-    assert len(one) == 3
+    assert len(set(one)) == 4
     assert run(2) == one
 
 

@@ -55,27 +55,26 @@ def judge(case: Case, column: str, short: bool = False) -> Verdict:
 
 
 def show(title: str, cases: Sequence[Case], columns: Sequence[str]) -> bool:
-    """Judge all cases in all columns and print the table. False when a case passed in none."""
+    """Judge all cases in all columns, and print each verdict as it is known. False when a case passed in none."""
     from rich.console import Console
-    from rich.live import Live
-    from rich.table import Table
 
-    table = Table(
-        "case", "must", "verdict", title=title, show_lines=True
-    )  # seven columns of verdicts would be too narrow
+    console = Console(soft_wrap=True, highlight=False)
+    console.print(f"[bold]{title}[/]")
     good = True
-    with Live(table, console=Console(), auto_refresh=False) as live:
-        for case in cases:
-            verdicts = [judge(case, column) for column in columns]
-            table.add_row(case.name, case.bound, "\n".join(map(_line, columns, verdicts)))
-            live.refresh()
-            good = good and any(verdict.passed for verdict in verdicts)
+    for case in cases:
+        console.print(f"\n{case.name}: {case.bound}")
+        passed = False
+        for column in columns:
+            verdict = judge(case, column)
+            console.print(f"  {column:16} {_mark(verdict)} {verdict.figure:.3g} ", end="")
+            console.print(verdict.words, markup=False)
+            passed = passed or verdict.passed
+        good = good and passed
     return good
 
 
-def _line(column: str, verdict: Verdict) -> str:
-    mark = "[green]pass[/]" if verdict.passed else "[yellow]refuses[/]" if verdict.refused else "[red]FAIL[/]"
-    return f"{column}: {mark} {verdict.figure:.3g} {verdict.words}"
+def _mark(verdict: Verdict) -> str:
+    return "[green]pass[/]   " if verdict.passed else "[yellow]refuses[/]" if verdict.refused else "[red]FAIL[/]   "
 
 
 def simulation(scene: Scene, contacts: str, **settings: Any) -> Simulation:
