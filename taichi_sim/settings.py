@@ -39,6 +39,7 @@ STRIDE = (
     1.0 / 240.0
 )  # s, the longest step between two looks at the error, which divides frames of 24, 30 and 60 a second
 MOST_PARTS = 256  # of such a step, where springs need short ones
+SHORTEST_DT, LONGEST_DT = 1e-12, 1e6  # s
 MOST_THREADS = 4096
 SAFETY = 0.9  # of the stability bound
 # The same for a symplectic method where a spring is undamped: small motion is stable up to the bound, but large motion meets
@@ -96,6 +97,10 @@ class Settings:
                 values[name] = _whole(name, values[name])
         if values["dt"] != "auto":
             values["dt"] = checks.number("dt", values["dt"], positive=True)
+            if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
+                raise ValueError(
+                    f"dt: {values['dt']:g} is not allowed; it must be from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds"
+                )
         if values["tolerance"] is not None:
             values["tolerance"] = checks.number("tolerance", values["tolerance"], positive=True)
             if values["tolerance"] >= 1.0:

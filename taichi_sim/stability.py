@@ -98,7 +98,8 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     bound, which takes seconds for a million balls, is not asked for, and dt_present is dt_any_shape.
 
     Verlet: 2 / sqrt(lambda_K). Symplectic Euler: h^2 lambda(K + 2 D / h) = 4. RK4: 2.61 / max(sqrt lambda_K, lambda_D).
-    Explicit Euler: min over springs of c / k, and 2 / lambda_D; nothing is safe with an undamped spring.
+    Explicit Euler: min over springs of c / k, and 2 / lambda_D; nothing is safe with an undamped spring, nor across one that is
+    stretched: there it gains, by h omega^2 a second, at any step, and the bound only holds for the motion along springs.
     """
     if scene.n_springs == 0 or scene.pinned.all():
         return Stability(np.inf, np.inf, None, None, "no spring moves a ball: every step is stable")
@@ -117,6 +118,8 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
         f"spring {spring} (balls {i} and {j}, k = {k[spring]:.4g} N/m, c = {c[spring]:.4g} N s/m) limits {integrator};"
         f" ball {ball} (m = {scene.mass[ball]:.4g} kg) carries most of it"
     )
+    if integrator == "explicit_euler":
+        reason += "; across stretched springs, where nothing is damped, it gains energy at any step"
     if h == 0.0:
         reason = f"spring {spring} (balls {i} and {j}) is undamped: explicit Euler gains energy whatever the step"
     return Stability(h, now, spring, ball, reason)

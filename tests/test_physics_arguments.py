@@ -26,6 +26,8 @@ BAD = [
     ({"dt": float("inf")}, "dt"),
     ({"dt": 0.0}, "dt"),
     ({"dt": -1e-3}, "dt"),
+    ({"dt": 1e-300}, "from 1e-12 to 1e\\+06 seconds"),
+    ({"dt": 1e300}, "from 1e-12 to 1e\\+06 seconds"),
     ({"dt": "fast"}, "dt"),
     ({"dt": [1e-3]}, "dt"),
     ({"substeps": 0}, "substeps"),
