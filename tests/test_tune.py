@@ -8,6 +8,7 @@ from speed_support import MadeUp, pair, plan
 import taichi_sim as ts
 from taichi_sim.errors import SceneError
 from taichi_sim.reports.speed_error import command, tune
+from taichi_sim.settings import Settings
 
 FILE = """# Two balls on a spring
 format = 1   # the only one
@@ -88,6 +89,25 @@ def test_a_file_without_settings_gets_them(tmp_path):
     tune.write_settings(file, {"integrator": "rk4", "dt": 0.001})
     assert file.read_text().startswith(before.rstrip("\n"))
     assert ts.load_scene(file).settings == {"integrator": "rk4", "dt": 0.001}
+
+
+def test_dt_takes_the_place_of_a_tolerance(tmp_path):
+    file = tmp_path / "pair.toml"
+    file.write_text(FILE.replace("dt = 0.5      # s, far too long", "tolerance = 1e-3  # was asked for"))
+    tune.write_settings(file, {"integrator": "rk4", "dt": 0.001})
+    scene = ts.load_scene(file)
+    assert scene.settings == {"integrator": "rk4", "dt": 0.001, "contacts": "off"}
+    assert Settings.resolve(scene, {}).dt == 0.001
+
+
+def test_settings_that_do_not_go_together_leave_the_file(tmp_path):
+    file = tmp_path / "pair.toml"
+    file.write_text(FILE.replace("dt = 0.5 ", "tolerance = 1e-3 "))
+    before = file.read_text()
+    with pytest.raises(ValueError, match="tolerance: chooses the step, but substeps = 2"):
+        tune.write_settings(file, {"substeps": 2})
+    assert file.read_text() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["pair.toml"]
 
 
 def test_dt_is_rounded_down_to_what_was_measured():

@@ -139,8 +139,11 @@ def _toml(value: Any) -> str:
 
 
 def write_settings(file: Path, settings: dict[str, Any]) -> None:
-    """Set keys of [simulation] in a scene file; its comments and all else stay. The file is replaced whole, or not at all."""
+    """Set keys of [simulation] in a scene file; its comments and all else stay, but for a `tolerance`, in whose place dt is.
+    The file is replaced whole, or not at all."""
     import tomlkit
+
+    from taichi_sim.scene_file import load_scene
 
     text = file.read_bytes().decode()
     document = tomlkit.parse(text)
@@ -149,12 +152,19 @@ def write_settings(file: Path, settings: dict[str, Any]) -> None:
             document.add(tomlkit.nl())
         document.add("simulation", tomlkit.table())
     table: Any = document["simulation"]
+    gone = {"tolerance"} if "dt" in settings else set()
+    for key in gone & set(table):
+        table.remove(key)
     for key, value in settings.items():
         table[key] = value
     changed = tomlkit.dumps(document)
     before, after = tomllib.loads(text), tomllib.loads(changed)
-    if after != {**before, "simulation": {**before.get("simulation", {}), **settings}}:
+    kept = {key: value for key, value in before.get("simulation", {}).items() if key not in gone}
+    if after != {**before, "simulation": {**kept, **settings}}:
         raise SceneError(f"{file}: cannot be changed without changing more than [simulation]; put the lines in by hand")
+    scene = load_scene(file)
+    scene.settings = after["simulation"]
+    Settings.resolve(scene, {})  # what does not go together is refused before the file changes
     part = PartFile(file.resolve())  # what a link points to
     try:
         part.file.write(changed.encode())
