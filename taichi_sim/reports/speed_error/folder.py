@@ -53,6 +53,12 @@ class Folder:
         self.rows.append(row)
         table.write(self.open() / "rows.csv", self.rows)
 
+    def complete(self, found: list[Row]) -> None:
+        """Write the rows once more, those found with their orders; what was not asked for this time stays as it was."""
+        by_key = {row.key: row for row in found}
+        self.rows = [by_key.get(row.key, row) for row in self.rows]
+        table.write(self.path / "rows.csv", self.rows)
+
     def reference(self) -> Reference | None:
         """The one that an interrupted report has made."""
         return references.load(self.path / "reference.npz")

@@ -36,6 +36,8 @@ def main(
     with progress_bar(progress) as step_done:
         findings = run_all(scene, plan, folder, say, step_done)
     write_pages(findings, folder.open())
+    if folder.rows:
+        folder.complete(findings.rows)
     say("\n".join(findings.lines()))
     say(f"written      {out / 'report.html'}, report.md, rows.csv, error.svg, error.png")
     return findings
