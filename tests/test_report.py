@@ -13,6 +13,7 @@ from taichi_sim.reports.speed_error import report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.folder import Folder
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
+from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.scene_source import open_scene, resolve
 
 
@@ -153,6 +154,15 @@ def test_key_knows_the_scene():
     keys = {key_of(scene, p) for scene in (pair(), other) for p in (plan(), plan(duration=0.5))}
     assert len(keys) == 4
     assert key_of(pair(), plan()) == key_of(pair(), plan(methods=("rk4",), precisions=("f32",)))
+
+
+@pytest.mark.parametrize("verdict", ["stable", "unstable", "left out"])
+def test_the_reference_is_blamed_only_where_a_run_was_stable(verdict):
+    ends = np.full(PARTS, 1e-6)
+    reference = Reference("rk4", 1e-3, 1.0, np.ones((PARTS, 2, 2)), np.ones((PARTS, 4)), ends, ends, 0, "")
+    said = " ".join(Findings(plan(), pair(), reference, [row(1.0, 1e-7, verdict)], []).about())
+    assert ("has not converged enough" in said) == (verdict == "stable")
+    assert ("No run was stable" in said) == (verdict != "stable")
 
 
 # Interrupted, refused ----------------------------------------------------------------------------------------------

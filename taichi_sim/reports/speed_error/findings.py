@@ -73,7 +73,9 @@ class Findings:
                 f" which differ by {reference.known:.2g} m ({reference.known / reference.size:.1g} of the size). Errors within"
                 f" {CLEAR:g} times of that are left out of orders and of the front."
             )
-        if reference.parts and not any(tells(row, reference.known) for row in self.rows):
+        if not any(row.verdict == STABLE for row in self.rows):
+            yield "No run was stable and within --limit."
+        elif reference.parts and not any(tells(row, reference.known) for row in self.rows):
             yield "The reference has not converged enough to tell any method's error."
         elif self.dropped and reference.parts:
             yield f"Stable runs that lie so near to the reference: {len(self.dropped)}."
