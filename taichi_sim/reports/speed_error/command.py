@@ -8,6 +8,7 @@ from taichi_sim.errors import SceneError
 from taichi_sim.reports.speed_error.plan import METHODS, PRECISIONS, Plan, duration_of
 from taichi_sim.scene import Scene
 from taichi_sim.scene_source import checked_output, demos, open_scene, resolve
+from taichi_sim.settings import Settings
 
 __all__ = ["read", "require_own_file"]
 
@@ -44,6 +45,8 @@ def read(
     if not scene.n_balls:
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
     checked_output(scene.output)
+    process = {"arch": arch, "threads": threads}
+    Settings.resolve(scene, {key: value for key, value in process.items() if value is not None})
     known = {made: key for key, made in demos().items()}
     title = known.get(file, file.stem)
     if choices["steps"] and duration is not None and max(choices["steps"]) > duration:

@@ -158,8 +158,11 @@ class Track:
         from taichi_sim import backend
 
         self.scene, self.duration = scene, plan.duration
+        given = scene.settings
         runs = backend.start(
-            plan.arch or scene.settings.get("arch"), precision, plan.threads or scene.settings.get("threads")
+            given.get("arch") if plan.arch is None else plan.arch,
+            precision,
+            given.get("threads") if plan.threads is None else plan.threads,
         )
         self.device = runs.arch if runs.arch != "cpu" else f"cpu, {runs.threads} threads"
         self.settings: dict[str, Any] = {"arch": runs.arch, "precision": precision, "threads": None, "substeps": 1}
