@@ -245,11 +245,12 @@ def tune(
         file, made, plan = command.read(
             scene, tolerance=tolerance, duration=duration, limit=limit, threads=threads, **options
         )
+        if write:
+            command.require_own_file(scene, file)
         settings = tuning.main(made, plan, progress=not quiet, say=typer.echo)
         if settings is None:
             raise typer.Exit(FAILED)
         if write:
-            command.require_own_file(scene, file)
             tuning.write_settings(file, settings)
             typer.echo(f"written      {file}")
 

@@ -210,6 +210,7 @@ REFUSED = [
     (("report", "ball.toml", "--tolerance", "2"), "--tolerance: 2 is not allowed; it is a part of the scene's size"),
     (("report", "ball.toml", "-o", "full"), "full: the folder is not empty and holds no report"),
     (("report", "ball.toml", "-o", "none/r"), "none/r: there is no folder 'none'; make it first"),
+    (("tune", "box", "--write"), "--write: box is a demo; copy "),
     (("tune", "none.toml"), "none.toml: there is no such file"),
     (("tune", "ball.toml", "--limit", "0"), "--limit: 0.0 is not allowed; it must be a number greater than 0"),
 ]

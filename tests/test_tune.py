@@ -118,11 +118,14 @@ def test_dt_is_rounded_down_to_what_was_measured():
         assert 0.99 * step < dt <= step
 
 
-def test_demos_and_python_are_not_written():
+def test_demos_and_python_are_not_written(tmp_path):
     with pytest.raises(SceneError, match="box is a demo; copy"):
         command.require_own_file("box", command.resolve("box"))
-    with pytest.raises(SceneError, match=r"is Python; set scene\.settings there"):
+    with pytest.raises(SceneError, match=r"cloth is a demo; copy .*cloth.py and set scene\.settings there to the lines"):
         command.require_own_file("cloth", command.resolve("cloth"))
+    (tmp_path / "s.py").write_text("")
+    with pytest.raises(SceneError, match=r"is Python and stays as it is; set scene\.settings there to the lines"):
+        command.require_own_file(str(tmp_path / "s.py"), tmp_path / "s.py")
 
 
 def test_the_settings_that_were_written_meet_the_tolerance(tmp_path, monkeypatch):

@@ -58,10 +58,13 @@ def read(
 
 def require_own_file(name: str, file: Path) -> None:
     """Raises SceneError where settings cannot be written into the scene."""
-    if file.suffix != ".toml":
-        raise SceneError(f"--write: {file} is Python; set scene.settings there to what stands above")
-    if not Path(name).is_file():
-        raise SceneError(f"--write: {name} is a demo; copy {file} and put the lines above there")
+    python, own = file.suffix != ".toml", Path(name).is_file()
+    if own and not python:
+        return
+    lines = "set scene.settings there to the lines that `taichi-sim tune` prints without --write"
+    if own:
+        raise SceneError(f"--write: {file} is Python and stays as it is; {lines}")
+    raise SceneError(f"--write: {name} is a demo; copy {file} and {lines if python else 'tune the copy'}")
 
 
 def _items(option: str, text: str) -> list[str]:
