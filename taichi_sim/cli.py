@@ -160,6 +160,7 @@ def check(
 
 @main.command()
 def report(
+    context: typer.Context,
     scene: Annotated[
         str | None, typer.Argument(metavar="[SCENE]", help="A TOML file, a Python file, or a demo's name.")
     ] = None,
@@ -190,6 +191,9 @@ def report(
     if hard_cases:
         if scene is not None:
             _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
+        for option in context.command.params:
+            if option.name not in ("hard_cases", "scene") and _given(context, option.name):
+                _fail(f"report: --hard-cases takes no other option, but {option.opts[0]} was given", BAD_INPUT)
         with _plain_errors():
             from taichi_sim.reports import hard_cases as cases
 
@@ -311,6 +315,12 @@ class _Job:
         if given:
             backend.start(**given)
         return open_simulation(self.file)
+
+
+def _given(context: typer.Context, name: str | None) -> bool:
+    """Whether an option stands on the command line."""
+    source = None if name is None else context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def _quiet(line: str) -> None:

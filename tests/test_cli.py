@@ -203,6 +203,8 @@ REFUSED = [
     (("view", "ball.toml"), "there is no display for a window; use `taichi-sim run SCENE -o x.mp4` instead"),
     (("report",), "report: give a SCENE, or --hard-cases"),
     (("report", "ball.toml", "--hard-cases"), "--hard-cases takes no scene"),
+    (("report", "--hard-cases", "--methods", "verlet"), "--hard-cases takes no other option, but --methods was given"),
+    (("report", "--hard-cases", "-o", "r"), "--hard-cases takes no other option, but --out was given"),
     (("report", "ball.toml", "--methods", "verlet,magic"), "--methods: 'magic' is not allowed; it must be of verlet,"),
     (("report", "ball.toml", "--dts", "1e-3,"), "--dts: '1e-3,' is not allowed"),
     (("report", "ball.toml", "--dts", "1,2", "--duration", "1"), "a step must be within --duration, 1"),
