@@ -9,6 +9,7 @@ import pytest
 from speed_support import MadeUp, length, pair, plan
 
 import taichi_sim as ts
+from taichi_sim.errors import SceneError
 from taichi_sim.reports.speed_error import report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.folder import Folder
@@ -200,6 +201,30 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
     findings = report.main(scene, plan(duration=0.5), tmp_path / "r", overwrite=True, progress=False, say=say)
     assert len(rows.read(tmp_path / "r" / "rows.csv")) == len(findings.rows)
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("name", "keep", "data"),
+    [
+        ("report.json", 0, b"rubbish"),
+        ("report.json", 0, b"[]"),
+        ("rows.csv", 0, b""),
+        ("rows.csv", 500, b""),
+        ("rows.csv", 500, b"\n"),
+        ("seeds.csv", 100, b"\n"),
+        ("reference.npz", 0, b""),
+        ("reference.npz", 0, b"rubbish"),
+        ("reference.npz", 1000, b""),
+    ],
+)
+def test_a_damaged_folder_is_refused_by_name(tmp_path, made_up, name, keep, data):
+    scene, folder, say = pair(), tmp_path / "r", lambda line: None
+    made_up(scene, grows=15.0)
+    report.main(scene, plan(), folder, progress=False, say=say)
+    (folder / name).write_bytes((folder / name).read_bytes()[:keep] + data)
+    with pytest.raises(SceneError, match=rf"r/{name}: is damaged, use --overwrite or another --out"):
+        report.main(scene, plan(), folder, progress=False, say=say)
+    report.main(scene, plan(), folder, overwrite=True, progress=False, say=say)
 
 
 def test_a_run_that_takes_too_long_is_listed_with_its_reason(tmp_path, made_up):

@@ -5,6 +5,7 @@ from converging. The difference of the two is published: the finer one is at lea
 away; when it has parted by a thousandth of the size, pointwise errors say nothing any more, of any method.
 """
 
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -26,6 +27,7 @@ from taichi_sim.reports.speed_error.plan import (
     own_step,
     size_of,
 )
+from taichi_sim.reports.speed_error.rows import whole
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
 from taichi_sim.scene import Scene
 
@@ -162,10 +164,9 @@ def save(path: Path, reference: Reference) -> None:
 
 
 def load(path: Path) -> Reference | None:
-    """What `save` wrote, or None."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            values = {field.name: file[field.name] for field in fields(Reference)}
-    except (FileNotFoundError, BadZipFile, KeyError, ValueError):
+    """What `save` wrote, or None where there is no such file."""
+    if not path.exists():
         return None
+    with whole(path, BadZipFile, EOFError, KeyError, zlib.error), np.load(path, allow_pickle=False) as file:
+        values = {field.name: file[field.name] for field in fields(Reference)}
     return Reference(**{name: value.item() if value.ndim == 0 else value for name, value in values.items()})
