@@ -5,7 +5,7 @@ from typing import Any
 
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
-from taichi_sim.reports.speed_error.plan import METHODS, PRECISIONS, Plan, duration_of
+from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan, duration_of
 from taichi_sim.scene import Scene
 from taichi_sim.scene_source import checked_output, demos, open_scene, resolve
 from taichi_sim.settings import Settings
@@ -49,11 +49,14 @@ def read(
     Settings.resolve(scene, {key: value for key, value in process.items() if value is not None})
     known = {made: key for key, made in demos().items()}
     title = known.get(file, file.stem)
-    if choices["steps"] and duration is not None and max(choices["steps"]) > duration:
+    plan = Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
+    longest = plan.duration / PARTS
+    if plan.steps and max(plan.steps) > longest * (1.0 + 1e-5):
         raise ValueError(
-            f"--dts: {max(choices['steps']):g} is not allowed; a step must be within --duration, {duration:g}"
+            f"--dts: {max(plan.steps):g} is not allowed; the longest is {longest:g}, an eighth of the {plan.duration:g} s"
+            " that are compared (--duration)"
         )
-    return file, scene, Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
+    return file, scene, plan
 
 
 def require_own_file(name: str, file: Path) -> None:
