@@ -1,7 +1,6 @@
 """`taichi-sim report SCENE`: errors against a closed solution, orders, what is cheapest, pages, resuming, and what is refused."""
 
 import re
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np

@@ -2,6 +2,7 @@
 
 import os
 
+import numpy as np
 import pytest
 from speed_support import MadeUp, pair, plan
 
@@ -46,6 +47,27 @@ def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
         "precision": "f32",
     }
     assert 'integrator = "verlet"' in said[1]
+
+
+def test_the_longest_safe_step_is_tried_first_and_an_unstable_one_is_not_the_last(monkeypatch):
+    scene = pair()
+    scene.stiffness[:] *= 100.0
+    safe = 0.4 * 2 / np.sqrt(2e4)  # s, of an undamped spring
+    workers = MadeUp(scene)
+    run = workers.run
+
+    def shakes(precision, trial):
+        outcome = run(precision, trial)
+        return outcome._replace(position=[], unstable="left") if trial.step.seconds > 0.8 * safe else outcome
+
+    workers.run = shakes
+    monkeypatch.setattr(tune, "Workers", lambda *_: workers)
+    chosen = plan(methods=("verlet",), tolerance=0.05)
+    settings = tune.main(scene, chosen, progress=False, say=lambda line: None)
+    steps = [trial.step.seconds for _, trial in workers.trials if trial.timed]
+    assert 0.9 * safe < steps[0] <= safe
+    assert len(steps) == 2
+    assert settings["dt"] == pytest.approx(steps[1], rel=0.01)
 
 
 def test_nothing_meets_it(monkeypatch):
@@ -121,7 +143,9 @@ def test_dt_is_rounded_down_to_what_was_measured():
 def test_demos_and_python_are_not_written(tmp_path):
     with pytest.raises(SceneError, match="box is a demo; copy"):
         command.require_own_file("box", command.resolve("box"))
-    with pytest.raises(SceneError, match=r"cloth is a demo; copy .*cloth.py and set scene\.settings there to the lines"):
+    with pytest.raises(
+        SceneError, match=r"cloth is a demo; copy .*cloth.py and set scene\.settings there to the lines"
+    ):
         command.require_own_file("cloth", command.resolve("cloth"))
     (tmp_path / "s.py").write_text("")
     with pytest.raises(SceneError, match=r"is Python and stays as it is; set scene\.settings there to the lines"):
