@@ -159,6 +159,12 @@ def test_check_says_what_is_safe(folder):
     assert "spring 0" in done.stdout
 
 
+def test_check_says_that_a_tolerance_chooses_the_step(folder):
+    done = command(folder, "check", "stiff.toml", "--tolerance", "1e-3")
+    assert done.returncode == 0, done.stderr
+    assert "at first; the tolerance of 0.001 chooses it" in done.stdout
+
+
 # What goes wrong ---------------------------------------------------------------------------------------------------
 
 

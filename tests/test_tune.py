@@ -1,6 +1,7 @@
 """`taichi-sim tune SCENE`: the cheapest settings, and what becomes of the scene file."""
 
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ from speed_support import MadeUp, pair, plan
 
 import taichi_sim as ts
 from taichi_sim.errors import SceneError
+from taichi_sim.reports import check
 from taichi_sim.reports.speed_error import command, tune
 from taichi_sim.settings import Settings
+from taichi_sim.stability import stability
 
 FILE = """# Two balls on a spring
 format = 1   # the only one
@@ -47,6 +50,21 @@ def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
         "precision": "f32",
     }
     assert 'integrator = "verlet"' in said[1]
+
+
+def test_check_knows_what_an_undamped_spring_allows():
+    """Its advice is about the step that dt = "auto" would take."""
+    scene = pair()
+    safe = 2 / np.sqrt(200.0)  # s, of small motion
+    for part, words in (
+        (0.9, f"an undamped spring: large motion can resonate above {0.4 * safe:.4g} s"),
+        (0.35, f"verlet at {0.35 * safe:.4g} s is safe in every shape"),
+        (1.5, f"above the bound of {safe:.4g} s may blow up; take {0.4 * safe:.4g} s"),
+    ):
+        sim = SimpleNamespace(
+            scene=scene, dt=part * safe, substeps=1, settings=SimpleNamespace(integrator=SimpleNamespace(name="verlet"))
+        )
+        assert words in check._advice(sim, stability(scene, "verlet"), 0.0)
 
 
 def test_the_longest_safe_step_is_tried_first_and_an_unstable_one_is_not_the_last(monkeypatch):
