@@ -159,7 +159,7 @@ def test_key_knows_the_scene():
 @pytest.mark.parametrize("verdict", ["stable", "unstable", "left out"])
 def test_the_reference_is_blamed_only_where_a_run_was_stable(verdict):
     ends = np.full(PARTS, 1e-6)
-    reference = Reference("rk4", 1e-3, 1.0, np.ones((PARTS, 2, 2)), np.ones((PARTS, 4)), ends, ends, 0, "")
+    reference = Reference("rk4", 1e-3, 1.0, np.ones((PARTS, 2, 2)), np.ones((PARTS, 4)), ends, ends, 0, False, "")
     said = " ".join(Findings(plan(), pair(), reference, [row(1.0, 1e-7, verdict)], []).about())
     assert ("has not converged enough" in said) == (verdict == "stable")
     assert ("No run was stable" in said) == (verdict != "stable")
@@ -275,6 +275,25 @@ def test_statistics_alone_where_there_is_no_horizon(tmp_path, made_up):
     assert findings.intervals[0].mean["total"] == 1.0
     assert findings.intervals[0].half["height"] > 0.0
     assert "![" not in page
+
+
+@pytest.mark.parametrize("touch", [False, True])
+def test_contacts_between_the_looks_are_known_by_errors_that_do_not_fall(tmp_path, made_up, touch):
+    workers = made_up(pair())
+    run = workers.run
+
+    def misses(precision, trial):
+        outcome = run(precision, trial)._replace(touch=touch)
+        off = 0.01 * (trial.method == "verlet")
+        return outcome._replace(position=[x + off for x in outcome.position])
+
+    workers.run = misses
+    findings = report.main(pair(), plan(), tmp_path / "r", progress=False, say=lambda line: None)
+    assert findings.reference.contacts == 0
+    assert bool(findings.intervals) == touch
+    about = " ".join(findings.about())
+    assert "Errors do not fall with the step of verlet" in about
+    assert ("contacts make and break at other moments" in about) == touch
 
 
 def test_intervals_hold_the_mean():

@@ -52,6 +52,7 @@ class Reference:
     difference: Floats  # (PARTS,) m, rms between the two steps
     parting: Floats  # (PARTS,) m, rms between the runs that start APART
     contacts: int  # the most that were seen
+    touch: bool  # whether contacts can act, seen at a moment that was looked at or not
     why: str  # there is none
 
     @property
@@ -109,7 +110,7 @@ def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome]) -> Reference
     reference = _by(scene, plan, run, "rk4", min(FRAME, limit(scene, "rk4")) / 4.0)
     own, step = own_step(scene)
     if own != "rk4" and (
-        not len(reference.position) or (reference.contacts and reference.known > GOOD * reference.size)
+        not len(reference.position) or (reference.touch and reference.known > GOOD * reference.size)
     ):
         other = _by(scene, plan, run, own, step / 4.0)
         if len(other.position) and (not len(reference.position) or other.known < reference.known):
@@ -129,7 +130,7 @@ def _by(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], method: str, 
             return _reference(scene, method, step, coarse, fine, run(Trial(method, step, start=apart(scene, APART, 0))))
         step = halved(plan.duration, step)
     none = np.zeros((0, 4))
-    return Reference(method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, why)
+    return Reference(method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, False, why)
 
 
 def _off(scene: Scene, coarse: Outcome, fine: Outcome) -> float:
@@ -153,6 +154,7 @@ def _reference(scene: Scene, method: str, step: Step, coarse: Outcome, fine: Out
         difference=np.array([rms(distance(scene, a, b)) for a, b in zip(coarse.position, fine.position)]),
         parting=np.array(parting),
         contacts=max(number for number, _ in fine.contacts),
+        touch=fine.touch,
         why="",
     )
 

@@ -13,9 +13,10 @@ from taichi_sim.errors import SceneError
 from taichi_sim.files import replacing
 from taichi_sim.reports.speed_error.plan import METHODS
 
-__all__ = ["Row", "cheapest", "lines_of", "pareto", "read", "tells", "whole", "with_orders", "write"]
+__all__ = ["Row", "cheapest", "lines_of", "pareto", "read", "stuck", "tells", "whole", "with_orders", "write"]
 
 STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
+FALLS = 0.7  # of the error at the step before, above which a shorter step did not lessen it
 CLEAR = 10.0  # times what the reference is known to, below which an error says more of the reference than of the method
 
 
@@ -67,9 +68,10 @@ def write(path: Path, rows: Sequence[Row]) -> None:
 @contextmanager
 def whole(path: Path, *kinds: type[Exception]) -> Iterator[None]:
     """What goes wrong in reading a file of a report, as one SceneError: ValueError, and the kinds given."""
+    expected: tuple[type[Exception], ...] = (ValueError, *kinds)
     try:
         yield
-    except (ValueError, *kinds) as error:
+    except expected as error:
         raise SceneError(f"{path}: is damaged, use --overwrite or another --out ({error})") from None
 
 
@@ -127,6 +129,17 @@ def with_orders(rows: Sequence[Row], known: float) -> list[Row]:
             assert fine.rms_error is not None
             order = math.log(coarse.rms_error / fine.rms_error) / math.log(coarse.step / fine.step)
         found[k] = replace(fine, order=order)
+    return found
+
+
+def stuck(rows: Sequence[Row], known: float) -> list[str]:
+    """Methods, in the best precision that there is, whose errors do not fall with the step any more. Rows: sorted."""
+    found = []
+    for method in dict.fromkeys(row.method for row in rows):
+        own = [row for row in rows if (row.precision, row.method) == (rows[0].precision, method) and tells(row, known)]
+        errors = [row.rms_error or 0.0 for row in own]
+        if len(errors) > 1 and errors[-1] > FALLS * errors[-2]:
+            found.append(method)
     return found
 
 

@@ -54,6 +54,7 @@ class Outcome(NamedTuple):
     unstable: str = ""  # why it ended early
     left_out: str = ""
     warning: str = ""
+    touch: bool = False  # whether contacts can act
 
 
 class Worker:
@@ -208,6 +209,7 @@ class Track:
         sim.step(0)
 
     def _measure(self, trial: Trial, outcome: Outcome) -> Outcome:
+        outcome = outcome._replace(touch=any(name.startswith("contacts.") for name in self.sim.kernels()))
         self._begin(trial)
         promised = self._time(1) * trial.step.number * PARTS
         if promised > PATIENCE * trial.most:  # one step alone may have been held up
