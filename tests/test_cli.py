@@ -214,6 +214,7 @@ REFUSED = [
     (("report", "ball.toml", "--methods", "verlet,magic"), "--methods: 'magic' is not allowed; it must be of verlet,"),
     (("report", "ball.toml", "--dts", "1e-3,"), "--dts: '1e-3,' is not allowed"),
     (("report", "ball.toml", "--dts", "1,2", "--duration", "1"), "--dts: 2 is not allowed; the longest is 0.125"),
+    (("report", "ball.toml", "--duration", "1e300"), "--duration: 1e+300 is not allowed; the longest is "),
     (("report", "ball.toml", "--dts", "0.1"), "the longest is 0.0625, an eighth of the 0.5 s"),
     (("report", "ball.toml", "--precision", "f16"), "--precision: 'f16' is not allowed; it must be of f64, f32"),
     (("report", "ball.toml", "--tolerance", "2"), "--tolerance: 2 is not allowed; it is a part of the scene's size"),

@@ -5,7 +5,7 @@ from typing import Any
 
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
-from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan, duration_of
+from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan, duration_of, longest_duration
 from taichi_sim.scene import Scene
 from taichi_sim.scene_source import checked_output, demos, open_scene, resolve
 from taichi_sim.settings import Settings
@@ -49,6 +49,12 @@ def read(
     Settings.resolve(scene, {key: value for key, value in process.items() if value is not None})
     known = {made: key for key, made in demos().items()}
     title = known.get(file, file.stem)
+    most = longest_duration(scene)
+    if duration is not None and duration > most * (1.0 + 1e-5):
+        raise ValueError(
+            f"--duration: {duration:g} is not allowed; the longest is {most:.6g} s in this scene, for which the reference takes"
+            " about a quarter of an hour"
+        )
     plan = Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
     longest = plan.duration / PARTS
     if plan.steps and max(plan.steps) > longest * (1.0 + 1e-5):
