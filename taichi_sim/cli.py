@@ -32,7 +32,10 @@ Arch = Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal
 Step = Annotated[str | None, typer.Option("--dt", help="Time step in seconds, or auto.")]
 Tolerance = Annotated[
     float | None,
-    typer.Option(help="Chooses the step: error allowed in a simulated second, as a part of the scene's size."),
+    typer.Option(
+        help="Chooses the step: error allowed in a simulated second, the largest of any ball, as a part of the scene's longest"
+        " side."
+    ),
 ]
 Integrator = Annotated[
     str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet, rk4, xpbd, implicit_euler or tr_bdf2.")
@@ -172,7 +175,10 @@ def report(
     dts: Annotated[str | None, typer.Option(help="Steps in seconds, like 1e-3,5e-4; halvings otherwise.")] = None,
     precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
     tolerance: Annotated[
-        float, typer.Option(help="An error that you would accept, as a part of the scene's size.")
+        float,
+        typer.Option(
+            help="An error that you would accept: rms over balls and moments, as a part of the scene's diagonal."
+        ),
     ] = 1e-3,
     duration: Annotated[
         float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
@@ -228,7 +234,10 @@ def report(
 @main.command()
 def tune(
     scene: SceneName,
-    tolerance: Annotated[float, typer.Option(help="The error that you accept, as a part of the scene's size.")] = 1e-2,
+    tolerance: Annotated[
+        float,
+        typer.Option(help="The error that you accept: rms over balls and moments, as a part of the scene's diagonal."),
+    ] = 1e-2,
     methods: Annotated[str | None, typer.Option(help="Integrators to choose from, like verlet,rk4.")] = None,
     precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
     duration: Annotated[

@@ -7,7 +7,18 @@ import numpy as np
 
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
 from taichi_sim.reports.speed_error.reference import APART, PARTED, Reference
-from taichi_sim.reports.speed_error.rows import CLEAR, FALLS, LEFT_OUT, STABLE, UNSTABLE, Row, cheapest, pareto, stuck, tells
+from taichi_sim.reports.speed_error.rows import (
+    CLEAR,
+    FALLS,
+    LEFT_OUT,
+    STABLE,
+    UNSTABLE,
+    Row,
+    cheapest,
+    pareto,
+    stuck,
+    tells,
+)
 from taichi_sim.reports.speed_error.statistics import Interval
 from taichi_sim.scene import Scene
 

@@ -109,9 +109,7 @@ def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome]) -> Reference
     """Run what the reference needs in double precision."""
     reference = _by(scene, plan, run, "rk4", min(FRAME, limit(scene, "rk4")) / 4.0)
     own, step = own_step(scene)
-    if own != "rk4" and (
-        not len(reference.position) or (reference.touch and reference.known > GOOD * reference.size)
-    ):
+    if own != "rk4" and (not len(reference.position) or (reference.touch and reference.known > GOOD * reference.size)):
         other = _by(scene, plan, run, own, step / 4.0)
         if len(other.position) and (not len(reference.position) or other.known < reference.known):
             return other
@@ -130,7 +128,9 @@ def _by(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], method: str, 
             return _reference(scene, method, step, coarse, fine, run(Trial(method, step, start=apart(scene, APART, 0))))
         step = halved(plan.duration, step)
     none = np.zeros((0, 4))
-    return Reference(method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, False, why)
+    return Reference(
+        method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, False, why
+    )
 
 
 def _off(scene: Scene, coarse: Outcome, fine: Outcome) -> float:
