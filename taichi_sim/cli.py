@@ -32,7 +32,10 @@ Arch = Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal
 Step = Annotated[str | None, typer.Option("--dt", help="Time step in seconds, or auto.")]
 Tolerance = Annotated[
     float | None,
-    typer.Option(help="Chooses the step: error allowed in a simulated second, as a part of the scene's size."),
+    typer.Option(
+        help="Chooses the step: error allowed in a simulated second, the largest of any ball, as a part of the scene's longest"
+        " side."
+    ),
 ]
 Integrator = Annotated[
     str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet, rk4, xpbd, implicit_euler or tr_bdf2.")
@@ -160,6 +163,7 @@ def check(
 
 @main.command()
 def report(
+    context: typer.Context,
     scene: Annotated[
         str | None, typer.Argument(metavar="[SCENE]", help="A TOML file, a Python file, or a demo's name.")
     ] = None,
@@ -171,7 +175,10 @@ def report(
     dts: Annotated[str | None, typer.Option(help="Steps in seconds, like 1e-3,5e-4; halvings otherwise.")] = None,
     precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
     tolerance: Annotated[
-        float, typer.Option(help="An error that you would accept, as a part of the scene's size.")
+        float,
+        typer.Option(
+            help="An error that you would accept: rms over balls and moments, as a part of the scene's diagonal."
+        ),
     ] = 1e-3,
     duration: Annotated[
         float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
@@ -190,6 +197,9 @@ def report(
     if hard_cases:
         if scene is not None:
             _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
+        for option in context.command.params:
+            if option.name not in ("hard_cases", "scene") and _given(context, option.name):
+                _fail(f"report: --hard-cases takes no other option, but {option.opts[0]} was given", BAD_INPUT)
         with _plain_errors():
             from taichi_sim.reports import hard_cases as cases
 
@@ -224,7 +234,10 @@ def report(
 @main.command()
 def tune(
     scene: SceneName,
-    tolerance: Annotated[float, typer.Option(help="The error that you accept, as a part of the scene's size.")] = 1e-2,
+    tolerance: Annotated[
+        float,
+        typer.Option(help="The error that you accept: rms over balls and moments, as a part of the scene's diagonal."),
+    ] = 1e-2,
     methods: Annotated[str | None, typer.Option(help="Integrators to choose from, like verlet,rk4.")] = None,
     precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
     duration: Annotated[
@@ -245,11 +258,12 @@ def tune(
         file, made, plan = command.read(
             scene, tolerance=tolerance, duration=duration, limit=limit, threads=threads, **options
         )
+        if write:
+            command.require_own_file(scene, file)
         settings = tuning.main(made, plan, progress=not quiet, say=typer.echo)
         if settings is None:
             raise typer.Exit(FAILED)
         if write:
-            command.require_own_file(scene, file)
             tuning.write_settings(file, settings)
             typer.echo(f"written      {file}")
 
@@ -310,6 +324,12 @@ class _Job:
         if given:
             backend.start(**given)
         return open_simulation(self.file)
+
+
+def _given(context: typer.Context, name: str | None) -> bool:
+    """Whether an option stands on the command line."""
+    source = None if name is None else context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def _quiet(line: str) -> None:

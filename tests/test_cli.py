@@ -159,6 +159,12 @@ def test_check_says_what_is_safe(folder):
     assert "spring 0" in done.stdout
 
 
+def test_check_says_that_a_tolerance_chooses_the_step(folder):
+    done = command(folder, "check", "stiff.toml", "--tolerance", "1e-3")
+    assert done.returncode == 0, done.stderr
+    assert "at first; the tolerance of 0.001 chooses it" in done.stdout
+
+
 # What goes wrong ---------------------------------------------------------------------------------------------------
 
 
@@ -203,13 +209,18 @@ REFUSED = [
     (("view", "ball.toml"), "there is no display for a window; use `taichi-sim run SCENE -o x.mp4` instead"),
     (("report",), "report: give a SCENE, or --hard-cases"),
     (("report", "ball.toml", "--hard-cases"), "--hard-cases takes no scene"),
+    (("report", "--hard-cases", "--methods", "verlet"), "--hard-cases takes no other option, but --methods was given"),
+    (("report", "--hard-cases", "-o", "r"), "--hard-cases takes no other option, but --out was given"),
     (("report", "ball.toml", "--methods", "verlet,magic"), "--methods: 'magic' is not allowed; it must be of verlet,"),
     (("report", "ball.toml", "--dts", "1e-3,"), "--dts: '1e-3,' is not allowed"),
-    (("report", "ball.toml", "--dts", "1,2", "--duration", "1"), "a step must be within --duration, 1"),
+    (("report", "ball.toml", "--dts", "1,2", "--duration", "1"), "--dts: 2 is not allowed; the longest is 0.125"),
+    (("report", "ball.toml", "--duration", "1e300"), "--duration: 1e+300 is not allowed; the longest is "),
+    (("report", "ball.toml", "--dts", "0.1"), "the longest is 0.0625, an eighth of the 0.5 s"),
     (("report", "ball.toml", "--precision", "f16"), "--precision: 'f16' is not allowed; it must be of f64, f32"),
     (("report", "ball.toml", "--tolerance", "2"), "--tolerance: 2 is not allowed; it is a part of the scene's size"),
     (("report", "ball.toml", "-o", "full"), "full: the folder is not empty and holds no report"),
     (("report", "ball.toml", "-o", "none/r"), "none/r: there is no folder 'none'; make it first"),
+    (("tune", "box", "--write"), "--write: box is a demo; copy "),
     (("tune", "none.toml"), "none.toml: there is no such file"),
     (("tune", "ball.toml", "--limit", "0"), "--limit: 0.0 is not allowed; it must be a number greater than 0"),
 ]
@@ -219,6 +230,8 @@ FROM_TAICHI = [
     (("run", "ball.toml", "-o", "y/", "--precision", "f16"), "precision: 'f16' is not allowed"),
     (("run", "ball.toml", "-o", "x.npz", "--threads", "0"), "threads: 0 is not allowed"),
     (("run", "ball.toml", "-o", "x.npz", "--threads", "99999999999"), "threads: 99999999999 is not allowed"),
+    (("report", "ball.toml", "--threads", "0"), "threads: 0 is not allowed"),
+    (("tune", "ball.toml", "--arch", "gpu"), "arch: 'gpu' is not allowed; it must be one of auto, cpu"),
 ]
 
 

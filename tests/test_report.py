@@ -1,7 +1,6 @@
 """`taichi-sim report SCENE`: errors against a closed solution, orders, what is cheapest, pages, resuming, and what is refused."""
 
 import re
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,10 +8,12 @@ import pytest
 from speed_support import MadeUp, length, pair, plan
 
 import taichi_sim as ts
+from taichi_sim.errors import SceneError
 from taichi_sim.reports.speed_error import report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.folder import Folder
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
+from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.scene_source import open_scene, resolve
 
 
@@ -93,7 +94,9 @@ def test_pages(made):
         assert f"{row.step:.3g}" in text
     assert "fastest for 1 %: " in said
     assert "fastest for 0.01 %: " in said
-    assert rows.read(folder / "rows.csv") == [replace(row, order=None) for row in sorted_as(folder, findings.rows)]
+    kept = rows.read(folder / "rows.csv")
+    assert kept == sorted_as(folder, findings.rows)
+    assert any(row.order for row in kept)
 
 
 def sorted_as(folder, found):
@@ -153,6 +156,15 @@ def test_key_knows_the_scene():
     assert key_of(pair(), plan()) == key_of(pair(), plan(methods=("rk4",), precisions=("f32",)))
 
 
+@pytest.mark.parametrize("verdict", ["stable", "unstable", "left out"])
+def test_the_reference_is_blamed_only_where_a_run_was_stable(verdict):
+    ends = np.full(PARTS, 1e-6)
+    reference = Reference("rk4", 1e-3, 1.0, np.ones((PARTS, 2, 2)), np.ones((PARTS, 4)), ends, ends, 0, False, "")
+    said = " ".join(Findings(plan(), pair(), reference, [row(1.0, 1e-7, verdict)], []).about())
+    assert ("has not converged enough" in said) == (verdict == "stable")
+    assert ("No run was stable" in said) == (verdict != "stable")
+
+
 # Interrupted, refused ----------------------------------------------------------------------------------------------
 
 
@@ -188,6 +200,30 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
     findings = report.main(scene, plan(duration=0.5), tmp_path / "r", overwrite=True, progress=False, say=say)
     assert len(rows.read(tmp_path / "r" / "rows.csv")) == len(findings.rows)
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("name", "keep", "data"),
+    [
+        ("report.json", 0, b"rubbish"),
+        ("report.json", 0, b"[]"),
+        ("rows.csv", 0, b""),
+        ("rows.csv", 500, b""),
+        ("rows.csv", 500, b"\n"),
+        ("seeds.csv", 100, b"\n"),
+        ("reference.npz", 0, b""),
+        ("reference.npz", 0, b"rubbish"),
+        ("reference.npz", 1000, b""),
+    ],
+)
+def test_a_damaged_folder_is_refused_by_name(tmp_path, made_up, name, keep, data):
+    scene, folder, say = pair(), tmp_path / "r", lambda line: None
+    made_up(scene, grows=15.0)
+    report.main(scene, plan(), folder, progress=False, say=say)
+    (folder / name).write_bytes((folder / name).read_bytes()[:keep] + data)
+    with pytest.raises(SceneError, match=rf"r/{name}: is damaged, use --overwrite or another --out"):
+        report.main(scene, plan(), folder, progress=False, say=say)
+    report.main(scene, plan(), folder, overwrite=True, progress=False, say=say)
 
 
 def test_a_run_that_takes_too_long_is_listed_with_its_reason(tmp_path, made_up):
@@ -239,6 +275,25 @@ def test_statistics_alone_where_there_is_no_horizon(tmp_path, made_up):
     assert findings.intervals[0].mean["total"] == 1.0
     assert findings.intervals[0].half["height"] > 0.0
     assert "![" not in page
+
+
+@pytest.mark.parametrize("touch", [False, True])
+def test_contacts_between_the_looks_are_known_by_errors_that_do_not_fall(tmp_path, made_up, touch):
+    workers = made_up(pair())
+    run = workers.run
+
+    def misses(precision, trial):
+        outcome = run(precision, trial)._replace(touch=touch)
+        off = 0.01 * (trial.method == "verlet")
+        return outcome._replace(position=[x + off for x in outcome.position])
+
+    workers.run = misses
+    findings = report.main(pair(), plan(), tmp_path / "r", progress=False, say=lambda line: None)
+    assert findings.reference.contacts == 0
+    assert bool(findings.intervals) == touch
+    about = " ".join(findings.about())
+    assert "Errors do not fall with the step of verlet" in about
+    assert ("contacts make and break at other moments" in about) == touch
 
 
 def test_intervals_hold_the_mean():

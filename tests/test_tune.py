@@ -1,13 +1,18 @@
 """`taichi-sim tune SCENE`: the cheapest settings, and what becomes of the scene file."""
 
 import os
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from speed_support import MadeUp, pair, plan
 
 import taichi_sim as ts
 from taichi_sim.errors import SceneError
+from taichi_sim.reports import check
 from taichi_sim.reports.speed_error import command, tune
+from taichi_sim.settings import Settings
+from taichi_sim.stability import stability
 
 FILE = """# Two balls on a spring
 format = 1   # the only one
@@ -45,6 +50,42 @@ def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
         "precision": "f32",
     }
     assert 'integrator = "verlet"' in said[1]
+
+
+def test_check_knows_what_an_undamped_spring_allows():
+    """Its advice is about the step that dt = "auto" would take."""
+    scene = pair()
+    safe = 2 / np.sqrt(200.0)  # s, of small motion
+    for part, words in (
+        (0.9, f"an undamped spring: large motion can resonate above {0.4 * safe:.4g} s"),
+        (0.35, f"verlet at {0.35 * safe:.4g} s is safe in every shape"),
+        (1.5, f"above the bound of {safe:.4g} s may blow up; take {0.4 * safe:.4g} s"),
+    ):
+        sim = SimpleNamespace(
+            scene=scene, dt=part * safe, substeps=1, settings=SimpleNamespace(integrator=SimpleNamespace(name="verlet"))
+        )
+        assert words in check._advice(sim, stability(scene, "verlet"), 0.0)
+
+
+def test_the_longest_safe_step_is_tried_first_and_an_unstable_one_is_not_the_last(monkeypatch):
+    scene = pair()
+    scene.stiffness[:] *= 100.0
+    safe = 0.4 * 2 / np.sqrt(2e4)  # s, of an undamped spring
+    workers = MadeUp(scene)
+    run = workers.run
+
+    def shakes(precision, trial):
+        outcome = run(precision, trial)
+        return outcome._replace(position=[], unstable="left") if trial.step.seconds > 0.8 * safe else outcome
+
+    workers.run = shakes
+    monkeypatch.setattr(tune, "Workers", lambda *_: workers)
+    chosen = plan(methods=("verlet",), tolerance=0.05)
+    settings = tune.main(scene, chosen, progress=False, say=lambda line: None)
+    steps = [trial.step.seconds for _, trial in workers.trials if trial.timed]
+    assert 0.9 * safe < steps[0] <= safe
+    assert len(steps) == 2
+    assert settings["dt"] == pytest.approx(steps[1], rel=0.01)
 
 
 def test_nothing_meets_it(monkeypatch):
@@ -90,6 +131,25 @@ def test_a_file_without_settings_gets_them(tmp_path):
     assert ts.load_scene(file).settings == {"integrator": "rk4", "dt": 0.001}
 
 
+def test_dt_takes_the_place_of_a_tolerance(tmp_path):
+    file = tmp_path / "pair.toml"
+    file.write_text(FILE.replace("dt = 0.5      # s, far too long", "tolerance = 1e-3  # was asked for"))
+    tune.write_settings(file, {"integrator": "rk4", "dt": 0.001})
+    scene = ts.load_scene(file)
+    assert scene.settings == {"integrator": "rk4", "dt": 0.001, "contacts": "off"}
+    assert Settings.resolve(scene, {}).dt == 0.001
+
+
+def test_settings_that_do_not_go_together_leave_the_file(tmp_path):
+    file = tmp_path / "pair.toml"
+    file.write_text(FILE.replace("dt = 0.5 ", "tolerance = 1e-3 "))
+    before = file.read_text()
+    with pytest.raises(ValueError, match="tolerance: chooses the step, but substeps = 2"):
+        tune.write_settings(file, {"substeps": 2})
+    assert file.read_text() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["pair.toml"]
+
+
 def test_dt_is_rounded_down_to_what_was_measured():
     from test_report import row
 
@@ -98,11 +158,16 @@ def test_dt_is_rounded_down_to_what_was_measured():
         assert 0.99 * step < dt <= step
 
 
-def test_demos_and_python_are_not_written():
+def test_demos_and_python_are_not_written(tmp_path):
     with pytest.raises(SceneError, match="box is a demo; copy"):
         command.require_own_file("box", command.resolve("box"))
-    with pytest.raises(SceneError, match=r"is Python; set scene\.settings there"):
+    with pytest.raises(
+        SceneError, match=r"cloth is a demo; copy .*cloth.py and set scene\.settings there to the lines"
+    ):
         command.require_own_file("cloth", command.resolve("cloth"))
+    (tmp_path / "s.py").write_text("")
+    with pytest.raises(SceneError, match=r"is Python and stays as it is; set scene\.settings there to the lines"):
+        command.require_own_file(str(tmp_path / "s.py"), tmp_path / "s.py")
 
 
 def test_the_settings_that_were_written_meet_the_tolerance(tmp_path, monkeypatch):

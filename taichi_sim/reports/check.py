@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from taichi_sim.scene import Scene
+from taichi_sim.settings import SAFETY, part_of_bound
 from taichi_sim.simulation import Simulation
 from taichi_sim.stability import ANY_STEP, Stability, stability, without
 
@@ -27,8 +28,10 @@ def lines(sim: Simulation) -> Iterator[str]:
     h = sim.dt / sim.substeps
     limits = sim.stability()
     yield f"method                {used}"
-    yield f"step used             {h:.4g} s" + (
-        "" if sim.substeps == 1 else f" ({sim.substeps} substeps of {sim.dt:.4g} s)"
+    tolerance, many = sim.settings.tolerance, sim.substeps
+    yield (
+        f"step used             {h:.4g} s{'' if many == 1 else f' ({many} substeps of {sim.dt:.4g} s)'}"
+        f"{'' if tolerance is None else f' at first; the tolerance of {tolerance:g} chooses it'}"
     )
     yield f"safe for any shape    {_seconds(limits.dt_any_shape)}{_share(h, limits.dt_any_shape)}"
     yield f"safe for this shape   {_seconds(limits.dt_present)}"
@@ -73,8 +76,15 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return f"spring {limits.spring} alone makes the step {times}; is its stiffness, or its ball's mass, meant?"
     if used != "verlet" and stability(scene, "verlet").dt_any_shape > RARE * safe:
         return "verlet takes a longer step here: damping limits it at no coefficient"
+    part = part_of_bound(scene, used)
+    good = part * safe
     if h > safe:
-        return f'dt above the bound of {safe:.4g} s may blow up; take that, or dt = "auto"'
+        return f'dt above the bound of {safe:.4g} s may blow up; take {good:.4g} s, or dt = "auto"'
+    if h > good * (1.0 + 1e-9) and part < SAFETY:
+        why = "an undamped spring: large motion can resonate"
+        return f'{why} above {good:.4g} s, and gain energy; take that, or dt = "auto"'
+    if h > good * (1.0 + 1e-9):
+        return f'dt is close to the bound of {safe:.4g} s; take {good:.4g} s, or dt = "auto"'
     if passes(scene, used) / safe > MANY:
         return "if an error of a hundredth of the size will do, xpbd or implicit_euler may need fewer passes"
-    return f"{used} at {min(h, safe):.4g} s is safe in every shape"
+    return f"{used} at {h:.4g} s is safe in every shape"

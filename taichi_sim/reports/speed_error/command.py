@@ -5,9 +5,10 @@ from typing import Any
 
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
-from taichi_sim.reports.speed_error.plan import METHODS, PRECISIONS, Plan, duration_of
+from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan, duration_of, longest_duration
 from taichi_sim.scene import Scene
 from taichi_sim.scene_source import checked_output, demos, open_scene, resolve
+from taichi_sim.settings import Settings
 
 __all__ = ["read", "require_own_file"]
 
@@ -44,21 +45,35 @@ def read(
     if not scene.n_balls:
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
     checked_output(scene.output)
+    process = {"arch": arch, "threads": threads}
+    Settings.resolve(scene, {key: value for key, value in process.items() if value is not None})
     known = {made: key for key, made in demos().items()}
     title = known.get(file, file.stem)
-    if choices["steps"] and duration is not None and max(choices["steps"]) > duration:
+    most = longest_duration(scene)
+    if duration is not None and duration > most * (1.0 + 1e-5):
         raise ValueError(
-            f"--dts: {max(choices['steps']):g} is not allowed; a step must be within --duration, {duration:g}"
+            f"--duration: {duration:g} is not allowed; the longest is {most:.6g} s in this scene, for which the reference takes"
+            " about a quarter of an hour"
         )
-    return file, scene, Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
+    plan = Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
+    longest = plan.duration / PARTS
+    if plan.steps and max(plan.steps) > longest * (1.0 + 1e-5):
+        raise ValueError(
+            f"--dts: {max(plan.steps):g} is not allowed; the longest is {longest:g}, an eighth of the {plan.duration:g} s"
+            " that are compared (--duration)"
+        )
+    return file, scene, plan
 
 
 def require_own_file(name: str, file: Path) -> None:
     """Raises SceneError where settings cannot be written into the scene."""
-    if file.suffix != ".toml":
-        raise SceneError(f"--write: {file} is Python; set scene.settings there to what stands above")
-    if not Path(name).is_file():
-        raise SceneError(f"--write: {name} is a demo; copy {file} and put the lines above there")
+    python, own = file.suffix != ".toml", Path(name).is_file()
+    if own and not python:
+        return
+    lines = "set scene.settings there to the lines that `taichi-sim tune` prints without --write"
+    if own:
+        raise SceneError(f"--write: {file} is Python and stays as it is; {lines}")
+    raise SceneError(f"--write: {name} is a demo; copy {file} and {lines if python else 'tune the copy'}")
 
 
 def _items(option: str, text: str) -> list[str]:

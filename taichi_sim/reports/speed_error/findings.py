@@ -7,7 +7,18 @@ import numpy as np
 
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
 from taichi_sim.reports.speed_error.reference import APART, PARTED, Reference
-from taichi_sim.reports.speed_error.rows import CLEAR, LEFT_OUT, STABLE, UNSTABLE, Row, cheapest, pareto, tells
+from taichi_sim.reports.speed_error.rows import (
+    CLEAR,
+    FALLS,
+    LEFT_OUT,
+    STABLE,
+    UNSTABLE,
+    Row,
+    cheapest,
+    pareto,
+    stuck,
+    tells,
+)
 from taichi_sim.reports.speed_error.statistics import Interval
 from taichi_sim.scene import Scene
 
@@ -38,7 +49,7 @@ class Findings:
         for method in self.plan.methods:
             own = [r for r in self.rows if r.precision == "f32" and r.method == method and r.verdict == STABLE]
             errors = [r.relative_error for r in own if r.relative_error]
-            if len(errors) > 1 and errors[-1] > 0.7 * errors[-2]:
+            if len(errors) > 1 and errors[-1] > FALLS * errors[-2]:
                 best.append(min(errors))
         return min(best, default=None)
 
@@ -73,10 +84,17 @@ class Findings:
                 f" which differ by {reference.known:.2g} m ({reference.known / reference.size:.1g} of the size). Errors within"
                 f" {CLEAR:g} times of that are left out of orders and of the front."
             )
-        if reference.parts and not any(tells(row, reference.known) for row in self.rows):
+        if not any(row.verdict == STABLE for row in self.rows):
+            yield "No run was stable and within --limit."
+        elif reference.parts and not any(tells(row, reference.known) for row in self.rows):
             yield "The reference has not converged enough to tell any method's error."
         elif self.dropped and reference.parts:
             yield f"Stable runs that lie so near to the reference: {len(self.dropped)}."
+        methods = stuck(self.rows, reference.known)
+        if methods:
+            yield f"Errors do not fall with the step of {', '.join(methods)}" + (
+                ": contacts make and break at other moments with each step." if reference.touch else "."
+            )
         grown = f"Two runs that start {APART:g} of the size apart part by up to {self._parted():.1g} of it"
         if not reference.chaotic:
             yield f"{grown}: errors of single positions mean something all along."

@@ -7,12 +7,17 @@ from taichi_sim.files import replacing
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
 from taichi_sim.reports.speed_error.reference import Reference
-from taichi_sim.reports.speed_error.rows import Row
+from taichi_sim.reports.speed_error.rows import Row, whole
 
 __all__ = ["Folder"]
 
 MARK = "report.json"  # what makes a folder one of ours, with the key of its rows
 OURS = (MARK, "rows.csv", "seeds.csv", "reference.npz", "report.md", "report.html", "error.svg", "error.png")
+
+
+def _key(mark: Path) -> str:
+    with whole(mark, KeyError, TypeError):
+        return str(json.loads(mark.read_text(encoding="utf-8"))["key"])
 
 
 class Folder:
@@ -29,11 +34,10 @@ class Folder:
         if path.is_dir() and any(path.iterdir()):
             if not mark.is_file():
                 raise FileExistsError(f"{path}: the folder is not empty and holds no report; use another name")
-            if json.loads(mark.read_text())["key"] != key:
-                if not overwrite:
-                    raise FileExistsError(
-                        f"{path}: holds a report of another scene or with other settings; use --overwrite or another --out"
-                    )
+            if not overwrite and _key(mark) != key:
+                raise FileExistsError(
+                    f"{path}: holds a report of another scene or with other settings; use --overwrite or another --out"
+                )
         self.key = key
         if path.is_dir() and overwrite:
             for name in OURS:
@@ -52,6 +56,12 @@ class Folder:
         """Keep a row, on disk at once."""
         self.rows.append(row)
         table.write(self.open() / "rows.csv", self.rows)
+
+    def complete(self, found: list[Row]) -> None:
+        """Write the rows once more, those found with their orders; what was not asked for this time stays as it was."""
+        by_key = {row.key: row for row in found}
+        self.rows = [by_key.get(row.key, row) for row in self.rows]
+        table.write(self.path / "rows.csv", self.rows)
 
     def reference(self) -> Reference | None:
         """The one that an interrupted report has made."""

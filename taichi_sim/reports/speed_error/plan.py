@@ -24,6 +24,7 @@ __all__ = [
     "halved",
     "key_of",
     "limit",
+    "longest_duration",
     "own_step",
     "size_of",
     "steps_of",
@@ -35,6 +36,8 @@ PARTS = 8  # of the duration, at whose ends states are compared; steps fit into 
 FRAME = 1.0 / 60.0  # s, the longest step tried
 HALVINGS = 4  # of the longest step
 WORK = 6e8  # springs and balls that the reference goes through, about 8 s on one core; what the default duration is chosen by
+MOST_WORK = 100.0 * WORK  # about a quarter of an hour on one core; longer durations are refused
+OVERHEAD = 50  # springs and balls that take as long as what every step costs
 NICE = (5.0, 2.5, 2.0, 1.0)
 
 
@@ -99,15 +102,21 @@ def own_step(scene: Scene, method: str | None = None) -> tuple[str, float]:
 def duration_of(scene: Scene) -> float:
     """The simulated seconds [s] of a report that is not told: the scene's own, or less where its reference would take long."""
     whole = float(scene.output.get("duration", 5.0))
-    step = min(FRAME, limit(scene, "rk4"))
-    per_second = (
-        3.0 * 4.0 * 4.0 / step * max(1, scene.n_balls + scene.n_springs)
-    )  # steps of a quarter and an eighth, 4 passes
-    most = WORK / per_second
+    most = WORK / _work(scene, 1)
     if most >= whole:
         return whole
     power = 10.0 ** math.floor(math.log10(most))
     return next(nice * power for nice in NICE if nice * power <= most)
+
+
+def longest_duration(scene: Scene) -> float:
+    """The simulated seconds [s] whose reference is a hundred times the work that a default duration may make."""
+    return MOST_WORK / _work(scene, OVERHEAD)
+
+
+def _work(scene: Scene, least: int) -> float:
+    """Springs and balls that the reference goes through in a simulated second: steps of a quarter and an eighth, 4 passes."""
+    return 3.0 * 4.0 * 4.0 / min(FRAME, limit(scene, "rk4")) * max(least, scene.n_balls + scene.n_springs)
 
 
 def size_of(scene: Scene) -> float:

@@ -5,6 +5,7 @@ from converging. The difference of the two is published: the finer one is at lea
 away; when it has parted by a thousandth of the size, pointwise errors say nothing any more, of any method.
 """
 
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -26,6 +27,7 @@ from taichi_sim.reports.speed_error.plan import (
     own_step,
     size_of,
 )
+from taichi_sim.reports.speed_error.rows import whole
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
 from taichi_sim.scene import Scene
 
@@ -50,6 +52,7 @@ class Reference:
     difference: Floats  # (PARTS,) m, rms between the two steps
     parting: Floats  # (PARTS,) m, rms between the runs that start APART
     contacts: int  # the most that were seen
+    touch: bool  # whether contacts can act, seen at a moment that was looked at or not
     why: str  # there is none
 
     @property
@@ -106,9 +109,7 @@ def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome]) -> Reference
     """Run what the reference needs in double precision."""
     reference = _by(scene, plan, run, "rk4", min(FRAME, limit(scene, "rk4")) / 4.0)
     own, step = own_step(scene)
-    if own != "rk4" and (
-        not len(reference.position) or (reference.contacts and reference.known > GOOD * reference.size)
-    ):
+    if own != "rk4" and (not len(reference.position) or (reference.touch and reference.known > GOOD * reference.size)):
         other = _by(scene, plan, run, own, step / 4.0)
         if len(other.position) and (not len(reference.position) or other.known < reference.known):
             return other
@@ -127,7 +128,9 @@ def _by(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], method: str, 
             return _reference(scene, method, step, coarse, fine, run(Trial(method, step, start=apart(scene, APART, 0))))
         step = halved(plan.duration, step)
     none = np.zeros((0, 4))
-    return Reference(method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, why)
+    return Reference(
+        method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, False, why
+    )
 
 
 def _off(scene: Scene, coarse: Outcome, fine: Outcome) -> float:
@@ -151,6 +154,7 @@ def _reference(scene: Scene, method: str, step: Step, coarse: Outcome, fine: Out
         difference=np.array([rms(distance(scene, a, b)) for a, b in zip(coarse.position, fine.position)]),
         parting=np.array(parting),
         contacts=max(number for number, _ in fine.contacts),
+        touch=fine.touch,
         why="",
     )
 
@@ -162,10 +166,9 @@ def save(path: Path, reference: Reference) -> None:
 
 
 def load(path: Path) -> Reference | None:
-    """What `save` wrote, or None."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            values = {field.name: file[field.name] for field in fields(Reference)}
-    except (FileNotFoundError, BadZipFile, KeyError, ValueError):
+    """What `save` wrote, or None where there is no such file."""
+    if not path.exists():
         return None
+    with whole(path, BadZipFile, EOFError, KeyError, zlib.error), np.load(path, allow_pickle=False) as file:
+        values = {field.name: file[field.name] for field in fields(Reference)}
     return Reference(**{name: value.item() if value.ndim == 0 else value for name, value in values.items()})

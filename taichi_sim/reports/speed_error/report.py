@@ -36,6 +36,8 @@ def main(
     with progress_bar(progress) as step_done:
         findings = run_all(scene, plan, folder, say, step_done)
     write_pages(findings, folder.open())
+    if folder.rows:
+        folder.complete(findings.rows)
     say("\n".join(findings.lines()))
     say(f"written      {out / 'report.html'}, report.md, rows.csv, error.svg, error.png")
     return findings
@@ -57,7 +59,7 @@ def run_all(scene: Scene, plan: Plan, folder: Folder, say: Say, step_done: Calla
                     for words in coarse(scene, plan, reference):
                         say(words)
                 _rows(scene, plan, folder, reference, workers, precision)
-                if reference.chaotic or reference.contacts:
+                if _needs_statistics(plan, reference, folder.rows):
                     seeds = _seeds(scene, plan, folder, workers, precision)
     asked = [row for row in folder.rows if row.method in plan.methods and row.precision in plan.precisions]
     return Findings(plan, scene, reference, table.with_orders(asked, reference.known), statistics.intervals(seeds))
@@ -82,6 +84,12 @@ def _rows(scene: Scene, plan: Plan, folder: Folder, reference: Reference, worker
                 folder.add(row)
             if row.verdict == LEFT_OUT and too_long is None:
                 too_long = row
+
+
+def _needs_statistics(plan: Plan, reference: Reference, rows: list[table.Row]) -> bool:
+    """Whether errors of positions alone do not tell: chaos, contacts seen, or contacts between looks, that keep errors up."""
+    stuck = reference.touch and table.stuck(table.with_orders(rows, reference.known), reference.known)
+    return reference.chaotic or bool(reference.contacts or stuck)
 
 
 def _seeds(scene: Scene, plan: Plan, folder: Folder, workers: Workers, precision: str) -> list[statistics.Seed]:

@@ -3,17 +3,20 @@
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from taichi_sim.errors import SceneError
 from taichi_sim.files import replacing
 from taichi_sim.reports.speed_error.plan import METHODS
 
-__all__ = ["Row", "cheapest", "pareto", "read", "tells", "with_orders", "write"]
+__all__ = ["Row", "cheapest", "lines_of", "pareto", "read", "stuck", "tells", "whole", "with_orders", "write"]
 
 STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
+FALLS = 0.7  # of the error at the step before, above which a shorter step did not lessen it
 CLEAR = 10.0  # times what the reference is known to, below which an error says more of the reference than of the method
 
 
@@ -62,16 +65,41 @@ def write(path: Path, rows: Sequence[Row]) -> None:
         file.write(text.getvalue().encode())
 
 
+@contextmanager
+def whole(path: Path, *kinds: type[Exception]) -> Iterator[None]:
+    """What goes wrong in reading a file of a report, as one SceneError: ValueError, and the kinds given."""
+    expected: tuple[type[Exception], ...] = (ValueError, *kinds)
+    try:
+        yield
+    except expected as error:
+        raise SceneError(f"{path}: is damaged, use --overwrite or another --out ({error})") from None
+
+
 def read(path: Path) -> list[Row]:
     """The rows that `write` wrote; none where there is no such file."""
+    with whole(path, csv.Error):
+        return [_row(line) for line in lines_of(path, [field.name for field in fields(Row)])]
+
+
+def lines_of(path: Path, names: list[str]) -> list[dict[str, str]]:
+    """The lines of a table with these columns. Raises ValueError where one is not complete."""
     if not path.exists():
         return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [_row(line) for line in csv.DictReader(file)]
+    text = path.read_bytes().decode()
+    table = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    lines = list(table)
+    if table.fieldnames != names or not text.endswith("\n"):
+        raise ValueError("its first or its last line is not complete")
+    for number, line in enumerate(lines, 1):
+        if None in line or None in line.values():
+            raise ValueError(f"row {number} is not complete")
+    return lines
 
 
 def _row(line: dict[str, str]) -> Row:
     values: dict[str, Any] = {name: _value(name, text) for name, text in line.items()}
+    if values["verdict"] not in (STABLE, UNSTABLE, LEFT_OUT) or values["method"] not in METHODS:
+        raise ValueError(f"{values['method']!r} with {values['verdict']!r} is no row")
     return Row(**values)
 
 
@@ -101,6 +129,17 @@ def with_orders(rows: Sequence[Row], known: float) -> list[Row]:
             assert fine.rms_error is not None
             order = math.log(coarse.rms_error / fine.rms_error) / math.log(coarse.step / fine.step)
         found[k] = replace(fine, order=order)
+    return found
+
+
+def stuck(rows: Sequence[Row], known: float) -> list[str]:
+    """Methods, in the best precision that there is, whose errors do not fall with the step any more. Rows: sorted."""
+    found = []
+    for method in dict.fromkeys(row.method for row in rows):
+        own = [row for row in rows if (row.precision, row.method) == (rows[0].precision, method) and tells(row, known)]
+        errors = [row.rms_error or 0.0 for row in own]
+        if len(errors) > 1 and errors[-1] > FALLS * errors[-2]:
+            found.append(method)
     return found
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from taichi_sim.files import replacing
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step, fitting, halved, own_step
 from taichi_sim.reports.speed_error.reference import apart
+from taichi_sim.reports.speed_error.rows import lines_of, whole
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
 from taichi_sim.scene import Scene
 
@@ -111,8 +112,7 @@ def write(path: Path, seeds: Sequence[Seed]) -> None:
 
 def read(path: Path) -> list[Seed]:
     """What `write` wrote; none where there is no such file."""
-    if not path.exists():
-        return []
     kinds = {field.name: field.type for field in fields(Seed)}
-    with path.open(newline="", encoding="utf-8") as file:
-        return [Seed(**{name: kinds[name](text) for name, text in line.items()}) for line in csv.DictReader(file)]  # type: ignore[operator]
+    with whole(path, csv.Error):
+        lines = lines_of(path, list(kinds))
+        return [Seed(**{name: kinds[name](text) for name, text in line.items()}) for line in lines]  # type: ignore[operator]

@@ -8,14 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from taichi_sim.errors import SceneError
 from taichi_sim.files import PartFile
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.measure import measure
-from taichi_sim.reports.speed_error.plan import Plan, Step, halved, steps_of
+from taichi_sim.reports.speed_error.plan import FRAME, Plan, Step, fitting, halved, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of, progress_bar
-from taichi_sim.reports.speed_error.rows import STABLE, Row
+from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row
 from taichi_sim.reports.speed_error.worker import Workers
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings, part_of_bound
@@ -105,8 +107,10 @@ def find(scene: Scene, plan: Plan, reference: Reference, workers: Workers) -> Ro
                 row = measure(
                     scene, replace(plan, most=allowed), reference, workers(precision), precision, method, step
                 )
-                if row.seconds is None or row.verdict != STABLE or (best and row.seconds >= (best.seconds or 0.0)):
+                if row.verdict == LEFT_OUT or (best and (row.seconds or 0.0) >= (best.seconds or 0.0)):
                     break
+                if row.verdict == UNSTABLE:  # a shorter step may do
+                    continue
                 if row.rms_error is not None and row.rms_error + reference.known <= plan.tolerance * reference.size:
                     best = row
                     break
@@ -114,13 +118,15 @@ def find(scene: Scene, plan: Plan, reference: Reference, workers: Workers) -> Ro
 
 
 def _steps(scene: Scene, method: str, plan: Plan) -> Iterator[Step]:
-    """The steps of a report that are safe in the long run, and more halvings."""
+    """The longest step that is safe in the long run, the steps of a report below it, and more halvings."""
     most = part_of_bound(scene, method) * stability(scene, method).dt_any_shape
     steps = steps_of(scene, method, plan)
     if plan.steps is None:
         for _ in range(MORE_HALVINGS):
             steps.append(halved(plan.duration, steps[-1]))
-    return (step for step in steps if step.seconds <= most)
+        if 0.0 < most < np.inf:
+            steps.insert(0, fitting(plan.duration, min(FRAME, most)))
+    return (step for step in dict.fromkeys(steps) if step.seconds <= most)
 
 
 def settings_of(scene: Scene, row: Row) -> dict[str, Any]:
@@ -139,8 +145,11 @@ def _toml(value: Any) -> str:
 
 
 def write_settings(file: Path, settings: dict[str, Any]) -> None:
-    """Set keys of [simulation] in a scene file; its comments and all else stay. The file is replaced whole, or not at all."""
+    """Set keys of [simulation] in a scene file; its comments and all else stay, but for a `tolerance`, in whose place dt is.
+    The file is replaced whole, or not at all."""
     import tomlkit
+
+    from taichi_sim.scene_file import load_scene
 
     text = file.read_bytes().decode()
     document = tomlkit.parse(text)
@@ -149,12 +158,19 @@ def write_settings(file: Path, settings: dict[str, Any]) -> None:
             document.add(tomlkit.nl())
         document.add("simulation", tomlkit.table())
     table: Any = document["simulation"]
+    gone = {"tolerance"} if "dt" in settings else set()
+    for key in gone & set(table):
+        table.remove(key)
     for key, value in settings.items():
         table[key] = value
     changed = tomlkit.dumps(document)
     before, after = tomllib.loads(text), tomllib.loads(changed)
-    if after != {**before, "simulation": {**before.get("simulation", {}), **settings}}:
+    kept = {key: value for key, value in before.get("simulation", {}).items() if key not in gone}
+    if after != {**before, "simulation": {**kept, **settings}}:
         raise SceneError(f"{file}: cannot be changed without changing more than [simulation]; put the lines in by hand")
+    scene = load_scene(file)
+    scene.settings = after["simulation"]
+    Settings.resolve(scene, {})  # what does not go together is refused before the file changes
     part = PartFile(file.resolve())  # what a link points to
     try:
         part.file.write(changed.encode())

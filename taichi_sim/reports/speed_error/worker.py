@@ -54,6 +54,7 @@ class Outcome(NamedTuple):
     unstable: str = ""  # why it ended early
     left_out: str = ""
     warning: str = ""
+    touch: bool = False  # whether contacts can act
 
 
 class Worker:
@@ -158,8 +159,11 @@ class Track:
         from taichi_sim import backend
 
         self.scene, self.duration = scene, plan.duration
+        given = scene.settings
         runs = backend.start(
-            plan.arch or scene.settings.get("arch"), precision, plan.threads or scene.settings.get("threads")
+            given.get("arch") if plan.arch is None else plan.arch,
+            precision,
+            given.get("threads") if plan.threads is None else plan.threads,
         )
         self.device = runs.arch if runs.arch != "cpu" else f"cpu, {runs.threads} threads"
         self.settings: dict[str, Any] = {"arch": runs.arch, "precision": precision, "threads": None, "substeps": 1}
@@ -205,6 +209,7 @@ class Track:
         sim.step(0)
 
     def _measure(self, trial: Trial, outcome: Outcome) -> Outcome:
+        outcome = outcome._replace(touch=any(name.startswith("contacts.") for name in self.sim.kernels()))
         self._begin(trial)
         promised = self._time(1) * trial.step.number * PARTS
         if promised > PATIENCE * trial.most:  # one step alone may have been held up
