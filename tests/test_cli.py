@@ -171,8 +171,9 @@ def test_check_says_that_a_tolerance_chooses_the_step(folder):
 def test_unstable_keeps_the_frames_and_warns_before(folder):
     done = command(folder, "run", "stiff.toml", "-o", "x.npz", "--duration", "20")
     assert done.returncode == 3
-    warning, kept, reason = done.stderr.splitlines()
+    warning, grew, kept, reason = done.stderr.splitlines()
     assert warning.startswith("warning: dt = 0.05 s is above the safe bound of 0.0115")
+    assert grew.startswith("warning: energy grew from ")
     frames = len(np.load(folder / "x.npz")["time"])
     assert kept == f"x.npz: holds the {frames} frames until then"
     assert 0 < frames < 400

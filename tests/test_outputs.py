@@ -21,12 +21,12 @@ class FakeSimulation:
     """Two balls in 2D that fall, as far as outputs can tell; frame `fails_at` raises `error`."""
 
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
-        self.fails_at, self.error = fails_at, error
+        self.fails_at, self.failure = fails_at, error
 
     def frames(self, fps: float, duration: float) -> Iterator[Frame]:
         for k in range(round(fps * duration)):
-            if k == self.fails_at and self.error is not None:
-                raise self.error
+            if k == self.fails_at and self.failure is not None:
+                raise self.failure
             t = k / fps
             yield Frame(
                 time=t,
@@ -35,6 +35,12 @@ class FakeSimulation:
                 radius=np.full(2, 0.1),
                 energy=(1.0, 2.0, 3.0, 6.0 - t),
             )
+
+    def error(self) -> None:
+        """Nothing controls it."""
+
+    def solver(self) -> None:
+        """Nothing to solve."""
 
     def momentum(self) -> np.ndarray:
         return np.array([1.0, 2.0])
