@@ -40,11 +40,20 @@ LONG = (
     "physics_drivers",
     "physics_neighbours",
     "physics_swept",
+    "tolerance",
     "validation_contacts",
 )
 LONG_FILES = {f"test_{name}.py" for name in LONG}
 # And long ones for which single precision is enough: in double precision `make test-slow` runs them.
-LONG_ONCE = ("contact_report", "groups", "physics_arguments", "physics_piles", "physics_simulation", "state_file")
+LONG_ONCE = (
+    "contact_report",
+    "groups",
+    "physics_arguments",
+    "physics_piles",
+    "physics_simulation",
+    "state_file",
+    "watch",
+)
 LONG_ONCE_FILES = {f"test_{name}.py" for name in LONG_ONCE}
 
 
