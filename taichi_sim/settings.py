@@ -35,9 +35,8 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "spin": ("auto", True, False),
 }
 LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
-STRIDE = (
-    1.0 / 240.0
-)  # s, the longest step between two looks at the error, which divides frames of 24, 30 and 60 a second
+# s, the longest step between two looks at the error; it divides frames of 24, 30 and 60 a second
+STRIDE = 1.0 / 240.0
 MOST_PARTS = 256  # of such a step, where springs need short ones
 SHORTEST_DT, LONGEST_DT = 1e-12, 1e6  # s
 MOST_THREADS = 4096
