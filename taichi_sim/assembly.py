@@ -94,6 +94,7 @@ class Assembly:
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
         self.atomic = settings.accumulate == "atomic"
         self.integrator = settings.integrator
+        self.integrator.fit(scene)
         springs = self._springs(scene, cpu, small, h)
         self.forces = TotalForce(self.model, self.fields, springs, forces)
         self.contacts = self._contacts(scene, settings, h, cpu)
@@ -109,13 +110,13 @@ class Assembly:
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
             return None
-        once = self.integrator.each_once  # in blocks or lanes; for a GPU there are too few blocks
+        once = self.integrator.each_once  # in blocks or rows; for a GPU there are too few blocks
         order = fixed_order(self.model, cpu, small)
         if self.atomic or (once and not cpu):
             order = "atomic"
         elif once and order == "gather":
             order = "blocks"
-        elif self.integrator.in_turn and order == "lanes":
+        elif self.integrator.in_turn and order == "rows":
             order = "waves"
         return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
 

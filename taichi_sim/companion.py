@@ -98,10 +98,19 @@ class Companion:
     def positions(self) -> tuple[np.ndarray, ...]:
         """Position and velocity (n, dim) of the companion in float64, and what rounding left of them, where that is kept."""
         tables = self.moments[COARSE][: 2 if self.state.compensated else 1]
-        return tuple(self.state._copy_out(field) for table in tables for field in (table.x, table.v))
+        return tuple(self.state.values(field) for table in tables for field in (table.x, table.v))
 
-    def write(self, position: np.ndarray, velocity: np.ndarray, *low: np.ndarray) -> None:
-        """Put the companion somewhere, as `positions` gave it."""
-        self.state._copy_in(self.moments[COARSE][0], position, velocity)
-        if low and self.state.compensated:
-            self.state._copy_in(self.moments[COARSE][1], *low)
+    def memory(self, *moments: int) -> list[np.ndarray]:
+        """A method's own memory (n, dim) in each of the moments."""
+        return [self.state.values(field) for moment in moments for field in self.moments[moment][self.first :]]
+
+    def write(self, arrays: list[np.ndarray], *moments: int) -> bool:
+        """Put the companion where `positions` said, and a method's own memory back as `memory` gave it; whether it was there."""
+        tables = self.moments[COARSE][: 2 if self.state.compensated else 1]
+        places, own = arrays[: 2 * len(tables)], arrays[2 * len(tables) :]
+        for k, table in enumerate(tables[: len(places) // 2]):
+            self.state._copy_in(table, places[2 * k], places[2 * k + 1])
+        fields = [field for moment in moments for field in self.moments[moment][self.first :]]
+        for field, values in zip(fields, own):
+            self.state.set_values(field, values)
+        return bool(own) and len(own) == len(fields)

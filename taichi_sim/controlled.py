@@ -229,14 +229,15 @@ class Controlled(Stepper):
     # To a file and back ----------------------------------------------------------------------------------------------
 
     def state(self) -> tuple[dict[str, Any], list[NDArray]]:
-        """The window, and where its companion is."""
+        """The window, where its companion is, and a method's own memory in both solutions."""
         self.prime()
-        return {name: getattr(self, name) for name in KEPT}, list(self._companion.positions())
+        own = self._companion.memory(FINE, COARSE) if self.remembers else []
+        return {name: getattr(self, name) for name in KEPT}, [*self._companion.positions(), *own]
 
     def set_state(self, state: dict[str, Any], moment: list[NDArray]) -> None:
-        """The same window; a method's own memory is not kept, and starts anew."""
+        """The same window."""
         self.prime()
         if moment and set(state) == set(KEPT):
             for name in KEPT:
                 setattr(self, name, type(getattr(self, name))(state[name]))
-            self._companion.write(*moment)
+            self.remembers = self._companion.write(moment, FINE, COARSE)

@@ -20,6 +20,7 @@ __all__ = [
     "Stability",
     "coarsest_spring",
     "largest_eigenvalue",
+    "predicts_damping",
     "present_eigenvalue",
     "present_limit",
     "sinking_spring",
@@ -30,6 +31,9 @@ __all__ = [
 ANY_STEP = ("xpbd", "implicit_euler", "tr_bdf2")  # methods that no spring limits
 SINKING = 0.05  # of a rest length: what a heavy ball may sink by with xpbd
 VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
+GENTLE = (
+    0.9  # part of Verlet's undamped step that damping at predicted velocities must leave, to be the one that is used
+)
 ROUNDS = 3  # that improve the weights of the present bound
 
 Floats = NDArray[np.float64]
@@ -97,7 +101,8 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     """Largest safe step of a scene for one of the methods, by name. position (n, dim) [m]: the present shape; without it that
     bound, which takes seconds for a million balls, is not asked for, and dt_present is dt_any_shape.
 
-    Verlet: 2 / sqrt(lambda_K). Symplectic Euler: h^2 lambda(K + 2 D / h) = 4. RK4: 2.61 / max(sqrt lambda_K, lambda_D).
+    Verlet: h^2 lambda(K + 4 D / h) = 4 where damping is weak, see `predicts_damping`, else 2 / sqrt(lambda_K). Symplectic Euler:
+    h^2 lambda(K + 2 D / h) = 4. RK4: 2.61 / max(sqrt lambda_K, lambda_D).
     Explicit Euler: min over springs of c / k, and 2 / lambda_D; nothing is safe with an undamped spring, nor across one that is
     stretched: there it gains, by h omega^2 a second, at any step, and the bound only holds for the motion along springs.
     """
@@ -106,7 +111,7 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     if integrator in ANY_STEP:
         return Stability(np.inf, np.inf, None, None, f"{integrator} is stable at any step; only its error grows")
     k, c = scene.stiffness, scene.damping
-    h, spring = _step(k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))
+    h, spring = _step(scene, k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))
     if np.isinf(h):
         return Stability(np.inf, np.inf, None, None, "no spring has stiffness or damping: every step is stable")
     now = h if position is None else present_limit(scene, integrator, position)[0]
@@ -128,14 +133,14 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
 def present_limit(scene: Scene, integrator: str, position: Floats) -> tuple[float, int]:
     """The largest safe step [s] of a method that has one, at `position` (n, dim) [m], and the spring that sets it."""
     k, c = scene.stiffness, scene.damping
-    return _step(k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position))
+    return _step(scene, k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position))
 
 
 def without(scene: Scene, integrator: str, spring: int) -> float:
     """The bound for any shape if one spring were not there [s]."""
     k, c = scene.stiffness.copy(), scene.damping.copy()
     k[spring] = c[spring] = 0.0
-    return _step(k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))[0]
+    return _step(scene, k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))[0]
 
 
 def sinking_spring(scene: Scene, h: float) -> tuple[int, int, float] | None:
@@ -173,11 +178,25 @@ def coarsest_spring(scene: Scene) -> tuple[int, float, float] | None:
     return (spring, float(stretch[spring]), float(rounding[spring])) if ratio[spring] < VISIBLE else None
 
 
-def _step(k: Floats, c: Floats, integrator: str, bound: Bound) -> tuple[float, int]:
+def predicts_damping(scene: Scene) -> bool:
+    """Whether `verlet` takes spring damping at predicted velocities, for which it is weak enough, and not in exponential halves,
+    which nothing limits and which cost a pass over the springs of their own."""
+    return bool(np.any(scene.damping > 0)) and _is_gentle(scene, scene.stiffness, scene.damping)
+
+
+def _is_gentle(scene: Scene, k: Floats, c: Floats) -> bool:
+    """Whether h^2 lambda(K + 4 D / h) < 4 in every shape at GENTLE times the undamped step."""
+    h = GENTLE * _over(2.0, float(np.sqrt(largest_eigenvalue(scene, k)[0])))
+    return bool(np.isfinite(h)) and h * h * largest_eigenvalue(scene, k + 4.0 * c / h)[0] <= 4.0
+
+
+def _step(scene: Scene, k: Floats, c: Floats, integrator: str, bound: Bound) -> tuple[float, int]:
     """The largest step by a bound, for stiffness and damping (m,), and the spring that sets it."""
     none = np.zeros(len(k))
     if integrator == "symplectic_euler":
-        return _symplectic(k, c, bound)
+        return _with_damping(k, c, 2.0, bound)
+    if integrator == "verlet" and _is_gentle(scene, k, c):
+        return _with_damping(k, c, 4.0, bound)
     if integrator == "rk4":
         (lambda_k, spring_k), (lambda_d, spring_d) = bound(k, none), bound(none, c)
         elastic = np.sqrt(lambda_k) >= lambda_d
@@ -192,20 +211,21 @@ def _over(a: float, b: float) -> float:
     return a / b if b > 0 else np.inf
 
 
-def _symplectic(k: Floats, c: Floats, bound: Bound) -> tuple[float, int]:
-    """Root of h^2 lambda(K + 2 D / h) = 4 by bisection; the bound is monotone in h."""
+def _with_damping(k: Floats, c: Floats, factor: float, bound: Bound) -> tuple[float, int]:
+    """Root of h^2 lambda(K + factor D / h) = 4 by bisection; the bound is monotone in h."""
     none = np.zeros(len(k))
     high = _over(2.0, float(np.sqrt(bound(k, none)[0])))
     if np.isinf(high):
         value, spring = bound(none, c)
-        return _over(2.0, value), spring
+        return _over(4.0 / factor, value), spring
     if not np.any(c > 0):
         return high, bound(k, none)[1]
     low = 0.0
     while high - low > 1e-8 * high:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if middle**2 * bound(k, 2.0 * c / middle)[0] < 4.0 else (low, middle)
-    return low, bound(k, 2.0 * c / low)[1]
+        enough = middle**2 * bound(k, factor * c / middle)[0] < 4.0
+        low, high = (middle, high) if enough else (low, middle)
+    return low, bound(k, factor * c / low)[1]
 
 
 def _explicit(k: Floats, c: Floats, bound: Bound) -> tuple[float, int]:

@@ -99,11 +99,16 @@ class State:
             self.turn.from_numpy(shaped.astype(np.float64 if self.turn.dtype == ti.f64 else np.float32))
 
     def _copy_in(self, table: Any, x: np.ndarray, v: np.ndarray) -> None:
-        for field, values in ((table.x, x), (table.v, v)):
-            stored = values if self.order is None else values[self.order]
-            field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
+        self.set_values(table.x, x)
+        self.set_values(table.v, v)
 
-    def _copy_out(self, field: Any) -> np.ndarray:
+    def set_values(self, field: Any, values: np.ndarray) -> None:
+        """Fill a field (n) from (n, dim) in the user's order."""
+        stored = values if self.order is None else values[self.order]
+        field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
+
+    def values(self, field: Any) -> np.ndarray:
+        """A field (n) as (n, dim) in the user's order, a copy."""
         stored = field.to_numpy()[: self.n]
         if self.order is None:
             return stored
@@ -116,17 +121,17 @@ class State:
         """What single precision rounded off of positions and velocities, both (n, dim), or None where it is not kept."""
         if not self.compensated:
             return None
-        return self._copy_out(self.low.x), self._copy_out(self.low.v)
+        return self.values(self.low.x), self.values(self.low.v)
 
     @property
     def position(self) -> np.ndarray:
         """(n, dim) m, a copy in float64."""
-        return self._copy_out(self.ball.x).astype(np.float64)
+        return self.values(self.ball.x).astype(np.float64)
 
     @property
     def velocity(self) -> np.ndarray:
         """(n, dim) m/s, a copy in float64."""
-        return self._copy_out(self.ball.v).astype(np.float64)
+        return self.values(self.ball.v).astype(np.float64)
 
     @property
     def surface_speed(self) -> np.ndarray:
@@ -134,4 +139,4 @@ class State:
         width = 1 if self.dim == 2 else 3
         if not self.spins:
             return np.zeros((self.n, width))
-        return self._copy_out(self.turn).astype(np.float64).reshape(self.n, width)
+        return self.values(self.turn).astype(np.float64).reshape(self.n, width)

@@ -274,12 +274,20 @@ class Stepper:
             warnings.warn(text, stacklevel=6)
 
     def state(self) -> tuple[dict[str, Any], list[NDArray]]:
-        """What a saved run needs besides positions and velocities to go on with the same steps."""
-        return {"may_shorten": self.may_shorten}, []
+        """What a saved run needs besides positions and velocities to go on with the same steps, and the method's memory."""
+        memory = self.parts.integrator.memory() if self.primed else []
+        own = [self.parts.state.values(field) for field in memory]
+        return {"may_shorten": self.may_shorten}, own
 
     def set_state(self, state: dict[str, Any], moment: list[NDArray]) -> None:
         """The reverse."""
         self.may_shorten = bool(state.get("may_shorten", self.may_shorten))
+        own = self.parts.integrator.memory()
+        if moment and len(moment) == len(own):
+            self.prime()
+            for field, values in zip(own, moment):
+                self.parts.state.set_values(field, values)
+            self.parts.integrator.recall()
 
 
 def _from_to(growth: Growth) -> str:

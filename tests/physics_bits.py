@@ -59,7 +59,7 @@ if __name__ == "__main__":
     runs = [(cloth(2), 50, "off", ""), (cloth(2), 50, "off", "blocks")]
     runs += [(pile(2), 60, "jacobi", ""), (pile(2), 1000, "gauss_seidel", "")]
     for scene, steps, contacts, order in runs:
-        assembly.FUSED_UP_TO = 0 if order == "blocks" else 20_000  # above it springs go in blocks, below in lanes
+        assembly.FUSED_UP_TO = 0 if order == "blocks" else 20_000  # above it springs go in blocks, below in rows
         settings = {
             "driver": "parallel",
             "accumulate": "ordered",

@@ -32,7 +32,7 @@ def test_cloth_has_the_same_bits_in_both_drivers_and_every_run(dim, method):
 
 
 def test_blocks_have_the_same_bits_in_both_drivers(monkeypatch):
-    """The order of springs in scenes that are too large for lanes."""
+    """The order of springs in scenes that are too large for rows."""
     monkeypatch.setattr(assembly, "FUSED_UP_TO", 0)
     scene = physics_bits.cloth(2)
     one, two = (
@@ -72,7 +72,7 @@ def test_one_and_two_threads_have_the_same_bits():
         return done.stdout.split()
 
     one = run(1)
-    assert len(set(one)) == 4
+    assert len({one[0], *one[2:]}) == 3  # in double precision rows and blocks agree to the last bit
     assert run(2) == one
 
 
@@ -82,7 +82,7 @@ def test_all_orders_of_springs_agree(dim, method, monkeypatch):
     """Four orders of one sum, after 100 steps of a cloth."""
     scene, steps = physics_bits.cloth(dim), 100
     ends = {}
-    for order in ("blocks", "gather", "lanes", "atomic"):
+    for order in ("blocks", "gather", "rows", "atomic"):
         monkeypatch.setattr(assembly, "fixed_order", lambda *_, order=order: order)
         with simulate(
             scene, ("atomic" if order == "atomic" else "ordered", "parallel"), integrator=method, dt=H, contacts="off"
@@ -90,7 +90,7 @@ def test_all_orders_of_springs_agree(dim, method, monkeypatch):
             assert f"springs.{order}" in sim.kernels()
             sim.step(steps)
             ends[order] = sim.position, sim.velocity
-    for order in ("gather", "lanes", "atomic"):
+    for order in ("gather", "rows", "atomic"):
         # in phase space: velocities in units of omega times the size, where omega^2 = k / m
         size = float(np.max(np.abs(ends["blocks"][0])))
         found = max(error(ends[order][k], ends["blocks"][k], size * (1.0, np.sqrt(2000.0))[k]) for k in (0, 1))

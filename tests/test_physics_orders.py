@@ -12,6 +12,7 @@ from physics_support import F64, each_dim, simulate, vector
 
 import taichi_sim as ts
 from taichi_sim.integrators import BUILT_IN
+from taichi_sim.stability import predicts_damping
 
 ORDERS = {kind.name: kind.order for kind in BUILT_IN}
 HALVINGS = 4
@@ -54,32 +55,40 @@ def hanging_net(scene, dim, damping):
 
 
 @functools.cache
-def everything(dim):
-    """All experiments side by side, and which balls belong to which."""
+def everything(dim, weak=False):
+    """All experiments side by side, and which balls belong to which. weak: as weakly damped as `verlet` takes at predicted
+    velocities."""
     scene = ts.Scene(dim=dim, gravity=vector(dim, 0.5, -9.81, 1.0))
-    balls = {
-        "pair": turning_pair(scene, dim, 0.0),
-        "damped pair": turning_pair(scene, dim, 3.0),
-        "net": hanging_net(scene, dim, 0.0),
-        "damped net": hanging_net(scene, dim, 1.0),
-    }
+    if weak:
+        balls = {
+            "weakly damped pair": turning_pair(scene, dim, 0.1),
+            "weakly damped net": hanging_net(scene, dim, 0.1),
+        }
+    else:
+        balls = {
+            "pair": turning_pair(scene, dim, 0.0),
+            "damped pair": turning_pair(scene, dim, 3.0),
+            "net": hanging_net(scene, dim, 0.0),
+            "damped net": hanging_net(scene, dim, 1.0),
+        }
+    assert predicts_damping(scene) == weak
     return scene, balls
 
 
 @functools.cache
-def converged(dim):
+def converged(dim, weak=False):
     """The reference's RK4 at steps that leave a tenth at most of the smallest error that is compared here."""
-    scene, _ = everything(dim)
+    scene, _ = everything(dim, weak)
     w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
     net = ref.network(w, scene.pairs, scene.stiffness, scene.damping, scene.rest_length, scene.gravity)
     return ref.run("rk4", net, scene.position, scene.velocity, 2e-4, round(T / 2e-4))
 
 
 @functools.cache
-def errors(dim, method, first):
+def errors(dim, method, first, weak=False):
     """Phase-space error of each experiment at `first` and its halvings."""
-    scene, balls = everything(dim)
-    x, v = converged(dim)
+    scene, balls = everything(dim, weak)
+    x, v = converged(dim, weak)
     found = {name: [] for name in balls}
     for k in range(HALVINGS + 1):
         h = first / 2**k
@@ -92,7 +101,7 @@ def errors(dim, method, first):
 
 
 def orders(dim, method, name):
-    e = np.array(errors(dim, method, FIRST[method])[name])
+    e = np.array(errors(dim, method, FIRST[method], name.startswith("weakly"))[name])
     return np.log2(e[:-1] / e[1:]), e
 
 
@@ -108,6 +117,13 @@ if F64:
             assert np.all(found > 1 - 0.15), f"orders {np.round(found, 3)}, errors {e}"
         else:
             assert np.all(np.abs(found - ORDERS[method]) < 0.15), f"orders {np.round(found, 3)}, errors {e}"
+
+    @each_dim
+    @pytest.mark.parametrize("name", ["weakly damped pair", "weakly damped net"])
+    def test_order_of_verlet_with_weak_damping_f64(name, dim):
+        """Damping at predicted velocities: order 2 in networks, too."""
+        found, e = orders(dim, "verlet", name)
+        assert np.all(np.abs(found - 2.0) < 0.15), f"orders {np.round(found, 3)}, errors {e}"
 
     @each_dim
     def test_verlet_in_a_damped_net_f64(dim):

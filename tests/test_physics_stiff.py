@@ -7,7 +7,7 @@ import reference_stiff as slow
 from physics_support import F64, each_dim, error, simulate, vector
 
 import taichi_sim as ts
-from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler
+from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler, patches
 from taichi_sim.stability import ANY_STEP
 
 STIFF = ("xpbd", "implicit_euler", "tr_bdf2")
@@ -304,3 +304,27 @@ def test_small_steps_keep_single_precision():
             e.append(float(np.sqrt(np.mean((sim.position - x) ** 2))))
     assert e[1] < 0.2 * e[0]
     assert e[2] < 0.3 * e[1]
+
+
+def test_patches_save_passes(monkeypatch):
+    """Patches condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(20, 20), stiffness=1e4, mass=0.3)
+    scene.pinned[sheet.balls[:20]] = True
+    found = []
+    for fewest in (32, 10**6):
+        monkeypatch.setattr(patches, "FEWEST", fewest)
+        with simulate(scene, integrator=ImplicitEuler(1e-3), dt=1e-2, contacts="off") as sim:
+            sim.step(20)
+            found.append((sim.solver().passes, sim.position))
+    print([passes for passes, _ in found])
+    assert found[0][0] < 0.6 * found[1][0]
+    assert error(found[0][1], found[1][1]) < 1e-3
+
+
+def test_halves_of_patches_differ_by_one_ball_at_most():
+    x = np.random.default_rng(3).normal(size=(203, 3))
+    part = patches.bisected(x, 16)
+    assert sorted(np.bincount(part)) == [12] * 5 + [13] * 11
+    spread = np.sqrt(np.mean([x[part == k].var(axis=0).sum() for k in range(16)]))
+    assert spread < 0.7 * np.sqrt(x.var(axis=0).sum())  # neighbours

@@ -1,4 +1,4 @@
-"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks, in lanes or with atomics."""
+"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks, in rows or with atomics."""
 
 import numpy as np
 import taichi as ti
@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.fields import Fields
 from taichi_sim.forces.waves import waves
-from taichi_sim.kernels import lanes
+from taichi_sim.kernels import lanes, rows
 from taichi_sim.kernels import springs as loops
 from taichi_sim.model import Model, incidence
 
@@ -40,7 +40,7 @@ class Springs:
 
     Args:
         damping: (m,) [N s/m] as the integrator wants it (explicit, or made stable by `decay_damping`).
-        order: "gather", "blocks", "lanes", "waves" (fixed orders) or "atomic".
+        order: "gather", "blocks", "rows", "waves" (fixed orders) or "atomic".
     """
 
     def __init__(self, model: Model, fields: Fields, damping: NDArray[np.float64], order: str) -> None:
@@ -65,29 +65,29 @@ class Springs:
         if self.damped:
             columns["damping"] = fields.real
             data["damping"] = damping[spring]
-        if order in ("atomic", "lanes", "waves"):
+        if order in ("atomic", "waves"):
             columns["one"] = ti.i32
             data["one"] = low[spring]
         self.number = spring  # in the scene, of each stored here; -1 of idle ones
-        if order in ("lanes", "waves"):
+        if order == "waves":
             data = self._in_groups(data, fields)
+        if order == "rows":
+            row = ti.types.vector(rows.width(self.dim), fields.real)
+            self.row = fields.table({"x": row, "v": row}, self.n)
+            # [N s]; `rest`: damping, where it is summed apart
+            self.sum = fields.vectors(self.n, rows.width(self.dim))
+            self.rest = fields.vectors(self.n if self.damped else 0, rows.width(self.dim))
         self.spring = fields.table(columns, self.padded, data)
         self.block = max(MINIMUM_BLOCK, bandwidth(model) + 1)
         self.blocks = -(-self.n // self.block)
-        orders = {"gather": loops.gather, "blocks": loops.blocks, "lanes": lanes.springs, "atomic": loops.scatter}
+        orders = {"gather": loops.gather, "blocks": loops.blocks, "rows": rows.springs, "atomic": loops.scatter}
         self.loop = orders.get(order)  # waves are for methods that take springs in turn
 
     def _in_groups(self, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
         """The same springs in groups of kernels.lanes, and idle ones from ball 0 to ball 1 where a group is not full."""
-        if self.order == "waves":
-            chosen = waves(np.stack([data["one"], data["other"]], axis=1), lanes.WIDTH).ravel()
-            # where the springs of `start` lie
-            self.place = fields.integers(np.argsort(chosen, kind="stable")[-self.m :])
-        else:
-            chosen = np.append(np.arange(self.m), np.full(-self.m % lanes.WIDTH, -1))
-            self.second = fields.integers(np.argsort(data["other"], kind="stable"))
-            self.second_start = fields.integers(np.append(0, np.cumsum(np.bincount(data["other"], minlength=self.n))))
-            self.given = fields.reals(2 * len(chosen) * self.dim)  # [N s]
+        chosen = waves(np.stack([data["one"], data["other"]], axis=1), lanes.WIDTH).ravel()
+        # where the springs of `start` lie
+        self.place = fields.integers(np.argsort(chosen, kind="stable")[-self.m :])
         self.padded = len(chosen)
         self.groups = self.padded // lanes.WIDTH
         self.number = np.where(chosen < 0, -1, self.number[chosen])
@@ -132,8 +132,8 @@ def bandwidth(model: Model) -> int:
 
 
 def fixed_order(model: Model, cpu: bool, small: bool) -> str:
-    """The fastest fixed order: lanes in a cache; blocks where springs reach few indices far, else gather; GPUs gather."""
+    """The fastest fixed order: rows in a cache; blocks where springs reach few indices far, else gather; GPUs gather."""
     if cpu and small:
-        return "lanes"
+        return "rows"
     blocks = model.n // max(MINIMUM_BLOCK, bandwidth(model) + 1)
     return "blocks" if cpu and blocks >= BLOCKS else "gather"

@@ -10,6 +10,7 @@ from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import decay_damping
 from taichi_sim.forces.total import TotalForce
 from taichi_sim.model import Model
+from taichi_sim.scene import Scene
 from taichi_sim.state import State
 
 __all__ = ["Integrator", "Solver"]
@@ -45,6 +46,9 @@ class Integrator:
     each_once = False
     in_turn = False
     hosted = False
+
+    def fit(self, scene: Scene) -> None:
+        """Choose what depends on the scene. Called first of all."""
 
     def damping(self, model: Model, h: float) -> NDArray:
         """Spring damping (m,) [N s/m] as this method wants it for substeps of h seconds."""

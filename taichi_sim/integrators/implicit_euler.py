@@ -13,7 +13,7 @@ class ImplicitEuler(Implicit):
 
     name, order = "implicit_euler", 1
     relaxes = True
-    tolerance = 1e-2
+    tolerance = 3e-2
 
     @ti.func
     def begin(self, stage, h, time):

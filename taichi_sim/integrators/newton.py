@@ -6,10 +6,11 @@ import taichi as ti
 from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.components import FreeBodies
-from taichi_sim.kernels import half, lanes
+from taichi_sim.integrators.patches import Patches
+from taichi_sim.kernels import half, rows
 from taichi_sim.kernels import implicit as parts
 from taichi_sim.kernels.springs import GRAIN
-from taichi_sim.model import Model, phase_type
+from taichi_sim.model import Model, incidence, phase_type
 
 __all__ = ["Launched", "StageSolver"]
 
@@ -18,6 +19,7 @@ MOST_TURNS = 2000  # of conjugate gradients in a round
 MOST_TRIES = 8  # halvings of a change that went too far
 ROUNDING = 1e3  # of the potential, in units of the machine's
 FINEST = 8.0  # the same, of a solution
+DOUBT = 0.3  # of the impulses: a guess that leaves more is compared with none
 FORCING = 0.1  # part of the residual that a round leaves: more would be lost to what is not linear
 LOCAL = 0.05  # part of the local error that a solution may add
 SHRINKING = 0.5  # squared changes of two rounds; they do not in mere rounding
@@ -26,28 +28,35 @@ MISSED = 10.0  # tolerances; a stage that leaves more counts as not solved
 
 
 def control(self, s, stage):
-    """A stage, from the guess that base.v holds. The one text of two programs: compiled for one thread, where every loop runs
-    inside a kernel, and in Python, where each line launches a kernel whose loops run in parallel."""
+    """A stage, from base. The one text of two programs: compiled for one thread, where every loop runs inside a kernel, and in
+    Python, where each line launches a kernel whose loops run in parallel."""
     self.begin(stage)
-    self.evaluate(s, 0.0)
+    self.linearise(s, 1.0)
+    if self.doubtful():
+        self.compare(s, 1.0)
+        if self.raised():
+            self.linearise(s, -1.0)
+    self.set_target()
     while self.unsolved():
-        self.aim(stage)
+        self.aim()
         while self.searching():
             self.turn()
         self.evaluate(s, 1.0)
-        back = 0.5
-        while self.worse():
-            self.evaluate(s, -back)
-            back = 0.5 * back
+        part = 1.0
+        while self.larger():
+            self.compare(s, part)
+            if self.raised():
+                part = 0.5 * part
+                self.evaluate(s, -part)
     self.end(stage)
 
 
 @ti.data_oriented
 class Product:
-    """sum = A p."""
+    """sum = A p, both in rows, see kernels.rows."""
 
     def __init__(self, solver: "StageSolver", fields: Fields) -> None:
-        self.solver, self.dim = solver, solver.dim
+        self.solver, self.dim = solver, rows.width(solver.dim)
         self.p = fields.vectors(solver.n, self.dim)
         self.sum = fields.vectors(solver.n, self.dim)
 
@@ -61,8 +70,33 @@ class Product:
     def term(self, i, j, e, s):
         """Block of spring e times p."""
         row = self.solver.row[e]
-        r = self.p[i] - self.p[j]
-        return row.g.dot(r) * row.g + row.b * r
+        p = self.p[i] - self.p[j]
+        return row.along * rows.dot(row.r, p, self.solver.dim) * row.r + row.across * p
+
+
+@ti.data_oriented
+class Residual:
+    """sum = the residual in rows; notes the blocks of all springs."""
+
+    def __init__(self, solver: "StageSolver") -> None:
+        self.solver, self.dim, self.sum = solver, solver.product.dim, solver.product.sum
+
+    @ti.func
+    def own(self, i):
+        """m (q - v); pinned balls keep still."""
+        w = self.solver.model.inverse_mass[i]
+        m = ti.select(w > 0.0, 1.0 / ti.select(w > 0.0, w, 1.0), 0.0)
+        return rows.pad(m * (self.solver.q[i] - self.solver.base[i].v), self.solver.dim)
+
+    @ti.func
+    def term(self, i, j, e, s):
+        """Impulse of spring e on ball i."""
+        a, b, springs = self.solver.ahead[i], self.solver.ahead[j], self.solver.springs
+        f, r, along, across = parts.linearise(a, b, i, j, springs.spring[e], s, self.solver.dim, springs.damped)
+        self.solver.row[e].r = r
+        self.solver.row[e].along = along
+        self.solver.row[e].across = across
+        return f
 
 
 @ti.data_oriented
@@ -70,7 +104,7 @@ class StageSolver:
     """Solves m (q - v) + s F(p + s v, v) = 0 for the velocities v, see kernels.implicit.
 
     Fields: `base` (n) with x the places p [m] and v [m/s]: the guess, then the solution; `q` (n) [m/s]; `first` (n): the guess.
-    `stages`: how many there are in a step; each starts along its change in the step before. Without springs v is q.
+    `stages`: how many there are in a step; each starts with its change in the step before. Without springs v is q.
     tolerance: of the residual, in units of the impulses of the springs, both divided by the block diagonal of the matrix; less
     where the error of the method, of the given order, is less.
     """
@@ -86,76 +120,57 @@ class StageSolver:
         self.wide = self.number.dtype
         if springs is None:
             return
-        self.atomic = springs.order == "atomic"
+        scene, wide = model.scene, rows.width(self.dim)
+        vector = ti.types.vector(wide, fields.real)
         self.sum, self.dv = (fields.vectors(self.n, self.dim) for _ in range(2))
         self.last = fields.vectors(self.n * stages, self.dim)
-        self.block = fields.matrices(self.n, self.dim)  # of the diagonal, then its inverse
-        vector = ti.types.vector(self.dim, fields.real)
-        self.row = fields.table({"g": vector, "b": fields.real}, springs.padded)
+        self.ahead = fields.table({"x": vector, "v": vector}, self.n)  # where the stage ends, in rows
+        self.row = fields.table({"r": vector, "along": fields.real, "across": fields.real}, springs.padded)
         self.product = Product(self, fields)
+        self.residual = Residual(self)
+        self.block = fields.matrices(self.n, self.dim)  # inverse of the diagonal's
+        start, _, spring = incidence(scene.pairs[springs.number], self.n)
+        self.start, self.own_spring = fields.integers(start), fields.integers(spring)
+        self.patches = Patches(model, springs, self.row, fields)
         self.bodies = FreeBodies(model, fields)
         self.parts = -(-self.n // parts.PART)
         self.one, self.two, self.three, self.four = (fields.doubles(self.parts) for _ in range(4))
-        self.five = fields.doubles(self.parts)
-        self.potential = fields.reals(self.n)
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         self.rounding, self.least = ROUNDING * eps, max(tolerance**2, FINEST * eps)
-        scene = model.scene
         stiff = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness**2, 2), self.n)
         self.rough = fields.reals(eps * np.sqrt(stiff))  # N/m: what rounding of a place makes of the forces on a ball
 
     # Residual and matrix -------------------------------------------------------------------------------------------
 
     @ti.func
-    def own(self, i):
-        """m (q - v), and the mass part of the block; pinned balls keep still."""
-        w = self.model.inverse_mass[i]
-        m = ti.select(w > 0.0, 1.0 / ti.select(w > 0.0, w, 1.0), 0.0)
-        self.block[i] = m * ti.Matrix.identity(float, self.dim)
-        change = self.q[i] - self.base[i].v
-        self.potential[i] = 0.5 * m * change.dot(change)
-        return m * change
-
-    @ti.func
-    def term(self, i, j, e, s):
-        """Impulse of spring e on ball i; notes its block of the matrix."""
-        a, b = self.base[i], self.base[j]
-        a.x += s * a.v
-        b.x += s * b.v
-        f, g, across, potential = parts.linearise(a, b, i, j, self.springs.spring[e], s, self.springs.damped)
-        self.row[e].g = g
-        self.row[e].b = across
-        block = g.outer_product(g) + across * ti.Matrix.identity(float, self.dim)
-        if ti.static(self.atomic):
-            self.block[i] += block
-            self.block[j] += block
-            self.potential[i] += potential
-        else:
-            self.block[i] = self.block[i] + block
-            self.block[j] = self.block[j] + block
-            self.potential[i] = self.potential[i] + potential
-        return f
-
-    @ti.func
-    def evaluate(self, s, step):
-        """Add `step` of the change to the velocities; residual, matrix, their size and the potential there."""
+    def _move(self, s, step):
+        """Add `step` of the change to the velocities; the residual there."""
         for i in range(self.n):
-            self.base[i].v = self.base[i].v + step * self.dv[i]
-        half.sums(self, self.springs, s)
+            v = self.base[i].v + step * self.dv[i]
+            self.base[i].v = v
+            self.ahead[i].x = rows.pad(self.base[i].x + s * v, self.dim)
+            self.ahead[i].v = rows.pad(v, self.dim)
+        half.sums(self.residual, self.springs, s)
+
+    @ti.func
+    def linearise(self, s, step):
+        """Add `step` of the change to the velocities; residual, matrix with its blocks and patches, and their size there."""
+        self._move(s, step)
         for k in range(self.parts * GRAIN):
             if k % GRAIN == 0:
                 c = k // GRAIN
-                rr, ff, phi = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+                rr, ff = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
                 kinetic, noise = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
                 for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
-                    phi += ti.cast(self.potential[i], self.wide)
+                    r = rows.cut(self.product.sum[i], self.dim)
+                    self.sum[i] = r
                     w = self.model.inverse_mass[i]
                     inverse = ti.Matrix.zero(float, self.dim, self.dim)
                     if w > 0.0:
-                        inverse = self.block[i].inverse()
+                        inverse = self._block(i, 1.0 / w).inverse()
                         own = self.q[i] - self.base[i].v
-                        f = self.sum[i] - own / w
-                        rr += ti.cast(self.sum[i].dot(inverse @ self.sum[i]), self.wide)
+                        f = r - own / w
+                        rr += ti.cast(r.dot(inverse @ r), self.wide)
                         ff += ti.cast(f.dot(inverse @ f), self.wide)
                         kinetic += ti.cast(own.dot(own) / w, self.wide)
                         blur = s * self.rough[i] * ti.abs(self.base[i].x).max()
@@ -163,22 +178,54 @@ class StageSolver:
                     self.block[i] = inverse
                 self.one[c] = rr
                 self.two[c] = ff
-                self.three[c] = phi
-                self.four[c] = kinetic
-                self.five[c] = noise
+                self.three[c] = kinetic
+                self.four[c] = noise
         ti.loop_config(serialize=True)
         for _ in range(1):
             rr, ff = self._total()
+            kinetic, noise = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+            for c in range(self.parts):
+                kinetic += self.three[c]
+                noise += self.four[c]
             self.number[parts.RESIDUAL] = rr
             self.number[parts.FORCE] = ff
-            phi, kinetic, noise = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-            for c in range(self.parts):
-                phi += self.three[c]
-                kinetic += self.four[c]
-                noise += self.five[c]
+            self.number[parts.SCALE] = ti.max(ff, kinetic)
             self.number[parts.NOISE] = CERTAIN * noise
-            self.number[parts.POTENTIAL] = phi
-            self.number[parts.SCALE] = ti.max(self.number[parts.SCALE], ti.max(ff, kinetic))
+            self.number[parts.PASSES] += 1.0
+        if ti.static(self.patches.active):
+            self.patches.factor()
+
+    @ti.func
+    def _block(self, i, m):
+        """Block of the diagonal for ball i of mass m."""
+        across = ti.cast(m, float)
+        along = ti.Matrix.zero(float, self.dim, self.dim)
+        for k in range(self.start[i], self.start[i + 1]):
+            row = self.row[self.own_spring[k]]
+            across += row.across
+            for a in ti.static(range(self.dim)):
+                for b in ti.static(range(self.dim)):
+                    along[a, b] += row.along * row.r[a] * row.r[b]
+        return along + across * ti.Matrix.identity(float, self.dim)
+
+    @ti.func
+    def evaluate(self, s, step):
+        """The same with blocks and patches as they were: they condition well enough, and the residual keeps its measure."""
+        self._move(s, step)
+        for k in range(self.parts * GRAIN):
+            if k % GRAIN == 0:
+                c = k // GRAIN
+                rr = ti.cast(0.0, self.wide)
+                for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
+                    r = rows.cut(self.product.sum[i], self.dim)
+                    self.sum[i] = r
+                    rr += ti.cast(r.dot(self.block[i] @ r), self.wide)
+                self.one[c] = rr
+                self.two[c] = 0.0
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            rr, _zero = self._total()
+            self.number[parts.RESIDUAL] = rr
             self.number[parts.PASSES] += 1.0
 
     @ti.func
@@ -193,41 +240,90 @@ class StageSolver:
 
     @ti.func
     def begin(self, stage):
-        """Nothing is changed yet."""
+        """The change of the step before is the first guess of this one."""
         for i in range(self.n):
             self.first[i] = self.base[i].v
-            self.dv[i] = ti.Vector.zero(float, self.dim)
+            self.dv[i] = self.last[stage * self.n + i]
         self.number[parts.ROUNDS] = 0.0
-        self.number[parts.SCALE] = 0.0
-        self.number[parts.TARGET] = 0.0
+        self.number[parts.TRIES] = 0.0
         self.number[parts.MOVED] = 1e300
 
     @ti.func
+    def doubtful(self):
+        """Whether the guess leaves so much that none may be better."""
+        return ti.cast(self.number[parts.RESIDUAL] > DOUBT**2 * self.number[parts.SCALE], ti.i32)
+
+    @ti.func
+    def compare(self, s, part):
+        """The potential at the velocities and before `part` of the change was added."""
+        for k in range(self.parts * GRAIN):
+            if k % GRAIN == 0:
+                c = k // GRAIN
+                now, before = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+                for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
+                    now += ti.cast(self._potential(i, s, 0.0), self.wide)
+                    before += ti.cast(self._potential(i, s, part), self.wide)
+                self.one[c] = now
+                self.two[c] = before
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            now, before = self._total()
+            raised = now > before + self.rounding * ti.abs(before)
+            self.number[parts.RAISED] = ti.select(raised, 1.0, 0.0)
+            self.number[parts.TRIES] = ti.select(raised, self.number[parts.TRIES] + 1.0, MOST_TRIES)
+            self.number[parts.PASSES] += 2.0
+
+    @ti.func
+    def _potential(self, i, s, part):
+        """Of ball i and the springs that list it first, with `part` of the change taken back."""
+        v = self.base[i].v - part * self.dv[i]
+        x = self.base[i].x + s * v
+        w = self.model.inverse_mass[i]
+        m = ti.select(w > 0.0, 1.0 / ti.select(w > 0.0, w, 1.0), 0.0)
+        phi = 0.5 * m * (self.q[i] - v).norm_sqr()
+        for e in range(self.springs.start[i], self.springs.start[i + 1]):
+            spring = self.springs.spring[e]
+            u = self.base[spring.other].v - part * self.dv[spring.other]
+            phi += parts.potential(self.base[spring.other].x + s * u - x, u - v, spring, s, self.springs.damped)
+        return phi
+
+    @ti.func
+    def raised(self):
+        """Whether it was raised."""
+        return ti.cast(self.number[parts.RAISED] > 0.0, ti.i32)
+
+    @ti.func
     def unsolved(self):
-        """Whether another round is due: not where the residual is small, nor where the last change was, nor where the residual
-        may be rounding and changes do not shrink any more."""
+        """Whether another round is due: the first is, for a small residual may hide a slow mode. Then not where the residual is
+        small, nor where the last change was, nor where the residual may be rounding and changes do not shrink any more."""
         target, turns = self.number[parts.TARGET], self.number[parts.TURNS] < MOST_TURNS
         large = self.number[parts.RESIDUAL] > target and self.number[parts.MOVED] > target and turns
         if self.number[parts.RESIDUAL] < self.number[parts.NOISE] and self.number[parts.ROUNDS] > 1.0:
             large = large and self.number[parts.MOVED] < SHRINKING * self.number[parts.EARLIER]
-        return ti.cast(large and self.number[parts.ROUNDS] < MOST_ROUNDS, ti.i32)
+        first = self.number[parts.ROUNDS] == 0.0 and self.number[parts.RESIDUAL] > 0.0
+        return ti.cast(first or (large and self.number[parts.ROUNDS] < MOST_ROUNDS), ti.i32)
 
     @ti.func
-    def aim(self, stage):
-        """Start the conjugate gradients of a round: the first along the change of the step before."""
-        opening = self.number[parts.ROUNDS] == 0.0
+    def aim(self):
+        """Start the conjugate gradients of a round."""
+        if ti.static(self.patches.active):
+            self.patches.factor()
+            self.patches.solve(self.sum)
         for i in range(self.n):
             self.dv[i] = ti.Vector.zero(float, self.dim)
-            self.product.p[i] = self.last[stage * self.n + i] if opening else self.block[i] @ self.sum[i]
-        self.number[parts.BEFORE] = self.number[parts.POTENTIAL]
+            p = self.block[i] @ self.sum[i]
+            if ti.static(self.patches.active):
+                p += self.patches.shift(i)
+            self.product.p[i] = rows.pad(p, self.dim)
         self.number[parts.LEFT] = self.number[parts.RESIDUAL]
         self.number[parts.EARLIER] = self.number[parts.MOVED]
         self.number[parts.MOVED] = 0.0
         self.number[parts.RZ] = self.number[parts.RESIDUAL]
+        if ti.static(self.patches.active):
+            self.number[parts.RZ] += self.patches.product()
         self.number[parts.ROUNDS] += 1.0
         self.number[parts.TURNS] = 0.0
         self.number[parts.TRIES] = 0.0
-        self.number[parts.RESTART] = ti.select(opening, 1.0, 0.0)
 
     @ti.func
     def searching(self):
@@ -240,10 +336,7 @@ class StageSolver:
     @ti.func
     def turn(self):
         """The best change along p; the next p conjugate to it."""
-        if ti.static(self.springs.order == "lanes"):
-            lanes.sums(self.product, self.springs, 0.0)
-        else:
-            half.sums(self.product, self.springs, 0.0)
+        half.sums(self.product, self.springs, 0.0)
         for k in range(self.parts * GRAIN):
             if k % GRAIN == 0:
                 c = k // GRAIN
@@ -251,8 +344,8 @@ class StageSolver:
                 for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
                     if self.model.inverse_mass[i] > 0.0:
                         p = self.product.p[i]
-                        pr += ti.cast(p.dot(self.sum[i]), self.wide)
-                        py += ti.cast(p.dot(self.product.sum[i]), self.wide)
+                        pr += ti.cast(rows.dot(p, self.sum[i], self.dim), self.wide)
+                        py += ti.cast(rows.dot(p, self.product.sum[i], self.dim), self.wide)
                 self.one[c] = pr
                 self.two[c] = py
         ti.loop_config(serialize=True)
@@ -268,50 +361,52 @@ class StageSolver:
                 step = ti.cast(self.number[parts.STEP], float)
                 rz = ti.cast(0.0, self.wide)
                 for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
-                    self.dv[i] = self.dv[i] + step * self.product.p[i]
-                    r = self.sum[i] - step * self.product.sum[i]
+                    self.dv[i] = self.dv[i] + step * rows.cut(self.product.p[i], self.dim)
+                    r = self.sum[i] - step * rows.cut(self.product.sum[i], self.dim)
                     z = self.block[i] @ r
                     self.sum[i] = r
-                    self.product.sum[i] = z
+                    self.product.sum[i] = rows.pad(z, self.dim)
                     rz += ti.cast(r.dot(z), self.wide)
                 self.one[c] = rz
                 self.two[c] = 0.0
+        if ti.static(self.patches.active):
+            self.patches.solve(self.sum)
         ti.loop_config(serialize=True)
         for _ in range(1):
             rz, _zero = self._total()
+            if ti.static(self.patches.active):
+                rz += self.patches.product()
             before = self.number[parts.RZ]
-            fresh = self.number[parts.RESTART] > 0.0 or before <= 0.0
-            self.number[parts.STEP] = ti.select(fresh, 0.0, rz / ti.select(fresh, 1.0, before))
-            if self.number[parts.RESTART] > 0.0:
-                self._set_target(rz)
-            self.number[parts.RESTART] = 0.0
+            self.number[parts.STEP] = ti.select(before > 0.0, rz / ti.select(before > 0.0, before, 1.0), 0.0)
             self.number[parts.RZ] = rz
             self.number[parts.TURNS] += 1.0
             self.number[parts.PASSES] += 1.0
         for i in range(self.n):
-            self.product.p[i] = self.product.sum[i] + ti.cast(self.number[parts.STEP], float) * self.product.p[i]
+            z = self.product.sum[i]
+            if ti.static(self.patches.active):
+                z += rows.pad(self.patches.shift(i), self.dim)
+            self.product.p[i] = z + ti.cast(self.number[parts.STEP], float) * self.product.p[i]
 
     @ti.func
-    def _set_target(self, rz):
+    def set_target(self):
         """How small the residual has to become, once it is known how far the change of the step before fits this one.
 
         What is left then is the acceleration's change, of order h, so that this part of its `order`-th power is a part of the
         local error of the method; where a step does not resolve the motion, the tolerance it is.
         """
-        ff = self.number[parts.FORCE]
+        self.number[parts.TARGET] = 0.0
+        ff, rr = self.number[parts.FORCE], self.number[parts.RESIDUAL]
         if ff > 0.0:
-            part, tolerance = LOCAL * (rz / ff) ** (0.5 * self.order), ti.cast(self.tolerance, self.wide)
+            part, tolerance = LOCAL * (rr / ff) ** (0.5 * self.order), ti.cast(self.tolerance, self.wide)
             self.number[parts.TARGET] = self.number[parts.SCALE] * ti.max(self.least, ti.min(part, tolerance)) ** 2
 
     @ti.func
-    def worse(self):
-        """Whether the change went too far, and half of it is worth a try: it raised the potential, and the residual too. One of
-        them alone may rise: the potential by damping, whose direction turns, the residual where a stiff body turns."""
-        self.number[parts.TRIES] += 1.0
-        before = self.number[parts.BEFORE]
-        larger = self.number[parts.POTENTIAL] > before + self.rounding * ti.abs(before)
-        larger = larger and self.number[parts.RESIDUAL] > self.number[parts.LEFT]
-        return ti.cast(larger and self.number[parts.TRIES] <= MOST_TRIES, ti.i32)
+    def larger(self):
+        """Whether the change may have gone too far, so that half of it is worth a try: it raised the residual. It did where it
+        raised the potential too. One of them alone may rise: the potential by damping, whose direction turns, the residual
+        where a stiff body turns."""
+        larger = self.number[parts.RESIDUAL] > self.number[parts.LEFT]
+        return ti.cast(larger and self.number[parts.TRIES] < MOST_TRIES, ti.i32)
 
     @ti.func
     def end(self, stage):
@@ -345,6 +440,31 @@ class Launched:
         self.solver.begin(stage)
 
     @ti.kernel
+    def linearise(self, s: float, step: float):
+        """See StageSolver."""
+        self.solver.linearise(s, step)
+
+    @ti.kernel
+    def doubtful(self) -> int:
+        """See StageSolver."""
+        return self.solver.doubtful()
+
+    @ti.kernel
+    def compare(self, s: float, part: float):
+        """See StageSolver."""
+        self.solver.compare(s, part)
+
+    @ti.kernel
+    def raised(self) -> int:
+        """See StageSolver."""
+        return self.solver.raised()
+
+    @ti.kernel
+    def set_target(self):
+        """See StageSolver."""
+        self.solver.set_target()
+
+    @ti.kernel
     def evaluate(self, s: float, step: float):
         """See StageSolver."""
         self.solver.evaluate(s, step)
@@ -355,9 +475,9 @@ class Launched:
         return self.solver.unsolved()
 
     @ti.kernel
-    def aim(self, stage: int):
+    def aim(self):
         """See StageSolver."""
-        self.solver.aim(stage)
+        self.solver.aim()
 
     @ti.kernel
     def searching(self) -> int:
@@ -370,9 +490,9 @@ class Launched:
         self.solver.turn()
 
     @ti.kernel
-    def worse(self) -> int:
+    def larger(self) -> int:
         """See StageSolver."""
-        return self.solver.worse()
+        return self.solver.larger()
 
     @ti.kernel
     def end(self, stage: int):

@@ -7,7 +7,7 @@ import numpy as np
 from taichi_sim.scene import Scene
 from taichi_sim.settings import SAFETY, part_of_bound
 from taichi_sim.simulation import Simulation
-from taichi_sim.stability import ANY_STEP, Stability, stability, without
+from taichi_sim.stability import ANY_STEP, Stability, predicts_damping, stability, without
 
 __all__ = ["lines"]
 
@@ -18,8 +18,8 @@ RARE = 2.0  # times longer step without the limiting spring, from which that one
 
 def passes(scene: Scene, integrator: str) -> int:
     """How often a step of an explicit method goes through the springs."""
-    damped = bool(np.any(scene.damping > 0))
-    return {"rk4": 4, "verlet": 2 if damped else 1}.get(integrator, 1)
+    apart = bool(np.any(scene.damping > 0)) and not predicts_damping(scene)
+    return {"rk4": 4, "verlet": 2 if apart else 1}.get(integrator, 1)
 
 
 def lines(sim: Simulation) -> Iterator[str]:
