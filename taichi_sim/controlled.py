@@ -21,7 +21,7 @@ from taichi_sim.assembly import Assembly
 from taichi_sim.companion import AHEAD, COARSE, FINE, LIVE, Companion
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
-from taichi_sim.stability import Stability
+from taichi_sim.stability import Stability, coarsest_spring
 from taichi_sim.stepper import Stepper
 
 __all__ = ["Controlled", "StepError", "check_digits", "size"]
@@ -63,7 +63,8 @@ def size(scene: Scene) -> float:
 
 def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, substeps: int, compensated: bool) -> None:
     """Raise ValueError where rounding alone adds more than the tolerance: a window about the rounding of positions, and, where
-    sums are not compensated, each substep as much, in random directions."""
+    sums are not compensated, each substep as much, in random directions; and where springs are so stiff that their load does not
+    show in single precision, so that both solutions are off alike and their distance tells nothing."""
     eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
     far = float(np.max(np.abs(scene.position), initial=0.0))
     least = ROUNDINGS * eps * far * np.sqrt(1 if compensated else WINDOW * substeps) / (WINDOW * dt * size(scene))
@@ -72,6 +73,13 @@ def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, subs
         raise ValueError(
             f"tolerance: {tolerance:g} is less than what rounding leaves in {precision}, {least:.2g} of the scene's size a"
             f" second; {cure}"
+        )
+    found = coarsest_spring(scene) if precision == "f32" else None
+    if found is not None:
+        spring, stretch, rounding = found
+        raise ValueError(
+            f"tolerance: cannot be met in f32: the weight at spring {spring} stretches it by {stretch:.2g} m, and positions there"
+            f' are told {rounding:.2g} m apart; use precision "f64", or softer springs'
         )
 
 

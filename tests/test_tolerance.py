@@ -114,6 +114,10 @@ def test_what_is_refused():
     if not F64:
         with pytest.raises(ValueError, match='use precision "f64"'):
             simulate(scene, tolerance=1e-7)
+        scene = ts.Scene(dim=2, gravity=(0, -10))
+        scene.add_springs([scene.add_balls([[0, 0], [0, -1]], radius=0.01, pinned=[True, False])], stiffness=1e9)
+        with pytest.raises(ValueError, match="tolerance: cannot be met in f32: the weight at spring 0 "):
+            simulate(scene, tolerance=1e-3)
 
 
 def test_arguments_replace_what_the_scene_says():

@@ -5,8 +5,7 @@ import pytest
 from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
-
-SIDE, T = 16, 0.5
+from taichi_sim.reports.stiff_cloth import SIDE, T, converged
 
 
 def hanging_cloth():
@@ -15,33 +14,6 @@ def hanging_cloth():
         scene, size=(1, 1), resolution=(SIDE, SIDE), mass=1.0, stiffness=1e3, damping=0.05, pinned=range(SIDE)
     )
     return scene
-
-
-def converged(scene, steps):
-    """Positions (n, 3) at T, in double precision by RK4 in NumPy."""
-    i, j = scene.pairs.T
-    ends, w = np.concatenate([i, j]), np.where(scene.pinned, 0.0, 1.0 / scene.mass)
-
-    def rate(x, v):
-        r, u = x[j] - x[i], v[j] - v[i]
-        d = np.sqrt(np.sum(r * r, axis=1))
-        pull = scene.stiffness * (d - scene.rest_length) + scene.damping * np.sum(u * r, axis=1) / d
-        force = (pull / d)[:, None] * r
-        both = np.concatenate([force, -force])
-        total = np.stack([np.bincount(ends, both[:, a], len(x)) for a in range(3)], axis=1)
-        return w[:, None] * total + scene.gravity * (w > 0)[:, None]
-
-    x, v, h = scene.position.copy(), scene.velocity.copy(), T / steps
-    for _ in range(steps):
-        a1 = rate(x, v)
-        v2 = v + h / 2 * a1
-        a2 = rate(x + h / 2 * v, v2)
-        v3 = v + h / 2 * a2
-        a3 = rate(x + h / 2 * v2, v3)
-        v4 = v + h * a3
-        a4 = rate(x + h * v3, v4)
-        x, v = x + h / 6 * (v + 2 * v2 + 2 * v3 + v4), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-    return x
 
 
 @pytest.mark.slow

