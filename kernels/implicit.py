@@ -19,7 +19,7 @@ PART = 1024  # balls whose terms of a scalar product one thread sums
 
 # Numbers that steer the loops, in double precision.
 RESIDUAL, FORCE, SCALE, NOISE, RAISED, LEFT, MOVED, EARLIER, GAIN, RZ, TARGET, STEP, ROUNDS, TURNS, TRIES = range(15)
-PASSES, WORST, MISSES, SOLVED, SIZE = range(15, 20)
+PASSES, WORST, MISSES, SOLVED, LOAD, SIZE = range(15, 21)
 
 
 @ti.func
@@ -37,7 +37,7 @@ def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
     k = s * spring.stiffness
     pull = k * (d - spring.rest_length)
     rate = s * k
-    across = ti.select(d > spring.rest_length, rate * (1.0 - spring.rest_length * inverse), 0.0 * k)
+    across = ti.select(d >= spring.rest_length, rate * (1.0 - spring.rest_length * inverse), 0.0 * k)
     if ti.static(damped):
         pull += s * spring.damping * inverse * rows.dot(b.v - a.v, r, dim)
         rate += s * spring.damping

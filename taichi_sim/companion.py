@@ -19,6 +19,9 @@ LIVE, FINE, COARSE, AHEAD = range(
 )  # moments: the present fields, the solution kept, the companion, the same one step on
 
 
+TABLES = ("", "low_")  # of a companion's places, by their names in a file
+
+
 @ti.data_oriented
 class Companion:
     """Moments of what a step starts from: balls, what rounding left of them, turns, a method's own memory. The companion one step
@@ -95,22 +98,26 @@ class Companion:
             for into, out in zip(mine, theirs):
                 into.copy_from(out)
 
-    def positions(self) -> tuple[np.ndarray, ...]:
-        """Position and velocity (n, dim) of the companion in float64, and what rounding left of them, where that is kept."""
-        tables = self.moments[COARSE][: 2 if self.state.compensated else 1]
-        return tuple(self.state.values(field) for table in tables for field in (table.x, table.v))
+    def arrays(self, memory: bool) -> dict[str, np.ndarray]:
+        """Position, velocity (n, dim) of the companion in float64 by name, what rounding left of them, where that is kept, and
+        the method's memory in both solutions."""
+        found = {}
+        for name, table in zip(TABLES, self.moments[COARSE][: 2 if self.state.compensated else 1]):
+            found[f"{name}x"], found[f"{name}v"] = self.state.values(table.x), self.state.values(table.v)
+        for moment in (FINE, COARSE) if memory else ():
+            for k, field in enumerate(self.moments[moment][self.first :]):
+                found[f"memory.{moment}.{k}"] = self.state.values(field)
+        return found
 
-    def memory(self, *moments: int) -> list[np.ndarray]:
-        """A method's own memory (n, dim) in each of the moments."""
-        return [self.state.values(field) for moment in moments for field in self.moments[moment][self.first :]]
-
-    def write(self, arrays: list[np.ndarray], *moments: int) -> bool:
-        """Put the companion where `positions` said, and a method's own memory back as `memory` gave it; whether it was there."""
-        tables = self.moments[COARSE][: 2 if self.state.compensated else 1]
-        places, own = arrays[: 2 * len(tables)], arrays[2 * len(tables) :]
-        for k, table in enumerate(tables[: len(places) // 2]):
-            self.state._copy_in(table, places[2 * k], places[2 * k + 1])
-        fields = [field for moment in moments for field in self.moments[moment][self.first :]]
-        for field, values in zip(fields, own):
-            self.state.set_values(field, values)
-        return bool(own) and len(own) == len(fields)
+    def write(self, arrays: dict[str, np.ndarray]) -> bool:
+        """Put all back as `arrays` gave it; whether a memory was there."""
+        for name, table in zip(TABLES, self.moments[COARSE][: 2 if self.state.compensated else 1]):
+            if f"{name}x" in arrays:
+                self.state._copy_in(table, arrays[f"{name}x"], arrays[f"{name}v"])
+        there = False
+        for moment in (FINE, COARSE):
+            for k, field in enumerate(self.moments[moment][self.first :]):
+                if f"memory.{moment}.{k}" in arrays:
+                    self.state.set_values(field, arrays[f"memory.{moment}.{k}"])
+                    there = True
+        return there

@@ -236,16 +236,15 @@ class Controlled(Stepper):
 
     # To a file and back ----------------------------------------------------------------------------------------------
 
-    def state(self) -> tuple[dict[str, Any], list[NDArray]]:
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """The window, where its companion is, and a method's own memory in both solutions."""
         self.prime()
-        own = self._companion.memory(FINE, COARSE) if self.remembers else []
-        return {name: getattr(self, name) for name in KEPT}, [*self._companion.positions(), *own]
+        return {name: getattr(self, name) for name in KEPT}, self._companion.arrays(self.remembers)
 
-    def set_state(self, state: dict[str, Any], moment: list[NDArray]) -> None:
+    def set_state(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
         """The same window."""
         self.prime()
-        if moment and set(state) == set(KEPT):
+        if arrays and set(state) == set(KEPT):
             for name in KEPT:
                 setattr(self, name, type(getattr(self, name))(state[name]))
-            self.remembers = self._companion.write(moment, FINE, COARSE)
+            self.remembers = self._companion.write(arrays)

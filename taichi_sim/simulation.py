@@ -335,14 +335,14 @@ class Simulation:
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
 
-    def stepping(self) -> tuple[dict[str, Any], list[NDArray]]:
+    def stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """What a saved run needs besides its state to go on with the same steps."""
         return self._stepper.state()
 
-    def set_stepping(self, state: dict[str, Any], moment: list[NDArray]) -> None:
+    def set_stepping(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
         """Go on as `stepping` said, after `resume`."""
         if not self._still:
-            self._stepper.set_state(state, moment)
+            self._stepper.set_state(state, arrays)
 
     def _write(
         self, x: NDArray, v: NDArray, low: tuple[NDArray, NDArray] | None = None, *, moved: bool = False

@@ -20,7 +20,7 @@ __all__ = ["restore_state", "save_state"]
 
 FORMAT = 1
 MESH = ("vertices", "triangles")
-STEPPING = "companion."  # arrays of the second solution by which the error is measured
+STEPPING = "stepping."  # arrays of the method's memory, and of the second solution by which the error is measured
 LOW = ("low_position", "low_velocity")  # what single precision rounded off: without it a run goes on with other bits
 
 
@@ -40,7 +40,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         substeps="auto" if own.tolerance is not None else simulation.substeps,
         precision=simulation.backend.precision,
     )
-    stepping, moment = simulation.stepping()
+    stepping, moments = simulation.stepping()
     about = {
         "format": FORMAT,
         "dim": scene.dim,
@@ -55,7 +55,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "stepping": stepping,
     }
     state = {"position": simulation.position, "velocity": simulation.velocity}
-    state.update({f"{STEPPING}{k}": part for k, part in enumerate(moment)})
+    state.update({STEPPING + name: array for name, array in moments.items()})
     if simulation.rounded_off is not None:
         state.update(zip(LOW, simulation.rounded_off))
     if np.any(simulation.surface_speed):
@@ -91,7 +91,11 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         if "surface_speed" in arrays:
             turning = checks.vectors("surface_speed", arrays["surface_speed"], n, 1 if dim == 2 else 3)
         stepping = about.get("stepping", {})
-        moment = [arrays[f"{STEPPING}{k}"] for k in range(sum(name.startswith(STEPPING) for name in arrays))]
+        moments = {
+            name.removeprefix(STEPPING): checks.vectors(name, array, n, dim)
+            for name, array in arrays.items()
+            if name.startswith(STEPPING)
+        }
         settings = {key: about["settings"][key] for key in about["settings"]}
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         if isinstance(error, SceneError) and str(error).startswith(str(path)):
@@ -100,7 +104,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
     simulation = kind(scene, **{**settings, **overrides})
     simulation.resume(x, v, time, low, turning)
     if not {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
-        simulation.set_stepping(stepping, moment)
+        simulation.set_stepping(stepping, moments)
     return simulation
 
 

@@ -273,20 +273,20 @@ class Stepper:
             self._warned.add(kind)
             warnings.warn(text, stacklevel=6)
 
-    def state(self) -> tuple[dict[str, Any], list[NDArray]]:
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """What a saved run needs besides positions and velocities to go on with the same steps, and the method's memory."""
-        memory = self.parts.integrator.memory() if self.primed else []
-        own = [self.parts.state.values(field) for field in memory]
+        integrator = self.parts.integrator
+        memory = integrator.memory() if self.primed and integrator.remembers() else []
+        own = {f"memory.{k}": self.parts.state.values(field) for k, field in enumerate(memory)}
         return {"may_shorten": self.may_shorten}, own
 
-    def set_state(self, state: dict[str, Any], moment: list[NDArray]) -> None:
+    def set_state(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
         """The reverse."""
         self.may_shorten = bool(state.get("may_shorten", self.may_shorten))
-        own = self.parts.integrator.memory()
-        if moment and len(moment) == len(own):
-            self.prime()
-            for field, values in zip(own, moment):
-                self.parts.state.set_values(field, values)
+        if arrays:
+            self.prime()  # lists may grow: all fields are new then
+            for k, field in enumerate(self.parts.integrator.memory()):
+                self.parts.state.set_values(field, arrays[f"memory.{k}"])
             self.parts.integrator.recall()
 
 

@@ -328,3 +328,43 @@ def test_halves_of_patches_differ_by_one_ball_at_most():
     assert sorted(np.bincount(part)) == [12] * 5 + [13] * 11
     spread = np.sqrt(np.mean([x[part == k].var(axis=0).sum() for k in range(16)]))
     assert spread < 0.7 * np.sqrt(x.var(axis=0).sum())  # neighbours
+
+
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_free_fall_is_solved_at_once(method):
+    """The guess has all of gravity in it; what is left is measured by what acted, not by itself."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls(np.stack([0.1 * np.arange(50), np.zeros(50)], axis=1), radius=0.01, mass=0.1)
+    scene.add_springs([(i, i + 1) for i in range(49)], stiffness=1e3, rest_length=0.1)
+    with simulate(scene, integrator=method, dt=1e-2, contacts="off") as sim:
+        sim.step(20)
+        found = sim.solver()
+        assert found.misses == 0
+        assert found.passes < 6 * found.stages
+        np.testing.assert_allclose(sim.velocity[:, 1], -2.0, rtol=1e-5)
+
+
+def test_nothing_that_acts_is_no_miss():
+    scene = ts.Scene(dim=2)
+    scene.add_balls(np.stack([0.1 * np.arange(40), np.zeros(40)], axis=1), radius=0.01, mass=0.1)
+    scene.add_springs([(i, i + 1) for i in range(39)], stiffness=1e3, rest_length=0.1)
+    with simulate(scene, integrator="implicit_euler", dt=1e-2, contacts="off") as sim:
+        sim.step(20)
+        assert sim.solver().misses == 0
+
+
+@pytest.mark.parametrize("k", [1e7, 1e10] if F64 else [1e7])
+def test_a_very_stiff_rope_swings(k):
+    """Blocks of springs in a line are nearly singular: in single precision they are summed and inverted in double."""
+    scene, n = ts.Scene(dim=3, gravity=(0, 0, -9.81)), 64
+    along = np.array([1.0, 0.7, 0.3]) / np.linalg.norm([1.0, 0.7, 0.3])
+    scene.add_balls(0.05 * np.arange(n)[:, None] * along, radius=0.005, mass=0.01, pinned=np.arange(n) == 0)
+    scene.add_springs([(i, i + 1) for i in range(n - 1)], stiffness=k, rest_length=0.05)
+    with simulate(scene, integrator="implicit_euler", dt=1e-2, contacts="off") as sim:
+        sim.step(10)
+        found = sim.solver()
+        assert found.misses == 0 or not F64
+        assert np.isfinite(sim.position).all()
+        assert -1.5 < sim.velocity[-1, 2] < -0.5  # it swings, about 9.81 times 0.1 s
+        if k == 1e7:
+            assert sim.position[-1, 2] == pytest.approx(0.698, abs=5e-4 if F64 else 5e-3)

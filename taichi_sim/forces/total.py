@@ -13,6 +13,9 @@ A force of your own is a small class with one function; it may read any field of
                 impulse[i] += -h * self.coefficient * ball[i].v
 
     Simulation(scene, forces=[Drag(0.1)])
+
+`verlet` asks for it at predicted velocities, where springs are not strongly damped: drag is then of order 2, and stable while
+h c / m < 1.
 """
 
 from collections.abc import Sequence

@@ -71,6 +71,10 @@ class Integrator:
         """Fields (n) of the method's own that one step hands to the next and `prime` does not make anew."""
         return []
 
+    def remembers(self) -> bool:
+        """Whether the memory holds what a step left, and not what `prime` made."""
+        return True
+
     def recall(self) -> None:
         """The memory holds what a step left; called after `prime`."""
 

@@ -54,6 +54,10 @@ class Implicit(Integrator):
         stages, passes, misses = (int(n[k]) for k in (numbers.SOLVED, numbers.PASSES, numbers.MISSES))
         return Solver(self.tolerance, stages, passes, float(n[numbers.WORST]), misses)
 
+    def remembers(self) -> bool:
+        """Not before the first step."""
+        return bool(self.fresh[0] == 0)
+
     @ti.func
     def prime(self, h, time):
         """Contacts at the present positions; what the step before left is void."""

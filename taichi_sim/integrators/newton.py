@@ -56,7 +56,7 @@ def control(self, s, stage):
 class StageSolver:
     """Solves m (q - v) + s F(p + s v, v) = 0 for the velocities v, see kernels.implicit.
 
-    Fields: `base` (n) with x the places p [m] and v [m/s]: the guess, then the solution; `q` (n) [m/s]; `first` (n): the guess.
+    Fields: `base` (n) with x the places p [m] and v [m/s]: the start, then the solution; `q` (n) [m/s]; `first` (n): the start.
     `stages`: how many there are in a step; each starts with its change in the step before. Without springs v is q.
     tolerance: of the residual, in units of the impulses of the springs, both divided by the block diagonal of the matrix; less
     where the error of the method, of the given order, is less.
@@ -66,7 +66,7 @@ class StageSolver:
         self, model: Model, springs: Springs | None, fields: Fields, stages: int, order: int, tolerance: float
     ) -> None:
         self.model, self.springs, self.order, self.tolerance = model, springs, order, tolerance
-        self.n, self.dim, self.real = model.n, model.dim, fields.real
+        self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.first = (fields.vectors(self.n, self.dim) for _ in range(2))
         self.number = fields.doubles(parts.SIZE)
@@ -88,6 +88,7 @@ class StageSolver:
         self.bodies = FreeBodies(model, fields)
         self.parts = -(-self.n // parts.PART)
         self.one, self.two, self.three, self.four = (fields.doubles(self.parts) for _ in range(4))
+        self.five = fields.doubles(self.parts)
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         self.rounding, self.least = ROUNDING * eps, max(tolerance**2, FINEST * eps)
         stiff = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness**2, 2), self.n)
@@ -114,18 +115,20 @@ class StageSolver:
                 c = k // GRAIN
                 rr, ff = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
                 kinetic, noise = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+                load = ti.cast(0.0, self.wide)
                 for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
                     r = rows.cut(self.product.sum[i], self.dim)
                     self.sum[i] = r
                     w = self.model.inverse_mass[i]
                     inverse = ti.Matrix.zero(float, self.dim, self.dim)
                     if w > 0.0:
-                        inverse = self._block(i, 1.0 / w).inverse()
-                        own = self.q[i] - self.base[i].v
+                        inverse = self._inverse(i, w)
+                        own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
                         f = r - own / w
                         rr += ti.cast(r.dot(inverse @ r), self.wide)
                         ff += ti.cast(f.dot(inverse @ f), self.wide)
-                        kinetic += ti.cast(own.dot(own) / w, self.wide)
+                        kinetic += ti.cast(ti.max(own.dot(own), whole.dot(whole)) / w, self.wide)
+                        load += ti.cast(whole.dot(whole) / w, self.wide)
                         blur = s * self.rough[i] * ti.abs(self.base[i].x).max()
                         noise += ti.cast(blur * blur * inverse.trace(), self.wide)
                     self.block[i] = inverse
@@ -133,13 +136,17 @@ class StageSolver:
                 self.two[c] = ff
                 self.three[c] = kinetic
                 self.four[c] = noise
+                self.five[c] = load
         ti.loop_config(serialize=True)
         for _ in range(1):
             rr, ff = self._total()
             kinetic, noise = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+            load = ti.cast(0.0, self.wide)
             for c in range(self.parts):
                 kinetic += self.three[c]
                 noise += self.four[c]
+                load += self.five[c]
+            self.number[parts.LOAD] = load
             self.number[parts.RESIDUAL] = rr
             self.number[parts.FORCE] = ff
             self.number[parts.SCALE] = ti.max(ff, kinetic)
@@ -149,17 +156,20 @@ class StageSolver:
             self.patches.factor()
 
     @ti.func
-    def _block(self, i, m):
-        """Block of the diagonal for ball i of mass m."""
-        across = ti.cast(m, float)
-        along = ti.Matrix.zero(float, self.dim, self.dim)
+    def _inverse(self, i, w):
+        """Of the diagonal's block for ball i of inverse mass w; in double precision, or stiff springs in a line would make it
+        indefinite."""
+        across = 1.0 / ti.cast(w, self.wide)
+        along = ti.Matrix.zero(self.wide, self.dim, self.dim)
         for k in range(self.start[i], self.start[i + 1]):
             row = self.row[self.own_spring[k]]
-            across += row.across
+            across += ti.cast(row.across, self.wide)
             for a in ti.static(range(self.dim)):
                 for b in ti.static(range(self.dim)):
-                    along[a, b] += row.along * row.r[a] * row.r[b]
-        return along + across * ti.Matrix.identity(float, self.dim)
+                    product = ti.cast(row.r[a], self.wide) * ti.cast(row.r[b], self.wide)
+                    along[a, b] += ti.cast(row.along, self.wide) * product
+        inverse = (along + across * ti.Matrix.identity(self.wide, self.dim)).inverse()
+        return ti.cast(inverse, float)
 
     @ti.func
     def evaluate(self, s, step):
@@ -260,7 +270,6 @@ class StageSolver:
     def aim(self):
         """Start the conjugate gradients of a round."""
         if ti.static(self.patches.active):
-            self.patches.factor()
             self.patches.solve(self.sum)
         for i in range(self.n):
             self.dv[i] = ti.Vector.zero(float, self.dim)
@@ -271,9 +280,12 @@ class StageSolver:
         self.number[parts.LEFT] = self.number[parts.RESIDUAL]
         self.number[parts.EARLIER] = self.number[parts.MOVED]
         self.number[parts.MOVED] = 0.0
-        self.number[parts.RZ] = self.number[parts.RESIDUAL]
-        if ti.static(self.patches.active):
-            self.number[parts.RZ] += self.patches.product()
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            rz = self.number[parts.RESIDUAL]
+            if ti.static(self.patches.active):
+                rz += self.patches.product()
+            self.number[parts.RZ] = rz
         self.number[parts.ROUNDS] += 1.0
         self.number[parts.TURNS] = 0.0
         self.number[parts.TRIES] = 0.0
@@ -347,11 +359,11 @@ class StageSolver:
         What is left then is the acceleration's change, of order h, so that this part of its `order`-th power is a part of the
         local error of the method; where a step does not resolve the motion, the tolerance it is.
         """
-        self.number[parts.TARGET] = 0.0
         ff, rr = self.number[parts.FORCE], self.number[parts.RESIDUAL]
+        part = ti.cast(self.tolerance, self.wide)
         if ff > 0.0:
-            part, tolerance = LOCAL * (rr / ff) ** (0.5 * self.order), ti.cast(self.tolerance, self.wide)
-            self.number[parts.TARGET] = self.number[parts.SCALE] * ti.max(self.least, ti.min(part, tolerance)) ** 2
+            part = ti.min(part, LOCAL * (rr / ff) ** (0.5 * self.order))
+        self.number[parts.TARGET] = self.number[parts.SCALE] * ti.max(self.least, part) ** 2
 
     @ti.func
     def larger(self):
@@ -368,8 +380,15 @@ class StageSolver:
         for i in range(self.n):
             self.last[stage * self.n + i] = self.base[i].v - self.first[i]
         self.number[parts.SOLVED] += 1.0
-        left, scale = ti.min(self.number[parts.RESIDUAL], self.number[parts.MOVED]), self.number[parts.SCALE]
-        if scale > 0.0:
+        left, moved, scale = self.number[parts.RESIDUAL], self.number[parts.MOVED], self.number[parts.SCALE]
+        if moved > 0.0:
+            left = ti.min(left, moved)
+        if not left >= 0.0:  # the matrix was not positive definite
+            left = scale
+        noise = self.number[parts.NOISE]
+        if (
+            scale > noise or left > noise or self.number[parts.LOAD] > 0.0
+        ):  # else nothing acts, and all of it is rounding
             left = ti.sqrt(left / scale)
             self.number[parts.WORST] = ti.max(self.number[parts.WORST], left)
             if left > MISSED * self.tolerance:

@@ -51,7 +51,8 @@ class Patches:
         patch[free] = bisected(scene.position[free], self.count)
         self.patch = fields.integers(patch)
         self.member = fields.integers(free[np.argsort(patch[free], kind="stable")])
-        self.mass = fields.reals(np.bincount(patch[free], scene.mass[free], self.count))
+        mass = np.bincount(patch[free], scene.mass[free], self.count)
+        self.mass, self.least = fields.reals(mass), float(mass.min())
         self.begin = fields.integers(np.append(0, np.cumsum(np.bincount(patch[free], minlength=self.count))))
         ends = patch[scene.pairs[springs.number]]
         slots = np.flatnonzero(ends[:, 0] != ends[:, 1])
@@ -84,7 +85,8 @@ class Patches:
                     row = self.row[link.spring]
                     for a in ti.static(range(dim)):
                         for b in ti.static(range(dim)):
-                            value = ti.cast(row.along * row.r[a] * row.r[b], self.wide)
+                            value = ti.cast(row.r[a], self.wide) * ti.cast(row.r[b], self.wide)
+                            value *= ti.cast(row.along, self.wide)
                             if ti.static(a == b):
                                 value += ti.cast(row.across, self.wide)
                             own[a, b] += value
@@ -101,7 +103,8 @@ class Patches:
                 for q in range(j):
                     total -= self.matrix[i * size + q] * self.matrix[j * size + q]
                 if i == j:
-                    self.matrix[j * size + j] = ti.sqrt(total)
+                    # what is added to the masses is positive semidefinite: less than the least is rounding
+                    self.matrix[j * size + j] = ti.sqrt(ti.max(total, self.least))
                 else:
                     self.matrix[i * size + j] = total / self.matrix[j * size + j]
 

@@ -75,7 +75,7 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         times = f"{longer / safe:.3g} times shorter"
         return f"spring {limits.spring} alone makes the step {times}; is its stiffness, or its ball's mass, meant?"
     if used != "verlet" and stability(scene, "verlet").dt_any_shape > RARE * safe:
-        return "verlet takes a longer step here: damping limits it at no coefficient"
+        return "verlet takes a longer step here: strong damping does not limit it"
     part = part_of_bound(scene, used)
     good = part * safe
     if h > safe:
