@@ -45,7 +45,8 @@ Fps = Annotated[float | None, typer.Option(help="Frames per simulated second.")]
 Duration = Annotated[float | None, typer.Option(help="Simulated seconds.")]
 Threads = Annotated[int | None, typer.Option(help="CPU threads.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
-Out = Annotated[str | None, typer.Option("--out", "-o", help="x.mp4, x.gif, x.npz, or folder/ for PNG frames.")]
+Out = Annotated[str | None, typer.Option("--out", "-o", help="x.mp4, x.webm, x.gif, x.npz, or folder/ for PNG frames.")]
+Codec = Annotated[str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")]
 Size = Annotated[str | None, typer.Option(help="Size of the pictures in pixels, like 1280x720.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the frames in a folder that is not empty.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Keep the frames in the folder and write the missing ones.")]
@@ -74,6 +75,7 @@ def run(
     size: Size = None,
     overwrite: Overwrite = False,
     resume: Resume = False,
+    codec: Codec = None,
     arch: Arch = None,
     dt: Step = None,
     tolerance: Tolerance = None,
@@ -93,9 +95,9 @@ def run(
             raise ValueError("fps times duration is less than one frame; raise one of them")
         target = None
         if out is not None:
-            target = open_output(out, fps=job.output["fps"], overwrite=overwrite, resume=resume)
-        elif overwrite or resume:
-            raise ValueError("--overwrite and --resume need --out")
+            target = open_output(out, fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
+        elif overwrite or resume or codec:
+            raise ValueError("--overwrite, --resume and --codec need --out")
         try:
             with job.simulation(
                 arch=arch, dt=dt, tolerance=tolerance, integrator=integrator, precision=precision, threads=threads

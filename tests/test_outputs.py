@@ -1,5 +1,7 @@
 """Outputs: what they hold, that they appear complete or not at all, and the loop that feeds them."""
 
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -106,6 +108,91 @@ def test_video(tmp_path):
     assert [t for t, _ in frames] == pytest.approx([k / 60 for k in range(30)], abs=1e-4)
     assert frames[10][1][24, 2] == pytest.approx([255, 0, 0], abs=12)
     assert frames[10][1][24, 60] == pytest.approx([0, 0, 255], abs=12)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "found", "tag"),
+    [("x.mp4", "h265", "hevc", "hvc1"), ("x.webm", None, "vp9", ""), ("y.webm", "vp9", "vp9", "")],
+)
+def test_other_codecs(tmp_path, name, codec, found, tag):
+    make(tmp_path, name, fps=30, codec=codec)
+    with av.open(str(tmp_path / name)) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name.endswith(found) or found in stream.codec_context.name
+        assert not tag or stream.codec_context.codec_tag == tag
+        assert (stream.width, stream.height) == SIZE
+    frames = pictures(tmp_path / name)
+    assert [t for t, _ in frames] == pytest.approx([k / 30 for k in range(15)], abs=2e-3)
+    assert frames[10][1][24, 2] == pytest.approx([255, 0, 0], abs=16)
+    assert frames[10][1][24, 60] == pytest.approx([0, 0, 255], abs=16)
+
+
+def test_a_codec_that_does_not_fit_is_refused(tmp_path):
+    for name, codec in (
+        ("x.mp4", "vp9"),
+        ("x.webm", "h264"),
+        ("x.gif", "h264"),
+        ("frames", "h265"),
+        ("x.mp4", "mpeg1"),
+    ):
+        with pytest.raises(
+            ValueError, match=f"codec: '{codec}' is not allowed for .*; there are h264, h265 for x.mp4, vp9 for x.webm"
+        ):
+            open_output(f"{tmp_path}/{name}", codec=codec)
+    assert not list(tmp_path.iterdir())
+
+
+class Slow(Output):
+    """Takes its time in a thread of its own, and fails at one frame."""
+
+    apart = True
+    fails = -1
+
+    def __init__(self) -> None:
+        self.seen: list[int] = []
+        self.threads: set[str] = set()
+        self.ended = ""
+
+    def write(self, index, frame, image) -> None:
+        time.sleep(0.002)
+        if index == self.fails:
+            raise OSError("the disk is full")
+        self.seen.append(index)
+        self.threads.add(threading.current_thread().name)
+
+    def finish(self) -> None:
+        self.ended = f"finished after {len(self.seen)}"
+
+    def discard(self) -> None:
+        self.ended = "discarded"
+
+
+def test_frames_are_written_in_order_by_a_thread_of_their_own():
+    out = Slow()
+    export(FakeSimulation(), out, fps=60, duration=0.5, size=SIZE)
+    assert out.seen == list(range(30))
+    assert out.frames == 30
+    assert out.threads == {"writing frames"}
+    assert out.ended == "finished after 30"
+    assert "writing frames" not in {thread.name for thread in threading.enumerate()}
+
+
+@pytest.mark.parametrize("frame", [3, 29])
+def test_what_the_writer_raises_ends_the_run(frame):
+    out = Slow()
+    out.fails = frame
+    with pytest.raises(OSError, match="the disk is full"):
+        export(FakeSimulation(), out, fps=60, duration=0.5, size=SIZE)
+    assert out.seen == list(range(frame))
+    assert out.ended == "discarded"
+
+
+def test_all_frames_are_written_before_an_unstable_run_ends():
+    out = Slow()
+    with pytest.raises(UnstableError):
+        export(FakeSimulation(7, unstable()), out, fps=20, duration=1.0, size=SIZE)
+    assert out.seen == list(range(7))
+    assert out.ended == "finished after 7"
 
 
 def test_video_of_odd_size_and_fractional_rate(tmp_path):
@@ -258,7 +345,7 @@ def test_names_that_cannot_be_written(tmp_path):
     (tmp_path / "full" / "a.txt").write_text("")
     (tmp_path / "file").write_text("")
     for name, error, message in (
-        ("x.avi", ValueError, r"'\.avi' is not allowed; use x\.mp4, x\.gif, x\.npz or folder/"),
+        ("x.avi", ValueError, r"'\.avi' is not allowed; use x\.mp4, x\.webm, x\.gif, x\.npz or folder/"),
         ("none/x.mp4", FileNotFoundError, "there is no folder"),
         ("none/frames", FileNotFoundError, "there is no folder"),
         ("full", FileExistsError, "not empty; use --overwrite"),

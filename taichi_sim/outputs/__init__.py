@@ -9,22 +9,36 @@ from taichi_sim.outputs.run import Summary, export
 __all__ = ["Output", "Summary", "export", "open_output"]
 
 
+ENDINGS = {".mp4": ("h264", "h265"), ".webm": ("vp9",)}  # of videos, and their codecs, the usual one first
+USE = "use x.mp4, x.webm, x.gif, x.npz or folder/ for PNG frames"
+
+
 def open_output(
-    path: str | PathLike[str], *, fps: float = 60.0, overwrite: bool = False, resume: bool = False
+    path: str | PathLike[str],
+    *,
+    fps: float = 60.0,
+    overwrite: bool = False,
+    resume: bool = False,
+    codec: str | None = None,
 ) -> Output:
-    """The output for a name: x.mp4 a video, x.gif an animation, x.npz arrays, a name without an ending PNG frames.
+    """The output for a name: x.mp4 or x.webm a video, x.gif an animation, x.npz arrays, a name without an ending PNG frames.
 
     It is opened at once: ValueError for another ending, OSError where it cannot be written. overwrite and resume are
-    for a folder of frames that is not empty; a file is replaced when the new one is complete.
+    for a folder of frames that is not empty; a file is replaced when the new one is complete. codec: "h264" or "h265" for
+    x.mp4, "vp9" for x.webm.
     """
     name = fspath(path)
     suffix = "" if name.endswith(("/", "\\")) or Path(name).is_dir() else Path(name).suffix.lower()
     if resume and suffix:
         raise ValueError(f"{name}: only a folder of PNG frames can be resumed")
-    if suffix == ".mp4":
+    codecs = ENDINGS.get(suffix, ())
+    if codec is not None and codec not in codecs:
+        allowed = ", ".join(f"{', '.join(known)} for x{ending}" for ending, known in ENDINGS.items())
+        raise ValueError(f"codec: {codec!r} is not allowed for {name}; there are {allowed}")
+    if codecs:
         from taichi_sim.outputs.video import Video
 
-        return Video(name, fps)
+        return Video(name, fps, codec=codec or codecs[0])
     if suffix == ".gif":
         from taichi_sim.outputs.gif import Gif
 
@@ -37,4 +51,4 @@ def open_output(
         from taichi_sim.outputs.png import PngFolder
 
         return PngFolder(name, overwrite=overwrite, resume=resume)
-    raise ValueError(f"{name}: {suffix!r} is not allowed; use x.mp4, x.gif, x.npz or folder/ for PNG frames")
+    raise ValueError(f"{name}: {suffix!r} is not allowed; {USE}")

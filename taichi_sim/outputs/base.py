@@ -28,6 +28,7 @@ class Output:
     """
 
     needs_image = True  # False: write is called with image None
+    apart = False  # True: write may be called in a thread of its own, while the simulation goes on and `wants` is asked
     frames = 0  # how many it holds so far; `export` counts
 
     def wants(self, index: int) -> bool:

@@ -23,6 +23,8 @@ class PngFolder(Output):
     resume.
     """
 
+    apart = True
+
     def __init__(self, path: str | PathLike[str], *, overwrite: bool = False, resume: bool = False) -> None:
         self.path = Path(path)
         if overwrite and resume:

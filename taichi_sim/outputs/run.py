@@ -4,12 +4,14 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from taichi_sim.frame import Contacts, Frame
-from taichi_sim.outputs.base import Output
+from taichi_sim.outputs.base import Image, Output
+from taichi_sim.outputs.behind import Behind
 
 __all__ = ["Summary", "export"]
 
@@ -23,7 +25,7 @@ class Summary:
     wall: float = 0.0  # all of it
     simulating: float = 0.0
     drawing: float = 0.0
-    writing: float = 0.0
+    writing: float = 0.0  # where a thread writes, what was waited for it
     energy_start: tuple[float, ...] = ()
     energy_end: tuple[float, ...] = ()
     momentum: tuple[float, ...] = ()  # at the end
@@ -114,6 +116,7 @@ def export(
     with ExitStack() as stack:
         if output is not None:
             stack.enter_context(output)
+            write = stack.enter_context(Behind(output)).write if output.apart else partial(_write, output)
         advance = stack.enter_context(_bar(max(1, round(fps * duration)))) if progress else _no_bar
         renderer: Any = None
         for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
@@ -125,8 +128,7 @@ def export(
                     renderer = stack.enter_context(_renderer(frame, size, style or {}))
                 image = None if renderer is None else renderer.render(frame)
                 clock.charge("drawing")
-                output.write(index, frame, image)
-                output.frames += 1
+                write(index, frame, image)
                 clock.charge("writing")
             advance(frame.time)
         summary.duration = duration
@@ -134,6 +136,11 @@ def export(
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
     clock.charge("writing")
     return summary
+
+
+def _write(output: Output, index: int, frame: Frame, image: Image | None) -> None:
+    output.write(index, frame, image)
+    output.frames += 1
 
 
 def _no_bar(simulated: float) -> None:

@@ -1,8 +1,8 @@
-"""MP4 video, H.264 through PyAV, whose encoder comes with it from pip."""
+"""MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
 from fractions import Fraction
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,24 +10,48 @@ from taichi_sim.files import PartFile
 from taichi_sim.frame import Frame
 from taichi_sim.outputs.base import Image, Output
 
-__all__ = ["Video"]
+__all__ = ["CODECS", "Video"]
 
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
 LIMITED = 1  # studio range, as players expect
 
 
+class Codec(NamedTuple):
+    """An encoder, the container it goes into, its quality (crf) and further options."""
+
+    encoder: str
+    container: str
+    crf: int
+    options: dict[str, str]
+    tag: str = ""  # by which players know it
+
+
+CODECS = {
+    "h264": Codec("libx264", "mp4", 18, {}),
+    "h265": Codec("libx265", "mp4", 20, {"x265-params": "log-level=error"}, "hvc1"),
+    "vp9": Codec("libvpx-vp9", "webm", 24, {"b": "0", "row-mt": "1", "cpu-used": "4", "deadline": "good"}),
+}
+
+
 class Video(Output):
-    """An MP4 file that plays everywhere: H.264, yuv420p, colours marked as BT.709, index at the front.
+    """A video: yuv420p, colours marked as BT.709. MP4 with H.264, which plays everywhere and has its index at the front, or
+    H.265, which takes half the space; WebM with VP9.
 
     Args:
-        path: the final name. fps: frames per second of the video. crf: 0 (lossless) to 51; 18 looks like the original.
+        path: the final name. fps: frames per second of the video. codec: "h264", "h265" or "vp9"; crf: of the codec's own
+        scale, from 0 (best) on; 18 of H.264, 20 of H.265, 24 of VP9 look like the original.
     Frame k is shown at k / fps. Odd sizes grow by one repeated row or column, since yuv420p needs even ones.
     """
 
-    def __init__(self, path: str | PathLike[str], fps: float = 60.0, crf: int = 18) -> None:
+    apart = True
+
+    def __init__(
+        self, path: str | PathLike[str], fps: float = 60.0, crf: int | None = None, codec: str = "h264"
+    ) -> None:
+        self.codec = CODECS[codec]
         self.path = path
         self.rate = Fraction(fps).limit_denominator(100_000)
-        self.crf = crf
+        self.crf = self.codec.crf if crf is None else crf
         self._part = PartFile(path)
         self._container: Any = None
         self._stream: Any = None
@@ -50,8 +74,17 @@ class Video(Output):
     def _open(self, width: int, height: int) -> None:
         import av
 
-        self._container = av.open(str(self._part.part), "w", format="mp4", options={"movflags": "faststart"})
-        stream: Any = self._container.add_stream("libx264", rate=self.rate, options={"crf": str(self.crf)})
+        codec = self.codec
+        self._container = av.open(
+            str(self._part.part),
+            "w",
+            format=codec.container,
+            options={"movflags": "faststart"} if codec.container == "mp4" else {},
+        )
+        options = {"crf": str(self.crf), **codec.options}
+        stream: Any = self._container.add_stream(codec.encoder, rate=self.rate, options=options)
+        if codec.tag:
+            stream.codec_context.codec_tag = codec.tag
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         stream.time_base = 1 / self.rate
         context = stream.codec_context
