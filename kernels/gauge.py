@@ -4,7 +4,6 @@ import taichi as ti
 
 from .direction import unit
 
-PART = 1024  # balls whose terms one thread sums
 BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, SIZE = range(7)  # members of a row
 
 

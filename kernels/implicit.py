@@ -15,8 +15,6 @@ import taichi as ti
 from . import rows
 from .direction import unit
 
-PART = 1024  # balls whose terms of a scalar product one thread sums
-
 # Numbers that steer the loops, in double precision.
 RESIDUAL, FORCE, SCALE, NOISE, RAISED, LEFT, MOVED, EARLIER, GAIN, RZ, TARGET, STEP, ROUNDS, TURNS, TRIES = range(15)
 PASSES, WORST, MISSES, SOLVED, LOAD, SIZE = range(15, 21)

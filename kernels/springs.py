@@ -10,6 +10,7 @@ import taichi as ti
 from .direction import unit
 
 GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
+PART = 1024  # balls whose terms one thread sums; parts are added in order: the same bits for any number of threads
 
 
 @ti.func

@@ -9,7 +9,7 @@ momentum; what only rests is held all the same.
 
 import taichi as ti
 
-PART = 1024  # balls that one thread sums; parts are added in order: the same bits for any number of threads
+from .springs import PART
 
 
 @ti.func

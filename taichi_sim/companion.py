@@ -7,8 +7,7 @@ import taichi as ti
 
 from taichi_sim.fields import Fields
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.kernels.gauge import PART
-from taichi_sim.kernels.springs import GRAIN
+from taichi_sim.kernels.springs import GRAIN, PART
 from taichi_sim.model import phase_type
 from taichi_sim.state import FAR, State
 

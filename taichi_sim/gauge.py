@@ -8,7 +8,7 @@ import taichi as ti
 from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels import gauge
-from taichi_sim.kernels.springs import GRAIN
+from taichi_sim.kernels.springs import GRAIN, PART
 from taichi_sim.model import Model
 from taichi_sim.state import FAR, State
 
@@ -45,7 +45,7 @@ class Gauge:
         self.model, self.state, self.springs, self.serial = model, state, springs, serial
         self.has_springs = springs is not None
         self.share = 0.5 if springs is not None and springs.order == "gather" else 1.0  # both ends list a spring
-        self.n, self.parts = model.n, -(-model.n // gauge.PART)
+        self.n, self.parts = model.n, -(-model.n // PART)
         self.wide = ti.f64 if fields.has_doubles else fields.real
         self.row = np.zeros((self.parts, gauge.SIZE), dtype=np.float64 if self.wide == ti.f64 else np.float32)
 
@@ -55,7 +55,7 @@ class Gauge:
         bad, fastest = self.n, ti.cast(0.0, self.wide)
         kinetic, elastic = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
         gravity, weight = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-        for i in range(c * gauge.PART, ti.min((c + 1) * gauge.PART, self.n)):
+        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
             ball = self.state.ball[i]
             if not gauge.good(ball, FAR):
                 bad = ti.min(bad, i)

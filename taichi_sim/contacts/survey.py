@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from taichi_sim.contacts.solver import ContactSolver
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import survey
+from taichi_sim.kernels.springs import PART
 
 __all__ = ["Survey"]
-
-PART = 1024  # balls whose contacts one thread adds up, in a fixed order
 
 
 @ti.data_oriented

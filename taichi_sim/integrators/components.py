@@ -5,12 +5,10 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.fields import Fields
-from taichi_sim.kernels.springs import GRAIN
+from taichi_sim.kernels.springs import GRAIN, PART
 from taichi_sim.model import Model
 
 __all__ = ["FreeBodies", "components"]
-
-PART = 1024  # balls whose terms one thread sums
 
 
 def components(pairs: NDArray[np.integer], n: int) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ from taichi_sim.integrators.patches import Patches
 from taichi_sim.integrators.terms import Product, Residual
 from taichi_sim.kernels import half, rows
 from taichi_sim.kernels import implicit as parts
-from taichi_sim.kernels.springs import GRAIN
+from taichi_sim.kernels.springs import GRAIN, PART
 from taichi_sim.model import Model, incidence, phase_type
 
 __all__ = ["StageSolver", "control"]
@@ -86,7 +86,7 @@ class StageSolver:
         self.start, self.own_spring = fields.integers(start), fields.integers(spring)
         self.patches = Patches(model, springs, self.row, fields)
         self.bodies = FreeBodies(model, fields)
-        self.parts = -(-self.n // parts.PART)
+        self.parts = -(-self.n // PART)
         self.one, self.two, self.three, self.four = (fields.doubles(self.parts) for _ in range(4))
         self.five = fields.doubles(self.parts)
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
@@ -116,7 +116,7 @@ class StageSolver:
                 rr, ff = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
                 kinetic, noise = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
                 load = ti.cast(0.0, self.wide)
-                for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
+                for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
                     r = rows.cut(self.product.sum[i], self.dim)
                     self.sum[i] = r
                     w = self.model.inverse_mass[i]
@@ -179,7 +179,7 @@ class StageSolver:
             if k % GRAIN == 0:
                 c = k // GRAIN
                 rr = ti.cast(0.0, self.wide)
-                for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
+                for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
                     r = rows.cut(self.product.sum[i], self.dim)
                     self.sum[i] = r
                     rr += ti.cast(r.dot(self.block[i] @ r), self.wide)
@@ -223,7 +223,7 @@ class StageSolver:
             if k % GRAIN == 0:
                 c = k // GRAIN
                 now, before = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-                for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
+                for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
                     now += ti.cast(self._potential(i, s, 0.0), self.wide)
                     before += ti.cast(self._potential(i, s, part), self.wide)
                 self.one[c] = now
@@ -306,7 +306,7 @@ class StageSolver:
             if k % GRAIN == 0:
                 c = k // GRAIN
                 pr, py = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-                for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
+                for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
                     if self.model.inverse_mass[i] > 0.0:
                         p = self.product.p[i]
                         pr += ti.cast(rows.dot(p, self.sum[i], self.dim), self.wide)
@@ -325,7 +325,7 @@ class StageSolver:
                 c = k // GRAIN
                 step = ti.cast(self.number[parts.STEP], float)
                 rz = ti.cast(0.0, self.wide)
-                for i in range(c * parts.PART, ti.min((c + 1) * parts.PART, self.n)):
+                for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
                     self.dv[i] = self.dv[i] + step * rows.cut(self.product.p[i], self.dim)
                     r = self.sum[i] - step * rows.cut(self.product.sum[i], self.dim)
                     z = self.block[i] @ r
