@@ -23,6 +23,7 @@ from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, coarsest_spring
 from taichi_sim.stepper import Stepper
+from taichi_sim.watch import size
 
 __all__ = ["Controlled", "StepError", "check_digits", "size"]
 
@@ -51,14 +52,6 @@ class StepError(NamedTuple):
     least: int
     most: int
     repeated: int
-
-
-def size(scene: Scene) -> float:
-    """The longest side [m] of the box around all balls."""
-    if not scene.n_balls:
-        return 1.0
-    low = (scene.position - scene.radius[:, None]).min(axis=0)
-    return float(((scene.position + scene.radius[:, None]).max(axis=0) - low).max())
 
 
 def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, substeps: int, compensated: bool) -> None:
@@ -233,6 +226,13 @@ class Controlled(Stepper):
         self._companion.copy(COARSE, FINE)
         self.past += self.error
         self.error, self.age = 0.0, 0
+        if self.past > self.share * max(self.taken, 1.0 / self.dt):  # of the first second, or of all of them
+            self._warn(
+                "tolerance",
+                f"the error is {self.past / self.size:.2g} of the scene's size by t = {self.time:.6g} s, more than the"
+                f" {self.share / (self.size * self.dt):g} a second that were asked: {self.rough_steps} steps were rough,"
+                " and shorter ones did not help",
+            )
 
     # To a file and back ----------------------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ from taichi_sim.gauge import Look
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, present_limit
-from taichi_sim.watch import Growth, Watch
+from taichi_sim.watch import Growth, Watch, size
 
 __all__ = ["Stepper"]
 
@@ -22,6 +22,7 @@ WORK = 1 << 21  # balls and springs gone through between two looks in small scen
 LOOKS = 16  # chunks between two looks at the bound for the present shape, in scenes of at most MANY balls and springs
 MANY = 20_000
 HALVINGS = 6  # of the substep, before a run is given up
+SAME = 2.0  # times the energy by another step: work that was done
 
 
 class Stepper:
@@ -44,11 +45,12 @@ class Stepper:
         self._chunks = 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
+        self.driven, self.size = own or moves, size(scene)
         self.watch = Watch(
             scene,
             self.method,
             part,
-            closed=not (own or moves),
+            closed=not self.driven,
             contacts=parts.contacts.active,
             precision=parts.backend.precision,
         )
@@ -118,7 +120,7 @@ class Stepper:
             if look.bad is not None:
                 self._search(steps)
                 return
-            self._warn_of(growth, self.time + steps * self.dt)
+            self._warn_of(growth, self.time + steps * self.dt, steps)
         self._accept(steps)
 
     def _run(self, steps: int) -> Look:
@@ -148,17 +150,26 @@ class Stepper:
     # When it goes wrong --------------------------------------------------------------------------------------------
 
     def _shorten(self, steps: int, growth: Growth | None) -> bool:
-        """Repeat a chunk with substeps halved until it behaves, and stay there. False, and all as it was, where no spring limits
-        the method, so that a shorter step is no cure for a ball that left the world."""
-        if growth is None and not 0.0 < self.safe.dt_any_shape < np.inf:
+        """Repeat a chunk with substeps halved until it behaves, and stay there. False, and all as it was, where no spring and no
+        force of one's own limits the method, so that a shorter step is no cure for a ball that left the world."""
+        if growth is None and not self.driven and not 0.0 < self.safe.dt_any_shape < np.inf:
             return False
-        before = self.substeps
+        before, last = self.substeps, np.inf if growth is None else growth.after
         for _ in range(HALVINGS):
             self._back()
             self._divide(2 * self.substeps)
             self.watch.begin(self.watch.last)  # what was gained before the chunk is not given back by shorter steps
             look = self._run(steps)
-            if look.bad is None and self.watch.judge(look) is None:
+            again = None if look.bad is not None else self.watch.judge(look)
+            worked = again is not None and not again.sure and last / SAME < again.after < last * SAME
+            last = np.inf if again is None else again.after
+            if worked:
+                self.watch.begin(look)
+            if worked and self.substeps == 2 * before:  # nothing was wrong
+                self._accept(steps)
+                self._divide(before)
+                return True
+            if look.bad is None and (again is None or worked):
                 what = "a ball left the world" if growth is None else f"energy grew {_from_to(growth)}"
                 self._warn(
                     "shorter",
@@ -223,14 +234,23 @@ class Stepper:
 
     # Warnings: one of a kind ---------------------------------------------------------------------------------------
 
-    def _warn_of(self, growth: Growth | None, time: float) -> None:
-        """Energy came from nowhere, and the step was the user's choice. One that only may be wrong is judged by the bound."""
+    def _warn_of(self, growth: Growth | None, time: float, steps: int = 0) -> None:
+        """Energy came from nowhere, and the step was the user's choice. One that only may be wrong is judged by the bound, and,
+        where balls are that fast, by a run of these last `steps` with half of it."""
         if growth is None or "growth" in self._warned:
             return
         limited = 0.0 < self.safe.dt_any_shape < np.inf
         limit, spring = self._present() if limited else (np.inf, None)
         if not growth.sure and self.h <= limit:
-            self.watch.begin(self.parts.gauge.look())  # work was done
+            look = self.parts.gauge.look()
+            if steps and look.speed * self.h > self.size and not self._works(steps, growth):
+                self._warn(
+                    "growth",
+                    f"energy grew {_from_to(growth)} by t = {time:.6g} s, and a ball goes further than the scene is wide in a"
+                    f" step of {self.h:.6g} s; half of it gives another energy: forces of one's own act explicitly; take shorter"
+                    " steps",
+                )
+            self.watch.begin(self.parts.gauge.look())
             return
         if limited:
             cure = f"; in this shape spring {spring} limits {self.method} to {limit:.6g} s, {self.h:.6g} s is used"
@@ -239,6 +259,17 @@ class Stepper:
                 ", or more contact_passes" if self.parts.contacts.active else ""
             )
         self._warn("growth", f"energy grew {_from_to(growth)} by t = {time:.6g} s, which nothing explains{cure}")
+
+    def _works(self, steps: int, growth: Growth) -> bool:
+        """Whether the last steps, not accepted yet, come to the same energy with half of the substep; then as they were."""
+        before = self.substeps
+        self._back()
+        self._divide(2 * before)
+        look = self._run(steps)
+        self._back()
+        self._divide(before)
+        self._run(steps)
+        return look.bad is None and growth.after / SAME < look.motion < growth.after * SAME
 
     def _look_at_solver(self) -> None:
         """Whether an implicit method has left a stage unsolved."""
@@ -254,14 +285,14 @@ class Stepper:
             )
 
     def _look_at_bound(self) -> None:
-        """Whether the shape has stiffened so that the step is not safe any more, where it is not safe in every shape."""
+        """Whether the shape has stiffened so that the step is not safe, where it is not safe in every shape."""
         if self._warned & {"bound", "growth"}:
             return
         limit, spring = self._present()
         if self.h > limit:
             self._warn(
                 "bound",
-                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe any more: in this shape spring {spring} limits"
+                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape spring {spring} limits"
                 f" {self.method} to {limit:.6g} s",
             )
 

@@ -12,7 +12,9 @@ Not energy that appeared: what rounding makes of the sums, and, where there are 
 counts: what is pushed out may lift all balls by the height of the scene, and stretch each spring by a diameter.
 
 Where forces of one's own or moving colliders do work, any energy may be right. There only growth a hundredfold above all
-that came before raises the question, and the bound on the step for the present shape answers it.
+that came before raises the question. The bound on the step for the present shape answers it, or, where the program may choose
+the step, a run of half of it: work that was done is done again. Forces of one's own have no bound; where a ball goes further in
+a step than the scene is wide, such a run answers, too.
 """
 
 from typing import Any, NamedTuple
@@ -21,13 +23,21 @@ import numpy as np
 
 from taichi_sim.scene import Scene
 
-__all__ = ["Growth", "Watch"]
+__all__ = ["Growth", "Watch", "size"]
 
 MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
 LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it there is none
 WORK = 100.0  # times what a driven scene had before: worth a look at the bound
 DIGITS = 64.0  # units of rounding that sums and positions may differ by
+
+
+def size(scene: Scene) -> float:
+    """The longest side [m] of the box around all balls."""
+    if not scene.n_balls:
+        return 1.0
+    low = (scene.position - scene.radius[:, None]).min(axis=0)
+    return float(((scene.position + scene.radius[:, None]).max(axis=0) - low).max())
 
 
 class Growth(NamedTuple):

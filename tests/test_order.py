@@ -3,6 +3,7 @@
 import numpy as np
 import physics_bits
 import pytest
+import taichi as ti
 from physics_support import F64, each_dim, error, simulate
 
 import taichi_sim as ts
@@ -84,8 +85,10 @@ def test_restored_with_the_same_bits(always, tmp_path):
 
 
 def test_own_forces_see_the_scenes_own_order(always):
+    @ti.data_oriented
     class Nothing:
-        def accumulate(self, model, ball, impulse, h, time):
+        @ti.func
+        def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
             pass
 
     scene = ts.Scene(dim=2)

@@ -138,3 +138,21 @@ def test_a_scene_file_may_name_it(tmp_path):
     again = ts.load_scene(tmp_path / "pair.toml")
     assert again.settings["tolerance"] == 2e-3
     assert error(again.position, scene.position) == 0.0
+
+
+@pytest.mark.slow
+def test_an_error_above_what_was_asked_is_said():
+    """Elastic discs in a box meet all the time: no step is short enough."""
+    scene = ts.Scene(dim=2)
+    scene.add_material("hard", restitution=1.0)
+    rng = np.random.default_rng(1)
+    x = 0.3 * np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(-1, 2) + 0.2
+    scene.add_balls(x, radius=0.1, velocity=rng.normal(0, 3, x.shape), material="hard")
+    for normal, offset in (((1, 0), 0.0), ((-1, 0), -1.6), ((0, 1), 0.0), ((0, -1), -1.6)):
+        scene.add_wall(normal, offset, material="hard")
+    with simulate(scene, tolerance=1e-4) as sim:
+        with pytest.warns(
+            UserWarning, match=r"the error is .* more than the 0\.0001 a second that were asked: \d+ steps"
+        ):
+            sim.run(1.0)
+        assert sim.error().estimate > 1e-4

@@ -99,7 +99,7 @@ def test_a_shape_that_stiffens_is_warned_of(monkeypatch):
     with simulate(scene, dt=between, contacts="off") as sim:
         run_quietly(sim, between)
         sim.set_position(stretched)
-        with pytest.warns(UserWarning, match=r"not safe any more: in this shape spring \d+ limits verlet to 0\.0"):
+        with pytest.warns(UserWarning, match=r"not safe: in this shape spring \d+ limits verlet to 0\.0"):
             sim.step(1)
 
 
@@ -223,3 +223,62 @@ def test_stretch_that_single_precision_does_not_show():
         ts.Simulation(scene, arch="cpu", precision=PRECISION).close()
     said = any("the weight at spring 0 stretches it by 1e-06 m" in str(w.message) for w in seen)
     assert said == (not F64)
+
+
+@ti.data_oriented
+class Push:
+    """The same acceleration for all."""
+
+    def __init__(self, acceleration):
+        self.acceleration = acceleration
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i] += h * self.acceleration / model.inverse_mass[i] * ti.Vector([1.0, 0.0])
+
+
+@ti.data_oriented
+class Drag:
+    def __init__(self, coefficient):
+        self.coefficient = coefficient
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i] += -h * self.coefficient * ball[i].v
+
+
+def two_slow_balls(speed):
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0], [1, 0]], radius=0.01, mass=1.0, velocity=[[speed, 0], [speed, 0]])
+    return scene
+
+
+@pytest.mark.parametrize("settings", [{}, {"dt": 1e-3}], ids=["auto", "1 ms"])
+def test_work_of_ones_own_force_is_no_growth(settings):
+    """From almost nothing a hundred million times the energy: halved steps give the same."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with ts.Simulation(two_slow_balls(1e-3), forces=[Push(10.0)], contacts="off", **settings) as sim:
+            sim.run(1.0)
+            assert sim.substeps == 1
+            np.testing.assert_allclose(sim.velocity[:, 0], 10.001, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("method", "c"), [("verlet", 110.0), ("implicit_euler", 210.0)])
+def test_drag_that_blows_up_is_warned_of(method, c):
+    scene = two_slow_balls(1.0)
+    with ts.Simulation(scene, forces=[Drag(c)], contacts="off", dt=0.01, integrator=method) as sim:
+        with_words = r"energy grew from 1 J to .* wide in a step of 0\.01 s; half of it gives another energy"
+        with pytest.warns(UserWarning, match=with_words):
+            sim.run(1.0)
+        fast = np.abs(sim.velocity).max()
+    assert fast > 1e3  # as it would be without the look
+
+
+def test_drag_that_blows_up_gets_shorter_steps():
+    with ts.Simulation(two_slow_balls(1.0), forces=[Drag(1100.0)], contacts="off") as sim:
+        with pytest.warns(UserWarning, match=r"a ball left the world .* repeated with substeps of 0\.0005 s"):
+            sim.run(1.0)
+        assert np.abs(sim.velocity).max() < 1e-6

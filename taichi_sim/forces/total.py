@@ -19,6 +19,7 @@ h c / m < 1.
 """
 
 from collections.abc import Sequence
+from inspect import signature
 from typing import Any
 
 import taichi as ti
@@ -35,9 +36,19 @@ class TotalForce:
     """Gravity, springs and the user's forces. What the scene lacks compiles to nothing."""
 
     def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
+        if not isinstance(extra, (list, tuple)):
+            raise ValueError(f"forces: {extra!r} is not allowed; it must be a list of forces")
         for force in extra:
-            if not callable(getattr(force, "accumulate", None)):
+            function = getattr(force, "accumulate", None)
+            if not callable(function):
                 raise ValueError(f"forces: {force!r} has no function accumulate(model, ball, impulse, h, time)")
+            taken, name = list(signature(function).parameters), type(force).__name__
+            if len(taken) != 5:
+                raise ValueError(
+                    f"forces: {name}.accumulate takes ({', '.join(taken)}); it must take (model, ball, impulse, h, time)"
+                )
+            if not getattr(function, "_is_taichi_function", False):
+                raise ValueError(f"forces: {name}.accumulate is not a Taichi function; write @ti.func above it")
         self.model, self.n = model, model.n
         self.springs, self.extra = springs, list(extra)
         self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(extra)

@@ -52,6 +52,8 @@ def lines(sim: Simulation) -> Iterator[str]:
         cost = f"{passes(scene, name) / step:.3g}" if 0 < step < np.inf else "-"
         yield f"{name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
     yield f"{', '.join(ANY_STEP)}: any step is stable, its error is another matter"
+    if sim.has_own_parts:
+        yield "forces of one's own act explicitly in all of them; what step they need is not known here"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
 

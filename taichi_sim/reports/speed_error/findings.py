@@ -93,7 +93,9 @@ class Findings:
         methods = stuck(self.rows, reference.known)
         if methods:
             yield f"Errors do not fall with the step of {', '.join(methods)}" + (
-                ": contacts make and break at other moments with each step." if reference.touch else "."
+                ": contacts, where there are some, make and break at other moments with each step."
+                if reference.touch
+                else "."
             )
         grown = f"Two runs that start {APART:g} of the size apart part by up to {self._parted():.1g} of it"
         if not reference.chaotic:

@@ -16,6 +16,7 @@ from taichi_sim.reports.speed_error.plan import METHODS
 __all__ = ["Row", "cheapest", "lines_of", "pareto", "read", "stuck", "tells", "whole", "with_orders", "write"]
 
 STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
+TOLD = 1.9  # times longer a step must be for that
 FALLS = 0.7  # of the error at the step before, above which a shorter step did not lessen it
 CLEAR = 10.0  # times what the reference is known to, below which an error says more of the reference than of the method
 
@@ -137,8 +138,8 @@ def stuck(rows: Sequence[Row], known: float) -> list[str]:
     found = []
     for method in dict.fromkeys(row.method for row in rows):
         own = [row for row in rows if (row.precision, row.method) == (rows[0].precision, method) and tells(row, known)]
-        errors = [row.rms_error or 0.0 for row in own]
-        if len(errors) > 1 and errors[-1] > FALLS * errors[-2]:
+        longer = [row for row in own if row.step > TOLD * own[-1].step]
+        if longer and (own[-1].rms_error or 0.0) > FALLS * (longer[-1].rms_error or 0.0):
             found.append(method)
     return found
 
