@@ -375,8 +375,9 @@ def _plain_errors() -> Iterator[None]:
     except UnstableError as error:
         _fail(str(error), UNSTABLE)
     except (ValueError, BackendError, OSError, ArithmeticError) as error:  # SceneError is a ValueError
-        bare = isinstance(error, OSError) and error.errno is not None and error.filename is not None
-        _fail(f"{error.filename}: {error.strerror}" if bare else str(error), BAD_INPUT)
+        if isinstance(error, OSError) and error.filename is not None:  # as the system gave it
+            _fail(f"{error.filename}: {error.strerror}", BAD_INPUT)
+        _fail(str(error), BAD_INPUT)
     except MemoryError as error:
         _fail(f"not enough memory for this scene: {error}", BAD_INPUT)
     except KeyboardInterrupt:
