@@ -48,24 +48,32 @@ class FreeBodies:
         self.part = fields.integers(np.append(0, np.cumsum([len(b) for b in begins])).astype(np.int32))
         mass = np.bincount(np.repeat(np.arange(len(body)), count), scene.mass[member], len(body))
         self.mass = fields.reals(mass if len(mass) else 1)
-        self.sum = fields.vectors(max(1, self.parts), self.dim)
+        self.inverse_mass = model.inverse_mass
+        self.sum = fields.doubles(max(1, self.parts) * self.dim)
+        self.wide = self.sum.dtype
         self.shift = fields.vectors(max(1, self.bodies), self.dim)
 
     @ti.func
-    def share(self, table: ti.template(), impulse: ti.template()):
-        """Velocities table.v of each body += the sum of `impulse` over its balls, divided by its mass."""
+    def share(self, table: ti.template(), aim: ti.template()):
+        """Velocities table.v of each body += what gives it the momentum that the velocities `aim` (n) [m/s] have: springs within a
+        body give it none. In double precision, for their impulses, which cancel, may be large, and `aim` has none of them."""
         for k in range(self.parts * GRAIN):
             if k % GRAIN == 0:
                 c = k // GRAIN
-                total = ti.Vector.zero(float, self.dim)
+                total = ti.Vector.zero(self.wide, self.dim)
                 for e in range(self.begin[c], self.begin[c + 1]):
-                    total += impulse[self.member[e]]
-                self.sum[c] = total
+                    i = self.member[e]
+                    w = ti.cast(self.inverse_mass[i], self.wide)
+                    for a in ti.static(range(self.dim)):
+                        total[a] += (ti.cast(aim[i][a], self.wide) - ti.cast(table[i].v[a], self.wide)) / w
+                for a in ti.static(range(self.dim)):
+                    self.sum[c * self.dim + a] = total[a]
         for k in range(self.bodies):
-            total = ti.Vector.zero(float, self.dim)
+            total = ti.Vector.zero(self.wide, self.dim)
             for c in range(self.part[k], self.part[k + 1]):
-                total += self.sum[c]
-            self.shift[k] = total / self.mass[k]
+                for a in ti.static(range(self.dim)):
+                    total[a] += self.sum[c * self.dim + a]
+            self.shift[k] = ti.cast(total, float) / self.mass[k]
         for e in range(self.members):
             i = self.member[e]
             table[i].v = table[i].v + self.shift[self.body_of[e]]

@@ -375,8 +375,8 @@ class StageSolver:
 
     @ti.func
     def end(self, stage):
-        """Give free bodies the momentum that the residual lacks; note the change of this stage, and how well it was solved."""
-        self.bodies.share(self.base, self.sum)
+        """Give free bodies the momentum that they should have; note the change of this stage, and how well it was solved."""
+        self.bodies.share(self.base, self.q)
         for i in range(self.n):
             self.last[stage * self.n + i] = self.base[i].v - self.first[i]
         self.number[parts.SOLVED] += 1.0
