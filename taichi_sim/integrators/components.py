@@ -55,8 +55,8 @@ class FreeBodies:
 
     @ti.func
     def share(self, table: ti.template(), aim: ti.template()):
-        """Velocities table.v of each body += what gives it the momentum that the velocities `aim` (n) [m/s] have: those know nothing
-        of its springs, which give it none. A sum of their impulses would be off by the rounding of large numbers."""
+        """Velocities table.v of each body += what gives it the momentum that the velocities `aim` (n) [m/s] have: they know
+        nothing of its springs, which give it none. A sum of their impulses would be off by the rounding of large numbers."""
         for k in range(self.parts * GRAIN):
             if k % GRAIN == 0:
                 c = k // GRAIN
