@@ -282,3 +282,22 @@ def test_drag_that_blows_up_gets_shorter_steps():
         with pytest.warns(UserWarning, match=r"a ball left the world .* repeated with substeps of 0\.0005 s"):
             sim.run(1.0)
         assert np.abs(sim.velocity).max() < 1e-6
+
+
+def test_a_free_net_keeps_its_momentum_in_an_implicit_method():
+    """Impulses of its springs are a million times larger and cancel: what rounding leaves of them is no momentum."""
+    rng, n = np.random.default_rng(7), 20
+    scene = ts.Scene(dim=2)
+    scene.add_balls(
+        rng.uniform(-1, 1, (n, 2)), radius=0.01, velocity=rng.normal(0, 1, (n, 2)), mass=rng.uniform(0.2, 5, n)
+    )
+    pairs = np.array([(i, j) for i in range(n) for j in range(i + 1, min(n, i + 4))])
+    length = np.linalg.norm(scene.position[pairs[:, 1]] - scene.position[pairs[:, 0]], axis=1)
+    scene.add_springs(pairs, stiffness=1e10, rest_length=length * rng.uniform(0.8, 1.2, len(pairs)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that this is too stiff for single precision
+        with simulate(scene, integrator="implicit_euler", dt=0.01, contacts="off") as sim:
+            before = sim.momentum()
+            sim.step(50)
+            whole = float(np.sum(scene.mass * np.linalg.norm(scene.velocity, axis=1)))
+            assert np.max(np.abs(sim.momentum() - before)) < (1e-12 if F64 else 1e-6) * whole
