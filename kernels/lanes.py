@@ -5,8 +5,9 @@ Springs of a group share no ball, so none waits for another one of it: all loads
 
 import taichi as ti
 
+from .rows import NEAR
+
 WIDTH = 8
-NEAR = 1e-30  # m^2; ends that are nearer to each other than that are left to a law with branches
 
 
 @ti.func

@@ -31,9 +31,7 @@ __all__ = [
 ANY_STEP = ("xpbd", "implicit_euler", "tr_bdf2")  # methods that no spring limits
 SINKING = 0.05  # of a rest length: what a heavy ball may sink by with xpbd
 VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
-GENTLE = (
-    0.9  # part of Verlet's undamped step that damping at predicted velocities must leave, to be the one that is used
-)
+GENTLE = 0.9  # part of the undamped step that damping at predicted velocities must leave Verlet
 ROUNDS = 3  # that improve the weights of the present bound
 
 Floats = NDArray[np.float64]
