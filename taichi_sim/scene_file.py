@@ -90,6 +90,7 @@ class _Reader:
                 arguments = self._with_file(("springs", index), table, ("pairs", "stiffness"))
                 arguments["pairs"] = self._members(scene, "springs.pairs", arguments, 2)
                 scene.add_springs(**arguments)
+        self._elements(scene, model)
         self._walls(scene, model.walls)
         for index, table in enumerate(model.colliders):
             with self._at("colliders", index):
@@ -114,6 +115,49 @@ class _Reader:
                 arguments = self._with_file(("balls", index), table, ("position", "radius"))
                 group = arguments.pop("name", None)
                 self._name(group, scene.add_balls(**arguments))
+
+    def _elements(self, scene: Scene, model: Any) -> None:
+        for index, table in enumerate(model.attachments):
+            with self._at("attachments", index):
+                arguments = _given(table)
+                for side in ("one", "other"):
+                    arguments[side] = self._chosen(scene, f"attachments.{side}", arguments, side, f"{side}_members")
+                scene.attach(**arguments)
+        parts = (
+            ("cells", "corners", scene.dim + 1, scene.add_cells, ("corners", "bulk_modulus")),
+            ("bending", "corners", 4, scene.add_bending, ("corners", "weights", "stiffness")),
+            ("gases", "triangles", 3, scene.add_gas, ("triangles",)),
+        )
+        for name, key, width, add, needed in parts:
+            for index, table in enumerate(getattr(model, name)):
+                with self._at(name, index):
+                    arguments = self._with_file((name, index), table, needed)
+                    arguments[key] = self._members(scene, f"{name}.{key}", arguments, width)
+                    add(**arguments)
+        for index, table in enumerate(model.moving_pins):
+            with self._at("moving_pins", index):
+                arguments = self._with_file(("moving_pins", index), table, ("balls",))
+                arguments["balls"] = self._chosen(scene, "moving_pins.balls", arguments, "balls", "members")
+                scene.add_moving_pins(**arguments)
+        if model.wind is not None:
+            with self._at("wind"):
+                scene.add_wind(**_given(model.wind))
+
+    def _chosen(self, scene: Scene, where: str, arguments: dict[str, Any], key: str, members: str) -> NDArray[np.int32]:
+        """The balls that `key` names, a group or numbers in the scene, or of a group those of `members`."""
+        value, chosen = arguments.pop(key), arguments.pop(members, None)
+        if not isinstance(value, str):
+            if chosen is not None:
+                raise SceneError(f"{members}: count within a group of balls; {key} must be the name of one")
+            return checks.indices(where, value, scene.n_balls)
+        if value not in self.groups:
+            raise SceneError(f"{key}: {value!r} is not a name in this file; {_one_of(value, list(self.groups))}")
+        balls = self.groups[value]
+        return (
+            balls
+            if chosen is None
+            else balls[checks.indices(f"{where.partition('.')[0]}.{members}", chosen, len(balls))]
+        )
 
     def _walls(self, scene: Scene, tables: "Sequence[BaseModel]") -> None:
         for index, table in enumerate(tables):
@@ -256,7 +300,7 @@ def _given(table: Any) -> dict[str, Any]:
     given = {name: getattr(table, name) for name in type(table).model_fields if name in table.model_fields_set}
     for name, value in given.items():
         try:
-            np.shape(value)
+            np.shape(value if name != "path" else ())  # keyframes are no vectors
         except ValueError:
             raise SceneError(f"{name}: its lists differ in length; give every vector as many numbers") from None
     return given

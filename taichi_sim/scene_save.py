@@ -64,6 +64,7 @@ def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
         "materials": _materials(scene),
         "balls": _balls(scene, store),
         "springs": _springs(scene, store),
+        **_elements(scene, store),
         "walls": [
             {"normal": list(wall.normal), "offset": wall.offset, "material": scene.materials[wall.material].name}
             | _groups(scene, wall.group, wall.mask)
@@ -145,7 +146,29 @@ def _springs(scene: Scene, store: _Arrays) -> list[dict[str, Any]]:
         return []
     columns = {"pairs": scene.pairs, "rest_length": scene.rest_length}
     columns |= {name: _one(getattr(scene, name)) for name in ("stiffness", "damping", "collides")}
+    if np.isfinite(scene.break_strain).any():
+        columns["break_strain"] = _one(scene.break_strain)
     return [store.table("springs_", columns)]
+
+
+def _elements(scene: Scene, store: _Arrays) -> dict[str, Any]:
+    about = scene.elements()
+    tables: dict[str, Any] = {} if about["wind"] is None else {"wind": {k: _plain(v) for k, v in about["wind"].items()}}
+    if len(scene.cells):
+        columns = {"corners": scene.cells, "rest_volume": scene.rest_volume, "bulk_modulus": _one(scene.bulk_modulus)}
+        tables["cells"] = [store.table("cells_", columns)]
+    if len(scene.bends):
+        columns = {"corners": scene.bends, "weights": scene.bend_weights, "stiffness": _one(scene.bend_stiffness)}
+        tables["bending"] = [store.table("bending_", columns)]
+    tables["gases"] = [
+        store.table(f"gases_{k}_", {"triangles": gas.triangles}, pressure=gas.pressure, outside=gas.outside)
+        for k, gas in enumerate(scene.gases)
+    ]
+    tables["moving_pins"] = [
+        store.table(f"moving_pins_{k}_", {"balls": pins.balls}, **{key: _plain(v) for key, v in pins.given.items()})
+        for k, pins in enumerate(scene.moving_pins)
+    ]
+    return tables
 
 
 def _one(column: NDArray) -> NDArray:

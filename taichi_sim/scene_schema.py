@@ -114,6 +114,12 @@ def _colliders() -> type[BaseModel]:
 _file: dict[str, Any] = {"file": (str | None, None), "prefix": (str, "")}
 _name: dict[str, Any] = {"name": (str | None, None)}
 _group: dict[str, Any] = {"balls": (str | None, None)}
+_led: dict[str, Any] = {"balls": (str | tuple[int, ...] | None, None), "members": (tuple[int, ...] | None, None)}
+_joined: dict[str, Any] = {
+    side + end: (kind, default)
+    for side in ("one", "other")
+    for end, kind, default in (("", str | tuple[int, ...], ...), ("_members", tuple[int, ...] | None, None))
+}
 _body: dict[str, Any] = {"body": (Annotated[int, Ge(0), Le(MOST_BODIES)], 0)}
 
 TABLES: Mapping[str, type[BaseModel]] = {
@@ -121,6 +127,11 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "balls": _optional(_arguments(Scene.add_balls, **_name, **_file, **_body), "position", "radius"),
     **{name: _arguments(function, **_name) for name, function in SHAPES.items()},
     "springs": _optional(_arguments(Scene.add_springs, **_group, **_file), "pairs", "stiffness"),
+    "attachments": _arguments(Scene.attach, **_joined),
+    "cells": _optional(_arguments(Scene.add_cells, **_group, **_file), "corners", "bulk_modulus"),
+    "bending": _optional(_arguments(Scene.add_bending, **_group, **_file), "corners", "weights", "stiffness"),
+    "gases": _optional(_arguments(Scene.add_gas, **_group, **_file), "triangles"),
+    "moving_pins": _arguments(Scene.add_moving_pins, **_led, **_file),
     "walls": _arguments(Scene.add_wall),
     "colliders": _colliders(),
     "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
@@ -132,6 +143,7 @@ _document: dict[str, Any] = {
     "gravity": (Any, None),
     "simulation": (Simulation, Field(default_factory=Simulation)),
     "output": (Output, Field(default_factory=Output)),
+    "wind": (_arguments(Scene.add_wind) | None, None),
     **{name: (tuple[model, ...], ()) for name, model in TABLES.items()},  # type: ignore[valid-type]
 }
 Document: type[BaseModel] = create_model("Document", __base__=Strict, **_document)

@@ -53,6 +53,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "output": scene.output,
         "time": simulation.time,
         "stepping": stepping,
+        "elements": scene.elements(),
     }
     state = {"position": simulation.position, "velocity": simulation.velocity}
     state.update({STEPPING + name: array for name, array in moments.items()})
@@ -64,7 +65,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         if "mesh" in collider.given:
             state.update({f"colliders.{k}.{name}": getattr(collider, name) for name in MESH})
     with replacing(path) as file:
-        np.savez(file, about=np.array(json.dumps(about)), **state, **scene.to_arrays())
+        np.savez(file, about=np.array(json.dumps(about)), **state, **scene.to_arrays(), **scene.element_arrays())
 
 
 def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, Any]) -> Any:
@@ -119,6 +120,8 @@ def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
         mesh = {name: arrays[f"colliders.{k}.{name}"] for name in MESH} if given["shape"] == "mesh" else {}
         scene.add_collider(shape_of(given | mesh))
     scene.from_arrays(arrays)
+    if "elements" in about:
+        scene.set_elements(about["elements"], arrays)
     named = [*scene.material.tolist(), *(wall.material for wall in scene.walls)]
     if any(not 0 <= index < len(scene.materials) for index in set(named)):
         raise SceneError(f"a material is named that is none of the {len(scene.materials)} there are")
