@@ -11,10 +11,16 @@ __all__ = ["Drivers"]
 
 @ti.data_oriented
 class Drivers:
-    """The kernels of one simulation. `integrator` is any bound Integrator."""
+    """The kernels of one simulation. `integrator` is any bound Integrator; `pins`: moving ones, or None."""
 
-    def __init__(self, integrator: Any) -> None:
-        self.integrator = integrator
+    def __init__(self, integrator: Any, pins: Any = None) -> None:
+        self.integrator, self.pins = integrator, pins
+        self.leads = pins is not None
+
+    @ti.func
+    def _lead(self, forth: ti.template()):
+        if ti.static(self.leads):
+            self.pins.lead(forth)
 
     @ti.kernel
     def prime(self, h: float, time: float, fused: ti.template()):
@@ -22,13 +28,16 @@ class Drivers:
         if ti.static(fused):
             ti.loop_config(serialize=True)
             for _ in range(1):
+                self._lead(False)
                 self.integrator.prime(h, time)
         else:
+            self._lead(False)
             self.integrator.prime(h, time)
 
     @ti.kernel
     def parallel(self, h: float, time: float):
         """One substep of h seconds from `time`."""
+        self._lead(True)
         self.integrator.substep(h, time)
 
     @ti.kernel
@@ -36,7 +45,13 @@ class Drivers:
         """`steps` substeps of h seconds from `time`."""
         ti.loop_config(serialize=True)
         for k in range(steps):
+            self._lead(True)
             self.integrator.substep(h, time + k * h)
+
+    @ti.kernel
+    def lead(self):
+        """Moving pins, for methods that launch a substep in parts."""
+        self._lead(True)
 
     def run(self, steps: int, h: float, time: float, fused: bool) -> None:
         """`steps` substeps by the chosen driver."""
@@ -44,6 +59,8 @@ class Drivers:
             self.fused(steps, h, time)
         elif self.integrator.hosted:
             for k in range(steps):
+                if self.leads:
+                    self.lead()
                 self.integrator.advance(h, time + k * h)
         else:
             for k in range(steps):
