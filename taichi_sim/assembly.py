@@ -21,6 +21,7 @@ from taichi_sim.drivers import Drivers
 from taichi_sim.errors import SceneError
 from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs, fixed_order
+from taichi_sim.forces.tearing import Tearing
 from taichi_sim.forces.total import TotalForce
 from taichi_sim.gauge import Gauge
 from taichi_sim.integrators import BUILT_IN
@@ -103,13 +104,17 @@ class Assembly:
         self.state.serial = self.fused
         self.gauge = Gauge(self.model, self.state, springs, self.forces.stores, self.fields, self.fused)
         self.pins = Pins(self.model, self.state, self.fields) if scene.moving_pins else None
+        self.tearing: Tearing | None = None
+        if springs is not None and np.isfinite(scene.break_strain).any():
+            self.tearing = Tearing(self.model, springs, self.fields)
+            self.state.followers.append(self.tearing)
         moves = self.colliders is not None and self.colliders.moves
         self.led = [part for part in (self.colliders if moves else None, self.pins) if part is not None]
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         self.companion: Companion | None = None
         if settings.tolerance is not None:
             self.companion = Companion(self.state, self.integrator, self.fields, self.fused)
-        self.drivers = Drivers(self.integrator, self.pins)
+        self.drivers = Drivers(self.integrator, self.pins, self.tearing)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
@@ -263,6 +268,7 @@ class Assembly:
             room[name] = entries
         state = self.state
         x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
+        torn = None if self.tearing is None else self.tearing.springs_torn
         if self.companion is None:  # else both are there for a moment
             self.free()
         larger = Assembly(*self.arguments, room=Room(**room))
@@ -272,6 +278,8 @@ class Assembly:
         larger.set_step(self.h)
         larger.state.write(x, v, low)
         larger.state.write_turn(turn)
+        if torn is not None and larger.tearing is not None:
+            larger.tearing.tear(torn)
         return larger
 
     def _endless(self) -> str:

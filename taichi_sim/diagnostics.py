@@ -16,6 +16,7 @@ __all__ = [
     "angular_momentum",
     "collider_depth",
     "contacts",
+    "cut",
     "enclosed",
     "energy",
     "inertia",
@@ -79,6 +80,14 @@ def enclosed(x: Floats, triangles: NDArray) -> float:
     """Volume [m^3] in a closed surface of triangles (t, 3) of the balls at x (n, 3)."""
     a, b, c = (x[triangles[:, k]] - x[triangles[0, 0]] for k in range(3))
     return float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
+
+
+def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
+    """Which triangles (t, 3) of n balls have one of the pairs (k, 2) as a side."""
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
+    pairs = np.sort(torn.astype(np.int64), axis=1)
+    gone = np.isin(sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1])
+    return np.asarray(gone.any(axis=1))
 
 
 def inverted(scene: Scene, x: Floats) -> int:

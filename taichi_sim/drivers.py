@@ -11,16 +11,22 @@ __all__ = ["Drivers"]
 
 @ti.data_oriented
 class Drivers:
-    """The kernels of one simulation. `integrator` is any bound Integrator; `pins`: moving ones, or None."""
+    """The kernels of one simulation. `integrator` is any bound Integrator; `pins`: moving ones, `tearing`: of springs, or
+    None."""
 
-    def __init__(self, integrator: Any, pins: Any = None) -> None:
-        self.integrator, self.pins = integrator, pins
-        self.leads = pins is not None
+    def __init__(self, integrator: Any, pins: Any = None, tearing: Any = None) -> None:
+        self.integrator, self.pins, self.tearing = integrator, pins, tearing
+        self.leads, self.tears = pins is not None, tearing is not None
 
     @ti.func
     def _lead(self, forth: ti.template()):
         if ti.static(self.leads):
             self.pins.lead(forth)
+
+    @ti.func
+    def _tear(self):
+        if ti.static(self.tears):
+            self.tearing.look(self.integrator.ball)
 
     @ti.kernel
     def prime(self, h: float, time: float, fused: ti.template()):
@@ -39,6 +45,7 @@ class Drivers:
         """One substep of h seconds from `time`."""
         self._lead(True)
         self.integrator.substep(h, time)
+        self._tear()
 
     @ti.kernel
     def fused(self, steps: int, h: float, time: float):
@@ -47,11 +54,17 @@ class Drivers:
         for k in range(steps):
             self._lead(True)
             self.integrator.substep(h, time + k * h)
+            self._tear()
 
     @ti.kernel
     def lead(self):
         """Moving pins, for methods that launch a substep in parts."""
         self._lead(True)
+
+    @ti.kernel
+    def tear(self):
+        """Springs that are too long, likewise."""
+        self._tear()
 
     def run(self, steps: int, h: float, time: float, fused: bool) -> None:
         """`steps` substeps by the chosen driver."""
@@ -62,6 +75,8 @@ class Drivers:
                 if self.leads:
                     self.lead()
                 self.integrator.advance(h, time + k * h)
+                if self.tears:
+                    self.tear()
         else:
             for k in range(steps):
                 self.parallel(h, time + k * h)

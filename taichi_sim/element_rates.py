@@ -50,7 +50,8 @@ def element_rates(scene: Scene) -> Rates:
         x, t = scene.position, gas.triangles
         area = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) / 6.0
         balls = np.unique(t)
-        gradient = np.stack([np.bincount(t.ravel(), np.repeat(area[:, a], 3), scene.n_balls) for a in range(3)], axis=1)
+        sums = [np.bincount(t.ravel(), np.repeat(area[:, a], 3), scene.n_balls) for a in range(3)]
+        gradient = np.stack(sums, axis=1).astype(np.float64)
         strength = ROOM * (gas.pressure + gas.outside) / gas.volume
         kinds.append(_Kind(balls[None], gradient[balls][None], np.array([strength])))
         edge = np.linalg.norm(x[np.roll(t, -1, axis=1)] - x[t], axis=2)  # from corner k to the next

@@ -1,5 +1,7 @@
 """Cells, bending, gas and wind against plain NumPy in float64; what they conserve; how stiff they may be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import PRECISION
@@ -209,7 +211,8 @@ def hessian(scene: ts.Scene, x: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_bound_is_above_the_exact_eigenvalue_at_rest(dim):
     scene = closed(dim)
-    if dim == 3:  # at rest but for the gas
+    if dim == 3:  # at rest but for the gas, whose pressure is bounded coarsely
+        scene.gases[0] = replace(scene.gases[0], pressure=1.0, outside=40.0)
         scene.position[:] = [[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
     else:
         scene.position[:] = [[0, 0], [1, 0], [1, 1], [0, 1]]
