@@ -12,6 +12,8 @@ from taichi_sim import checks
 from taichi_sim.colliders import Collider, build
 from taichi_sim.errors import SceneError
 from taichi_sim.groups import EVERY, ONLY, Groups, bits_of
+from taichi_sim.skins import Skin, build_skin, skins_from, skins_to
+from taichi_sim.tables import Table
 
 __all__ = ["Material", "Scene", "Wall", "bounciest", "used_materials"]
 
@@ -38,26 +40,6 @@ class Wall:
     mask: int = EVERY  # bits of the groups that it collides with
 
 
-class _Table:
-    """Columns that grow by whole calls and are joined when read."""
-
-    def __init__(self, **columns: NDArray) -> None:
-        self._parts = {name: [column] for name, column in columns.items()}
-        self.names = tuple(columns)
-        self.rows = 0
-
-    def append(self, n: int, **columns: NDArray) -> None:
-        for name, column in columns.items():
-            self._parts[name].append(column)
-        self.rows += n
-
-    def __getitem__(self, name: str) -> NDArray:
-        parts = self._parts[name]
-        if len(parts) > 1:
-            parts[:] = [np.concatenate(parts)]
-        return parts[0]
-
-
 class Scene:
     """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
@@ -77,10 +59,11 @@ class Scene:
         self.materials: list[Material] = [Material("default")]
         self.walls: list[Wall] = []
         self.colliders: list[Collider] = []
+        self.skins: list[Skin] = []
         self.groups = Groups()
         self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
         self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
-        self._balls = _Table(
+        self._balls = Table(
             position=np.zeros((0, dim)),
             velocity=np.zeros((0, dim)),
             mass=np.zeros(0),
@@ -92,14 +75,14 @@ class Scene:
             mask=np.zeros(0, dtype=np.int32),
             colour=np.zeros((0, 3)),
         )
-        self._springs = _Table(
+        self._springs = Table(
             pairs=np.zeros((0, 2), dtype=np.int32),
             stiffness=np.zeros(0),
             damping=np.zeros(0),
             rest_length=np.zeros(0),
             collides=np.zeros(0, dtype=bool),
         )
-        self._triangles = _Table(triangles=np.zeros((0, 3), dtype=np.int32))
+        self._triangles = Table(triangles=np.zeros((0, 3), dtype=np.int32))
         self._bodies = 0
 
     # What there is -------------------------------------------------------------------------------------------------
@@ -296,6 +279,27 @@ class Scene:
         t = checks.indices("triangles", triangles, self.n_balls, width=3)
         self._triangles.append(len(t), triangles=t)
 
+    def add_skin(
+        self,
+        corners: ArrayLike,
+        weights: ArrayLike,
+        triangles: ArrayLike,
+        *,
+        covers: ArrayLike | None = None,
+        colour: Sequence[float] | None = None,
+    ) -> int:
+        """Add a surface that pictures show in place of balls, their springs and triangles, and return its number.
+
+        Args:
+            corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares, 1 in sum for each vertex.
+            triangles: (t, 3) vertices of the skin, counter-clockwise seen from outside.
+            covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1; None: that of the balls.
+        """
+        where = f"skins[{len(self.skins)}]"
+        tint = None if colour is None else _colour(f"{where}.colour", colour)
+        self.skins.append(build_skin(where, self.n_balls, corners, weights, triangles, covers, tint))
+        return len(self.skins) - 1
+
     def new_body(self) -> int:
         """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
         self._bodies = max(self._bodies, int(self.body.max(initial=0))) + 1
@@ -326,9 +330,10 @@ class Scene:
         save_scene(self, path)
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """All columns of balls, springs and triangles under "balls.mass" and the like: what a state file keeps."""
+        """All columns of balls, springs, triangles and skins under "balls.mass" and the like: what a state file keeps."""
         tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
-        return {f"{name}.{key}": table[key] for name, table in tables.items() for key in table.names}
+        columns = {f"{name}.{key}": table[key] for name, table in tables.items() for key in table.names}
+        return columns | skins_to(self.skins)
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         """Add what `to_arrays` gave, without checks."""
@@ -336,6 +341,7 @@ class Scene:
         for name, table in tables.items():
             columns = {key: arrays[f"{name}.{key}"] for key in table.names}
             table.append(len(next(iter(columns.values()))), **columns)
+        self.skins += skins_from(arrays)
 
     # Checks --------------------------------------------------------------------------------------------------------
 

@@ -124,6 +124,7 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "walls": _arguments(Scene.add_wall),
     "colliders": _colliders(),
     "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
+    "skins": _optional(_arguments(Scene.add_skin, **_group, **_file), "corners", "weights", "triangles"),
 }
 
 _document: dict[str, Any] = {

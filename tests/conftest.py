@@ -24,6 +24,7 @@ ONCE = (
     "scene",
     "scene_file",
     "shapes",
+    "skins",
     "tune",
     "waves",
 )

@@ -35,7 +35,7 @@ LEVELS = (
     ("shapes", "shape_parts", "rates"),
     ("scene", "frame"),
     ("colliders",),
-    ("mesh", "motion"),
+    ("mesh", "motion", "skins", "tables"),
     ("checks", "files", "interrupts", "memory", "groups"),
     ("errors",),
     ("kernels",),
@@ -62,6 +62,8 @@ NO_TAICHI = (
     "interrupts",
     "memory",
     "groups",
+    "skins",
+    "tables",
 )
 
 
@@ -188,7 +190,9 @@ def test_simulation_has(name):
         assert hasattr(sim, name)
 
 
-@pytest.mark.parametrize("name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "save"])
+@pytest.mark.parametrize(
+    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "save"]
+)
 def test_scene_has(name):
     assert callable(getattr(ts.Scene, name))
 

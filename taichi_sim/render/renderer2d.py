@@ -129,10 +129,11 @@ class Renderer2D:
         """Shapes in drawing order, and the corners of their boxes, px."""
         content = self._content
         assert content is not None
-        p = (frame.position - self._low) * self._scale
+        n = len(frame.position)
+        p = (np.concatenate([frame.position, content.binding.apply(frame.position)]) - self._low) * self._scale
         p[:, 1] = self.size[1] - p[:, 1]
-        t, o, m, n = len(content.triangles), len(self._outline), len(self._rods), len(self._discs)
-        shape = np.zeros((t + o + m + n, 8), dtype=np.float32)
+        t, o, m = len(content.triangles), len(self._outline), len(self._rods)
+        shape = np.zeros((t + o + m + len(self._discs), 8), dtype=np.float32)
         low, high = np.zeros((len(shape), 2)), np.zeros((len(shape), 2))
         corners = p[content.triangles]
         shape[:t, :6] = corners.reshape(t, 6)
@@ -151,7 +152,7 @@ class Renderer2D:
         r = np.maximum(content.radius[self._discs] * self._scale, THINNEST["disc"])[:, None]
         centre = p[self._discs]
         shape[discs, :2], shape[discs, 2:3] = centre, r
-        if len(frame.pinned) == len(p):
+        if len(frame.pinned) == n:
             shape[discs, 3] = frame.pinned[self._discs]
         low[discs], high[discs] = centre - r - 1, centre + r + 1
         return shape, low, high
