@@ -73,6 +73,7 @@ class Output(Strict):
     background: tuple[Share, Share, Share] | None = None  # sRGB
     ambient_occlusion: bool = False
     shadow: bool = True
+    transparent: bool = False  # PNG frames with alpha, without background and ground
 
 
 def _field(parameter: inspect.Parameter) -> tuple[Any, Any]:

@@ -20,6 +20,7 @@ ONCE = (
     "readme",
     "render",
     "report",
+    "resume",
     "rooms",
     "scene",
     "scene_file",

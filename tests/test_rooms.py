@@ -36,7 +36,7 @@ LEVELS = (
     ("scene", "frame"),
     ("colliders",),
     ("mesh", "motion", "skins", "tables"),
-    ("checks", "files", "interrupts", "memory", "groups"),
+    ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
 )

@@ -11,7 +11,7 @@ from taichi_sim.kernels import raster, resolve, shade
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
-__all__ = ["Buffers", "Canvas"]
+__all__ = ["Buffers", "Canvas", "finished"]
 
 SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 
@@ -145,12 +145,15 @@ class _Scene:
         self.has_shadow, self.has_occlusion = canvas.shadow is not None, canvas.openness is not None
         self.shadow, self.coarse = canvas.shadow, canvas.coarse
         self.openness, self.open_raw = canvas.openness, canvas.open_raw
+        self.transparent, self.alpha = canvas.alpha is not None, canvas.alpha
 
 
 class Canvas:
     """Keys of the picture and of the shadow map, colours, and the sky that each pixel sees."""
 
-    def __init__(self, size: tuple[int, int], samples: int, shadow: bool, occlusion: bool) -> None:
+    def __init__(
+        self, size: tuple[int, int], samples: int, shadow: bool, occlusion: bool, transparent: bool = False
+    ) -> None:
         pixels = size[0] * size[1]
         self.samples, self.shadow_side = samples, SHADOW_SIDE[samples]
         builder = ti.FieldsBuilder()
@@ -162,6 +165,7 @@ class Canvas:
         self.coarse: Any = _place(builder, ti.field(ti.f32), cells) if shadow else None
         self.openness: Any = _place(builder, ti.field(ti.f32), pixels) if occlusion else None
         self.open_raw: Any = _place(builder, ti.field(ti.f32), pixels) if occlusion else None
+        self.alpha: Any = _place(builder, ti.field(ti.f32), pixels) if transparent else None
         self._tree = builder.finalize()
         self.image.fill(0.0)  # see Buffers
         self._out = np.zeros(pixels, dtype=np.int32)
@@ -174,12 +178,18 @@ class Canvas:
         return self._scene[1]
 
     def finish(self, width: int, height: int) -> NDArray[np.uint8]:
-        resolve.finish(self.image, self.samples == 1, width, height, self._out)
-        return np.ascontiguousarray(self._out.view(np.uint8).reshape(height, width, 4)[:, :, :3])
+        return finished(self.image, self.alpha, self.samples == 1, width, height, self._out)
 
     def close(self) -> None:
         self._tree.destroy()
         self._scene = None
+
+
+def finished(image: Any, alpha: Any, edges: bool, width: int, height: int, out: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """The picture (height, width, 3) from linear colours, or with alpha (height, width, 4); out: (pixels,) to work in."""
+    transparent = alpha is not None
+    resolve.finish(image, alpha if transparent else image, transparent, edges, width, height, out)
+    return np.ascontiguousarray(out.view(np.uint8).reshape(height, width, 4)[:, :, : 4 if transparent else 3])
 
 
 def _place(builder: Any, field: Any, count: int) -> Any:
