@@ -20,10 +20,12 @@ ONCE = (
     "readme",
     "render",
     "report",
+    "resume",
     "rooms",
     "scene",
     "scene_file",
     "shapes",
+    "skins",
     "tune",
     "waves",
 )

@@ -36,10 +36,10 @@ LEVELS = (
     ("scene_file", "scene_save", "scene_source", "scene_lines", "scene_schema"),
     ("shapes", "shape_parts", "rates"),
     ("scene", "frame"),
-    ("scene_elements",),
-    ("colliders", "table"),
-    ("mesh", "motion"),
-    ("checks", "files", "interrupts", "memory", "groups"),
+    ("scene_elements", "materials"),
+    ("colliders",),
+    ("mesh", "motion", "skins", "tables"),
+    ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
 )
@@ -48,7 +48,7 @@ LEVEL = {name: k for k, names in enumerate(LEVELS) for name in names}
 NO_TAICHI = (
     "scene",
     "scene_elements",
-    "table",
+    "materials",
     "shapes",
     "shape_parts",
     "rates",
@@ -69,6 +69,8 @@ NO_TAICHI = (
     "interrupts",
     "memory",
     "groups",
+    "skins",
+    "tables",
 )
 
 
@@ -195,7 +197,9 @@ def test_simulation_has(name):
         assert hasattr(sim, name)
 
 
-@pytest.mark.parametrize("name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "save"])
+@pytest.mark.parametrize(
+    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "save"]
+)
 def test_scene_has(name):
     assert callable(getattr(ts.Scene, name))
 
