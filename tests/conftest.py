@@ -16,6 +16,7 @@ ONCE = (
     "demos",
     "files",
     "mesh",
+    "moment",
     "outputs",
     "readme",
     "render",

@@ -26,6 +26,7 @@ LEVELS = (
     ("integrators",),
     ("gauge",),
     ("contacts", "forces"),
+    ("moment",),
     ("diagnostics", "stability", "order", "watch"),
     ("state",),
     ("model",),

@@ -57,7 +57,9 @@ class Renderer3D:
         assert self._content is not None
         assert self._buffers is not None
         assert self._canvas is not None
-        strain = frame.strain[self._content.rods] if len(frame.strain) == len(frame.springs) else None
+        rods, strain = self._content.rods, None
+        if len(rods) and len(frame.strain) == len(frame.springs):
+            strain = frame.strain[rods]
         self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
         width, height = self.size
         view = self._view()
@@ -72,7 +74,8 @@ class Renderer3D:
             self._buffers.find_normals()
         light = self._cast_shadows(frame) if self._shadow else view
         keys = self._canvas.keys
-        raster.clear(keys, self._canvas.samples, _on_screen(planes, self.camera.axes(), eye, view), len(planes), width)
+        seen = _on_screen(planes, self.camera.axes(), eye, view)
+        raster.clear(keys, self._canvas.samples, seen, len(planes), width, height)
         self._draw(keys, self._canvas.samples, view, width, height, True)
         scene = self._canvas.scene(self._buffers)
         if self._ambient_occlusion:
