@@ -248,6 +248,7 @@ class Simulation:
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
             colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(self.time))) for c in scene.colliders),
             skins=tuple(scene.skins),
+            gravity=scene.gravity,
         )
 
     def error(self) -> StepError | None:

@@ -27,6 +27,7 @@ ONCE = (
     "scene_file",
     "shapes",
     "skins",
+    "surfaces",
     "tune",
     "waves",
 )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import paint2d
 from taichi_sim.render.camera import Bounds, near_boxes, robust_bounds
+from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import finished
 from taichi_sim.render.palette import background_colours, to_linear
@@ -28,9 +29,17 @@ THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 class Renderer2D:
     """See `Renderer`. The view is placed by the first frame and stays."""
 
-    def __init__(self, frame: Frame, size: tuple[int, int], background: Any = None, transparent: bool = False) -> None:
+    def __init__(
+        self,
+        frame: Frame,
+        size: tuple[int, int],
+        background: Any = None,
+        transparent: bool = False,
+        colouring: Colouring | None = None,
+        subdivide: int = 0,
+    ) -> None:
         self.size = size
-        self._transparent = transparent
+        self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._low, self._scale, self._extent = _view(frame, size)
         self._top, bottom = background_colours(background, TOP, BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
@@ -96,7 +105,7 @@ class Renderer2D:
         fixed = (len(frame.walls) if frame.walls.size else 0, len(frame.colliders))
         if self._content is not None and self._content.matches(frame) and fixed == self._capacity[1:]:
             return
-        content = Content.of(frame, self._extent)
+        content = Content.of(frame, self._extent, self._subdivide)
         self._content = content
         self._discs = np.flatnonzero(content.radius > 0)
         self._rods = np.argsort(content.rod_stick, kind="stable")  # springs below sticks
@@ -187,6 +196,14 @@ class Renderer2D:
             first = len(content.triangles) + len(self._outline)
             share = np.abs(strain)
             self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL)) * (1 - share) + ends * share
+        if self._colouring is not None:
+            value = self._colouring.values(frame)[:, None]
+            value = np.concatenate([value, content.binding.apply(value)])[:, 0]
+            table = Colouring.table()
+            along = np.rint(np.clip(value, 0.0, 1.0) * (len(table) - 1)).astype(int)
+            t = len(content.triangles)
+            self._base[:t] = table[along[content.triangles]].mean(axis=1)
+            self._base[len(self._base) - len(self._discs) :] = table[along[self._discs]]
         return self._base
 
     def _bodies(self, frame: Frame) -> NDArray[np.float32]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import raster, resolve, shade
 from taichi_sim.render.camera import Bounds, Camera, ground_planes, near_boxes, robust_bounds, view_matrix
+from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import Buffers, Canvas
 from taichi_sim.render.palette import background_colours, to_linear
@@ -36,9 +37,12 @@ class Renderer3D:
         shadow: bool = True,
         camera: Camera | None = None,
         transparent: bool = False,
+        colouring: Colouring | None = None,
+        subdivide: int = 0,
     ) -> None:
         self.size = size
-        self._transparent = transparent
+        self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
+        self._table = Colouring.table()
         self.camera = camera or Camera.fit(frame, size[0] / size[1])
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
@@ -61,6 +65,8 @@ class Renderer3D:
         if len(rods) and len(frame.strain) == len(frame.springs):
             strain = frame.strain[rods]
         self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
+        if self._colouring is not None:
+            self._buffers.paint(self._colouring.values(frame), self._table)
         width, height = self.size
         view = self._view()
         self._spare(view)
@@ -108,7 +114,7 @@ class Renderer3D:
         """Take over what changed beyond positions; allocate again where a frame has more of anything."""
         if self._content is not None and self._content.matches(frame):
             return
-        content = Content.of(frame, self._unit)
+        content = Content.of(frame, self._unit, self._subdivide)
         self._content = content
         if self._buffers is None or not self._buffers.holds(content):
             if self._buffers is not None:
