@@ -85,6 +85,7 @@ class Output(Strict):
     colour: Literal["object", "strain", "speed"] = "object"
     colour_range: Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_rising)] | None = None  # strain, or m/s
     subdivide: Literal[0, 1, 2] = 0  # surfaces, so many times
+    camera: dict[str, Any] | None = None  # the fields of CameraPath, judged there
 
 
 def _field(parameter: inspect.Parameter) -> tuple[Any, Any]:

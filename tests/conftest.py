@@ -12,6 +12,7 @@ if PRECISION not in ("f32", "f64"):
 # What knows nothing of precision: where both are run one after the other, once is enough, in single precision.
 ONCE = (
     "bench",
+    "camera",
     "cli",
     "demos",
     "files",

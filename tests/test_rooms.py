@@ -36,7 +36,7 @@ LEVELS = (
     ("shapes", "shape_parts", "rates"),
     ("scene", "frame"),
     ("colliders",),
-    ("mesh", "motion", "skins", "tables"),
+    ("mesh", "motion", "skins", "tables", "camera_path"),
     ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
@@ -65,6 +65,7 @@ NO_TAICHI = (
     "groups",
     "skins",
     "tables",
+    "camera_path",
 )
 
 

@@ -36,7 +36,7 @@ def loop(triangles, n):
             beta = 3 / 16 if len(near) == 3 else 3 / (8 * max(len(near), 1))
             matrix[v, near] = beta
             matrix[v, v] = 1 - len(near) * beta
-        elif len(rim) == 2:
+        elif len(rim) == 2 and len(near) > 3:
             matrix[v, rim] = 1 / 8
             matrix[v, v] = 3 / 4
         else:

@@ -1,11 +1,13 @@
 """Renderer: frames to pictures, without OpenGL, window or display."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim import backend
+from taichi_sim.camera_path import CameraPath
 from taichi_sim.frame import Frame
 from taichi_sim.render.camera import Camera
 from taichi_sim.render.colouring import Colouring
@@ -17,7 +19,8 @@ class Renderer:
     """Draws the frames of one scene.
 
     Args: the first frame (it places the camera); size (width, height) px; background None (the renderer's own), one
-    sRGB colour in 0..1 or a pair (top, bottom); ambient_occlusion, shadow and camera for 3D only; transparent: neither
+    sRGB colour in 0..1 or a pair (top, bottom); ambient_occlusion and shadow for 3D only; camera: a CameraPath or its keys,
+    or, in 3D, a fixed Camera; None: one that shows all; transparent: neither
     background nor ground, and alpha; colour: "object", or "strain" or "speed" of balls and surfaces on a scale from the first
     to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly. Raises
     ValueError for a bad argument. `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which
@@ -31,7 +34,7 @@ class Renderer:
         background: Any = None,
         ambient_occlusion: bool = False,
         shadow: bool = True,
-        camera: Camera | None = None,
+        camera: Camera | CameraPath | Mapping[str, Any] | None = None,
         transparent: bool = False,
         colour: str = "object",
         colour_range: tuple[float, float] | None = None,
@@ -53,7 +56,7 @@ class Renderer:
         else:
             from taichi_sim.render.renderer2d import Renderer2D
 
-            self._painter = Renderer2D(frame, self.size, background, *look)
+            self._painter = Renderer2D(frame, self.size, background, *look, camera)
 
     def render(self, frame: Frame) -> NDArray[np.uint8]:
         """The picture of a frame of the same scene."""

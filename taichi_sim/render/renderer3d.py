@@ -14,6 +14,7 @@ from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import Buffers, Canvas
 from taichi_sim.render.palette import background_colours, to_linear
+from taichi_sim.render.tracker import Tracker
 
 __all__ = ["Renderer3D"]
 
@@ -35,7 +36,7 @@ class Renderer3D:
         background: Any = None,
         ambient_occlusion: bool = False,
         shadow: bool = True,
-        camera: Camera | None = None,
+        camera: Any = None,
         transparent: bool = False,
         colouring: Colouring | None = None,
         subdivide: int = 0,
@@ -43,12 +44,13 @@ class Renderer3D:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._table = Colouring.table()
-        self.camera = camera or Camera.fit(frame, size[0] / size[1])
+        self._tracker = Tracker(frame, camera, size[0] / size[1])
+        self.camera = self._tracker.first
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
         self._zenith, self._horizon = background_colours(background, ZENITH, HORIZON)
-        self._lamp = _lamp(self.camera)
+        self._lamp, self._fill = _lamp(self.camera), _fill(self.camera)  # they stay when the camera moves
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Content | None = None
         self._buffers: Buffers | None = None
@@ -58,6 +60,7 @@ class Renderer3D:
     def render(self, frame: Frame) -> NDArray[np.uint8]:
         """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
         self._prepare(frame)
+        self.camera = self._tracker.at(frame)
         assert self._content is not None
         assert self._buffers is not None
         assert self._canvas is not None
@@ -101,6 +104,7 @@ class Renderer3D:
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
+        self.camera = self._tracker.at(frame)
         self._widen(frame)
 
     def close(self) -> None:
@@ -132,7 +136,7 @@ class Renderer3D:
     def _look_matrix(self) -> Any:
         """Rows: lamp and the spacing of the grid, fill, zenith, horizon."""
         look = np.zeros((4, 4))
-        look[:, :3] = self._lamp, _fill(self.camera), self._zenith, self._horizon
+        look[:, :3] = self._lamp, self._fill, self._zenith, self._horizon
         look[0, 3] = self._spacing / self._unit
         return _mat(look)
 

@@ -15,7 +15,7 @@ Rows = tuple[
 
 def subdivide(triangles: NDArray, n: int) -> tuple[NDArray[np.int64], Rows]:
     """The finer triangles (4 t, 3), and the weights of their vertices over the n old ones: first the moved old vertices, then
-    one for each edge. Borders stay where they are but for their corners, which get round, and depend on no inner vertex."""
+    one for each edge. Borders depend on no inner vertex; corners, where at most two triangles meet, stay where they are."""
     a, b, c = triangles.T.astype(np.int64)
     start, end, across = np.concatenate([a, b, c]), np.concatenate([b, c, a]), np.concatenate([c, a, b])
     key = np.minimum(start, end) * n + np.maximum(start, end)
@@ -28,9 +28,10 @@ def subdivide(triangles: NDArray, n: int) -> tuple[NDArray[np.int64], Rows]:
     border = np.bincount(np.concatenate([low[~inner], high[~inner]]), minlength=n)
     degree = np.bincount(np.concatenate([low, high]), minlength=n)
     share = np.where(degree == 3, 3 / 16, 3 / 8 / np.maximum(degree, 1))
-    own = np.where(border == 0, 1 - degree * share, np.where(border == 2, 3 / 4, 1.0))
+    rim = (border == 2) & (degree > 3)
+    own = np.where(border == 0, 1 - degree * share, np.where(rim, 3 / 4, 1.0))
     one, other = np.concatenate([low, high]), np.concatenate([high, low])
-    along = np.where(border[one] == 0, share[one], np.where((border[one] == 2) & ~np.tile(inner, 2), 1 / 8, 0.0))
+    along = np.where(border[one] == 0, share[one], np.where(rim[one] & ~np.tile(inner, 2), 1 / 8, 0.0))
     row = np.concatenate([np.arange(n), one, new, new, n + edge[half]])
     column = np.concatenate([np.arange(n), other, low, high, across[half]])
     value = np.concatenate([own, along, ends, ends, np.full(np.count_nonzero(half), 1 / 8)])
