@@ -12,10 +12,12 @@ if PRECISION not in ("f32", "f64"):
 # What knows nothing of precision: where both are run one after the other, once is enough, in single precision.
 ONCE = (
     "bench",
+    "camera",
     "cli",
     "demos",
     "files",
     "mesh",
+    "moment",
     "outputs",
     "readme",
     "render",
@@ -26,6 +28,7 @@ ONCE = (
     "scene_file",
     "shapes",
     "skins",
+    "surfaces",
     "tune",
     "waves",
 )

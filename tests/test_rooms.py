@@ -27,6 +27,7 @@ LEVELS = (
     ("integrators",),
     ("gauge",),
     ("contacts", "forces", "pins"),
+    ("moment",),
     ("diagnostics", "stability", "order", "watch"),
     ("element_rates",),
     ("state",),
@@ -38,7 +39,7 @@ LEVELS = (
     ("scene", "frame"),
     ("scene_elements", "materials"),
     ("colliders",),
-    ("mesh", "motion", "skins", "tables"),
+    ("mesh", "motion", "skins", "tables", "camera_path"),
     ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
@@ -71,6 +72,7 @@ NO_TAICHI = (
     "groups",
     "skins",
     "tables",
+    "camera_path",
 )
 
 
