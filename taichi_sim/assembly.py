@@ -326,8 +326,8 @@ def _slowest_bounce(scene: Scene, h: float) -> float:
 
 
 def spins(scene: Scene, settings: Settings) -> bool:
-    """Whether balls turn: "auto" where Coulomb friction can make them and some are loose: those of cloth and jelly, which springs join
-    at their centres, would only roll under it as if it lay on casters."""
+    """Whether balls turn: "auto" where Coulomb friction can make them and some are loose. Those of cloth and jelly, which
+    springs join at their centres, would only roll under it like casters."""
     if settings.contacts == "off" or settings.spin is False:
         return False
     loose = ~scene.pinned
