@@ -59,7 +59,9 @@ class Elements:
         self._cells = Table(
             corners=np.zeros((0, dim + 1), dtype=whole), bulk_modulus=np.zeros(0), rest_volume=np.zeros(0)
         )
-        self._bends = Table(corners=np.zeros((0, 4), dtype=whole), weights=np.zeros((0, 4)), stiffness=np.zeros(0))
+        self._bends = Table(
+            corners=np.zeros((0, 4), dtype=whole), weights=np.zeros((0, 4)), stiffness=np.zeros(0), damping=np.zeros(0)
+        )
         self.wind: Wind | None = None
         self.gases: list[Gas] = []
         self.moving_pins: list[MovingPins] = []
@@ -70,6 +72,7 @@ class Elements:
     bends = property(lambda self: self._bends["corners"], doc="(b, 4) balls of each bending element")
     bend_weights = property(lambda self: self._bends["weights"], doc="(b, 4) sum 0 for each")
     bend_stiffness = property(lambda self: self._bends["stiffness"], doc="(b,) N/m")
+    bend_damping = property(lambda self: self._bends["damping"], doc="(b,) N s/m")
 
     def has_elements(self) -> bool:
         """Whether forces besides gravity, springs and contacts act."""
@@ -113,14 +116,17 @@ class Elements:
         self._cells.append(c, corners=ij, bulk_modulus=modulus, rest_volume=rest)
         return np.arange(first, first + c, dtype=np.int32)
 
-    def add_bending(self: Any, corners: ArrayLike, *, weights: ArrayLike, stiffness: ArrayLike) -> None:
-        """Add b bending elements: forces -stiffness w_i sum_j w_j x_j on four balls each.
+    def add_bending(
+        self: Any, corners: ArrayLike, *, weights: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+    ) -> None:
+        """Add b bending elements: forces -w_i sum_j w_j (stiffness x_j + damping v_j) on four balls each.
 
         The energy is stiffness |sum w_j x_j|^2 / 2, 0 where the element is flat; quadratic, so its force is linear (Bergou et
         al. 2006, "A quadratic bending model for inextensible surfaces").
 
         Args:
-            corners: (b, 4) balls; weights: (b, 4), the sum of each row 0; stiffness: N/m, >= 0, one or one per element.
+            corners: (b, 4) balls; weights: (b, 4), the sum of each row 0.
+            stiffness: N/m, >= 0; damping: N s/m, >= 0; one or one per element.
         """
         ij = checks.indices("bending.corners", checks.many(corners, 1), self.n_balls, width=4)
         w = checks.vectors("bending.weights", checks.many(weights, 1), None, 4)
@@ -131,7 +137,8 @@ class Elements:
             k = int(np.argmax(off))
             raise SceneError(f"bending.weights[{k}]: {w[k].tolist()} is not allowed; the sum of the four must be 0")
         strength = checks.per_item("bending.stiffness", stiffness, len(ij), low=0)
-        self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength)
+        loss = checks.per_item("bending.damping", damping, len(ij), low=0)
+        self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss)
 
     def add_wind(
         self: Any,

@@ -158,7 +158,8 @@ def _elements(scene: Scene, store: _Arrays) -> dict[str, Any]:
         columns = {"corners": scene.cells, "rest_volume": scene.rest_volume, "bulk_modulus": _one(scene.bulk_modulus)}
         tables["cells"] = [store.table("cells_", columns)]
     if len(scene.bends):
-        columns = {"corners": scene.bends, "weights": scene.bend_weights, "stiffness": _one(scene.bend_stiffness)}
+        columns = {"corners": scene.bends, "weights": scene.bend_weights}
+        columns |= {"stiffness": _one(scene.bend_stiffness), "damping": _one(scene.bend_damping)}
         tables["bending"] = [store.table("bending_", columns)]
     tables["gases"] = [
         store.table(f"gases_{k}_", {"triangles": gas.triangles}, pressure=gas.pressure, outside=gas.outside)

@@ -61,6 +61,8 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         state.update(zip(LOW, simulation.rounded_off))
     if np.any(simulation.surface_speed):
         state["surface_speed"] = simulation.surface_speed
+    if simulation.torn is not None:
+        state["torn"] = simulation.torn
     for k, collider in enumerate(scene.colliders):
         if "mesh" in collider.given:
             state.update({f"colliders.{k}.{name}": getattr(collider, name) for name in MESH})
@@ -91,6 +93,8 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         turning = None
         if "surface_speed" in arrays:
             turning = checks.vectors("surface_speed", arrays["surface_speed"], n, 1 if dim == 2 else 3)
+        if "torn" in arrays:
+            checks.flags("torn", arrays["torn"], scene.n_springs)
         stepping = about.get("stepping", {})
         moments = {
             name.removeprefix(STEPPING): checks.vectors(name, array, n, dim)
@@ -103,7 +107,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
             raise
         raise SceneError(f"{path}: is not a state that Simulation.save wrote ({error})") from None
     simulation = kind(scene, **{**settings, **overrides})
-    simulation.resume(x, v, time, low, turning)
+    simulation.resume(x, v, time, low, turning, arrays.get("torn"))
     if not {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
         simulation.set_stepping(stepping, moments)
     return simulation
