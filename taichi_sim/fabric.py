@@ -122,7 +122,9 @@ def _sheet_bends(number: tuple[int, int], spacing: NDArray, rigidity: float) -> 
         four = np.stack([grid[:-2], grid[1:-1], grid[2:], beside[1:-1]], axis=-1).reshape(-1, 4)
         corners.append(four)
         weights.append(np.tile([1.0, -2.0, 1.0, 0.0], (len(four), 1)))
-        stiffness.append(np.broadcast_to(rigidity * across / along**3 * part, (max(0, len(grid) - 2), len(part))).ravel())
+        stiffness.append(
+            np.broadcast_to(rigidity * across / along**3 * part, (max(0, len(grid) - 2), len(part))).ravel()
+        )
     four = np.stack([index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]], axis=-1).reshape(-1, 4)
     corners.append(four)
     weights.append(np.tile([1.0, -1.0, -1.0, 1.0], (len(four), 1)))
@@ -133,7 +135,9 @@ def _sheet_bends(number: tuple[int, int], spacing: NDArray, rigidity: float) -> 
 def _areas(surface: Surface) -> NDArray[np.float64]:
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
     normal = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    longest = np.maximum(np.maximum(np.sum((b - a) ** 2, axis=1), np.sum((c - b) ** 2, axis=1)), np.sum((a - c) ** 2, axis=1))
+    longest = np.maximum(
+        np.maximum(np.sum((b - a) ** 2, axis=1), np.sum((c - b) ** 2, axis=1)), np.sum((a - c) ** 2, axis=1)
+    )
     thin = np.flatnonzero(normal <= 1e-6 * longest)
     if len(thin):
         names = ", ".join(str(t) for t in thin[:3]) + (f" and {len(thin) - 3} more" if len(thin) > 3 else "")

@@ -152,13 +152,19 @@ def flaws(surface: Surface) -> list[str]:
     thin = np.linalg.norm(np.cross(b - a, c - a), axis=1) <= THIN * longest
 
     def at_edges(which: NDArray) -> str:
-        return _listed([f"{i}-{j} at {x[[i, j]].mean(axis=0).round(4).tolist()}" for i, j in unique[which][:FEW]], which)
+        return _listed(
+            [f"{i}-{j} at {x[[i, j]].mean(axis=0).round(4).tolist()}" for i, j in unique[which][:FEW]], which
+        )
 
     found = (
         (count == 1, at_edges, "edges have a triangle on one side only"),
         (count > 2, at_edges, "edges have more than two triangles"),
         ((count == 2) & (forward != 1), at_edges, "edges lie between triangles that face opposite ways"),
-        (np.isin(np.arange(len(t)), first[times > 1]), lambda which: _faces(which), "triangles are there more than once"),
+        (
+            np.isin(np.arange(len(t)), first[times > 1]),
+            lambda which: _faces(which),
+            "triangles are there more than once",
+        ),
         (thin, lambda which: _faces(which), "triangles have next to no area"),
     )
     return [f"{int(which.sum())} {what} ({where(which)})" for which, where, what in found if which.any()]

@@ -81,7 +81,7 @@ def named(shape: str) -> Iterator[None]:
     try:
         yield
     except SceneError as error:
-        raise SceneError(re.sub(r"^(balls|springs|mesh|fill|jelly)(?=[.:])", shape, str(error))) from error
+        raise SceneError(re.sub(r"^(balls|springs|mesh|jelly)(?=[.:])", shape, str(error))) from error
 
 
 def counts(where: str, value: Any, n: int, low: int) -> tuple[int, ...]:
@@ -130,7 +130,9 @@ def given_surface(shape: str, mesh: Any) -> meshes.Surface:
     if isinstance(mesh, (str, PathLike)):
         with named(f"{shape}.mesh"):
             return meshes.read_surface(mesh)
-    raise SceneError(f"{shape}.mesh: {mesh!r} is not allowed; it must be the name of a file {' '.join(meshes.SUFFIXES)}")
+    raise SceneError(
+        f"{shape}.mesh: {mesh!r} is not allowed; it must be the name of a file {' '.join(meshes.SUFFIXES)}"
+    )
 
 
 def affordable(where: str, value: Any, balls: int, springs: int, cells: int = 0, bends: int = 0) -> None:

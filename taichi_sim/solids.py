@@ -15,9 +15,23 @@ from taichi_sim.errors import SceneError
 from taichi_sim.mesh import Surface
 from taichi_sim.scene_elements import cell_volumes
 
-__all__ = ["Solid", "box_surface", "connected", "inside", "largest_rate", "lattice", "moduli", "skin_of_boxes", "skin_of_tetrahedra", "springs_of", "tetrahedra"]
+__all__ = [
+    "Solid",
+    "box_surface",
+    "connected",
+    "inside",
+    "largest_rate",
+    "lattice",
+    "moduli",
+    "skin_of_boxes",
+    "skin_of_tetrahedra",
+    "springs_of",
+    "tetrahedra",
+]
 
-CELL_DIAGONALS = 0.25  # their part of mu, along the sides where it is largest: a cubic lattice then has k, 0.6 k, 0.15 k
+CELL_DIAGONALS = (
+    0.25  # their part of mu, along the sides where it is largest: a cubic lattice then has k, 0.6 k, 0.15 k
+)
 NEAR = 32  # tetrahedra that are looked at for each vertex of a skin
 EVEN = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1))  # the two tetrahedra that cross in a cube
 ODD = ((1, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1))
@@ -89,9 +103,7 @@ def lattice(where: str, filled: NDArray[np.bool_], spacing: NDArray[np.float64])
     else:
         corner = ((0, 0), (1, 0), (1, 1), (0, 1))
         shapes, share = tuple(tuple(corner[(k + s) % 4] for s in range(3)) for k in range(4)), 0.5
-    cells = np.concatenate(
-        [np.stack([index[tuple((first + c).T)] for c in corners], axis=1) for corners in shapes]
-    )
+    cells = np.concatenate([np.stack([index[tuple((first + c).T)] for c in corners], axis=1) for corners in shapes])
     return Solid(
         np.stack(np.unravel_index(used, number), axis=1) * a,
         part.ravel()[used] * box,
@@ -222,21 +234,21 @@ def connected(filled: NDArray[np.bool_], least: float = 0.02) -> NDArray[np.bool
     return (sizes >= max(1, least * sizes.max(initial=0)))[names]
 
 
-def tetrahedra(surface: Surface, edge: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Points (n, 3) m and tetrahedra (c, 4), of positive volume and about `edge` m long, that fill a closed mesh (fTetWild)."""
     try:
         import pytetwild
     except ImportError:
         raise SceneError(
-            'fill: tetrahedra need one more package: pip install "taichi-sim[mesh]"; or use fill = "voxels"'
+            f'{where}.fill: tetrahedra need one more package: pip install "taichi-sim[mesh]"; or use fill = "voxels"'
         ) from None
     try:
         points, cells = pytetwild.tetrahedralize(surface.vertices, surface.triangles, edge_length_abs=edge)
     except Exception as error:  # foreign code may raise anything
-        raise SceneError(f'mesh: cannot be filled with tetrahedra: {error}; use fill = "voxels"') from error
+        raise SceneError(f'{where}.mesh: cannot be filled with tetrahedra: {error}; use fill = "voxels"') from error
     points, cells = np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
     if not len(cells):
-        raise SceneError('mesh: no tetrahedron fits into it; use fill = "voxels", or a smaller spacing')
+        raise SceneError(f'{where}.mesh: no tetrahedron fits into it; use fill = "voxels", or a smaller spacing')
     used, new = np.unique(cells, return_inverse=True)
     cells = new.reshape(-1, 4)
     return points[used], np.where(cell_volumes(points[used], cells)[:, None] < 0, cells[:, [1, 0, 2, 3]], cells)

@@ -6,11 +6,22 @@ import numpy as np
 
 from taichi_sim import checks
 from taichi_sim.scene import Scene
-from taichi_sim.shape_parts import Part, Pins, Shape, at_least_0, build, count, counts, lengths, moved, named, or_default
+from taichi_sim.shape_parts import (
+    Part,
+    Pins,
+    Shape,
+    at_least_0,
+    build,
+    count,
+    counts,
+    lengths,
+    moved,
+    named,
+    or_default,
+)
 from taichi_sim.shapes.jelly import jelly
 
 __all__ = ["pile", "tower"]
-
 
 
 def pile(
@@ -96,4 +107,6 @@ def tower(
                 colour=colour,
             )
         blocks.append(block)
-    return Shape(*(np.concatenate([getattr(b, name) for b in blocks]) for name in ("balls", "springs", "triangles", "cells")))
+    return Shape(
+        *(np.concatenate([getattr(b, name) for b in blocks]) for name in ("balls", "springs", "triangles", "cells"))
+    )

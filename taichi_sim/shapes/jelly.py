@@ -27,7 +27,6 @@ from taichi_sim.shape_parts import (
     lattice_pairs,
     lengths,
     moved,
-    named,
     or_default,
     stable_stiffness,
 )
@@ -121,8 +120,7 @@ def jelly(
         surface = meshes.Surface(surface.vertices * factor, surface.triangles)
         extent = np.ptp(surface.vertices, axis=0)
         step = or_default("jelly.spacing", spacing, float(extent.max()) / BOXES)
-        with named("jelly"):
-            body, skin = (_voxels if fill == "voxels" else _tetrahedra)(surface, step)
+        body, skin = (_voxels if fill == "voxels" else _tetrahedra)(surface, step)
         default_radius = THIN * step
         enclosed = abs(meshes.volume(surface))
         volume = enclosed if not len(meshes.holes(surface.triangles)) else float(body.volume.sum())
@@ -229,7 +227,9 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tuple[N
     low = low - 0.5 * (number * step - extent)
     filled = solids.connected(solids.inside(surface, low, step, shape))
     if not filled.any():
-        raise SceneError(f"jelly.spacing: {step:.4g} is not allowed; no box of that size fits into the mesh; give a smaller one")
+        raise SceneError(
+            f"jelly.spacing: {step:.4g} is not allowed; no box of that size fits into the mesh; give a smaller one"
+        )
     body = solids.lattice("jelly", filled, np.full(3, step))
     return body._replace(points=body.points + low), solids.skin_of_boxes(filled, (surface.vertices - low) / step)
 
@@ -245,5 +245,5 @@ def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tup
         surface = meshes.Surface(surface.vertices, surface.triangles[:, ::-1])
     balls = int(abs(meshes.volume(surface)) / step**3)
     affordable("jelly.spacing", step, balls, 7 * balls, cells=6 * balls)
-    points, cells = solids.tetrahedra(surface, step)
+    points, cells = solids.tetrahedra("jelly", surface, step)
     return solids.springs_of(points, cells), solids.skin_of_tetrahedra(points, cells, surface.vertices)

@@ -26,7 +26,6 @@ __all__ = ["rope", "wheel"]
 ROPE_DENSITY = 0.1  # kg/m
 
 
-
 def rope(
     scene: Scene,
     start: Sequence[float],
