@@ -37,7 +37,7 @@ class Bends(NamedTuple):
 class Parts(NamedTuple):
     """A sheet of fabric in pieces."""
 
-    mass: NDArray[np.float64]  # (n,) kg of each ball
+    mass: NDArray  # (n,) kg of each ball
     springs: list[tuple[NDArray, NDArray]]  # pairs (m, 2) and stiffness (m,) [N/m]
     bends: Bends
 
@@ -162,8 +162,9 @@ def _mesh_springs(surface: Surface, area: NDArray, fabric: Fabric) -> tuple[NDAr
 def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArray]:
     """Bending of a mesh: elements where it is flat at rest, and springs (m, 2), (m,) [N/m] across the edges where it is folded.
 
-    Elements: 3 rigidity / (A0 + A1) |K . x|^2 / 2 with K of cotangents (Bergou et al. 2006). A spring across an edge of length e
-    stores the same for a small change of the angle, 3 rigidity e^2 / (A0 + A1) of it; never stiffer than the sheet.
+    Elements: rigidity / (A0 + A1) |K . x|^2 / 2 with K of cotangents (Bergou et al. 2006; the factor is what a cylinder stores).
+    A spring across an edge of length e stores the same, rigidity e^2 / (A0 + A1) times half the square of a small change of the
+    angle; it is never stiffer than the sheet.
     """
     edge, opposite = hinges(surface.triangles)
     x = surface.vertices
@@ -180,11 +181,13 @@ def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArr
     length = np.linalg.norm(along, axis=1)
     normals = np.cross(along, x2 - x0), np.cross(x3 - x0, along)
     double = np.linalg.norm(normals[0], axis=1), np.linalg.norm(normals[1], axis=1)
-    strength = 6 * fabric.rigidity / (double[0] + double[1])
+    strength = 2 * fabric.rigidity / (double[0] + double[1])
     sine = np.linalg.norm(np.cross(*normals), axis=1) / (double[0] * double[1])
     flat = (sine < FLAT) & (np.einsum("hi,hi->h", *normals) > 0)
     corners = np.concatenate([edge, opposite], axis=1)
     bends = Bends(corners[flat].astype(np.int64), weights[flat], strength[flat])
     reach = double[0] * double[1] / length**2 * sine  # of the distance across, times that, for each radian
-    k = strength * length**2 * np.sum((x3 - x2) ** 2, axis=1) / np.maximum(reach, 1e-300) ** 2
-    return bends, opposite[~flat], np.minimum(k, fabric.stretch)[~flat]
+    folded = ~flat
+    change = np.maximum(reach[folded] ** 2, 1e-300)
+    k = strength[folded] * length[folded] ** 2 * np.sum((x3 - x2)[folded] ** 2, axis=1) / change
+    return bends, opposite[folded], np.minimum(k, fabric.stretch)

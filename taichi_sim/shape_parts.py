@@ -17,8 +17,8 @@ from taichi_sim.memory import available
 from taichi_sim.scene import Scene
 
 __all__ = [
-    "Pins",
     "Part",
+    "Pins",
     "Shape",
     "Springs",
     "affordable",
@@ -28,8 +28,8 @@ __all__ = [
     "counts",
     "exclusive",
     "given_surface",
-    "lengths",
     "lattice_pairs",
+    "lengths",
     "moved",
     "named",
     "or_default",

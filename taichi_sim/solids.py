@@ -33,8 +33,12 @@ CELL_DIAGONALS = (
     0.25  # their part of mu, along the sides where it is largest: a cubic lattice then has k, 0.6 k, 0.15 k
 )
 NEAR = 32  # tetrahedra that are looked at for each vertex of a skin
-EVEN = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1))  # the two tetrahedra that cross in a cube
-ODD = ((1, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1))
+CROSSING: dict[
+    int, tuple[tuple[tuple[int, ...], ...], ...]
+] = {  # the corners of the cells in a box, all of positive volume
+    2: (((0, 0), (1, 0), (1, 1)), ((1, 0), (1, 1), (0, 1)), ((1, 1), (0, 1), (0, 0)), ((0, 1), (0, 0), (1, 0))),
+    3: (((0, 0, 0), (1, 1, 0), (0, 1, 1), (1, 0, 1)), ((1, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1))),
+}
 
 
 class Solid(NamedTuple):
@@ -98,11 +102,7 @@ def lattice(where: str, filled: NDArray[np.bool_], spacing: NDArray[np.float64])
     new[used] = np.arange(len(used))
     box = float(np.prod(a))
     first = np.argwhere(filled)
-    if dim == 3:
-        shapes, share = (EVEN, ODD), 1.5
-    else:
-        corner = ((0, 0), (1, 0), (1, 1), (0, 1))
-        shapes, share = tuple(tuple(corner[(k + s) % 4] for s in range(3)) for k in range(4)), 0.5
+    shapes = CROSSING[dim]
     cells = np.concatenate([np.stack([index[tuple((first + c).T)] for c in corners], axis=1) for corners in shapes])
     return Solid(
         np.stack(np.unravel_index(used, number), axis=1) * a,
@@ -111,7 +111,7 @@ def lattice(where: str, filled: NDArray[np.bool_], spacing: NDArray[np.float64])
         np.concatenate(stiffness),
         new[cells],
         np.full(len(cells), box / (3 if dim == 3 else 2)),
-        share,
+        1.5 if dim == 3 else 0.5,
         new[box_surface(filled)] if dim == 3 else np.zeros((0, 3), dtype=np.int64),
     )
 
@@ -250,8 +250,9 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
     if not len(cells):
         raise SceneError(f'{where}.mesh: no tetrahedron fits into it; use fill = "voxels", or a smaller spacing')
     used, new = np.unique(cells, return_inverse=True)
-    cells = new.reshape(-1, 4)
-    return points[used], np.where(cell_volumes(points[used], cells)[:, None] < 0, cells[:, [1, 0, 2, 3]], cells)
+    points, compact = points[used], new.reshape(-1, 4).astype(np.int32)
+    turned = cell_volumes(points, compact) < 0
+    return points, np.where(turned[:, None], compact[:, [1, 0, 2, 3]], compact).astype(np.int64)
 
 
 def largest_rate(body: Solid, masses: NDArray, mu: float, bulk: float) -> float:
@@ -284,7 +285,7 @@ def springs_of(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Solid:
     pairs, same = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
     around = np.bincount(same.reshape(-1), np.tile(volume, 6))
     square = np.sum((points[pairs[:, 1]] - points[pairs[:, 0]]) ** 2, axis=1)
-    each = np.bincount(cells.ravel(), np.repeat(volume / 4, 4), minlength=len(points))
+    each: NDArray = np.bincount(cells.ravel(), np.repeat(volume / 4, 4), minlength=len(points))
     return Solid(points, each, pairs, 2.5 * around / square, cells, volume, 1.0, surface_of(cells))
 
 

@@ -14,7 +14,9 @@ ONCE = (
     "bench",
     "cli",
     "demos",
+    "fabric",
     "files",
+    "geometry",
     "mesh",
     "outputs",
     "readme",
@@ -24,6 +26,7 @@ ONCE = (
     "scene",
     "scene_file",
     "shapes",
+    "solids",
     "tune",
     "waves",
 )

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,8 +96,9 @@ def cloth(
     exclusive("cloth", woven, {"stiffness": stiffness, "bending_stiffness": bending_stiffness})
     exclusive("cloth", {"mass_per_area": mass_per_area}, {"mass": mass})
     factor = checks.number("cloth.scale", scale, positive=True)
+    grid: Any
     if mesh is None:
-        grid: tuple | None = _grid(size, resolution)
+        grid = _grid(size, resolution)
         surface, spacing, area = grid[0], 0.45 * float(grid[2].min()), float(grid[3].prod())
     elif size is not None or resolution is not None:
         raise SceneError("cloth.mesh: takes the place of size and resolution; give one or the other")
@@ -107,7 +109,8 @@ def cloth(
     total = or_default("cloth.mass", mass, CLOTH_DENSITY * area)
     ball_radius = or_default("cloth.radius", radius, spacing * factor)
     drag = at_least_0("cloth.damping", damping)
-    strength, masses, bends = 0.0, total, None
+    strength, bends = 0.0, None
+    masses: float | NDArray = total
     if all(value is None for value in woven.values()):
         kinds = _shell(surface) if grid is None else _threads(grid[1])
         strength = at_least_0("cloth.stiffness", stiffness, stable_stiffness(kinds, len(surface.vertices), total))

@@ -64,7 +64,7 @@ def jelly(
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
 ) -> Shape:
-    """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D; or a mesh filled with it.
+    """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D; or a filled mesh.
 
     Springs run along the edges and the diagonals of faces and cells, their stiffness in the ratio that makes the
     lattice elastic alike in all directions (see `_lattice`). In 3D the surface has triangles. Ball (i, j, k) has
@@ -83,10 +83,10 @@ def jelly(
             above what is stable at 1 ms.
         density: kg/m^3, in 2D kg/m^2, in place of mass.
         young_modulus: Pa, in 2D N/m. By default as for stiffness.
-        poisson_ratio: from that of springs alone, 1/4 (in 2D 1/3), which is the default, up to, but not, 1/2 (in 2D 1): cells keep
-            the volume the better. 0.4 for a mesh.
-        fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from the
-            package pytetwild, which takes a closed mesh and, each time, other points.
+        poisson_ratio: from that of springs, 1/4 (in 2D 1/3), the default, to less than 1/2 (in 2D 1): cells keep the volume.
+            0.4 for a mesh.
+        fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
+            the package pytetwild, which takes half a minute, closed meshes alone and, each time, other points.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
         radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh.
     """
@@ -140,7 +140,7 @@ def jelly(
     part = Part(masses, or_default("jelly.radius", radius, default_radius), pinned, material, colour, self_collision)
     shape = build(scene, "jelly", points, kinds, body.triangles, part, 0.0, drag, cells=cells)
     if skin is not None:
-        scene.add_skin(shape.balls[skin[0]], skin[1], surface.triangles, colour=colour)
+        scene.add_skin(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)
     return shape
 
 
