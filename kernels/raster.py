@@ -284,3 +284,20 @@ def vertex_normals(
                 p = ball[k[0]].xyz
                 total += (ball[k[1]].xyz - p).cross(ball[k[2]].xyz - p)
             normal[v] = total / ti.max(total.norm(), ti.f32(1e-20))
+
+
+@ti.kernel
+def bind(
+    ball: ti.template(),
+    start: ti.template(),
+    entry: ti.template(),
+    weight: ti.template(),
+    first: ti.i32,
+    count: ti.i32,
+):
+    """Vertices `first` on: weighted means of balls, entries start[k] to start[k + 1] for the k-th; no radius."""
+    for k in range(count):
+        p = vec3(0, 0, 0)
+        for e in range(start[k], start[k + 1]):
+            p += weight[e] * ball[entry[e]].xyz
+        ball[first + k] = vec4(p[0], p[1], p[2], 0)

@@ -1,7 +1,7 @@
 """Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
@@ -11,33 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import checks
 from taichi_sim.colliders import Collider, build
 from taichi_sim.errors import SceneError
-from taichi_sim.groups import EVERY, ONLY, Groups, bits_of
+from taichi_sim.groups import EVERY, Groups, bits_of
+from taichi_sim.materials import Material, Wall, bounciest, used_materials
 from taichi_sim.scene_elements import Elements
-from taichi_sim.table import Table
+from taichi_sim.skins import Skin, build_skin, skins_from, skins_to
+from taichi_sim.tables import Table
 
 __all__ = ["Material", "Scene", "Wall", "bounciest", "used_materials"]
-
-
-@dataclass(frozen=True, slots=True)
-class Material:
-    """How a surface answers. Two that meet: the larger restitution, the geometric mean of the frictions."""
-
-    name: str
-    restitution: float = 0.0  # 0: no bounce, 1: elastic
-    friction: float = 0.0  # Coulomb coefficient
-    viscous_friction: float = 0.0  # 1/s
-    colour: tuple[float, float, float] | None = None  # sRGB, 0 to 1
-
-
-@dataclass(frozen=True, slots=True)
-class Wall:
-    """A half space, solid where normal . x < offset."""
-
-    normal: tuple[float, ...]  # unit
-    offset: float  # m
-    material: int
-    group: int = ONLY  # bits, see Scene.groups
-    mask: int = EVERY  # bits of the groups that it collides with
 
 
 class Scene(Elements):
@@ -59,6 +39,7 @@ class Scene(Elements):
         self.materials: list[Material] = [Material("default")]
         self.walls: list[Wall] = []
         self.colliders: list[Collider] = []
+        self.skins: list[Skin] = []
         self.groups = Groups()
         self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
         self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
@@ -287,6 +268,27 @@ class Scene(Elements):
         t = checks.indices("triangles", triangles, self.n_balls, width=3)
         self._triangles.append(len(t), triangles=t)
 
+    def add_skin(
+        self,
+        corners: ArrayLike,
+        weights: ArrayLike,
+        triangles: ArrayLike,
+        *,
+        covers: ArrayLike | None = None,
+        colour: Sequence[float] | None = None,
+    ) -> int:
+        """Add a surface that pictures show in place of balls, their springs and triangles, and return its number.
+
+        Args:
+            corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares, 1 in sum for each vertex.
+            triangles: (t, 3) vertices of the skin, counter-clockwise seen from outside.
+            covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1; None: that of the balls.
+        """
+        where = f"skins[{len(self.skins)}]"
+        tint = None if colour is None else _colour(f"{where}.colour", colour)
+        self.skins.append(build_skin(where, self.n_balls, corners, weights, triangles, covers, tint))
+        return len(self.skins) - 1
+
     def new_body(self) -> int:
         """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
         self._bodies = max(self._bodies, int(self.body.max(initial=0))) + 1
@@ -317,8 +319,10 @@ class Scene(Elements):
         save_scene(self, path)
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """All columns of balls, springs, triangles, cells and bends under "balls.mass" and the like: what a state file keeps."""
-        return {f"{name}.{key}": table[key] for name, table in self._tables().items() for key in table.names}
+        """All columns of balls, springs, triangles, cells, bends and skins under "balls.mass" and the like: what a state file
+        keeps."""
+        columns = {f"{name}.{key}": table[key] for name, table in self._tables().items() for key in table.names}
+        return columns | skins_to(self.skins)
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         """Add what `to_arrays` gave, without checks."""
@@ -328,6 +332,7 @@ class Scene(Elements):
                 columns["break_strain"] = np.full(len(columns["pairs"]), np.inf)
             if set(columns) == set(table.names):
                 table.append(len(next(iter(columns.values()))), **columns)
+        self.skins += skins_from(arrays)
 
     def _tables(self) -> dict[str, Table]:
         tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
@@ -372,21 +377,6 @@ class Scene(Elements):
         held = np.zeros(n, dtype=bool)
         held[checks.indices("balls.pinned", array, n)] = True
         return held
-
-
-def used_materials(scene: Scene) -> list[Material]:
-    """The materials that something in the scene is made of."""
-    used = {
-        *np.unique(scene.material).tolist(),
-        *(w.material for w in scene.walls),
-        *(c.material for c in scene.colliders),
-    }
-    return [scene.materials[index] for index in sorted(used)]
-
-
-def bounciest(scene: Scene) -> float:
-    """Largest restitution of anything in the scene."""
-    return max((material.restitution for material in used_materials(scene)), default=0.0)
 
 
 def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
 from taichi_sim.motion import Motion, keyframe
-from taichi_sim.table import Table
+from taichi_sim.tables import Table
 
 __all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
 

@@ -1,7 +1,7 @@
 """Scene files: TOML to Scene. `save_scene` (the way back) lies in scene_save.py and is offered here too.
 
 Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
-wheel, pile), springs, walls, colliders, triangles. Springs that name no group therefore count all balls in this order.
+wheel, pile), springs, walls, colliders, triangles, skins. Springs that name no group therefore count all balls in this order.
 """
 
 import difflib
@@ -102,6 +102,14 @@ class _Reader:
             with self._at("triangles", index):
                 arguments = self._with_file(("triangles", index), table, ("triangles",))
                 scene.add_triangles(self._members(scene, "triangles.triangles", arguments, 3))
+        for index, table in enumerate(model.skins):
+            with self._at("skins", index):
+                arguments = self._with_file(("skins", index), table, ("corners", "weights", "triangles"))
+                balls = self._group(scene, arguments)
+                for name in ("corners", "covers"):
+                    if name in arguments:
+                        arguments[name] = _within(balls, f"skins.{name}", arguments[name])
+                scene.add_skin(**arguments)
         if scene.n_balls == 0:
             raise SceneError(f"{self.file}: holds no ball; a scene needs at least one, from [[balls]] or a shape")
         return scene
@@ -179,17 +187,20 @@ class _Reader:
 
     def _members(self, scene: Scene, where: str, arguments: dict[str, Any], width: int) -> NDArray[np.int32]:
         """The scene's balls that a table of springs or triangles names within its group."""
-        group = arguments.pop("balls", None)
-        if group is None:
-            balls = np.arange(scene.n_balls, dtype=np.int32)
-        elif group in self.groups:
-            balls = self.groups[group]
-        else:
-            raise SceneError(f"balls: {group!r} is not a name in this file; {_one_of(group, list(self.groups))}")
+        balls = self._group(scene, arguments)
         value = arguments[where.partition(".")[2]]
         if width == 2 and np.shape(value) == (2,):
             value = [value]
         return balls[checks.indices(where, value, len(balls), width=width)]
+
+    def _group(self, scene: Scene, arguments: dict[str, Any]) -> NDArray[np.int32]:
+        """The balls that a table counts within: its group's, or all."""
+        group = arguments.pop("balls", None)
+        if group is None:
+            return np.arange(scene.n_balls, dtype=np.int32)
+        if group in self.groups:
+            return self.groups[group]
+        raise SceneError(f"balls: {group!r} is not a name in this file; {_one_of(group, list(self.groups))}")
 
     def _with_file(self, place: _Path, table: "BaseModel", needed: Sequence[str]) -> dict[str, Any]:
         """The keys of a table, together with the arrays from the .npz that its `file` names."""
@@ -304,6 +315,12 @@ def _given(table: Any) -> dict[str, Any]:
         except ValueError:
             raise SceneError(f"{name}: its lists differ in length; give every vector as many numbers") from None
     return given
+
+
+def _within(balls: NDArray[np.int32], where: str, value: Any) -> NDArray[np.int32]:
+    """Numbers within `balls`, (k,) or (k, width), as the scene's."""
+    shape = np.shape(value)
+    return balls[checks.indices(where, value, len(balls), width=shape[1] if len(shape) == 2 else None)]
 
 
 def _frozen(value: Any) -> Any:

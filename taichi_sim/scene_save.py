@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim.files import replacing
 from taichi_sim.groups import EVERY, ONLY
 from taichi_sim.scene import Scene
+from taichi_sim.skins import Skin
 
 __all__ = ["save_scene"]
 
@@ -74,6 +75,7 @@ def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
     tables["colliders"] = [_collider(collider.given, store, k) for k, collider in enumerate(scene.colliders)]
     if len(scene.triangles):
         tables["triangles"] = [store.table("triangles_", {"triangles": scene.triangles})]
+    tables["skins"] = [_skin(skin, store, k) for k, skin in enumerate(scene.skins)]
     return document | {name: rows for name, rows in tables.items() if rows}
 
 
@@ -105,6 +107,13 @@ def _collider(given: dict[str, Any], store: _Arrays, number: int) -> dict[str, A
     return store.table(
         f"colliders_{number}_", {k: getattr(given["mesh"], k) for k in ("vertices", "triangles")}, **plain
     )
+
+
+def _skin(skin: Skin, store: _Arrays, number: int) -> dict[str, Any]:
+    columns = {name: getattr(skin, name) for name in ("corners", "weights", "triangles")}
+    if len(skin.covers):
+        columns["covers"] = skin.covers
+    return store.table(f"skins_{number}_", columns, **({} if skin.colour is None else {"colour": list(skin.colour)}))
 
 
 def _groups(scene: Scene, group: int, mask: int) -> dict[str, Any]:

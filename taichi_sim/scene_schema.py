@@ -84,6 +84,7 @@ class Output(Strict):
     background: tuple[Share, Share, Share] | None = None  # sRGB
     ambient_occlusion: bool = False
     shadow: bool = True
+    transparent: bool = False  # PNG frames with alpha, without background and ground
 
 
 def _field(parameter: inspect.Parameter) -> tuple[Any, Any]:
@@ -146,6 +147,7 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "walls": _arguments(Scene.add_wall),
     "colliders": _colliders(),
     "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
+    "skins": _optional(_arguments(Scene.add_skin, **_group, **_file), "corners", "weights", "triangles"),
 }
 
 _document: dict[str, Any] = {

@@ -209,6 +209,7 @@ class Simulation:
             pinned=scene.pinned,
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
             colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(self.time))) for c in scene.colliders),
+            skins=tuple(scene.skins),
             energy=diagnostics.energy(scene, x, v, self._spin(), self.torn),
         )
 

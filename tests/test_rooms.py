@@ -38,10 +38,10 @@ LEVELS = (
     ("shape_parts",),
     ("fabric", "solids"),
     ("scene", "frame"),
-    ("scene_elements",),
-    ("colliders", "table"),
-    ("mesh", "motion"),
-    ("checks", "files", "interrupts", "memory", "groups"),
+    ("scene_elements", "materials"),
+    ("colliders",),
+    ("mesh", "motion", "skins", "tables"),
+    ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
 )
@@ -50,7 +50,7 @@ LEVEL = {name: k for k, names in enumerate(LEVELS) for name in names}
 NO_TAICHI = (
     "scene",
     "scene_elements",
-    "table",
+    "materials",
     "shapes",
     "shape_parts",
     "fabric",
@@ -73,6 +73,8 @@ NO_TAICHI = (
     "interrupts",
     "memory",
     "groups",
+    "skins",
+    "tables",
 )
 
 
@@ -199,7 +201,9 @@ def test_simulation_has(name):
         assert hasattr(sim, name)
 
 
-@pytest.mark.parametrize("name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "save"])
+@pytest.mark.parametrize(
+    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "save"]
+)
 def test_scene_has(name):
     assert callable(getattr(ts.Scene, name))
 

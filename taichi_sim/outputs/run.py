@@ -113,9 +113,13 @@ def export(
     """
     summary = Summary()
     clock = _Clock(summary)
+    style = style or {}
     with ExitStack() as stack:
         if output is not None:
             stack.enter_context(output)
+            if style.get("transparent") and output.needs_image and not output.alpha:
+                name = getattr(output, "path", "this output")
+                raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
             write = stack.enter_context(Behind(output)).write if output.apart else partial(_write, output)
         advance = stack.enter_context(_bar(max(1, round(fps * duration)))) if progress else _no_bar
         renderer: Any = None
@@ -123,13 +127,17 @@ def export(
             clock.charge("simulating")
             frame.contacts = simulation.contacts()
             _observe(summary, frame)
-            if output is not None and output.wants(index):
+            if output is not None:
                 if output.needs_image and renderer is None:
-                    renderer = stack.enter_context(_renderer(frame, size, style or {}))
-                image = None if renderer is None else renderer.render(frame)
-                clock.charge("drawing")
-                write(index, frame, image)
-                clock.charge("writing")
+                    renderer = stack.enter_context(_renderer(frame, size, style))
+                if output.wants(index):
+                    image = None if renderer is None else renderer.render(frame)
+                    clock.charge("drawing")
+                    write(index, frame, image)
+                    clock.charge("writing")
+                elif renderer is not None:
+                    renderer.skip(frame)
+                    clock.charge("drawing")
             advance(frame.time)
         summary.duration = duration
         summary.error, summary.solver = simulation.error(), simulation.solver()

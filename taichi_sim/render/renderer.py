@@ -16,8 +16,9 @@ class Renderer:
     """Draws the frames of one scene.
 
     Args: the first frame (it places the camera); size (width, height) px; background None (the renderer's own), one
-    sRGB colour in 0..1 or a pair (top, bottom); ambient_occlusion, shadow and camera for 3D only. Raises ValueError for
-    a bad argument. `render` returns uint8 (height, width, 3), row 0 at the top, sRGB.
+    sRGB colour in 0..1 or a pair (top, bottom); ambient_occlusion, shadow and camera for 3D only; transparent: neither
+    background nor ground, and alpha. Raises ValueError for a bad argument. `render` returns uint8 (height, width, 3), or
+    (height, width, 4) with alpha, by which colours are not multiplied; row 0 at the top, sRGB.
     """
 
     def __init__(
@@ -28,6 +29,7 @@ class Renderer:
         ambient_occlusion: bool = False,
         shadow: bool = True,
         camera: Camera | None = None,
+        transparent: bool = False,
     ) -> None:
         width, height = (int(a) for a in size)
         if width < 1 or height < 1:
@@ -38,17 +40,23 @@ class Renderer:
         if frame.dim == 3:
             from taichi_sim.render.renderer3d import Renderer3D
 
-            self._painter = Renderer3D(frame, self.size, background, ambient_occlusion, shadow, camera)
+            self._painter = Renderer3D(frame, self.size, background, ambient_occlusion, shadow, camera, transparent)
         else:
             from taichi_sim.render.renderer2d import Renderer2D
 
-            self._painter = Renderer2D(frame, self.size, background)
+            self._painter = Renderer2D(frame, self.size, background, transparent)
 
     def render(self, frame: Frame) -> NDArray[np.uint8]:
         """The picture of a frame of the same scene."""
         if self._painter is None:
             raise RuntimeError("this renderer is closed")
         return self._painter.render(frame)
+
+    def skip(self, frame: Frame) -> None:
+        """Take note of a frame that is not drawn, for later ones to look as if it had been."""
+        if self._painter is None:
+            raise RuntimeError("this renderer is closed")
+        self._painter.skip(frame)
 
     def close(self) -> None:
         """Free its memory. Calling it twice does no harm."""

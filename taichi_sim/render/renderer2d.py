@@ -7,9 +7,10 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
-from taichi_sim.kernels import paint2d, resolve
+from taichi_sim.kernels import paint2d
 from taichi_sim.render.camera import Bounds, near_boxes, robust_bounds
 from taichi_sim.render.content import Content
+from taichi_sim.render.fields import finished
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 
@@ -27,8 +28,9 @@ THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 class Renderer2D:
     """See `Renderer`. The view is placed by the first frame and stays."""
 
-    def __init__(self, frame: Frame, size: tuple[int, int], background: Any = None) -> None:
+    def __init__(self, frame: Frame, size: tuple[int, int], background: Any = None, transparent: bool = False) -> None:
         self.size = size
+        self._transparent = transparent
         self._low, self._scale, self._extent = _view(frame, size)
         self._top, bottom = background_colours(background, TOP, BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
@@ -45,7 +47,7 @@ class Renderer2D:
         self._prepare(frame)
 
     def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top."""
+        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
         self._prepare(frame)
         width, height = self.size
         shape, low, high = self._shapes(frame)
@@ -54,7 +56,7 @@ class Renderer2D:
         if len(shape):
             self._shape.from_numpy(shape)
             self._colour.from_numpy(self._colours(frame))
-        walls = self._walls(frame)
+        walls = self._walls(frame)[: 0 if self._transparent else None]
         if len(walls):
             self._wall.from_numpy(walls)
         if frame.colliders:
@@ -67,6 +69,8 @@ class Renderer2D:
             self._body,
             self._tint,
             self._image,
+            self._alpha,
+            self._transparent,
             entry,
             start,
             self._look,
@@ -76,8 +80,10 @@ class Renderer2D:
             width,
             height,
         )
-        resolve.finish(self._image, False, width, height, self._out)
-        return np.ascontiguousarray(self._out.view(np.uint8).reshape(height, width, 4)[:, :, :3])
+        return finished(self._image, self._alpha if self._transparent else None, False, width, height, self._out)
+
+    def skip(self, frame: Frame) -> None:
+        """Take note of a frame that is not drawn: nothing here depends on earlier ones."""
 
     def close(self) -> None:
         """Free the fields."""
@@ -120,7 +126,10 @@ class Renderer2D:
         self._body, self._tint = ti.Vector.field(8, ti.f32), ti.Vector.field(3, ti.f32)
         builder.dense(ti.i, max(bodies, 1)).place(self._body)
         builder.dense(ti.i, max(bodies, 1)).place(self._tint)
-        builder.dense(ti.i, self.size[0] * self.size[1]).place(self._image)
+        self._alpha = ti.field(ti.f32)  # of a transparent picture
+        pixels = self.size[0] * self.size[1]
+        builder.dense(ti.i, pixels).place(self._image)
+        builder.dense(ti.i, pixels if self._transparent else 1).place(self._alpha)
         self._tree = builder.finalize()
         self._wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
         self._capacity = (shapes, walls, bodies)
@@ -129,10 +138,11 @@ class Renderer2D:
         """Shapes in drawing order, and the corners of their boxes, px."""
         content = self._content
         assert content is not None
-        p = (frame.position - self._low) * self._scale
+        n = len(frame.position)
+        p = (np.concatenate([frame.position, content.binding.apply(frame.position)]) - self._low) * self._scale
         p[:, 1] = self.size[1] - p[:, 1]
-        t, o, m, n = len(content.triangles), len(self._outline), len(self._rods), len(self._discs)
-        shape = np.zeros((t + o + m + n, 8), dtype=np.float32)
+        t, o, m = len(content.triangles), len(self._outline), len(self._rods)
+        shape = np.zeros((t + o + m + len(self._discs), 8), dtype=np.float32)
         low, high = np.zeros((len(shape), 2)), np.zeros((len(shape), 2))
         corners = p[content.triangles]
         shape[:t, :6] = corners.reshape(t, 6)
@@ -151,7 +161,7 @@ class Renderer2D:
         r = np.maximum(content.radius[self._discs] * self._scale, THINNEST["disc"])[:, None]
         centre = p[self._discs]
         shape[discs, :2], shape[discs, 2:3] = centre, r
-        if len(frame.pinned) == len(p):
+        if len(frame.pinned) == n:
             shape[discs, 3] = frame.pinned[self._discs]
         low[discs], high[discs] = centre - r - 1, centre + r + 1
         return shape, low, high

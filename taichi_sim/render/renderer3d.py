@@ -35,8 +35,10 @@ class Renderer3D:
         ambient_occlusion: bool = False,
         shadow: bool = True,
         camera: Camera | None = None,
+        transparent: bool = False,
     ) -> None:
         self.size = size
+        self._transparent = transparent
         self.camera = camera or Camera.fit(frame, size[0] / size[1])
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
@@ -50,7 +52,7 @@ class Renderer3D:
         self._prepare(frame)
 
     def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top."""
+        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
         self._prepare(frame)
         assert self._content is not None
         assert self._buffers is not None
@@ -88,6 +90,10 @@ class Renderer3D:
         )
         return self._canvas.finish(width, height)
 
+    def skip(self, frame: Frame) -> None:
+        """Take note of a frame that is not drawn."""
+        self._widen(frame)
+
     def close(self) -> None:
         """Free the fields."""
         for owner in (self._buffers, self._canvas):
@@ -107,8 +113,8 @@ class Renderer3D:
             self._buffers = Buffers(content)
         if self._canvas is None:
             drawn = int(np.count_nonzero(content.radius)) + len(content.rods)
-            samples = 1 if drawn > MANY else 4
-            self._canvas = Canvas(self.size, samples, self._shadow, self._ambient_occlusion)
+            samples = 1 if drawn > MANY and not self._transparent else 4
+            self._canvas = Canvas(self.size, samples, self._shadow, self._ambient_occlusion, self._transparent)
         colour = to_linear(content.colour)
         if len(frame.pinned) == len(colour) and not len(frame.triangles):
             colour = np.where(frame.pinned[:, None] & (frame.colour.size == 0), to_linear(np.array(PINNED)), colour)
@@ -155,15 +161,9 @@ class Renderer3D:
         return Bounds(points.min(axis=0), points.max(axis=0))
 
     def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:
-        """Draw the shadow map; return its view. It covers the scene's bounds, which grow in steps as balls spread."""
+        """Draw the shadow map; return its view, which covers the bounds."""
         assert self._canvas is not None
-        now = self._extent(frame)
-        low, high = np.minimum(now.low, self._bounds.low), np.maximum(now.high, self._bounds.high)
-        grown = Bounds(low, high)
-        if grown.size > 1.02 * self._bounds.size:
-            pad = 0.15 * grown.size
-            self._bounds = Bounds(low - pad, high + pad)
-        bounds = self._bounds
+        bounds = self._widen(frame)
         axes = Camera(eye=tuple(self._lamp), target=(0.0, 0.0, 0.0)).axes()
         side = self._canvas.shadow_side
         radius = 0.53 * bounds.size / self._unit
@@ -175,6 +175,16 @@ class Renderer3D:
         self._draw(keys, 1, light, side, side, False)
         shade.coarsen(keys, self._canvas.cell, self._canvas.coarse, side)
         return light
+
+    def _widen(self, frame: Frame) -> Bounds:
+        """The scene's bounds, which grow in steps as balls spread."""
+        now = self._extent(frame)
+        low, high = np.minimum(now.low, self._bounds.low), np.maximum(now.high, self._bounds.high)
+        grown = Bounds(low, high)
+        if grown.size > 1.02 * self._bounds.size:
+            pad = 0.15 * grown.size
+            self._bounds = Bounds(low - pad, high + pad)
+        return self._bounds
 
 
 def _mat(matrix: NDArray) -> Any:

@@ -1,13 +1,13 @@
-"""Table: columns of a scene that grow by whole calls."""
+"""Tables: columns that grow by whole calls and are joined when read."""
 
-import numpy as np
+from numpy import concatenate
 from numpy.typing import NDArray
 
 __all__ = ["Table"]
 
 
 class Table:
-    """Columns that grow by whole calls and are joined when read."""
+    """Columns of one length, by name."""
 
     def __init__(self, **columns: NDArray) -> None:
         self._parts = {name: [column] for name, column in columns.items()}
@@ -23,5 +23,5 @@ class Table:
     def __getitem__(self, name: str) -> NDArray:
         parts = self._parts[name]
         if len(parts) > 1:
-            parts[:] = [np.concatenate(parts)]
+            parts[:] = [concatenate(parts)]
         return parts[0]
