@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from taichi_sim.errors import SceneError
 from taichi_sim.mesh import Surface, hinges, unique_edges
 
-__all__ = ["Bends", "Fabric", "Parts", "of_mesh", "of_sheet"]
+__all__ = ["Bends", "Fabric", "Parts", "of_mesh", "of_sheet", "tension_shares"]
 
 FLAT = 1e-4  # rad: a hinge folded less is flat
 
@@ -159,6 +159,22 @@ def _mesh_springs(surface: Surface, area: NDArray, fabric: Fabric) -> tuple[NDAr
     return edges, 8 / 9 * fabric.stretch * around / square
 
 
+def tension_shares(surface: Surface) -> NDArray[np.float64]:
+    """Of each edge (m,) of a closed mesh: what a tension of 1 N/m in the sheet is along it, over its length.
+
+    Half the sum of the cotangents of the angles that face it, which makes the forces those of a soap film.
+    """
+    edge, opposite = hinges(surface.triangles)
+    x0, x1 = surface.vertices[edge[:, 0]], surface.vertices[edge[:, 1]]
+    facing = (surface.vertices[opposite[:, k]] for k in range(2))
+    return 0.5 * sum(_cotangent(at, x0, x1) for at in facing)
+
+
+def _cotangent(at: NDArray, one: NDArray, other: NDArray) -> NDArray[np.float64]:
+    u, v = one - at, other - at
+    return np.einsum("hi,hi->h", u, v) / np.linalg.norm(np.cross(u, v), axis=1)
+
+
 def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArray]:
     """Bending of a mesh: elements where it is flat at rest, and springs (m, 2), (m,) [N/m] across the edges where it is folded.
 
@@ -169,13 +185,8 @@ def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArr
     edge, opposite = hinges(surface.triangles)
     x = surface.vertices
     x0, x1, x2, x3 = x[edge[:, 0]], x[edge[:, 1]], x[opposite[:, 0]], x[opposite[:, 1]]
-
-    def cotangent(at: NDArray, one: NDArray, other: NDArray) -> NDArray:
-        u, v = one - at, other - at
-        return np.einsum("hi,hi->h", u, v) / np.linalg.norm(np.cross(u, v), axis=1)
-
-    at_0 = cotangent(x0, x1, x2), cotangent(x0, x1, x3)
-    at_1 = cotangent(x1, x0, x2), cotangent(x1, x0, x3)
+    at_0 = _cotangent(x0, x1, x2), _cotangent(x0, x1, x3)
+    at_1 = _cotangent(x1, x0, x2), _cotangent(x1, x0, x3)
     weights = np.stack([at_1[0] + at_1[1], at_0[0] + at_0[1], -at_0[0] - at_1[0], -at_0[1] - at_1[1]], axis=1)
     along = x1 - x0
     length = np.linalg.norm(along, axis=1)

@@ -211,13 +211,13 @@ def build(
     stiffness: float,
     damping: float | NDArray | None,
     *,
-    stretched: float = 0.0,
+    stretched: NDArray | None = None,
     bends: tuple[NDArray, NDArray, NDArray] | None = None,
     cells: tuple[NDArray, NDArray, NDArray] | None = None,
 ) -> Shape:
     """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls.
 
-    stretched: strain of all springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells: corners
+    stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells: corners
     (c, dim + 1), bulk modulus (c,) [Pa] and volume at rest (c,).
     """
     n = len(points)
@@ -234,6 +234,9 @@ def build(
         reduced: Any = each[pairs[:, 0]] * each[pairs[:, 1]] / (each[pairs[:, 0]] + each[pairs[:, 1]])
     else:
         reduced = each / 2
+    rest = None
+    if stretched is not None:
+        rest = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1) / (1 + stretched)
     critical = 2 * np.sqrt(strength * reduced)
     with named(shape):
         balls = scene.add_balls(
@@ -245,12 +248,11 @@ def build(
             colour=part.colour,
             body=0 if part.self_collision else scene.new_body(),
         )
-        present = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1)
         springs = scene.add_springs(
             balls[pairs].reshape(-1, 2),
             stiffness=strength,
             damping=DAMPING_RATIO * critical if damping is None else damping,
-            rest_length=present / (1 + stretched) if stretched else None,
+            rest_length=rest,
         )
         faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
         scene.add_triangles(faces)

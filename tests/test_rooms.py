@@ -217,7 +217,7 @@ def test_arguments_of_simulation():
 
 
 def test_shapes():
-    for name in ("cloth", "jelly", "rope", "wheel", "pile"):
+    for name in ("cloth", "jelly", "rope", "wheel", "pile", "truss", "net", "balloon", "tower"):
         assert callable(getattr(ts.shapes, name)), name
 
 

@@ -52,7 +52,8 @@ def surface_of(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         covered |= skin.covered(len(x))
     plain = frame.triangles[~covered[frame.triangles].any(axis=1)] if len(frame.triangles) else frame.triangles
     used, new = np.unique(plain, return_inverse=True)
-    vertices, triangles, first = [x[used]], [new.reshape(-1, 3)], len(used)
+    vertices, first = [x[used]], len(used)
+    triangles: list[NDArray] = [new.reshape(-1, 3)]
     for skin in frame.skins:
         vertices.append(np.einsum("sk,ski->si", skin.weights, x[skin.corners]))
         triangles.append(first + skin.triangles)

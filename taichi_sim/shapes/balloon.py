@@ -67,6 +67,7 @@ def balloon(
     parts = fabric.of_mesh(surface, fabric.Fabric(total / surface_area(surface), stretch, 0.0, 0.0))
     pairs, strength = parts.springs[0]
     edges = surface.vertices[pairs[:, 1]] - surface.vertices[pairs[:, 0]]
+    pull = 0.5 * inner * reach * fabric.tension_shares(surface)  # N/m of the edge's length
     size = or_default("balloon.ball_radius", ball_radius, 0.4 * float(np.linalg.norm(edges, axis=1).mean()))
     drag = at_least_0("balloon.damping", damping)
     shape = build(
@@ -78,7 +79,7 @@ def balloon(
         Part(parts.mass, size, False, material, colour, self_collision),
         0.0,
         None if drag is None else drag / stretch * strength,
-        stretched=inner / (holds - inner),
+        stretched=pull / (strength - pull),
     )
     scene.add_gas(shape.triangles, pressure=inner)
     return shape
