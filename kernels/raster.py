@@ -248,22 +248,20 @@ def draw_rods(
 
 
 @ti.kernel
-def clear(keys: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32):
+def clear(
+    keys: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32, height: ti.i32
+):
     """Every key to the nearest plane, row (a, b, c): closeness a x + b y + c where positive. Otherwise 0, nothing."""
-    for slot in keys:
-        key = ti.i64(0)
-        pixel = slot // samples
-        x = ti.cast(pixel % width, ti.f32) + ti.f32(0.5)
-        y = ti.cast(pixel // width, ti.f32) + ti.f32(0.5)
+    for pixel in range(width * height):
         for s in ti.static(range(samples)):
-            if slot % samples == s:
-                x += ti.f32(ti.static(OFFSETS[samples][s][0]))
-                y += ti.f32(ti.static(OFFSETS[samples][s][1]))
-        for k in range(plane_count):
-            w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
-            if w > 0:
-                key = ti.max(key, pack(w, (PLANE << 28) | k))
-        keys[slot] = key
+            x = ti.cast(pixel % width, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0]))
+            y = ti.cast(pixel // width, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1]))
+            nearest, which = ti.f32(0.0), 0
+            for k in range(plane_count):
+                w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
+                if w > nearest:
+                    nearest, which = w, (PLANE << 28) | k
+            keys[pixel * samples + s] = pack(nearest, which)
 
 
 @ti.kernel
@@ -284,20 +282,3 @@ def vertex_normals(
                 p = ball[k[0]].xyz
                 total += (ball[k[1]].xyz - p).cross(ball[k[2]].xyz - p)
             normal[v] = total / ti.max(total.norm(), ti.f32(1e-20))
-
-
-@ti.kernel
-def bind(
-    ball: ti.template(),
-    start: ti.template(),
-    entry: ti.template(),
-    weight: ti.template(),
-    first: ti.i32,
-    count: ti.i32,
-):
-    """Vertices `first` on: weighted means of balls, entries start[k] to start[k + 1] for the k-th; no radius."""
-    for k in range(count):
-        p = vec3(0, 0, 0)
-        for e in range(start[k], start[k + 1]):
-            p += weight[e] * ball[entry[e]].xyz
-        ball[first + k] = vec4(p[0], p[1], p[2], 0)

@@ -318,7 +318,7 @@ class _Job:
         asked = {"fps": positive("--fps", fps), "duration": positive("--duration", duration), "size": pixels(size)}
         self.file = resolve(name)
         self.scene = open_scene(self.file)
-        of_scene = {} if self.scene is None else checked_output(self.scene.output)
+        of_scene = {} if self.scene is None else checked_output(self.scene)
         chosen = {"fps": 60.0, "duration": 5.0, "size": (1280, 720)} | of_scene
         chosen |= {key: value for key, value in asked.items() if value is not None}
         style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}

@@ -167,7 +167,7 @@ def tension_shares(surface: Surface) -> NDArray[np.float64]:
     edge, opposite = hinges(surface.triangles)
     x0, x1 = surface.vertices[edge[:, 0]], surface.vertices[edge[:, 1]]
     facing = (surface.vertices[opposite[:, k]] for k in range(2))
-    return 0.5 * sum(_cotangent(at, x0, x1) for at in facing)
+    return 0.5 * np.sum([_cotangent(at, x0, x1) for at in facing], axis=0)
 
 
 def _cotangent(at: NDArray, one: NDArray, other: NDArray) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim import checks
+from taichi_sim.camera_path import CameraPath
 from taichi_sim.colliders import shape_of
 from taichi_sim.errors import SceneError
 from taichi_sim.scene import Scene
@@ -110,6 +111,8 @@ class _Reader:
                     if name in arguments:
                         arguments[name] = _within(balls, f"skins.{name}", arguments[name])
                 scene.add_skin(**arguments)
+        with self._at("output", "camera"):
+            self._camera(scene)
         if scene.n_balls == 0:
             raise SceneError(f"{self.file}: holds no ball; a scene needs at least one, from [[balls]] or a shape")
         return scene
@@ -175,6 +178,20 @@ class _Reader:
                 normal = np.asarray(arguments["normal"], dtype=np.float64)
                 if abs(np.linalg.norm(normal) - 1.0) < 4e-16:  # unit to rounding: a saved scene comes back bit for bit
                     scene.walls[-1] = replace(scene.walls[-1], normal=tuple(normal.tolist()))
+
+    def _camera(self, scene: Scene) -> None:
+        """Check [output.camera]; a name to follow becomes its balls."""
+        camera = scene.output.get("camera")
+        if camera is None:
+            return
+        name = camera.get("follow")
+        if isinstance(name, str):
+            if name not in self.groups:
+                raise SceneError(
+                    f"camera.follow: {name!r} is not a name in this file; {_one_of(name, list(self.groups))}"
+                )
+            camera["follow"] = self.groups[name].tolist()
+        CameraPath.of(camera, scene.dim, scene.n_balls)
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 

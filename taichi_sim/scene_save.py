@@ -83,7 +83,9 @@ def _plain(value: Any) -> Any:
     """NumPy numbers and tuples as TOML has them."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
-    return list(value) if isinstance(value, tuple) else value
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items() if item is not None}
+    return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
 def _materials(scene: Scene) -> list[dict[str, Any]]:

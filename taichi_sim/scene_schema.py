@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -19,6 +20,7 @@ from pydantic import (
     create_model,
 )
 from pydantic.errors import PydanticSchemaGenerationError
+from pydantic_core import PydanticCustomError
 
 from taichi_sim import colliders, shapes
 from taichi_sim.scene import Scene
@@ -75,6 +77,12 @@ Pixels = Annotated[int, Ge(16), Le(8192)]
 Share = Annotated[FiniteFloat, Ge(0), Le(1)]
 
 
+def _rising(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] >= pair[1]:
+        raise PydanticCustomError("rising", "two numbers, the lower first")
+    return pair
+
+
 class Output(Strict):
     """[output]: how `taichi-sim run` makes pictures of the scene, where the command line does not say."""
 
@@ -85,6 +93,10 @@ class Output(Strict):
     ambient_occlusion: bool = False
     shadow: bool = True
     transparent: bool = False  # PNG frames with alpha, without background and ground
+    colour: Literal["object", "strain", "speed"] = "object"
+    colour_range: Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_rising)] | None = None  # strain, or m/s
+    subdivide: Literal[0, 1, 2] = 0  # surfaces, so many times
+    camera: dict[str, Any] | None = None  # the fields of CameraPath, judged there
 
 
 def _field(parameter: inspect.Parameter) -> tuple[Any, Any]:

@@ -217,8 +217,8 @@ def build(
 ) -> Shape:
     """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls.
 
-    stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells: corners
-    (c, dim + 1), bulk modulus (c,) [Pa] and volume at rest (c,).
+    stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
+    corners (c, dim + 1), bulk modulus (c,) [Pa] and volume at rest (c,).
     """
     n = len(points)
     each = part.mass if isinstance(part.mass, np.ndarray) else part.mass / n

@@ -17,6 +17,7 @@ from taichi_sim.controlled import Controlled, StepError, check_digits
 from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
+from taichi_sim.moment import Moment
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, stability
@@ -196,21 +197,23 @@ class Simulation:
         """The present moment as NumPy arrays."""
         scene, x, v = self.scene, self.position, self.velocity
         whole, triangles = self._whole()
-        return Frame(
+        return Moment(
+            scene,
+            self._spin(),
+            self.torn,
             time=self.time,
             position=x,
             velocity=v,
             radius=scene.radius,
             springs=scene.pairs[whole],
             sticks=scene.collides[whole],
-            strain=diagnostics.strain(scene, x)[whole],
             triangles=triangles,
             colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
             pinned=scene.pinned,
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
             colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(self.time))) for c in scene.colliders),
             skins=tuple(scene.skins),
-            energy=diagnostics.energy(scene, x, v, self._spin(), self.torn),
+            gravity=scene.gravity,
         )
 
     @property

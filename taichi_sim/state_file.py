@@ -67,7 +67,8 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         if "mesh" in collider.given:
             state.update({f"colliders.{k}.{name}": getattr(collider, name) for name in MESH})
     with replacing(path) as file:
-        np.savez(file, about=np.array(json.dumps(about)), **state, **scene.to_arrays(), **scene.element_arrays())
+        text = np.array(json.dumps(about, default=np.ndarray.tolist))
+        np.savez(file, about=text, **state, **scene.to_arrays(), **scene.element_arrays())
 
 
 def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, Any]) -> Any:

@@ -12,12 +12,14 @@ if PRECISION not in ("f32", "f64"):
 # What knows nothing of precision: where both are run one after the other, once is enough, in single precision.
 ONCE = (
     "bench",
+    "camera",
     "cli",
     "demos",
     "fabric",
     "files",
     "geometry",
     "mesh",
+    "moment",
     "outputs",
     "readme",
     "render",
@@ -29,6 +31,7 @@ ONCE = (
     "shapes",
     "skins",
     "solids",
+    "surfaces",
     "tune",
     "waves",
 )

@@ -66,7 +66,7 @@ def test_only_vertices_that_are_used():
 
 
 def test_a_folder_that_is_missing(tmp_path):
-    with pytest.raises(FileNotFoundError, match="there is no folder .*make it first"):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*make it first"):
         open_output(tmp_path / "none" / "x.ply")
 
 
@@ -77,6 +77,6 @@ def test_binary_gltf_comes_in(tmp_path):
     surface = read_surface(tmp_path / "ball.glb")
     assert isinstance(surface, Surface)
     assert volume(surface) == pytest.approx(volume(ball), rel=1e-6)
+    (tmp_path / "bad.glb").write_text("no")
     with pytest.raises(SceneError, match="cannot be read as GLB"):
-        (tmp_path / "bad.glb").write_text("no")
         read_surface(tmp_path / "bad.glb")

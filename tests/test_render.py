@@ -288,3 +288,17 @@ def test_a_transparent_picture_laid_over_a_background_is_the_opaque_one(dim):
     above = picture(frame, transparent=True, **options)
     assert above[-1, :, 3].max() == 0
     assert above[0, 0, 3] == 0
+
+
+def test_shadows_of_what_rests_do_not_flicker_while_something_moves():
+    """The shadow map stays put while the scene keeps within its bounds."""
+    ground = np.array([[0.0, 1.0, 0.0, 0.0]])
+    frames = [balls([(-1.5, 0.5, 0.0), (1.5, 0.5 + 0.01 * k, 0.0)], 0.4, [RED, GREEN], walls=ground) for k in (0, 1, 2)]
+    frames[0].position[0, 1] = 0.9  # so that the picture has room
+    seen = []
+    with Renderer(frames[0], size=SIZE) as renderer:
+        for frame in frames[1:]:
+            seen.append(renderer.render(frame).astype(int))
+    changed = np.abs(seen[1] - seen[0]).sum(axis=2) > 0
+    assert changed.any()
+    assert not changed[:, : SIZE[0] // 2 - 8].any()

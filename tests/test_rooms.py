@@ -27,6 +27,7 @@ LEVELS = (
     ("integrators",),
     ("gauge",),
     ("contacts", "forces", "pins"),
+    ("moment",),
     ("diagnostics", "stability", "order", "watch"),
     ("element_rates",),
     ("state",),
@@ -40,7 +41,7 @@ LEVELS = (
     ("scene", "frame"),
     ("scene_elements", "materials"),
     ("colliders",),
-    ("mesh", "motion", "skins", "tables"),
+    ("mesh", "motion", "skins", "tables", "camera_path"),
     ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
@@ -75,6 +76,7 @@ NO_TAICHI = (
     "groups",
     "skins",
     "tables",
+    "camera_path",
 )
 
 

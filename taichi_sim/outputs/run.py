@@ -123,6 +123,7 @@ def export(
             write = stack.enter_context(Behind(output)).write if output.apart else partial(_write, output)
         advance = stack.enter_context(_bar(max(1, round(fps * duration)))) if progress else _no_bar
         renderer: Any = None
+        frame: Frame | None = None
         for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
             clock.charge("simulating")
             frame.contacts = simulation.contacts()
@@ -140,6 +141,8 @@ def export(
                     clock.charge("drawing")
             advance(frame.time)
         summary.duration = duration
+        if frame is not None and frame.energy is not None:
+            summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver = simulation.error(), simulation.solver()
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
     clock.charge("writing")
@@ -163,9 +166,8 @@ def _observe(summary: Summary, frame: Frame) -> None:
         summary.most_contacts = max(summary.most_contacts, now.number)
         for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
-    if frame.energy is not None:
-        summary.energy_end = tuple(frame.energy)
-        summary.energy_start = summary.energy_start or summary.energy_end
+    if summary.frames == 1 and frame.energy is not None:  # of the first and the last: it takes long
+        summary.energy_start = tuple(frame.energy)
 
 
 def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> Any:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.render.subdivision import Rows, compose, subdivide
 from taichi_sim.skins import Skin
 
 __all__ = ["Binding"]
@@ -22,6 +23,31 @@ class Binding:
     entry: NDArray[np.int32]  # (e,)
     weight: NDArray[np.float64]  # (e,)
     tint: NDArray[np.float64]
+
+    @classmethod
+    def finer(cls, skins: Sequence[Skin], triangles: NDArray, n: int, times: int) -> "tuple[NDArray, Binding]":
+        """The same for surfaces subdivided so many times; then all triangles are of vertices that follow balls."""
+        faces, base = cls.of(skins, triangles, n)
+        if not times or not len(faces):
+            return faces, base
+        used, compact = np.unique(faces, return_inverse=True)
+        faces = compact.reshape(-1, 3)
+        own = np.repeat(np.arange(len(base)) + n, np.diff(base.start))
+        rows: Rows = (
+            np.concatenate([np.arange(n), own]),
+            np.concatenate([np.arange(n), base.entry]).astype(np.int64),
+            np.concatenate([np.ones(n), base.weight]),
+        )
+        rows = compose((np.arange(len(used)), used.astype(np.int64), np.ones(len(used))), rows, n)
+        tint = np.concatenate([np.full((n, 3), np.nan), base.tint])[used]
+        for _ in range(times):
+            faces, weights = subdivide(faces, len(tint))
+            rows = compose(weights, rows, n)
+            tint = tint[
+                weights[1][np.searchsorted(weights[0], np.arange(weights[0][-1] + 1))]
+            ]  # one tint to each surface
+        start = np.searchsorted(rows[0], np.arange(len(tint) + 1))
+        return faces + n, cls(start.astype(np.int32), rows[1].astype(np.int32), rows[2], tint)
 
     def __len__(self) -> int:
         return len(self.tint)

@@ -20,8 +20,8 @@ class Content:
     """The unchanging part of a frame, ready to draw.
 
     radius (n,) m, 0 for balls on triangles; rods: indices of the springs drawn; rod_ends (k, 2); rod_radius (k,) m;
-    rod_stick (k,). Vertices are the n balls and, after them, those of skins, which `binding` holds to the balls;
-    colour (n + s, 3) sRGB and triangles (t, 3) are theirs. bodies: colliders, in 3D.
+    rod_stick (k,). Vertices are the n balls and, after them, those of skins and of finer surfaces, which `binding` holds to
+    the balls; colour (n + s, 3) sRGB and triangles (t, 3) are theirs. bodies: colliders, in 3D.
     """
 
     source: tuple[NDArray, ...]
@@ -38,14 +38,14 @@ class Content:
     skins: tuple[Skin, ...]
 
     @classmethod
-    def of(cls, frame: Frame, size: float) -> "Content":
-        """size: of the scene in metres, for rods between balls without a radius."""
+    def of(cls, frame: Frame, size: float, subdivide: int = 0) -> "Content":
+        """size: of the scene in metres, for rods between balls without a radius. subdivide: surfaces so many times."""
         n = len(frame.position)
         covered = np.zeros(n, dtype=bool)
         for one in frame.skins:
             covered |= one.covered(n)
         own = frame.triangles.reshape(-1, 3)
-        triangles, binding = Binding.of(frame.skins, own[~covered[own].all(axis=1)], n)
+        triangles, binding = Binding.finer(frame.skins, own[~covered[own].all(axis=1)], n, subdivide)
         skin = covered.copy()
         skin[own.ravel()] = True
         springs = frame.springs.reshape(-1, 2)

@@ -7,7 +7,7 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
-from taichi_sim.kernels import raster, resolve, shade
+from taichi_sim.kernels import follow, raster, resolve, shade
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
@@ -105,6 +105,15 @@ class Buffers:
         if self.has_rods and strain is not None:
             self.rod_strain.from_numpy(strain.astype(np.float32))
 
+    def paint(self, values: NDArray, table: NDArray[np.float32]) -> None:
+        """Colour balls and the surfaces on them by values (n,) from 0 to 1 along a table of linear colours (k, 3)."""
+        value = np.zeros(max(self.balls, 1), dtype=np.float32)
+        value[: self.balls] = values
+        follow.paint_balls(value, table, self.colour, self.balls)
+        if self.has_skins:
+            start, entry, weight = self.bound_start, self.bound_entry, self.bound_weight
+            follow.paint_bound(value, table, self.colour, start, entry, weight, self.balls, self.bound)
+
     def thin_out(self, view: NDArray, area: float) -> None:
         """Leave out the farthest spheres of a view beyond a total area (px) of all discs: buried layers deep."""
         points = self._upload[: self.balls]
@@ -119,7 +128,7 @@ class Buffers:
         """Balls to the device, and the vertices of skins after them."""
         self.ball.from_numpy(self._upload)
         if self.has_skins:
-            raster.bind(self.ball, self.bound_start, self.bound_entry, self.bound_weight, self.balls, self.bound)
+            follow.bind(self.ball, self.bound_start, self.bound_entry, self.bound_weight, self.balls, self.bound)
 
     def find_normals(self) -> None:
         raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.vertices)

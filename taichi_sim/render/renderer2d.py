@@ -1,18 +1,22 @@
 """Pictures of 2D frames: discs, rods, triangles and walls with analytic edges."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
+from taichi_sim.camera_path import CameraPath
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import paint2d
 from taichi_sim.render.camera import Bounds, near_boxes, robust_bounds
+from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import finished
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
+from taichi_sim.render.tracker import Follower
 
 __all__ = ["Renderer2D"]
 
@@ -26,12 +30,22 @@ THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 
 
 class Renderer2D:
-    """See `Renderer`. The view is placed by the first frame and stays."""
+    """See `Renderer`. The view is placed by the first frame and stays, but for what a CameraPath says."""
 
-    def __init__(self, frame: Frame, size: tuple[int, int], background: Any = None, transparent: bool = False) -> None:
+    def __init__(
+        self,
+        frame: Frame,
+        size: tuple[int, int],
+        background: Any = None,
+        transparent: bool = False,
+        colouring: Colouring | None = None,
+        subdivide: int = 0,
+        camera: Any = None,
+    ) -> None:
         self.size = size
-        self._transparent = transparent
+        self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._low, self._scale, self._extent = _view(frame, size)
+        self._follower = self._place(frame, camera)
         self._top, bottom = background_colours(background, TOP, BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
         wall, hatch, edge = (
@@ -49,6 +63,7 @@ class Renderer2D:
     def render(self, frame: Frame) -> NDArray[np.uint8]:
         """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
         self._prepare(frame)
+        self.skip(frame)
         width, height = self.size
         shape, low, high = self._shapes(frame)
         tile = 8 if len(shape) > CROWD else 16
@@ -83,7 +98,23 @@ class Renderer2D:
         return finished(self._image, self._alpha if self._transparent else None, False, width, height, self._out)
 
     def skip(self, frame: Frame) -> None:
-        """Take note of a frame that is not drawn: nothing here depends on earlier ones."""
+        """Take note of a frame that is not drawn."""
+        if self._follower is not None:
+            self._low = self._begin + self._follower.at(frame) - self._follower.begin
+
+    def _place(self, frame: Frame, camera: Any) -> Follower | None:
+        """Move the view to where a CameraPath, or the keys of one, wants it."""
+        path = CameraPath.of(camera, 2, len(frame.position)) if isinstance(camera, Mapping) else camera
+        if path is None:
+            return None
+        follower = None if path.follow is None else Follower(path.follow, frame)
+        middle = self._low + np.array(self.size) / 2 / self._scale
+        if path.width is not None:
+            self._scale = self.size[0] / path.width
+        if path.centre is not None or follower is not None:
+            middle = np.array(path.centre) if path.centre is not None else follower.begin  # type: ignore[union-attr]
+        self._low = self._begin = middle - np.array(self.size) / 2 / self._scale
+        return follower
 
     def close(self) -> None:
         """Free the fields."""
@@ -96,7 +127,7 @@ class Renderer2D:
         fixed = (len(frame.walls) if frame.walls.size else 0, len(frame.colliders))
         if self._content is not None and self._content.matches(frame) and fixed == self._capacity[1:]:
             return
-        content = Content.of(frame, self._extent)
+        content = Content.of(frame, self._extent, self._subdivide)
         self._content = content
         self._discs = np.flatnonzero(content.radius > 0)
         self._rods = np.argsort(content.rod_stick, kind="stable")  # springs below sticks
@@ -187,6 +218,14 @@ class Renderer2D:
             first = len(content.triangles) + len(self._outline)
             share = np.abs(strain)
             self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL)) * (1 - share) + ends * share
+        if self._colouring is not None:
+            value = self._colouring.values(frame)[:, None]
+            value = np.concatenate([value, content.binding.apply(value)])[:, 0]
+            table = Colouring.table()
+            along = np.rint(np.clip(value, 0.0, 1.0) * (len(table) - 1)).astype(int)
+            t = len(content.triangles)
+            self._base[:t] = table[along[content.triangles]].mean(axis=1)
+            self._base[len(self._base) - len(self._discs) :] = table[along[self._discs]]
         return self._base
 
     def _bodies(self, frame: Frame) -> NDArray[np.float32]:

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import raster, resolve, shade
 from taichi_sim.render.camera import Bounds, Camera, ground_planes, near_boxes, robust_bounds, view_matrix
+from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import Buffers, Canvas
 from taichi_sim.render.palette import background_colours, to_linear
+from taichi_sim.render.tracker import Tracker
 
 __all__ = ["Renderer3D"]
 
@@ -34,17 +36,21 @@ class Renderer3D:
         background: Any = None,
         ambient_occlusion: bool = False,
         shadow: bool = True,
-        camera: Camera | None = None,
+        camera: Any = None,
         transparent: bool = False,
+        colouring: Colouring | None = None,
+        subdivide: int = 0,
     ) -> None:
         self.size = size
-        self._transparent = transparent
-        self.camera = camera or Camera.fit(frame, size[0] / size[1])
+        self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
+        self._table = Colouring.table()
+        self._tracker = Tracker(frame, camera, size[0] / size[1])
+        self.camera = self._tracker.first
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
         self._zenith, self._horizon = background_colours(background, ZENITH, HORIZON)
-        self._lamp = _lamp(self.camera)
+        self._lamp, self._fill = _lamp(self.camera), _fill(self.camera)  # they stay when the camera moves
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Content | None = None
         self._buffers: Buffers | None = None
@@ -54,11 +60,16 @@ class Renderer3D:
     def render(self, frame: Frame) -> NDArray[np.uint8]:
         """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
         self._prepare(frame)
+        self.camera = self._tracker.at(frame)
         assert self._content is not None
         assert self._buffers is not None
         assert self._canvas is not None
-        strain = frame.strain[self._content.rods] if len(frame.strain) == len(frame.springs) else None
+        rods, strain = self._content.rods, None
+        if len(rods) and len(frame.strain) == len(frame.springs):
+            strain = frame.strain[rods]
         self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
+        if self._colouring is not None:
+            self._buffers.paint(self._colouring.values(frame), self._table)
         width, height = self.size
         view = self._view()
         self._spare(view)
@@ -72,7 +83,8 @@ class Renderer3D:
             self._buffers.find_normals()
         light = self._cast_shadows(frame) if self._shadow else view
         keys = self._canvas.keys
-        raster.clear(keys, self._canvas.samples, _on_screen(planes, self.camera.axes(), eye, view), len(planes), width)
+        seen = _on_screen(planes, self.camera.axes(), eye, view)
+        raster.clear(keys, self._canvas.samples, seen, len(planes), width, height)
         self._draw(keys, self._canvas.samples, view, width, height, True)
         scene = self._canvas.scene(self._buffers)
         if self._ambient_occlusion:
@@ -92,6 +104,7 @@ class Renderer3D:
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
+        self.camera = self._tracker.at(frame)
         self._widen(frame)
 
     def close(self) -> None:
@@ -105,7 +118,7 @@ class Renderer3D:
         """Take over what changed beyond positions; allocate again where a frame has more of anything."""
         if self._content is not None and self._content.matches(frame):
             return
-        content = Content.of(frame, self._unit)
+        content = Content.of(frame, self._unit, self._subdivide)
         self._content = content
         if self._buffers is None or not self._buffers.holds(content):
             if self._buffers is not None:
@@ -123,7 +136,7 @@ class Renderer3D:
     def _look_matrix(self) -> Any:
         """Rows: lamp and the spacing of the grid, fill, zenith, horizon."""
         look = np.zeros((4, 4))
-        look[:, :3] = self._lamp, _fill(self.camera), self._zenith, self._horizon
+        look[:, :3] = self._lamp, self._fill, self._zenith, self._horizon
         look[0, 3] = self._spacing / self._unit
         return _mat(look)
 
