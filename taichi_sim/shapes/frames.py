@@ -110,7 +110,7 @@ def net(
         size: (x, z) m, (1, 1) by default; meshes: along x and z; pieces: springs along each side of a mesh.
         mass: kg, shared out equally; 0.1 kg per m of rope by default.
         stiffness: N/m of each piece.
-        radius: of each ball [m]; 0.45 of the shorter distance along the ropes by default.
+        radius: of each ball [m]; 0.3 of the shorter distance along the ropes by default.
     """
     if scene.dim != 3:
         raise SceneError("net: needs a scene with dim = 3; in 2D use rope or truss")
@@ -135,7 +135,7 @@ def net(
     points = moved("net", points, position, rotation, factor)
     part = Part(
         total,
-        or_default("net.radius", radius, 0.45 * float(spacing.min()) * factor),
+        or_default("net.radius", radius, 0.3 * float(spacing.min()) * factor),
         pinned,
         material,
         colour,
