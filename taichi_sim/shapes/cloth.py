@@ -98,7 +98,7 @@ def cloth(
     factor = checks.number("cloth.scale", scale, positive=True)
     grid: Any
     if mesh is None:
-        grid = _grid(size, resolution)
+        grid = _grid(size, resolution, any(value is not None for value in woven.values()))
         surface, spacing, area = grid[0], 0.45 * float(grid[2].min()), float(grid[3].prod())
     elif size is not None or resolution is not None:
         raise SceneError("cloth.mesh: takes the place of size and resolution; give one or the other")
@@ -144,12 +144,12 @@ def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) 
     )
 
 
-def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None) -> tuple:
+def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None, bends: bool) -> tuple:
     """The surface of a flat sheet, its balls along x and z, their spacing and its size (2,) [m]."""
     extent = lengths("cloth.size", (1.0, 1.0) if size is None else size, 2)
     number = counts("cloth.resolution", (32, 32) if resolution is None else resolution, 2, 2)
     balls = number[0] * number[1]
-    affordable("cloth.resolution", resolution, balls, 6 * balls, bends=3 * balls)
+    affordable("cloth.resolution", resolution, balls, (4 if bends else 6) * balls, bends=3 * balls * bends)
     i, j = np.meshgrid(*map(np.arange, number), indexing="ij")
     spacing = extent / (np.array(number) - 1)
     points = np.stack([i * spacing[0], np.zeros(i.shape), j * spacing[1]], axis=-1).reshape(-1, 3)
