@@ -248,3 +248,18 @@ def test_bad_files(tmp_path, old, new, message):
     (tmp_path / "x.toml").write_text(TEXT.replace(old, new) if old != '"pair"\n' else TEXT[:-7] + new)
     with pytest.raises(SceneError, match=message):
         load_scene(tmp_path / "x.toml")
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_camera_that_is_put_elsewhere_stays_there(dim):
+    frames = [frame_at(k / 10, np.array([[0, 0, 0], [1.0 + k, 0, 0]])[:, :dim], dim=dim) for k in range(3)]
+    with Renderer(frames[0], size=(64, 48), camera={"follow": 1}) as renderer:
+        renderer.render(frames[0])
+        first = renderer.camera
+        renderer.render(frames[1])
+        assert renderer.camera != first
+        image = renderer.render(frames[1])
+        renderer.camera = first
+        assert not np.array_equal(renderer.render(frames[1]), image)
+        renderer.render(frames[2])
+        assert renderer.camera == first
