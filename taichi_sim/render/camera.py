@@ -77,6 +77,14 @@ class Camera:
 
 
 @dataclass(frozen=True, slots=True)
+class Flat:
+    """A view of a 2D scene: low (m) the lower left corner of the picture, scale px per metre."""
+
+    low: tuple[float, float]
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
 class Bounds:
     """An axis-parallel box about most of a frame. low, high (dim,) m."""
 

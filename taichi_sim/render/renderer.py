@@ -64,6 +64,15 @@ class Renderer:
             raise RuntimeError("this renderer is closed")
         return self._painter.render(frame)
 
+    @property
+    def camera(self) -> Any:
+        """Where pictures are seen from: a Camera in 3D, a Flat in 2D. It may be replaced between two pictures; it then stays."""
+        return self._painter.camera
+
+    @camera.setter
+    def camera(self, camera: Any) -> None:
+        self._painter.hold(camera)
+
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn, for later ones to look as if it had been."""
         if self._painter is None:

@@ -44,7 +44,7 @@ class Renderer3D:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._table = Colouring.table()
-        self._tracker = Tracker(frame, camera, size[0] / size[1])
+        self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
         self.camera = self._tracker.first
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
@@ -60,7 +60,7 @@ class Renderer3D:
     def render(self, frame: Frame) -> NDArray[np.uint8]:
         """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
         self._prepare(frame)
-        self.camera = self._tracker.at(frame)
+        self._aim(frame)
         assert self._content is not None
         assert self._buffers is not None
         assert self._canvas is not None
@@ -104,8 +104,16 @@ class Renderer3D:
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
-        self.camera = self._tracker.at(frame)
+        self._aim(frame)
         self._widen(frame)
+
+    def hold(self, camera: Camera) -> None:
+        """See from here from now on."""
+        self.camera, self._tracker = camera, None
+
+    def _aim(self, frame: Frame) -> None:
+        if self._tracker is not None:
+            self.camera = self._tracker.at(frame)
 
     def close(self) -> None:
         """Free the fields."""
