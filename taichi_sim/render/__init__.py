@@ -1,6 +1,6 @@
 """Offscreen pictures of frames."""
 
-from taichi_sim.render.camera import Camera
+from taichi_sim.render.camera import Camera, Flat
 from taichi_sim.render.renderer import Renderer
 
-__all__ = ["Camera", "Renderer"]
+__all__ = ["Camera", "Flat", "Renderer"]

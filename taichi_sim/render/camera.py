@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
 
-__all__ = ["Bounds", "Camera", "ground_planes", "near_boxes", "robust_bounds", "view_matrix"]
+__all__ = ["Bounds", "Camera", "Flat", "ground_planes", "near_boxes", "robust_bounds", "view_matrix"]
 
 Floats = NDArray[np.float64]
 SAMPLE = 20_000  # balls looked at: enough for a frame, quick for millions
@@ -59,6 +59,14 @@ class Camera:
             high = ((local[:, :2] + radius[:, None]) / depth).max(axis=0)
             target = target + ((low + high) / 2 * distance * 0.7) @ axes[:2]
         return cls(_triple(target + back * distance), _triple(target))
+
+
+@dataclass(frozen=True, slots=True)
+class Flat:
+    """A view of a 2D scene: low (m) the lower left corner of the picture, scale px per metre."""
+
+    low: tuple[float, float]
+    scale: float
 
 
 @dataclass(frozen=True, slots=True)

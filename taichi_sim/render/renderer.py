@@ -50,6 +50,15 @@ class Renderer:
             raise RuntimeError("this renderer is closed")
         return self._painter.render(frame)
 
+    @property
+    def camera(self) -> Any:
+        """Where pictures are seen from: a Camera in 3D, a Flat in 2D. It may be replaced between two pictures."""
+        return self._painter.camera
+
+    @camera.setter
+    def camera(self, camera: Any) -> None:
+        self._painter.camera = camera
+
     def close(self) -> None:
         """Free its memory. Calling it twice does no harm."""
         if self._painter is not None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import paint2d, resolve
-from taichi_sim.render.camera import Bounds, near_boxes, robust_bounds
+from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
@@ -25,11 +25,12 @@ THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 
 
 class Renderer2D:
-    """See `Renderer`. The view is placed by the first frame and stays."""
+    """See `Renderer`. The view is placed by the first frame and stays where it is put."""
 
     def __init__(self, frame: Frame, size: tuple[int, int], background: Any = None) -> None:
         self.size = size
-        self._low, self._scale, self._extent = _view(frame, size)
+        low, scale, self._extent = _view(frame, size)
+        self.camera = Flat((float(low[0]), float(low[1])), scale)
         self._top, bottom = background_colours(background, TOP, BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
         wall, hatch, edge = (
@@ -129,7 +130,7 @@ class Renderer2D:
         """Shapes in drawing order, and the corners of their boxes, px."""
         content = self._content
         assert content is not None
-        p = (frame.position - self._low) * self._scale
+        p = (frame.position - self.camera.low) * self.camera.scale
         p[:, 1] = self.size[1] - p[:, 1]
         t, o, m, n = len(content.triangles), len(self._outline), len(self._rods), len(self._discs)
         shape = np.zeros((t + o + m + n, 8), dtype=np.float32)
@@ -140,7 +141,7 @@ class Renderer2D:
         ends = np.concatenate([self._outline, content.rod_ends[self._rods]])
         stick = content.rod_stick[self._rods]
         thinnest = np.where(stick, THINNEST["stick"], THINNEST["spring"])
-        thick = np.maximum(content.rod_radius[self._rods] * self._scale, thinnest)
+        thick = np.maximum(content.rod_radius[self._rods] * self.camera.scale, thinnest)
         thick = np.concatenate([np.full(o, THINNEST["outline"]), thick])[:, None]
         rods = slice(t, t + o + m)
         a, b = p[ends[:, 0]], p[ends[:, 1]]
@@ -148,7 +149,7 @@ class Renderer2D:
         shape[t : t + o, 5] = 1.0  # blunt
         low[rods], high[rods] = np.minimum(a, b) - thick - 1, np.maximum(a, b) + thick + 1
         discs = slice(t + o + m, None)
-        r = np.maximum(content.radius[self._discs] * self._scale, THINNEST["disc"])[:, None]
+        r = np.maximum(content.radius[self._discs] * self.camera.scale, THINNEST["disc"])[:, None]
         centre = p[self._discs]
         shape[discs, :2], shape[discs, 2:3] = centre, r
         if len(frame.pinned) == len(p):
@@ -184,9 +185,9 @@ class Renderer2D:
         rows = np.zeros((len(frame.colliders), 8), dtype=np.float32)
         for row, placed in zip(rows, frame.colliders):
             shape, along = placed.collider, placed.rotation[:, 0]
-            x, y = (placed.centre - self._low) * self._scale
+            x, y = (placed.centre - self.camera.low) * self.camera.scale
             row[:4] = x, self.size[1] - y, along[0], -along[1]
-            row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self._scale
+            row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self.camera.scale
         return rows
 
     def _walls(self, frame: Frame) -> NDArray[np.float32]:
@@ -194,7 +195,7 @@ class Renderer2D:
         if frame.walls.size == 0:
             return np.zeros((0, 3), dtype=np.float32)
         normal, offset = frame.walls[:, :2], frame.walls[:, 2]
-        constant = (normal @ self._low - offset) * self._scale + normal[:, 1] * self.size[1]
+        constant = (normal @ self.camera.low - offset) * self.camera.scale + normal[:, 1] * self.size[1]
         return np.column_stack([normal[:, 0], -normal[:, 1], constant]).astype(np.float32)
 
 
