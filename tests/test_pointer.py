@@ -128,7 +128,7 @@ def test_what_cannot_be_dragged(held):
         pointer.move([np.inf, 0.0])
     sim.step()
     assert np.all(np.isfinite(sim.position))
-    with pytest.raises(RuntimeError, match="belongs to no simulation"):
+    with pytest.raises(RuntimeError, match="belongs to no open simulation"):
         Pointer().grab(0, TARGET)
     with pytest.raises(ValueError, match="rate: -1"):
         Pointer(rate=-1.0)
@@ -138,7 +138,7 @@ def test_a_closed_simulation_is_not_touched():
     pointer = Pointer()
     with Simulation(three(), contacts="off", integrator="symplectic_euler", forces=[pointer]) as sim:
         assert "force.Pointer" in sim.kernels()
-    with pytest.raises(RuntimeError, match="one that is closed"):
+    with pytest.raises(RuntimeError, match="belongs to no open simulation"):
         pointer.grab(HELD, TARGET)
 
 

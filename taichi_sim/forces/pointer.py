@@ -98,10 +98,8 @@ class Pointer:
         return None if self.ball is None else self._target
 
     def _there(self) -> Scene:
-        if not self.ready:
-            raise RuntimeError(
-                "pointer: belongs to no simulation, or to one that is closed; give it as forces=[pointer]"
-            )
+        if self._scene is None or not self.ready:
+            raise RuntimeError("pointer: belongs to no open simulation; give it as forces=[pointer]")
         return self._scene
 
     def _aim(self, goal: NDArray[np.float64]) -> None:
