@@ -248,9 +248,11 @@ def draw_rods(
 
 
 @ti.kernel
-def clear(keys: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32):
+def clear(
+    keys: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32, height: ti.i32
+):
     """Every key to the nearest plane, row (a, b, c): closeness a x + b y + c where positive. Otherwise 0, nothing."""
-    for slot in keys:
+    for slot in range(width * height * samples):
         key = ti.i64(0)
         pixel = slot // samples
         x = ti.cast(pixel % width, ti.f32) + ti.f32(0.5)

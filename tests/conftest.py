@@ -16,6 +16,7 @@ ONCE = (
     "demos",
     "files",
     "mesh",
+    "orbit",
     "outputs",
     "readme",
     "render",
@@ -26,6 +27,7 @@ ONCE = (
     "shapes",
     "tune",
     "waves",
+    "window",
 )
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}
 # Long ones that tell most in double precision, or the same in both: in single precision `make test-slow` runs them.

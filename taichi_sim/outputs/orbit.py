@@ -145,14 +145,15 @@ def pick(view: Orbit | Slide, frame: Frame, at: tuple[float, float]) -> int | No
     away = np.linalg.norm(seen.at - at, axis=1)
     skin = np.zeros(len(away), dtype=bool)
     skin[frame.triangles.ravel()] = True
-    discs = np.flatnonzero(~skin & (away <= frame.radius * seen.scale))
+    gap = away - np.where(skin, 0.0, frame.radius * seen.scale)  # to a disc or a corner
+    discs = np.flatnonzero(~skin & (gap <= 0))
     found = [(float(seen.depth[i] - (frame.dim == 3) * frame.radius[i]), int(i)) for i in discs]
     found += _surface(seen, frame.triangles, at, away)
     if found:  # in 2D the disc drawn last lies on top
         ball = min(found, key=lambda hit: (hit[0], -hit[1]))[1]
     else:
-        ball = int(np.argmin(np.where(np.isnan(away), np.inf, away)))
-        if not away[ball] <= REACH:
+        ball = int(np.argmin(np.where(np.isnan(gap), np.inf, gap)))
+        if not gap[ball] <= REACH:
             return None
     return None if len(frame.pinned) and frame.pinned[ball] else ball
 

@@ -38,6 +38,7 @@ HELP = (
 )
 FIGURES, KEYS, NOTHING = range(3)  # what the overlay shows; h goes through them
 TOLD = 3.0  # s that a message stays
+SLOW = 0.05  # s: where a picture takes longer, what moves is drawn at half the width and height, a third of the work at most
 PAN = ("RMB", "MMB")
 
 
@@ -130,6 +131,7 @@ class _Window:
         self.stale = True  # the picture is not that of the present frame and view
         self.shown: Any = None
         self.picture: Image = np.zeros((height, width, 3), dtype=np.uint8)
+        self.slow, self.coarse = False, False  # drawing, and the present picture
 
     def run(self) -> None:
         """Until it is closed."""
@@ -271,11 +273,17 @@ class _Window:
         if self.recording is not None:
             overlay.draw_recording(self.screen)
 
-    def _render(self) -> None:
-        if not self.stale:
+    def _render(self, sharp: bool = False) -> None:
+        """The picture of the present; coarse where it moves and drawing is slow, sharp once it stands or is written."""
+        sharp = sharp or not self.slow or not self.stale or self.recording is not None
+        if not self.stale and not self.coarse:
             return
+        begin = time.perf_counter()
         self.renderer.camera = self.view.camera
-        self.picture = self.renderer.render(self.frame)
+        picture = self.renderer.render(self.frame, 1 if sharp else 2)
+        self.coarse = picture.shape[1] < self.size[0]
+        self.slow = time.perf_counter() - begin > (SLOW / 3 if self.coarse else SLOW)
+        self.picture = _enlarged(picture, self.size) if self.coarse else picture
         pointer = self.pointer
         if pointer is not None and pointer.ball is not None and pointer.target is not None:
             ends = self.view.see(np.stack([self.frame.position[pointer.ball], pointer.target])).at
@@ -304,7 +312,7 @@ class _Window:
         """Write picture_000.png, picture_001.png, ..., without the overlay."""
         from PIL import Image as Pictures
 
-        self._render()
+        self._render(sharp=True)
         path = free_name("picture", ".png")
         try:
             with replacing(path) as file:
@@ -317,7 +325,7 @@ class _Window:
 
     def _record(self) -> None:
         """Begin recording_000.mp4, recording_001.mp4, ..., without the overlay."""
-        self._render()
+        self._render(sharp=True)
         try:
             self.recording = Recording(free_name("recording", ".mp4"), self.fps)
         except OSError as error:
@@ -345,3 +353,9 @@ class _Window:
             return
         self._tell(f"saved {recording.path}")
         self.say(f"written      {recording.path}")
+
+
+def _enlarged(image: Image, size: tuple[int, int]) -> Image:
+    from PIL import Image as Pictures
+
+    return np.array(Pictures.fromarray(image).resize(size, Pictures.Resampling.BILINEAR))

@@ -159,7 +159,7 @@ class Canvas:
 
     def finish(self, width: int, height: int) -> NDArray[np.uint8]:
         resolve.finish(self.image, self.samples == 1, width, height, self._out)
-        return np.ascontiguousarray(self._out.view(np.uint8).reshape(height, width, 4)[:, :, :3])
+        return np.ascontiguousarray(self._out[: width * height].view(np.uint8).reshape(height, width, 4)[:, :, :3])
 
     def close(self) -> None:
         self._tree.destroy()

@@ -44,11 +44,11 @@ class Renderer:
 
             self._painter = Renderer2D(frame, self.size, background)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame of the same scene."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame of the same scene. In 3D it may be `coarse` times less wide and high, and so much quicker."""
         if self._painter is None:
             raise RuntimeError("this renderer is closed")
-        return self._painter.render(frame)
+        return self._painter.render(frame, coarse)
 
     @property
     def camera(self) -> Any:

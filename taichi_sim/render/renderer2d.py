@@ -45,8 +45,8 @@ class Renderer2D:
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top; quick enough never to be coarse."""
         self._prepare(frame)
         width, height = self.size
         shape, low, high = self._shapes(frame)

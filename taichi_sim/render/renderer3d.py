@@ -49,16 +49,16 @@ class Renderer3D:
         self._canvas: Canvas | None = None
         self._prepare(frame)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3) / coarse, sRGB, row 0 at the top."""
         self._prepare(frame)
         assert self._content is not None
         assert self._buffers is not None
         assert self._canvas is not None
         strain = frame.strain[self._content.rods] if len(frame.strain) == len(frame.springs) else None
         self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
-        width, height = self.size
-        view = self._view()
+        width, height = (max(1, side // coarse) for side in self.size)
+        view = self._view(width, height)
         self._spare(view)
         planes = ground_planes(frame)
         planes[:, 3] = (planes[:, 3] - planes[:, :3] @ self._origin) / self._unit
@@ -70,7 +70,8 @@ class Renderer3D:
             self._buffers.find_normals()
         light = self._cast_shadows(frame) if self._shadow else view
         keys = self._canvas.keys
-        raster.clear(keys, self._canvas.samples, _on_screen(planes, self.camera.axes(), eye, view), len(planes), width)
+        horizon = _on_screen(planes, self.camera.axes(), eye, view)
+        raster.clear(keys, self._canvas.samples, horizon, len(planes), width, height)
         self._draw(keys, self._canvas.samples, view, width, height, True)
         scene = self._canvas.scene(self._buffers)
         if self._ambient_occlusion:
@@ -85,6 +86,7 @@ class Renderer3D:
             _vec(eye),
             self._look_matrix(),
             width,
+            height,
         )
         return self._canvas.finish(width, height)
 
@@ -121,8 +123,7 @@ class Renderer3D:
         look[0, 3] = self._spacing / self._unit
         return _mat(look)
 
-    def _view(self) -> NDArray[np.float32]:
-        width, height = self.size
+    def _view(self, width: int, height: int) -> NDArray[np.float32]:
         eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
         focal = height / 2 / math.tan(math.radians(self.camera.fov) / 2)
         return view_matrix(self.camera.axes(), eye, focal, (width / 2, height / 2))
