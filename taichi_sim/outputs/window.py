@@ -36,9 +36,11 @@ HELP = (
     ("h", "this list; nothing; the figures"),
     ("esc", "quit"),
 )
+USE = "use `taichi-sim run SCENE -o x.mp4` instead"
 FIGURES, KEYS, NOTHING = range(3)  # what the overlay shows; h goes through them
 TOLD = 3.0  # s that a message stays
-SLOW = 0.05  # s: where a picture takes longer, what moves is drawn at half the width and height, a third of the work at most
+SLOW = 0.05  # s: where a picture takes longer, what moves is drawn less fine
+COARSEST = 3  # times less wide and high than the window
 PAN = ("RMB", "MMB")
 
 
@@ -46,9 +48,8 @@ def require_display() -> None:
     """Raise BackendError where a window would end the process: on Linux without a display, or with one that does not answer."""
     if not sys.platform.startswith("linux"):
         return
-    use = "use `taichi-sim run SCENE -o x.mp4` instead"
     if not os.environ.get("DISPLAY"):
-        raise BackendError(f"there is no display for a window; {use}")
+        raise BackendError(f"there is no display for a window; {USE}")
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError:
@@ -56,7 +57,7 @@ def require_display() -> None:
     x11.XOpenDisplay.restype, x11.XCloseDisplay.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
     display = x11.XOpenDisplay(None)
     if not display:
-        raise BackendError(f"the display {os.environ['DISPLAY']!r} does not answer; {use}")
+        raise BackendError(f"the display {os.environ['DISPLAY']!r} does not answer; {USE}")
     x11.XCloseDisplay(display)
 
 
@@ -113,7 +114,10 @@ class _Window:
             simulation.surface_speed,
         )
         width, height = self.size = renderer.size
-        self.gui = ti.GUI(TITLE, res=self.size, fast_gui=True)
+        try:
+            self.gui = ti.GUI(TITLE, res=self.size, fast_gui=True)
+        except RuntimeError as error:
+            raise BackendError(f"the window cannot be opened; {USE}") from error
         self.gui.fps_limit = None
         pixels = self.gui.img.view(np.uint8).reshape(height, width, 4)  # as Taichi's vector_to_fast_image fills it
         mac = sys.platform == "darwin"
@@ -131,7 +135,7 @@ class _Window:
         self.stale = True  # the picture is not that of the present frame and view
         self.shown: Any = None
         self.picture: Image = np.zeros((height, width, 3), dtype=np.uint8)
-        self.slow, self.coarse = False, False  # drawing, and the present picture
+        self.moving, self.coarse = 1, 1  # how coarse what moves is drawn, and the present picture
 
     def run(self) -> None:
         """Until it is closed."""
@@ -275,21 +279,26 @@ class _Window:
 
     def _render(self, sharp: bool = False) -> None:
         """The picture of the present; coarse where it moves and drawing is slow, sharp once it stands or is written."""
-        sharp = sharp or not self.slow or not self.stale or self.recording is not None
-        if not self.stale and not self.coarse:
+        if not self.stale and self.coarse == 1:
             return
+        self.coarse = 1 if sharp or not self.stale or self.recording is not None else self.moving
         begin = time.perf_counter()
         self.renderer.camera = self.view.camera
-        picture = self.renderer.render(self.frame, 1 if sharp else 2)
-        self.coarse = picture.shape[1] < self.size[0]
-        self.slow = time.perf_counter() - begin > (SLOW / 3 if self.coarse else SLOW)
-        self.picture = _enlarged(picture, self.size) if self.coarse else picture
+        picture = self.renderer.render(self.frame, self.coarse)
+        self._judge(time.perf_counter() - begin)
+        self.picture = picture if picture.shape[1] == self.size[0] else _enlarged(picture, self.size)
         pointer = self.pointer
         if pointer is not None and pointer.ball is not None and pointer.target is not None:
             ends = self.view.see(np.stack([self.frame.position[pointer.ball], pointer.target])).at
             if np.all(np.isfinite(ends)):
                 overlay.draw_line(self.picture, *map(tuple, ends.tolist()))
         self.stale = False
+
+    def _judge(self, seconds: float) -> None:
+        """Draw what moves finer or coarser from now on, where its picture took so long; 2D is never coarse."""
+        if self.frame.dim == 3 and self.coarse == self.moving:
+            wanted = self.coarse + (seconds > SLOW) - (seconds < SLOW / 4)
+            self.moving = min(max(wanted, 1), COARSEST)
 
     def _rows(self) -> tuple[tuple[str, str], ...]:
         """The figures that the overlay shows."""
