@@ -36,7 +36,7 @@ class Pointer:
     (1 + s t) exp(-s t) d(0) alone and from rest, whatever its mass. Of balls that springs join, the nearest ones with a
     sixteenth of the mass of all are held together, each at its place beside the first. Pinned balls cannot be dragged.
 
-    Args: rate s [1/s]. It acts explicitly with at most 0.06 / h, which no method minds in steps h that are safe without it.
+    Args: rate s [1/s]. It acts explicitly with at most 0.06 / h, which no method minds in steps h of nine tenths of its bound.
     """
 
     def __init__(self, rate: float = RATE) -> None:

@@ -15,7 +15,7 @@ from taichi_sim.render.camera import Camera, Flat
 
 __all__ = ["Orbit", "Seen", "Slide", "pick", "view_of"]
 
-TURN = 200.0  # degrees for a drag over the height of the picture
+TURN = 160.0  # degrees for a drag over the height of the picture
 POLE = 2.0  # degrees: no nearer to the view straight down or up
 NOTCH = 1.12  # by which a notch of the wheel brings things nearer
 MOST_ZOOM = 200.0  # nearer or farther than at first
