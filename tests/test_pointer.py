@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_sim import Pointer, Scene, SceneError, Simulation, shapes
+from taichi_sim.assembly import Room
 from taichi_sim.forces.pointer import MOST, PART
 from taichi_sim.stability import stability
 
@@ -111,6 +112,20 @@ def test_one_after_the_other(held):
     before = sim.velocity[FREE]
     sim.step()
     assert sim.velocity[FREE] - before == pytest.approx([0.0, -10.0 * DT], rel=1e-3)
+
+
+def test_it_holds_on_where_a_simulation_is_made_anew_inside(held, precision):
+    """As when lists of contacts have grown."""
+    sim, pointer = held
+    pointer.grab(HELD, [9.0, 9.0])
+    pointer.move(TARGET)
+    sim.step(30)
+    stepper = sim._stepper
+    stepper.parts = stepper.parts.with_room(Room())
+    stepper.primed = False
+    sim.step(30)
+    x, _ = reference(60)
+    assert sim.position == pytest.approx(x, abs=close(precision))
 
 
 def test_what_cannot_be_dragged(held):

@@ -1,6 +1,7 @@
 """A live window through ti.GUI, which needs a display but no OpenGL and no Vulkan."""
 
 import ctypes
+import math
 import os
 import sys
 import time
@@ -163,8 +164,7 @@ class _Window:
         due, self.single = self.single, 0
         if not due and not self.paused:
             due = self.pace.steps(wall, sim.dt)
-        if self.until is not None:
-            due = min(due, max(0, round((self.until - sim.time) / sim.dt)))
+        due = int(min(due, self._left()))
         if not due:
             return 0.0
         before, begin = sim.time, time.perf_counter()
@@ -172,6 +172,16 @@ class _Window:
         self.pace.made(due, time.perf_counter() - begin)
         self.frame, self.stale = sim.frame(), True
         return float(sim.time - before)
+
+    def _left(self) -> float:
+        """Steps until the time that ends it."""
+        sim = self.simulation
+        return math.inf if self.until is None else max(0, round((self.until - sim.time) / sim.dt))
+
+    @property
+    def ended(self) -> bool:
+        """Whether time has come to its end."""
+        return self._left() == 0
 
     def _reset(self) -> None:
         self._let_go()
@@ -184,9 +194,7 @@ class _Window:
     def _listen(self) -> None:
         for event in self.gui.get_events():
             self._move(event.pos)
-            if event.key == self.gui.EXIT:
-                self.open = False
-            elif event.key == self.gui.WHEEL:
+            if event.key == self.gui.WHEEL:
                 self._zoom(float(np.sign(event.delta[1])))
             elif event.type == self.gui.PRESS and event.key in ("LMB", *PAN):
                 self._press(event.key in PAN or "Shift" in event.modifier)
@@ -264,7 +272,7 @@ class _Window:
         self._render()
         if self.recording is not None:
             # as fast as was asked for, also where steps are slower; a pause is a pause
-            self._add(wall if self.paused else simulated / self.pace.speed)
+            self._add(wall if self.paused or self.ended else simulated / self.pace.speed)
         rows = self._rows()
         state = (self.picture, rows, self.level, self.recording is not None)
         if self.shown is not None and self.shown[0] is self.picture and self.shown[1:] == state[1:]:
@@ -307,9 +315,8 @@ class _Window:
             return told
         frame, pace = self.frame, self.pace
         asked = "" if pace.speed == 1 else f" ({pace.speed:g} x asked for)"
-        ended = self.until is not None and self.until - frame.time < 0.5 * self.simulation.dt
-        speed = "paused" if self.paused else "at its end" if ended else f"{pace.reached:.2g} x real time"
-        rate = () if self.paused or ended else (("pictures", f"{pace.rate:.0f} per second"),)
+        speed = "paused" if self.paused else "at its end" if self.ended else f"{pace.reached:.2g} x real time"
+        rate = () if self.paused or self.ended else (("pictures", f"{pace.rate:.0f} per second"),)
         energy = () if frame.energy is None else (("energy", f"{frame.energy[3]:.4g} J"),)
         balls = ("balls", f"{len(frame.position):,}".replace(",", " "))
         return (("time", f"{frame.time:.3f} s"), ("speed", speed + asked), *rate, *energy, balls, *told)
@@ -348,7 +355,7 @@ class _Window:
         assert self.recording is not None
         try:
             self.recording.add(self.frame, self.picture, seconds)
-        except OSError:
+        except Exception:  # a full disk, or what an encoder raises
             self._stop_recording()  # which says why
 
     def _stop_recording(self) -> None:
@@ -357,8 +364,8 @@ class _Window:
         recording, self.recording = self.recording, None
         try:
             recording.finish()
-        except OSError as error:
-            self._tell(f"{recording.path}: {error.strerror or error}")
+        except Exception as error:
+            self._tell(f"{recording.path}: cannot be written: {error}")
             return
         self._tell(f"saved {recording.path}")
         self.say(f"written      {recording.path}")
