@@ -166,7 +166,7 @@ def test_the_area_of_a_disc():
     left = image[:, : SIZE[0] // 2, 0].astype(float) / 255
     linear = np.where(left <= 0.04045, left / 12.92, ((left + 0.055) / 1.055) ** 2.4)
     painter = Renderer2D(frame, SIZE)
-    scale = painter._scale
+    scale = painter.camera.scale
     painter.close()
     body = np.pi * (0.7 * scale) ** 2
     dark = np.clip(1.0 - linear, 0, 1)
