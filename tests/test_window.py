@@ -153,7 +153,7 @@ def test_a_recording_plays(flat):
 
 
 @needs_tools
-def test_zz_escape_ends_it(flat):
+def test_escape_ends_it(flat):
     """Last of those that share the window. A recording that still runs is finished."""
     flat.key("v")
     time.sleep(0.5)

@@ -19,7 +19,7 @@ SMALLEST, PER_HEIGHT = 13, 45  # px: text is a 45th of the picture's height
 
 
 def draw_table(image: Image, rows: Sequence[tuple[str, str]], *, bottom: bool = False) -> None:
-    """Rows of a name and what it is, top left or bottom left."""
+    """Rows of a name and what it is, top left or bottom right."""
     if not rows:
         return
     font, size = _font(image)
@@ -29,7 +29,7 @@ def draw_table(image: Image, rows: Sequence[tuple[str, str]], *, bottom: bool = 
     width = min(start + max(round(font.getlength(text)) for _, text in rows) + pad, image.shape[1])
     height = min(len(rows) * line + 2 * pad, image.shape[0])
     margin = min(pad, image.shape[0] - height, image.shape[1] - width)
-    y = image.shape[0] - height - margin if bottom else margin
+    y, x = (image.shape[0] - height - margin, image.shape[1] - width - margin) if bottom else (margin, margin)
 
     def paint(draw: Any) -> None:
         for k, (name, text) in enumerate(rows):
@@ -37,7 +37,7 @@ def draw_table(image: Image, rows: Sequence[tuple[str, str]], *, bottom: bool = 
             draw.text((pad, level), name, font=font, fill=FAINT, anchor="lm")
             draw.text((start, level), text, font=font, fill=BRIGHT, anchor="lm")
 
-    part = image[y : y + height, margin : margin + width]
+    part = image[y : y + height, x : x + width]
     part[:] = part * (1 - SHADE) + np.array(PANEL) * SHADE
     _painted(part, paint)
 

@@ -25,7 +25,7 @@ TITLE = "taichi_sim (h: help)"
 HELP = (
     ("drag a ball", "pull it"),
     ("drag elsewhere", "turn the view; in 2D move it"),
-    ("right or middle drag, shift + drag", "move the view"),
+    ("right drag, shift + drag", "move the view"),
     ("wheel, + and -", "nearer, farther"),
     ("space", "pause, go on"),
     ("s", "one time step"),
