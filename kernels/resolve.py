@@ -91,6 +91,7 @@ def resolve(
     """Shade every pixel: each distinct primitive among its samples once, weighted by its samples.
 
     Rows of look: direction to the lamp and the spacing of the ground's grid, direction of the fill, zenith, horizon.
+    Where the scene is transparent, samples of background and ground have neither colour nor share in alpha.
     """
     for pixel in range(width * height):
         px, py = ti.cast(pixel % width, ti.f32) + ti.f32(0.5), ti.cast(pixel // width, ti.f32) + ti.f32(0.5)
@@ -98,7 +99,7 @@ def resolve(
         open_share = ti.f32(1.0)
         if ti.static(scene.has_occlusion):
             open_share = scene.openness[pixel]
-        total, weights, s = vec3(0, 0, 0), 0, 0
+        total, weights, solid, s = vec3(0, 0, 0), 0, 0, 0
         while weights < scene.samples and s < scene.samples:
             key = keys[pixel * scene.samples + s]
             weight = 1
@@ -106,10 +107,15 @@ def resolve(
                 if t != s and alike(key, keys[pixel * scene.samples + t]):
                     weight = 0 if t < s else weight + ti.min(weight, 1)
             if weight > 0:
-                total += weight * colour_of(scene, view, light, look, eye, ray, planes, key, px, py, open_share)
+                kind = ti.cast(key, ti.i32) >> 28
+                if ti.static(not scene.transparent) or (kind != 0 and kind != PLANE):
+                    total += weight * colour_of(scene, view, light, look, eye, ray, planes, key, px, py, open_share)
+                    solid += weight
                 weights += weight
             s += 1
-        image[pixel] = total / weights
+        image[pixel] = total / ti.max(solid, 1)
+        if ti.static(scene.transparent):
+            scene.alpha[pixel] = ti.cast(solid, ti.f32) / weights
 
 
 @ti.kernel
@@ -203,8 +209,16 @@ def smooth_edge(image: ti.template(), x, y, width, height):
 
 
 @ti.kernel
-def finish(image: ti.template(), edges: ti.template(), width: ti.i32, height: ti.i32, out: ti.types.ndarray(ti.i32, 1)):
-    """Linear colour to packed sRGB bytes (red lowest), with half a step of fixed noise against bands."""
+def finish(
+    image: ti.template(),
+    alpha: ti.template(),
+    transparent: ti.template(),
+    edges: ti.template(),
+    width: ti.i32,
+    height: ti.i32,
+    out: ti.types.ndarray(ti.i32, 1),
+):
+    """Linear colour to packed sRGB bytes (red lowest, alpha highest), with half a step of fixed noise against bands."""
     for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         c = image[pixel]
@@ -222,4 +236,6 @@ def finish(image: ti.template(), edges: ti.template(), width: ti.i32, height: ti
             )
             byte = ti.cast(ti.min(ti.max(encoded * 255 + noise, ti.f32(0.0)), ti.f32(255.0)), ti.i32)
             packed |= byte << (8 * k)
+        if ti.static(transparent):
+            packed |= ti.cast(alpha[pixel] * 255 + ti.f32(0.5), ti.i32) << 24
         out[pixel] = packed

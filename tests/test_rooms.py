@@ -20,13 +20,16 @@ LEVELS = (
     ("simulation", "state_file", "render"),
     ("controlled",),
     ("stepper",),
-    ("collider_checks",),
-    ("assembly", "drivers", "settings"),
+    ("collider_checks", "cautions"),
+    ("assembly", "settings"),
+    ("drivers",),
     ("companion",),
     ("integrators",),
     ("gauge",),
-    ("contacts", "forces"),
+    ("contacts", "forces", "pins"),
+    ("moment",),
     ("diagnostics", "stability", "order", "watch"),
+    ("element_rates",),
     ("state",),
     ("model",),
     ("fields", "backend"),
@@ -34,9 +37,10 @@ LEVELS = (
     ("scene_file", "scene_save", "scene_source", "scene_lines", "scene_schema"),
     ("shapes", "shape_parts", "rates"),
     ("scene", "frame"),
+    ("scene_elements", "materials"),
     ("colliders",),
-    ("mesh", "motion"),
-    ("checks", "files", "interrupts", "memory", "groups"),
+    ("mesh", "motion", "skins", "tables", "camera_path"),
+    ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
 )
@@ -44,6 +48,8 @@ LEVEL = {name: k for k, names in enumerate(LEVELS) for name in names}
 # settings names integrators, base knows the solver and the forces; no Taichi in the scene's rooms
 NO_TAICHI = (
     "scene",
+    "scene_elements",
+    "materials",
     "shapes",
     "shape_parts",
     "rates",
@@ -51,17 +57,22 @@ NO_TAICHI = (
     "motion",
     "colliders",
     "collider_checks",
+    "cautions",
     "errors",
     "checks",
     "frame",
     "files",
     "stability",
+    "element_rates",
     "watch",
     "diagnostics",
     "order",
     "interrupts",
     "memory",
     "groups",
+    "skins",
+    "tables",
+    "camera_path",
 )
 
 
@@ -188,7 +199,9 @@ def test_simulation_has(name):
         assert hasattr(sim, name)
 
 
-@pytest.mark.parametrize("name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "save"])
+@pytest.mark.parametrize(
+    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "save"]
+)
 def test_scene_has(name):
     assert callable(getattr(ts.Scene, name))
 

@@ -23,14 +23,17 @@ def open_output(
 ) -> Output:
     """The output for a name: x.mp4 or x.webm a video, x.gif an animation, x.npz arrays, a name without an ending PNG frames.
 
-    It is opened at once: ValueError for another ending, OSError where it cannot be written. overwrite and resume are
-    for a folder of frames that is not empty; a file is replaced when the new one is complete. codec: "h264" or "h265" for
+    It is opened at once: ValueError for another ending, OSError where it cannot be written. overwrite is for a folder of frames
+    that is not empty; a file is replaced when the new one is complete. resume goes on with a folder or a video that was cut off,
+    with the frames that are finished. codec: "h264" or "h265" for
     x.mp4, "vp9" for x.webm.
     """
     name = fspath(path)
     suffix = "" if name.endswith(("/", "\\")) or Path(name).is_dir() else Path(name).suffix.lower()
-    if resume and suffix:
-        raise ValueError(f"{name}: only a folder of PNG frames can be resumed")
+    if resume and suffix and suffix not in ENDINGS:
+        raise ValueError(f"{name}: only videos and folders of PNG frames can be resumed")
+    if resume and overwrite:
+        raise ValueError("overwrite and resume exclude each other; give one of them")
     codecs = ENDINGS.get(suffix, ())
     if codec is not None and codec not in codecs:
         allowed = ", ".join(f"{', '.join(known)} for x{ending}" for ending, known in ENDINGS.items())
@@ -38,7 +41,7 @@ def open_output(
     if codecs:
         from taichi_sim.outputs.video import Video
 
-        return Video(name, fps, codec=codec or codecs[0])
+        return Video(name, fps, codec=codec or codecs[0], resume=resume)
     if suffix == ".gif":
         from taichi_sim.outputs.gif import Gif
 

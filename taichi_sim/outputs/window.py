@@ -113,6 +113,7 @@ class _Window:
             simulation.time,
             simulation.rounded_off,
             simulation.surface_speed,
+            simulation.torn,
         )
         width, height = self.size = renderer.size
         try:
@@ -125,6 +126,7 @@ class _Window:
         pixels[:, :, 3] = 255 if mac else 0
         self.screen: Image = pixels[:, :, :3] if mac else pixels[:, :, 2::-1]
         self.view = view_of(renderer.camera, self.size)
+        self.moved = False  # by hand
         self.pace = Pace()
         self.open, self.paused, self.level = True, False, FIGURES
         self.single = 0  # steps asked for by key
@@ -185,8 +187,7 @@ class _Window:
 
     def _reset(self) -> None:
         self._let_go()
-        position, velocity, begin, low, surface_speed = self.start
-        self.simulation.resume(position, velocity, begin, low, surface_speed)
+        self.simulation.resume(*self.start)
         self.frame, self.stale = self.simulation.frame(), True
 
     # Mouse and keys ------------------------------------------------------------------------------------------------
@@ -214,6 +215,7 @@ class _Window:
         if self.mode == "pull":
             self._aim()
         else:
+            self.moved = True
             getattr(self.view, self.mode)(dx, dy)
 
     def _press(self, pan: bool) -> None:
@@ -240,7 +242,7 @@ class _Window:
 
     def _zoom(self, notches: float) -> None:
         self.view.zoom(notches, self.cursor)
-        self.stale = True
+        self.moved = self.stale = True
 
     def _key(self, key: str) -> None:
         sim = self.simulation
@@ -291,8 +293,10 @@ class _Window:
             return
         self.coarse = 1 if sharp or not self.stale or self.recording is not None else self.moving
         begin = time.perf_counter()
-        self.renderer.camera = self.view.camera
+        if self.moved:
+            self.renderer.camera = self.view.camera
         picture = self.renderer.render(self.frame, self.coarse)
+        self.view.camera = self.renderer.camera  # which may move by itself until it is moved by hand
         self._judge(time.perf_counter() - begin)
         self.picture = picture if picture.shape[1] == self.size[0] else _enlarged(picture, self.size)
         pointer = self.pointer
