@@ -7,8 +7,8 @@ import pytest
 
 from taichi_sim import Box, Scene, Sphere, backend
 from taichi_sim.frame import Frame, Placed
+from taichi_sim.model import components
 from taichi_sim.render import Camera, Renderer
-from taichi_sim.render.palette import components
 from taichi_sim.render.tiles import tile_lists
 
 SIZE = (160, 90)

@@ -14,6 +14,7 @@ __all__ = [
     "FOV",
     "Bounds",
     "Camera",
+    "Flat",
     "ground_planes",
     "near_boxes",
     "robust_bounds",

@@ -61,8 +61,8 @@ class Renderer2D:
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top; quick enough never to be coarse."""
         self._prepare(frame)
         self.skip(frame)
         width, height = self.size
@@ -104,8 +104,8 @@ class Renderer2D:
             low = self._begin + self._follower.at(frame) - self._follower.begin
             self.camera = Flat((float(low[0]), float(low[1])), self.camera.scale)
 
-    def hold(self, camera: Flat) -> None:
-        """See from here from now on."""
+    def look(self, camera: Flat) -> None:
+        """Look there from now on, whatever a CameraPath says."""
         self.camera, self._follower = camera, None
 
     def _place(self, frame: Frame, camera: Any) -> Follower | None:

@@ -57,8 +57,12 @@ class Renderer3D:
         self._canvas: Canvas | None = None
         self._prepare(frame)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
+    def look(self, camera: Camera) -> None:
+        """Look from there from now on, whatever a CameraPath says."""
+        self.camera, self._tracker = camera, None
+
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top."""
         self._prepare(frame)
         self._aim(frame)
         assert self._content is not None
@@ -70,8 +74,8 @@ class Renderer3D:
         self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
         if self._colouring is not None:
             self._buffers.paint(self._colouring.values(frame), self._table)
-        width, height = self.size
-        view = self._view()
+        width, height = (max(1, side // coarse) for side in self.size)
+        view = self._view(width, height)
         self._spare(view)
         planes = ground_planes(frame)
         planes[:, 3] = (planes[:, 3] - planes[:, :3] @ self._origin) / self._unit
@@ -99,6 +103,7 @@ class Renderer3D:
             _vec(eye),
             self._look_matrix(),
             width,
+            height,
         )
         return self._canvas.finish(width, height)
 
@@ -106,10 +111,6 @@ class Renderer3D:
         """Take note of a frame that is not drawn."""
         self._aim(frame)
         self._widen(frame)
-
-    def hold(self, camera: Camera) -> None:
-        """See from here from now on."""
-        self.camera, self._tracker = camera, None
 
     def _aim(self, frame: Frame) -> None:
         if self._tracker is not None:
@@ -148,8 +149,7 @@ class Renderer3D:
         look[0, 3] = self._spacing / self._unit
         return _mat(look)
 
-    def _view(self) -> NDArray[np.float32]:
-        width, height = self.size
+    def _view(self, width: int, height: int) -> NDArray[np.float32]:
         eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
         focal = height / 2 / math.tan(math.radians(self.camera.fov) / 2)
         return view_matrix(self.camera.axes(), eye, focal, (width / 2, height / 2))
