@@ -10,6 +10,7 @@ WHEEL, SPOKES = 0.3, 20
 def scene():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.output = {"fps": 60, "duration": 6, "size": (1280, 720)}
+    scene.settings = {"spin": False}  # the balls of a tyre do not turn on their own
     scene.add_material("rubber", friction=0.9)
     along = np.arange(-1.0, 16.0, 0.2)
     height = -0.22 * along + 0.07 * np.sin(2.6 * along) * np.clip(along / 4 - 0.5, 0, 1) - 0.06

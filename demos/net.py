@@ -4,7 +4,7 @@ import numpy as np
 
 import taichi_sim as ts
 
-SIDE, NUMBER, RADIUS = 2.4, 41, 0.035
+SIDE, NUMBER, RADIUS, SLACK = 2.8, 65, 0.035, 1.15
 
 
 def scene():
@@ -19,11 +19,14 @@ def scene():
     ).reshape(NUMBER, NUMBER)
     cords = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
     pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in cords])
-    scene.add_springs(pairs, stiffness=3000, damping=0.6, collides=True)
-    for k, colour in enumerate(((0.9, 0.3, 0.25), (0.95, 0.72, 0.25), (0.2, 0.55, 0.6), (0.9, 0.88, 0.82))):
+    length = SLACK * SIDE / (NUMBER - 1)
+    scene.add_springs(pairs, stiffness=3000, damping=0.6, rest_length=length, collides=True)
+    for k, colour in enumerate(
+        ((0.9, 0.3, 0.25), (0.95, 0.72, 0.25), (0.2, 0.55, 0.6), (0.9, 0.88, 0.82), (0.5, 0.35, 0.6))
+    ):
         ts.shapes.pile(
-            scene, (25, 4, 25), RADIUS, mass=0.002, jitter=0.3, seed=k, spacing=0.075, material="rubber", colour=colour,
-            position=(-0.9, 1.9 + 0.32 * k, -0.9),
+            scene, (20, 5, 20), RADIUS, mass=0.01, jitter=0.3, seed=k, spacing=0.075, material="rubber", colour=colour,
+            position=(-0.71, 1.75 + 0.4 * k, -0.71),
         )  # fmt: skip
     scene.add_wall((0, 1, 0), material="rubber")
     return scene

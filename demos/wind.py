@@ -10,7 +10,7 @@ WIND = 2.2  # m/s
 
 def scene():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    scene.output = {"fps": 60, "duration": 6, "size": (1280, 720)}
+    scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
     top = np.arange(NUMBER[0]) * NUMBER[1]
     ts.shapes.cloth(
         scene,

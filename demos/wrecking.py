@@ -11,6 +11,7 @@ PIVOT, LINKS, LENGTH = (-0.8, 4.6), 16, 2.9
 def scene():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
+    scene.settings = {"spin": False}
     scene.add_material("steel", restitution=0.1, friction=0.5)
     scene.add_wall((0, 1), material="steel")
     scene.add_wall((-1, 0), offset=-4.9, material="steel")
@@ -18,9 +19,7 @@ def scene():
         index = np.arange((COLUMNS + 1) * (ROWS + 1)).reshape(COLUMNS + 1, ROWS + 1)
         place = np.argwhere(index >= 0) * CELL + (wall * 1.3, 0.11)
         colour = ((0.75, 0.45, 0.3), (0.6, 0.55, 0.45), (0.45, 0.5, 0.55))[wall]
-        balls = scene.add_balls(
-            place, radius=0.105, mass=0.4, material="steel", colour=colour
-        )
+        balls = scene.add_balls(place, radius=0.105, mass=0.4, material="steel", colour=colour)
         sides = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
         sides += [(index[:-1, :-1], index[1:, 1:]), (index[:-1, 1:], index[1:, :-1])]
         pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in sides])
@@ -35,5 +34,5 @@ def scene():
 
 
 def check(sim):
-    assert 20 < np.count_nonzero(sim.torn)  # it broke something
+    assert np.count_nonzero(sim.torn) > 20  # it broke something
     assert sim.position[:, 1].min() > -0.01

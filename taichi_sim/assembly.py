@@ -327,10 +327,13 @@ def _slowest_bounce(scene: Scene, h: float) -> float:
 
 
 def spins(scene: Scene, settings: Settings) -> bool:
-    """Whether balls turn: "auto" where Coulomb friction can make them."""
+    """Whether balls turn: "auto" where Coulomb friction can make them and some are loose. Those of cloth and jelly, which
+    springs join at their centres, would only roll under it like casters."""
     if settings.contacts == "off" or settings.spin is False:
         return False
-    return settings.spin is True or any(material.friction > 0 for material in used_materials(scene))
+    loose = ~scene.pinned
+    loose[scene.pairs] = False
+    return settings.spin is True or (bool(loose.any()) and any(m.friction > 0 for m in used_materials(scene)))
 
 
 def may_gain(scene: Scene, rule: str, warm: bool) -> bool:

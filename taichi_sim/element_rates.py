@@ -72,7 +72,8 @@ def _largest(kinds: list[_Kind], root: Floats, dim: int) -> float:
         scaled = np.linalg.norm(kind.gradient, axis=2) * root[kind.corners]
         each = kind.strength[:, None] * scaled * scaled.sum(axis=1, keepdims=True)
         rows += np.bincount(kind.corners.ravel(), each.ravel(), len(root))
-    p = np.random.default_rng(0).normal(size=(len(root), dim))
+    alike = all(kind.gradient.shape[2] == 1 for kind in kinds)  # in all directions: one of them tells
+    p = np.random.default_rng(0).normal(size=(len(root), 1 if alike else dim))
     value = 0.0
     for _ in range(ROUNDS):
         p /= np.linalg.norm(p)

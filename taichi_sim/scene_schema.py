@@ -31,7 +31,18 @@ MOST_BODIES = 1_000_000
 
 # the shapes a scene file may name, in the order in which they are added
 SHAPES: dict[str, Callable[..., shapes.Shape]] = {
-    function.__name__: function for function in (shapes.cloth, shapes.jelly, shapes.rope, shapes.wheel, shapes.pile)
+    function.__name__: function
+    for function in (
+        shapes.cloth,
+        shapes.jelly,
+        shapes.rope,
+        shapes.wheel,
+        shapes.pile,
+        shapes.truss,
+        shapes.net,
+        shapes.balloon,
+        shapes.tower,
+    )
 }
 
 Seconds = Annotated[FiniteFloat, Gt(0)]

@@ -48,8 +48,9 @@ class Simulation:
             loses energy where balls touch several others at once.
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
         driver: "auto", "fused", "parallel" ("auto": by size).
-        spin: True, False or "auto": where a material has Coulomb friction ("auto"). forces: your own force objects.
-            threads: CPU threads.
+        spin: True, False or "auto": where a material has Coulomb friction and a ball is loose ("auto").
+        forces: your own force objects.
+        threads: CPU threads.
 
     Precision, arch and threads hold for the whole process. Raises ValueError, SceneError, BackendError; warns when dt is
     above the safe bound.

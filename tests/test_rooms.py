@@ -35,10 +35,13 @@ LEVELS = (
     ("fields", "backend"),
     ("front_end",),
     ("scene_file", "scene_save", "scene_source", "scene_lines", "scene_schema"),
-    ("shapes", "shape_parts", "rates"),
+    ("shapes", "rates"),
+    ("shape_parts",),
+    ("fabric", "solids"),
     ("scene", "frame"),
     ("scene_elements", "materials"),
     ("colliders",),
+    ("level_set",),
     ("mesh", "motion", "skins", "tables", "camera_path"),
     ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
@@ -52,6 +55,8 @@ NO_TAICHI = (
     "materials",
     "shapes",
     "shape_parts",
+    "fabric",
+    "solids",
     "rates",
     "mesh",
     "motion",
@@ -215,7 +220,7 @@ def test_arguments_of_simulation():
 
 
 def test_shapes():
-    for name in ("cloth", "jelly", "rope", "wheel", "pile"):
+    for name in ("cloth", "jelly", "rope", "wheel", "pile", "truss", "net", "balloon", "tower"):
         assert callable(getattr(ts.shapes, name)), name
 
 

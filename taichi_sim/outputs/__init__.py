@@ -10,7 +10,7 @@ __all__ = ["Output", "Summary", "export", "open_output"]
 
 
 ENDINGS = {".mp4": ("h264", "h265"), ".webm": ("vp9",)}  # of videos, and their codecs, the usual one first
-USE = "use x.mp4, x.webm, x.gif, x.npz or folder/ for PNG frames"
+USE = "use x.mp4, x.webm, x.gif, x.npz, x.ply, x.obj or folder/ for PNG frames"
 
 
 def open_output(
@@ -21,7 +21,8 @@ def open_output(
     resume: bool = False,
     codec: str | None = None,
 ) -> Output:
-    """The output for a name: x.mp4 or x.webm a video, x.gif an animation, x.npz arrays, a name without an ending PNG frames.
+    """The output for a name: x.mp4 or x.webm a video, x.gif an animation, x.npz arrays, x.ply or x.obj surfaces, a file for each
+    frame, a name without an ending PNG frames.
 
     It is opened at once: ValueError for another ending, OSError where it cannot be written. overwrite is for a folder of frames
     that is not empty; a file is replaced when the new one is complete. resume goes on with a folder or a video that was cut off,
@@ -50,6 +51,10 @@ def open_output(
         from taichi_sim.outputs.arrays import Arrays
 
         return Arrays(name)
+    if suffix in (".ply", ".obj"):
+        from taichi_sim.outputs.geometry import Geometry
+
+        return Geometry(name)
     if suffix == "":
         from taichi_sim.outputs.png import PngFolder
 

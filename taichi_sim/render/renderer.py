@@ -71,7 +71,7 @@ class Renderer:
 
     @camera.setter
     def camera(self, camera: Any) -> None:
-        self._painter.look(camera)
+        self._painter.hold(camera)
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn, for later ones to look as if it had been."""

@@ -44,9 +44,8 @@ class Renderer3D:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._table = Colouring.table()
-        tracker = Tracker(frame, camera, size[0] / size[1])
-        self._tracker: Tracker | None = tracker
-        self.camera = tracker.first
+        self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
+        self.camera = self._tracker.first
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
@@ -58,14 +57,10 @@ class Renderer3D:
         self._canvas: Canvas | None = None
         self._prepare(frame)
 
-    def look(self, camera: Camera) -> None:
-        """Look from there from now on, whatever a CameraPath says."""
-        self.camera, self._tracker = camera, None
-
     def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
         """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top."""
         self._prepare(frame)
-        self._track(frame)
+        self._aim(frame)
         assert self._content is not None
         assert self._buffers is not None
         assert self._canvas is not None
@@ -110,10 +105,14 @@ class Renderer3D:
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
-        self._track(frame)
+        self._aim(frame)
         self._widen(frame)
 
-    def _track(self, frame: Frame) -> None:
+    def hold(self, camera: Camera) -> None:
+        """See from here from now on."""
+        self.camera, self._tracker = camera, None
+
+    def _aim(self, frame: Frame) -> None:
         if self._tracker is not None:
             self.camera = self._tracker.at(frame)
 
