@@ -297,9 +297,7 @@ def bench(names: Annotated[list[str] | None, typer.Argument(metavar="[NAME ...]"
 
 @main.command(name="demos")
 def list_demos(
-    everything: Annotated[
-        bool, typer.Option("--all", help="Make a video of each, of those that are not there yet.")
-    ] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Make videos of those that have none yet.")] = False,
     out: Annotated[str, typer.Option("--out", "-o", metavar="FOLDER", help="Where to, with --all.")] = "demos_out",
     size: Size = None,
     fps: Fps = None,
@@ -314,8 +312,7 @@ def list_demos(
         if everything:
             from taichi_sim.outputs.gallery import render_all
 
-            given = {"--size": size, "--fps": fps, "--duration": duration}
-            raise typer.Exit(render_all(list(known), out, given, quiet=quiet))
+            raise typer.Exit(render_all(list(known), out, size=size, fps=fps, duration=duration, quiet=quiet))
         width = max(map(len, known), default=0)
         for name, file in known.items():
             typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())

@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,7 @@ from typing import Any
 __all__ = ["render_all"]
 
 
-def render_all(
-    names: Sequence[str], folder: str | PathLike[str], options: Mapping[str, Any], *, quiet: bool = False
-) -> int:
+def render_all(names: Sequence[str], folder: str | PathLike[str], *, quiet: bool = False, **options: Any) -> int:
     """Run `taichi-sim run NAME -o folder/NAME.mp4` for every name whose video is not there yet.
 
     The folder is made; its parent is not. options: of `run`, by name; None is left out. Ends at the first scene that fails, with
@@ -22,7 +20,7 @@ def render_all(
     if not root.parent.is_dir():
         raise FileNotFoundError(f"{root}: there is no folder {str(root.parent)!r}; make it first")
     root.mkdir(exist_ok=True)
-    given = [word for key, value in options.items() if value is not None for word in (key, str(value))]
+    given = [word for key, value in options.items() if value is not None for word in (f"--{key}", str(value))]
     for number, name in enumerate(names, start=1):
         target = root / f"{name.replace('/', '_')}.mp4"
         if target.exists():
