@@ -31,6 +31,7 @@ def scene():
     scene.add_springs(body[np.array(pairs)], stiffness=8000, damping=20)
     for hub, struts in zip(hubs, ((0, 1, 3), (1, 2, 6))):
         scene.attach([hub] * 3, body[list(struts)], stiffness=2500, damping=30)
+    scene.output["camera"] = {"follow": body.tolist(), "width": 8.0}
     scene.velocity[~scene.pinned] = (2.0, -0.44)
     return scene
 

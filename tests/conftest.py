@@ -17,6 +17,7 @@ ONCE = (
     "demos",
     "fabric",
     "files",
+    "level_set",
     "geometry",
     "mesh",
     "moment",
