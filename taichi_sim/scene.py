@@ -99,7 +99,7 @@ class Scene:
             rest_length=np.zeros(0),
             collides=np.zeros(0, dtype=bool),
         )
-        self._triangles = _Table(triangles=np.zeros((0, 3), dtype=np.int32))
+        self._triangles = _Table(triangles=np.zeros((0, 3), dtype=np.int32), collides=np.zeros(0, dtype=bool))
         self._bodies = 0
 
     # What there is -------------------------------------------------------------------------------------------------
@@ -130,6 +130,9 @@ class Scene:
     rest_length = property(lambda self: self._springs["rest_length"], doc="(m,) m")
     collides = property(lambda self: self._springs["collides"], doc="(m,) bool; True: a stick that balls bounce off")
     triangles = property(lambda self: self._triangles["triangles"], doc="(t, 3) balls, counter-clockwise from outside")
+    solid = property(
+        lambda self: self._triangles["collides"], doc="(t,) bool; True: triangles that nothing goes through"
+    )
 
     # What can be added ---------------------------------------------------------------------------------------------
 
@@ -291,10 +294,23 @@ class Scene:
         self.colliders.append(replace(collider, group=group, mask=mask))
         return len(self.colliders) - 1
 
-    def add_triangles(self, triangles: ArrayLike) -> None:
-        """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface."""
+    def add_triangles(self, triangles: ArrayLike, collides: bool | Sequence[bool] | NDArray = False) -> None:
+        """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface.
+
+        collides: True, in 3D, makes them a surface, as thick as its balls, through which neither balls nor other such triangles
+            go, nor those of the same body; one or one per triangle. It has the groups and materials of its balls.
+        """
         t = checks.indices("triangles", triangles, self.n_balls, width=3)
-        self._triangles.append(len(t), triangles=t)
+        solid = checks.flags("triangles.collides", collides, len(t))
+        if solid.any() and self.dim != 3:
+            raise SceneError("triangles.collides: needs a scene with dim = 3; in 2D use springs that collide")
+        twice = solid & ((t[:, 0] == t[:, 1]) | (t[:, 1] == t[:, 2]) | (t[:, 2] == t[:, 0]))
+        if twice.any():
+            k = int(np.argmax(twice))
+            raise SceneError(
+                f"triangles[{k}]: {t[k].tolist()} has a ball twice; one that collides needs three different balls"
+            )
+        self._triangles.append(len(t), triangles=t, collides=solid)
 
     def new_body(self) -> int:
         """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""

@@ -100,7 +100,8 @@ class _Reader:
         for index, table in enumerate(model.triangles):
             with self._at("triangles", index):
                 arguments = self._with_file(("triangles", index), table, ("triangles",))
-                scene.add_triangles(self._members(scene, "triangles.triangles", arguments, 3))
+                arguments["triangles"] = self._members(scene, "triangles.triangles", arguments, 3)
+                scene.add_triangles(**arguments)
         if scene.n_balls == 0:
             raise SceneError(f"{self.file}: holds no ball; a scene needs at least one, from [[balls]] or a shape")
         return scene

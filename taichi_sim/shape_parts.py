@@ -59,6 +59,7 @@ class Part:
     material: str
     colour: Sequence[float] | None
     self_collision: bool
+    surface_collision: bool = False
 
 
 @contextmanager
@@ -178,5 +179,5 @@ def build(
             damping=DAMPING_RATIO * critical if damping is None else damping,
         )
         faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
-        scene.add_triangles(faces)
+        scene.add_triangles(faces, collides=part.surface_collision)
     return Shape(balls, springs, faces)

@@ -6,7 +6,8 @@
 Every length is in m, every mass is that of the whole shape in kg, every stiffness in N/m, damping in N s/m along a
 spring, angles in degrees. `position`, `rotation` and `scale` move the finished shape: scaled about its origin, turned
 about the x, y and z axis in this order (2D: one angle), then shifted; scale changes no given mass. Balls of one shape
-do not collide with each other unless `self_collision` is True. A wrong argument is a SceneError that names it; the
+do not collide with each other unless `self_collision` is True; with `surface_collision` nothing goes through the triangles of a
+cloth or a jelly, its own ones included. A wrong argument is a SceneError that names it; the
 scene is then unchanged.
 
 Defaults. A stiffness that is not given follows from the mass and the resolution so that the bound which holds for
@@ -49,6 +50,8 @@ CLOTH_DENSITY = 0.2  # kg/m^2, a cotton sheet
 ROPE_DENSITY = 0.1  # kg/m
 JELLY_DENSITY = {2: 100.0, 3: 1000.0}  # kg/m^2 (a slab of 0.1 m) and kg/m^3: water
 SHEAR_SHARE = 0.25  # of a cloth's stiffness, in its diagonals
+BALL_RADIUS, SHELL_RADIUS = 0.45, 0.4  # of the spacing of a sheet, of the mean edge of a mesh
+SURFACE_RADIUS = 0.25  # of either, where triangles collide, which need no balls that leave no gap
 BENDING_SHARE = 0.05  # of a cloth's stiffness, between balls two apart or across an edge
 
 
@@ -70,6 +73,7 @@ def cloth(
     scale: float = 1.0,
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
+    surface_collision: bool = False,
 ) -> Shape:
     """A sheet of cloth, or a shell from a surface mesh, in 3D.
 
@@ -83,16 +87,19 @@ def cloth(
         mesh: an OBJ, PLY or STL file, or a `taichi_sim.mesh.Surface`, in place of size and resolution.
         mass: kg, shared out equally; 0.2 kg per m^2 of the sheet by default.
         stiffness: N/m; bending_stiffness: N/m, a twentieth of it by default.
-        radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh.
+        radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; with surface_collision 0.25.
+        surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
     """
     if scene.dim != 3:
         raise SceneError("cloth: a cloth needs a scene with dim = 3; in 2D use rope or jelly")
     if mesh is None:
         points, triangles, kinds, spacing, area = _sheet(size, resolution)
+        share = BALL_RADIUS
     elif size is not None or resolution is not None:
         raise SceneError("cloth.mesh: takes the place of size and resolution; give one or the other")
     else:
         points, triangles, kinds, spacing, area = _shell(mesh)
+        share = SHELL_RADIUS
     points = moved("cloth", points, position, rotation, scale)
     spacing, area = spacing * scale, area * scale**2
     total = _or_default("cloth.mass", mass, CLOTH_DENSITY * area)
@@ -100,8 +107,9 @@ def cloth(
     if bending_stiffness is not None:
         bending = checks.number("cloth.bending_stiffness", bending_stiffness, low=0)
         kinds[-1] = Springs(kinds[-1].pairs, 0.0, bending)
-    ball_radius = _or_default("cloth.radius", radius, spacing)
-    part = Part(total, ball_radius, pinned, material, colour, self_collision)
+    solid = _flag("cloth.surface_collision", surface_collision)
+    ball_radius = _or_default("cloth.radius", radius, (SURFACE_RADIUS if solid else share) * spacing)
+    part = Part(total, ball_radius, pinned, material, colour, self_collision, solid)
     return build(scene, "cloth", points, kinds, triangles, part, strength, _damping("cloth", damping))
 
 
@@ -121,6 +129,7 @@ def jelly(
     scale: float = 1.0,
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
+    surface_collision: bool = False,
 ) -> Shape:
     """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D.
 
@@ -134,7 +143,8 @@ def jelly(
         stiffness: of an edge [N/m]. By default such that waves run at sqrt(40 g height), which wobbles like jelly,
         and never
             above what is stable at 1 ms.
-        radius: of each ball [m]; 0.45 of the smallest spacing by default.
+        radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 with surface_collision.
+        surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
     """
     dim = scene.dim
     lengths = _lengths("jelly.size", (0.4,) * dim if size is None else size, dim)
@@ -147,8 +157,12 @@ def jelly(
     cell = float(np.prod(spacing * scale)) ** (2 / dim)  # m^2
     soft = 40 * 10.0 * float(lengths[1]) * scale * total / len(points) / (along * cell)  # c^2 = along k a^2 / m
     strength = _stiffness("jelly", stiffness, min(soft, stable_stiffness(kinds, len(points), total)))
-    ball_radius = _or_default("jelly.radius", radius, 0.45 * float(spacing.min()) * scale)
-    part = Part(total, ball_radius, pinned, material, colour, self_collision)
+    solid = _flag("jelly.surface_collision", surface_collision)
+    if solid and dim == 2:
+        raise SceneError("jelly.surface_collision: needs a scene with dim = 3")
+    share = SURFACE_RADIUS if solid else BALL_RADIUS
+    ball_radius = _or_default("jelly.radius", radius, share * float(spacing.min()) * scale)
+    part = Part(total, ball_radius, pinned, material, colour, self_collision, solid)
     triangles = _box_surface(number) if dim == 3 else np.zeros((0, 3), dtype=np.int64)
     return build(scene, "jelly", points, kinds, triangles, part, strength, _damping("jelly", damping))
 
@@ -299,6 +313,10 @@ def _damping(shape: str, value: float | None) -> float | None:
     return None if value is None else checks.number(f"{shape}.damping", value, low=0)
 
 
+def _flag(where: str, value: bool) -> bool:
+    return bool(checks.flags(where, value, 1)[0])
+
+
 def _lengths(where: str, value: Sequence[float], n: int) -> NDArray[np.float64]:
     if np.shape(value) != (n,):
         raise SceneError(f"{where}: {value!r} is not allowed; it must be {n} lengths")
@@ -309,7 +327,7 @@ def _lengths(where: str, value: Sequence[float], n: int) -> NDArray[np.float64]:
 
 
 def _sheet(size: Sequence[float] | None, resolution: Sequence[int] | None) -> tuple:
-    """Points, triangles, springs, ball radius and area of a flat sheet."""
+    """Points, triangles, springs, spacing and area of a flat sheet."""
     lengths = _lengths("cloth.size", (1.0, 1.0) if size is None else size, 2)
     number = counts("cloth.resolution", (32, 32) if resolution is None else resolution, 2, 2)
     i, j = np.meshgrid(*map(np.arange, number), indexing="ij")
@@ -324,7 +342,7 @@ def _sheet(size: Sequence[float] | None, resolution: Sequence[int] | None) -> tu
         Springs(lattice_pairs(number, (1, 1), (1, -1)), SHEAR_SHARE),
         Springs(lattice_pairs(number, (2, 0), (0, 2)), BENDING_SHARE),
     ]
-    return points, triangles, kinds, 0.45 * float(spacing.min()), float(lengths.prod())
+    return points, triangles, kinds, float(spacing.min()), float(lengths.prod())
 
 
 def _shell(mesh: "str | PathLike[str] | meshes.Surface") -> tuple:
@@ -341,7 +359,7 @@ def _shell(mesh: "str | PathLike[str] | meshes.Surface") -> tuple:
     kinds = [Springs(edges, 1.0), Springs(hinges[~joined], BENDING_SHARE)]
     x = surface.vertices
     mean_edge = float(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1).mean())
-    return x, surface.triangles, kinds, 0.4 * mean_edge, meshes.surface_area(surface)
+    return x, surface.triangles, kinds, mean_edge, meshes.surface_area(surface)
 
 
 def _key(pairs: NDArray) -> NDArray[np.int64]:

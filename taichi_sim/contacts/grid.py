@@ -29,17 +29,18 @@ class Grid:
 
     Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
     its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
-    Nothing is looked for while cells hold more than `most` pairs.
+    Nothing is looked for while cells hold more than `most` pairs. least: width of a cell at least [m], for what looks further
+    than balls do.
     """
 
-    def __init__(self, model: Model, fields: Fields, skin: float, gap: float, most: int) -> None:
+    def __init__(self, model: Model, fields: Fields, skin: float, gap: float, most: int, least: float = 0.0) -> None:
         self.model = model
         self.n, self.dim = model.n, model.dim
         self.skin, self.enlarged = skin, 1.0 + skin + gap
         self.margin = 1.001  # for rounded coordinates
         self.bounds = levels(model.scene.radius, model.dim)  # largest radius [m] of each level, the finest first
         self.levels = len(self.bounds)
-        self.widths = [2.0 * bound * self.enlarged * self.margin for bound in self.bounds]
+        self.widths = [max(least, 2.0 * bound * self.enlarged * self.margin) for bound in self.bounds]
         self.inverse_widths = [1.0 / width for width in self.widths]
         held = np.bincount(np.searchsorted(self.bounds, model.scene.radius), minlength=self.levels)
         least = 64 if self.levels == 1 else LEAST_OF_LEVEL
