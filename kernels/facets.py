@@ -48,11 +48,8 @@ def overlap(facets: ti.template(), p, j):
 
 
 @ti.func
-def walk(
-    facets: ti.template(), grid: ti.template(), solver: ti.template(), ball: ti.template(), p, at, job: ti.template()
-):
-    """Go through the balls whose patches may come near that of ball p, and count the pairs that are listed; from row `at` on they
-    are written, with -1 nowhere."""
+def walk(facets: ti.template(), grid: ti.template(), solver: ti.template(), ball: ti.template(), p, job: ti.template()):
+    """Go through the balls whose patches may come near that of ball p."""
     found = 0
     for level in range(grid.levels):
         low = cell_of(facets.box[p].low - facets.extent[0], grid, level)
@@ -82,25 +79,27 @@ def walk(
                         c = cell_of(grid.copy[own].x, grid, level)
                         here = same_row(cell, c) and c[0] >= low[0] and c[0] <= high[0]
                     if here:
-                        found += meet(facets, solver, ball, p, j, ti.select(at < 0, -1, at + found), job)
-    return found
+                        found = meet(facets, solver, ball, p, j, found, job)
 
 
 @ti.func
-def meet(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, j, at, job: ti.template()):
-    """Ball j against the triangles of patch p, the edges of patch j against those of patch p; each pair of edges once."""
-    found = 0
+def meet(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, j, found, job: ti.template()):
+    """Ball j against the triangles of patch p, the edges of patch j against those of patch p, each pair of edges once. found: how
+    many pairs patch p has listed; returned with these."""
+    number = found
     for t in range(facets.triangle_start[p], facets.triangle_start[p + 1]):
-        found += ball_triangle(facets, solver, ball, p, j, t, ti.select(at < 0, -1, at + found), job)
+        number += ball_triangle(facets, solver, ball, p, j, t, number, job)
     if j >= p:
         for f in range(facets.edge_start[j], facets.edge_start[j + 1]):
             for e in range(facets.edge_start[p], ti.min(facets.edge_start[p + 1], f)):
-                found += edge_edge(facets, solver, ball, p, e, f, ti.select(at < 0, -1, at + found), job)
-    return found
+                number += edge_edge(facets, solver, ball, p, e, f, number, job)
+    return number
 
 
 @ti.func
-def ball_triangle(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, i, t, at, job: ti.template()):
+def ball_triangle(
+    facets: ti.template(), solver: ti.template(), ball: ti.template(), p, i, t, place, job: ti.template()
+):
     """1 where ball i and triangle t are listed as a pair, else 0."""
     found = 0
     triangle = facets.triangle[t]
@@ -132,12 +131,12 @@ def ball_triangle(facets: ti.template(), solver: ti.template(), ball: ti.templat
                                 m = facets.grid.origin[beyond[k]] - at_triangle
                                 m -= m.dot(along) / along.dot(along) * along
                                 whole = r.dot(m) <= 0.0
-                found = settle(facets, solver, ball, p, balls, g, r, 0, whole, at, job)
+                found = settle(facets, solver, ball, p, balls, g, r, 0, whole, place, job)
     return found
 
 
 @ti.func
-def edge_edge(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, e, f, at, job: ti.template()):
+def edge_edge(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, e, f, place, job: ti.template()):
     """1 where edges e and f are listed as a pair, else 0."""
     found = 0
     a, b, c, d = facets.edge[e].one, facets.edge[e].two, facets.edge[f].one, facets.edge[f].two
@@ -151,7 +150,7 @@ def edge_edge(facets: ti.template(), solver: ti.template(), ball: ti.template(),
                 g = ti.Vector([1.0 - s, s, t - 1.0, -t])
                 inside = s > INSIDE and s < 1.0 - INSIDE and t > INSIDE and t < 1.0 - INSIDE
                 bare = facets.edge[e].bare + 2 * facets.edge[f].bare
-                found = settle(facets, solver, ball, p, ti.Vector([a, b, c, d]), g, r, 4 + bare, inside, at, job)
+                found = settle(facets, solver, ball, p, ti.Vector([a, b, c, d]), g, r, 4 + bare, inside, place, job)
     return found
 
 
@@ -165,7 +164,7 @@ def near_boxes(low, high, other_low, other_high, reach):
 
 
 @ti.func
-def settle(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, r, kind, whole, at,
+def settle(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, r, kind, whole, place,
            job: ti.template()):  # fmt: skip
     """List the pair of balls b with weights g at distance r, or let it limit their way. whole: no other pair has this hit.
     kind: 0 for a ball and a triangle, 4 for two edges, 5 and 6 where the first or the second is a stick."""
@@ -195,11 +194,17 @@ def settle(facets: ti.template(), solver: ti.template(), ball: ti.template(), p,
             way = LOOK * ti.max(0.0, -u) / solver.rate[0]
             if d < upper + lower or d < thick + way:
                 found = 1
-                if at >= 0 and at < facets.capacity:
+                at = FULL
+                if facets.used[0] < FULL:
+                    at = ti.atomic_add(facets.used[0], 1)
+                if at >= facets.capacity:
+                    ti.atomic_max(facets.overflow[0], at + 1)
+                else:
                     if joined(facets, b, kind):
                         thick = ti.min(thick, nearest)
                     contact = whole and d < ti.max(LISTED * thick, thick + way)
                     facets.row[at].owner = p
+                    facets.row[at].place = place
                     facets.row[at].kind = kind
                     facets.row[at].normal = n
                     facets.row[at].distance = d
@@ -283,7 +288,7 @@ def limit(facets: ti.template(), solver: ti.template(), ball: ti.template()):
     patch_boxes(facets)
     for p in range(facets.work[1]):
         if facets.edge_start[p + 1] > facets.edge_start[p]:
-            walk(facets, facets.grid, solver, ball, p, -1, LIMIT)
+            walk(facets, facets.grid, solver, ball, p, LIMIT)
     for i in range(facets.model.n):
         if facets.part[i] < 1.0:
             solver.state.shift(i, (1.0 - facets.part[i]) * (facets.grid.origin[i] - ball[i].x))
@@ -302,18 +307,7 @@ def detect(facets: ti.template(), solver: ti.template(), ball: ti.template()):
     patch_boxes(facets)
     for p in range(facets.work[1]):
         if facets.edge_start[p + 1] > facets.edge_start[p]:
-            at, rounds = -1, 2
-            while rounds > 0:  # first they are counted
-                found = walk(facets, facets.grid, solver, ball, p, at, DETECT)
-                rounds -= 1
-                if rounds == 1:
-                    at = FULL
-                    if facets.used[0] < FULL and found > 0:
-                        at = ti.atomic_add(facets.used[0], found)
-                    if found == 0 or at + found > facets.capacity:
-                        rounds = 0
-                        if found > 0:
-                            ti.atomic_max(facets.overflow[0], at + found)
+            walk(facets, facets.grid, solver, ball, p, DETECT)
     for i in range(facets.model.n):
         facets.number[i] = 0
     for c in range(ti.min(facets.used[0], facets.capacity)):
@@ -334,19 +328,19 @@ def detect(facets: ti.template(), solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def sort_entries(facets: ti.template(), first, last):
-    """Insertion sort by owner, then by place in the owner's rows."""
+    """Insertion sort by owner, then by place among what the owner listed: rows lie wherever threads put them."""
     for a in range(first + 1, last):
         value = facets.entry[a]
-        owner = facets.row[value // 4].owner
+        owner, place = facets.row[value // 4].owner, facets.row[value // 4].place
         b = a - 1
-        while b >= first and after(facets, facets.entry[b], owner, value):
+        while b >= first and after(facets, facets.entry[b], owner, place):
             facets.entry[b + 1] = facets.entry[b]
             b -= 1
         facets.entry[b + 1] = value
 
 
 @ti.func
-def after(facets: ti.template(), entry, owner, value):
-    """Whether `entry` comes after the entry `value` of `owner`."""
-    mine = facets.row[entry // 4].owner
-    return mine > owner or (mine == owner and entry > value)
+def after(facets: ti.template(), entry, owner, place):
+    """Whether the row of `entry` comes after the one at that place of that owner."""
+    row = facets.row[entry // 4]
+    return row.owner > owner or (row.owner == owner and row.place > place)

@@ -297,19 +297,14 @@ class Scene:
     def add_triangles(self, triangles: ArrayLike, collides: bool | Sequence[bool] | NDArray = False) -> None:
         """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface.
 
-        collides: True, in 3D, makes them a surface, as thick as its balls, through which neither balls nor other such triangles
-            go, nor those of the same body; one or one per triangle. It has the groups and materials of its balls.
+        collides: True, in 3D, makes a surface, as thick as its balls, that no ball and no other such triangle goes through.
         """
         t = checks.indices("triangles", triangles, self.n_balls, width=3)
         solid = checks.flags("triangles.collides", collides, len(t))
         if solid.any() and self.dim != 3:
             raise SceneError("triangles.collides: needs a scene with dim = 3; in 2D use springs that collide")
-        twice = solid & ((t[:, 0] == t[:, 1]) | (t[:, 1] == t[:, 2]) | (t[:, 2] == t[:, 0]))
-        if twice.any():
-            k = int(np.argmax(twice))
-            raise SceneError(
-                f"triangles[{k}]: {t[k].tolist()} has a ball twice; one that collides needs three different balls"
-            )
+        for k in np.flatnonzero(solid & np.any(t == np.roll(t, 1, axis=1), axis=1)):
+            raise SceneError(f"triangles[{k}]: {t[k].tolist()} may not collide; it must be three different balls")
         self._triangles.append(len(t), triangles=t, collides=solid)
 
     def new_body(self) -> int:
@@ -322,9 +317,7 @@ class Scene:
     ) -> None:
         """Put balls (k,) that were added before, a shape's for instance, into other collision groups."""
         index = checks.indices("balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
-        member, mask = self._groups("balls", group, collides_with)
-        self.group[index] = member
-        self.mask[index] = mask
+        self.group[index], self.mask[index] = self._groups("balls", group, collides_with)
 
     def has_groups(self) -> bool:
         """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""

@@ -38,6 +38,7 @@ LONG = (
     "physics_colliders",
     "physics_contacts",
     "physics_drivers",
+    "physics_facets",
     "physics_neighbours",
     "physics_stiff",
     "physics_swept",

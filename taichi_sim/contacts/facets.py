@@ -16,7 +16,7 @@ from taichi_sim.scene import Scene
 
 __all__ = ["Facets", "longest_edge"]
 
-MINIMUM_CAPACITY = 1 << 14  # rows
+MINIMUM_CAPACITY, PER_BALL = 1 << 15, 8  # rows
 MOST = 1 << 28  # rows; each has four entries
 SPACING = (
     0.5  # of the smallest height of a ball's triangles: what springs join keeps that distance, where it is thicker
@@ -58,10 +58,17 @@ class Facets:
         self.reach, self.part, self.ease = (fields.reals(n) for _ in range(3))
         self.extent = fields.reals(1)
         self.work, self.fast = fields.integers(2), fields.integers(1)
-        self.capacity = max(room, MINIMUM_CAPACITY, 4 * n)
+        self.capacity = max(room, MINIMUM_CAPACITY, PER_BALL * n)
         before = fields.bytes
         real = fields.real
-        columns = {"owner": ti.i32, "kind": ti.i32, "normal": vector, "distance": real, "thickness": real}
+        columns = {
+            "owner": ti.i32,
+            "place": ti.i32,
+            "kind": ti.i32,
+            "normal": vector,
+            "distance": real,
+            "thickness": real,
+        }
         self.row = fields.table({**columns, "target": real, "held": real}, self.capacity)
         self.impulse, self.slide = fields.vectors(self.capacity, 3), fields.vectors(self.capacity, 3)
         self.member, self.entry = fields.integers(4 * self.capacity), fields.integers(4 * self.capacity)
