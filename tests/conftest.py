@@ -13,6 +13,7 @@ if PRECISION not in ("f32", "f64"):
 ONCE = (
     "bench",
     "cli",
+    "crossings",
     "demos",
     "files",
     "mesh",
