@@ -16,6 +16,7 @@ def pierces(p, q, a, b, c):
 
 def test_random_triangles_as_by_brute_force():
     rng = np.random.default_rng(0)
+    total = 0
     for size in (0.1, 0.5, 2.0):
         x = rng.uniform(-1, 1, (60, 1, 3)) + rng.uniform(-size, size, (60, 3, 3)) * 10.0 ** -rng.uniform(
             0, 1, (60, 1, 1)
@@ -32,14 +33,15 @@ def test_random_triangles_as_by_brute_force():
         found = crossings(x, t)
         assert len(found) == len({*map(tuple, found)})
         assert {*map(tuple, found)} == expected
-        assert len(expected) > 10
+        total += len(expected)
+    assert total > 100
 
 
 def test_what_shares_a_ball_or_only_touches_is_no_crossing():
     x = np.array(
         [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0.2, 1, 0.2], [0.2, -1, 0.2], [0.2, 0, 0.2], [3, 3, 3]], dtype=float
     )
-    assert len(crossings(x, [[0, 1, 2], [3, 4, 6]])) == 1
+    assert len(crossings(x, [[0, 1, 2], [3, 4, 6]])) == 2  # an edge of either goes through the other
     assert len(crossings(x, [[0, 1, 2], [3, 5, 6]])) == 0  # it ends on the triangle
     assert len(crossings(x, [[0, 1, 2], [0, 3, 4]])) == 1  # the edge from 3 to 4
     assert len(crossings(x, np.zeros((0, 3)))) == 0
