@@ -16,7 +16,7 @@ from taichi_sim.scene import Scene
 
 __all__ = ["Facets", "longest_edge"]
 
-MINIMUM_CAPACITY, PER_BALL = 1 << 15, 8  # rows
+MINIMUM_CAPACITY, PER_BALL = 1 << 14, 16  # rows
 MOST = 1 << 28  # rows; each has four entries
 SPACING = (
     0.5  # of the smallest height of a ball's triangles: what springs join keeps that distance, where it is thicker
@@ -70,7 +70,9 @@ class Facets:
             "thickness": real,
         }
         self.row = fields.table({**columns, "target": real, "held": real}, self.capacity)
-        self.impulse, self.slide = fields.vectors(self.capacity, 3), fields.vectors(self.capacity, 3)
+        self.impulse = fields.vectors(self.capacity, 3)
+        if model.has_friction:
+            self.slide = fields.vectors(self.capacity, 3)
         self.member, self.entry = fields.integers(4 * self.capacity), fields.integers(4 * self.capacity)
         self.weight = fields.reals(4 * self.capacity)
         self.bytes_each = (fields.bytes - before) / self.capacity
@@ -142,7 +144,8 @@ class Facets:
                     target = ti.min(target, ti.select(bounces, u, -gap * solver.rate[0]))
                 self.row[c].target = target
                 self.row[c].held = 0.0
-                self.slide[c] = ti.Vector.zero(float, 3)
+                if ti.static(self.model.has_friction):
+                    self.slide[c] = ti.Vector.zero(float, 3)
 
     @ti.func
     def solve_rows(self, ball: ti.template(), solver: ti.template(), time):
