@@ -14,7 +14,7 @@ from taichi_sim.kernels.sweeps import zero_turn
 from taichi_sim.model import Model
 from taichi_sim.scene import Scene
 
-__all__ = ["Facets", "longest_edge"]
+__all__ = ["Facets", "far_sighted"]
 
 MINIMUM_CAPACITY, PER_BALL = 1 << 14, 16  # rows
 MOST = 1 << 28  # rows; each has four entries
@@ -248,10 +248,12 @@ def patches(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     return t, beyond.reshape(3, -1).T, edges[order], bare[order]
 
 
-def longest_edge(scene: Scene) -> float:
-    """Median length [m] of the longest edges of the triangles that collide."""
-    x = scene.position[scene.triangles[scene.solid]]
-    return float(np.median(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)))
+def far_sighted(scene: Scene) -> tuple[float, NDArray[np.bool_]]:
+    """Median length [m] of the longest edges of the triangles that collide, and which balls (n,) are theirs."""
+    t = scene.triangles[scene.solid]
+    x = scene.position[t]
+    edge = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
+    return float(np.median(edge)), np.isin(np.arange(scene.n_balls), t)
 
 
 def spacing(scene: Scene) -> NDArray[np.float64]:
