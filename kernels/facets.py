@@ -2,7 +2,7 @@
 
 The patch of a ball is what it owns: the triangles whose first ball it is, and the edges. Patches are looked up in the grid of the
 balls. A pair has four balls with weights (1, -u, -v, -w) or (1 - s, s, t - 1, -t); the first one, or two, are its upper side, and
-its normal points there. Each ball has a sorted list of the places that it takes in contacts, so that sums come out the same
+its normal points there. Each ball has a sorted list of the places that it takes in pairs, so that sums come out the same
 whatever the threads did.
 """
 
@@ -18,6 +18,10 @@ DETECT, LIMIT = range(2)  # what a walk does with the pairs it finds
 LOOK = 1.5  # of the way that the present velocity makes in a step: contacts are found before they touch
 LISTED = 1.1  # of the distance at touch: contacts that nearly touch count as those that do
 KEEP = 0.1  # of a distance that is too short for the way of a step, and of the distance at touch where it is that short already
+CLEAR, SWEEPS = (
+    0.02,
+    2,
+)  # of what is kept: how far past its plane a ball is led; times that all its planes are gone through
 SAFE = 0.99  # of a radius: what moves no further cannot meet what was not listed
 BORDER, NOT_OWNED = -1, -2  # what lies beyond an edge: no other triangle, or hits on the edge belong to the other one
 INSIDE = 1e-4  # of an edge: nearer to its end, the hit is one of the ball there
@@ -229,14 +233,16 @@ def joined(facets: ti.template(), b, kind):
 
 
 @ti.func
-def hold_apart(facets: ti.template(), ball: ti.template(), b, n, kind):
-    """Shorten the way of the balls b where they, from `origin` on, would come too near to each other along n.
+def planes(facets: ti.template(), ball: ti.template(), b, n, kind):
+    """Two heights along n, from where the first of the balls b began: the upper side may not go below the first, nor the lower
+    one above the second; and the distance kept between. Where no side would, they are out of reach.
 
-    The closest points of two convex things lie on two planes at right angles to their distance, with nothing in between. No ball
-    may go further than a plane in between, which stands still: so whatever the others do, neither side gets to the other.
+    The closest points of two convex things lie on two planes at right angles to their distance, with nothing in between. Planes
+    in between stand still for a step: so whatever the others do, neither side gets to the other.
     """
     base = facets.grid.origin[b[0]]
-    low, top, high, bottom = 1e30 + 0.0 * base[0], 1e30 + 0.0 * base[0], -1e30 + 0.0 * base[0], -1e30 + 0.0 * base[0]
+    far = 1e30 + 0.0 * base[0]
+    low, top, high, bottom = far, far, -far, -far
     for k in ti.static(range(4)):
         here = n.dot(facets.grid.origin[b[k]] - base)
         there = n.dot(ball[b[k]].x - base)
@@ -247,17 +253,58 @@ def hold_apart(facets: ti.template(), ball: ti.template(), b, n, kind):
     width = ti.max(0.0, low - high)
     floor = KEEP * (facets.model.radius[b[0]] + facets.model.radius[b[3]])
     keep = ti.max(KEEP * width, ti.min(width, floor))
+    up, down = -far, far
     if top - bottom < keep and (low > top or bottom > high):
         part = (bottom - high) / (low - top + bottom - high)  # the way of the lower side, of both
         middle = high + ti.max(0.5 * keep, ti.min(width - 0.5 * keep, part * width))
+        up, down = middle + 0.5 * keep, middle - 0.5 * keep
+    return up, down, keep
+
+
+@ti.func
+def hold_apart(facets: ti.template(), ball: ti.template(), b, n, kind):
+    """Cut short the way of each of the balls b that crosses its plane."""
+    base = facets.grid.origin[b[0]]
+    up, down, _ = planes(facets, ball, b, n, kind)
+    if up > down:
         for k in ti.static(range(4)):
             here = n.dot(facets.grid.origin[b[k]] - base)
             there = n.dot(ball[b[k]].x - base)
             if k == 0 or (k == 1 and kind > 0):
-                if there < ti.min(here, middle + 0.5 * keep):
-                    ti.atomic_min(facets.part[b[k]], ti.max(0.0, (here - middle - 0.5 * keep) / (here - there)))
-            elif there > ti.max(here, middle - 0.5 * keep):
-                ti.atomic_min(facets.part[b[k]], ti.max(0.0, (middle - 0.5 * keep - here) / (there - here)))
+                if there < ti.min(here, up):
+                    ti.atomic_min(facets.part[b[k]], ti.max(0.0, (here - up) / (here - there)))
+            elif there > ti.max(here, down):
+                ti.atomic_min(facets.part[b[k]], ti.max(0.0, (down - here) / (there - here)))
+
+
+@ti.func
+def balls_of(facets: ti.template(), c):
+    """The four balls of a row."""
+    return ti.Vector([facets.member[4 * c + k] for k in ti.static(range(4))])
+
+
+@ti.func
+def lead_past(facets: ti.template(), solver: ti.template(), ball: ti.template()):
+    """Take from the ways of balls what leads across the planes of listed pairs, so that they may slide along: a way that is cut
+    short as a whole lets a ball stick. This need not settle all."""
+    for c in range(facets.work[0]):
+        up, down, keep = planes(facets, ball, balls_of(facets, c), facets.row[c].normal, facets.row[c].kind)
+        facets.row[c].up = up + CLEAR * keep
+        facets.row[c].down = down - CLEAR * keep
+    for i in range(facets.model.n):
+        x = ball[i].x
+        change = 0.0 * x
+        for _ in range(SWEEPS):
+            for e in range(facets.first[i], facets.first[i] + facets.number[i]):
+                c, k = facets.entry[e] // 4, facets.entry[e] % 4
+                n = facets.row[c].normal
+                height = n.dot(x + change - facets.grid.origin[facets.member[4 * c]])
+                if k == 0 or (k == 1 and facets.row[c].kind > 0):
+                    change += ti.max(0.0, facets.row[c].up - height) * n
+                else:
+                    change -= ti.max(0.0, height - facets.row[c].down) * n
+        if change.dot(change) > 0.0:
+            solver.state.shift(i, change)
 
 
 @ti.func
@@ -269,8 +316,10 @@ def limit(facets: ti.template(), solver: ti.template(), ball: ti.template()):
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
+        facets.work[0] = ti.min(facets.used[0], facets.capacity)
         facets.fast[0] = 0
         facets.extent[0] = 0.0
+    lead_past(facets, solver, ball)
     for i in range(facets.model.n):
         way = (ball[i].x - facets.grid.origin[i]).norm()
         facets.part[i] = 1.0
@@ -279,12 +328,10 @@ def limit(facets: ti.template(), solver: ti.template(), ball: ti.template()):
             facets.fast[0] = 1
     ti.loop_config(serialize=True)
     for _ in range(1):
-        facets.work[0] = (1 - facets.fast[0]) * ti.min(facets.used[0], facets.capacity)
+        facets.work[0] = (1 - facets.fast[0]) * facets.work[0]
         facets.work[1] = facets.fast[0] * facets.model.n
     for c in range(facets.work[0]):
-        at = 4 * c
-        b = ti.Vector([facets.member[at], facets.member[at + 1], facets.member[at + 2], facets.member[at + 3]])
-        hold_apart(facets, ball, b, facets.row[c].normal, facets.row[c].kind)
+        hold_apart(facets, ball, balls_of(facets, c), facets.row[c].normal, facets.row[c].kind)
     patch_boxes(facets)
     for p in range(facets.work[1]):
         if facets.edge_start[p + 1] > facets.edge_start[p]:
@@ -311,17 +358,15 @@ def detect(facets: ti.template(), solver: ti.template(), ball: ti.template()):
     for i in range(facets.model.n):
         facets.number[i] = 0
     for c in range(ti.min(facets.used[0], facets.capacity)):
-        if facets.row[c].thickness >= 0.0:
-            for k in range(4):
-                facets.number[facets.member[4 * c + k]] += 1
+        for k in range(4):
+            facets.number[facets.member[4 * c + k]] += 1
     for i in range(facets.model.n):
         facets.first[i] = ti.atomic_add(facets.entries[0], facets.number[i])
         facets.number[i] = 0
     for c in range(ti.min(facets.used[0], facets.capacity)):
-        if facets.row[c].thickness >= 0.0:
-            for k in range(4):
-                i = facets.member[4 * c + k]
-                facets.entry[facets.first[i] + ti.atomic_add(facets.number[i], 1)] = 4 * c + k
+        for k in range(4):
+            i = facets.member[4 * c + k]
+            facets.entry[facets.first[i] + ti.atomic_add(facets.number[i], 1)] = 4 * c + k
     for i in range(facets.model.n):
         sort_entries(facets, facets.first[i], facets.first[i] + facets.number[i])
 

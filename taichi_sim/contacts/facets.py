@@ -30,8 +30,9 @@ class Facets:
     there, those of a triangle's balls weighted by how near they are. See kernels.facets. room: rows known to be needed.
 
     `row` holds a pair: its normal and distance [m], `thickness` [m], the distance at touch, or -1 for what may not be gone
-    through but does not push; target speed [m/s], and the impulse of this solve so far [N s]. `member` and `weight` hold its four
-    balls. `ease` [1/kg]: inverse mass of the part of a ball that each contact gets, see `split`.
+    through but does not push; target speed [m/s], and the impulse of this solve so far [N s]; `up` and `down` [m], see
+    kernels.facets.planes. `member` and `weight` hold its four balls. `ease` [1/kg]: inverse mass of the part of a ball that each
+    contact gets, see `split`.
     """
 
     what = "surfaces that touch"
@@ -69,7 +70,7 @@ class Facets:
             "distance": real,
             "thickness": real,
         }
-        self.row = fields.table({**columns, "target": real, "held": real}, self.capacity)
+        self.row = fields.table({**columns, **dict.fromkeys(("target", "held", "up", "down"), real)}, self.capacity)
         self.impulse = fields.vectors(self.capacity, 3)
         if model.has_friction:
             self.slide = fields.vectors(self.capacity, 3)
@@ -88,9 +89,10 @@ class Facets:
         """Sum of g^2 n n^T over the contacts of ball i, and of g^2."""
         T, count = ti.Matrix.zero(float, 3, 3), 0.0 * self.reach[i]
         for e in range(self.first[i], self.first[i] + self.number[i]):
-            n, g = self.row[self.entry[e] // 4].normal, self.weight[self.entry[e]]
-            T += g * g * n.outer_product(n)
-            count += g * g
+            row, g = self.row[self.entry[e] // 4], self.weight[self.entry[e]]
+            if row.thickness >= 0.0:
+                T += g * g * row.normal.outer_product(row.normal)
+                count += g * g
         return T, count
 
     @ti.func
@@ -184,10 +186,11 @@ class Facets:
         p, t = ti.Vector.zero(float, 3), zero_turn(solver)
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c = self.entry[e] // 4
-            p += self.weight[self.entry[e]] * self.impulse[c]
-            if ti.static(solver.spins):
-                if self.row[c].kind == 0 and self.turns[i] == 1:
-                    t -= cross(self.row[c].normal, self.impulse[c])
+            if self.row[c].thickness >= 0.0:
+                p += self.weight[self.entry[e]] * self.impulse[c]
+                if ti.static(solver.spins):
+                    if self.row[c].kind == 0 and self.turns[i] == 1:
+                        t -= cross(self.row[c].normal, self.impulse[c])
         return p, t
 
     @ti.func
