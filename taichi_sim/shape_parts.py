@@ -17,6 +17,7 @@ from taichi_sim.memory import available
 from taichi_sim.scene import Scene
 
 __all__ = [
+    "SURFACE_RADIUS",
     "Part",
     "Pins",
     "Shape",
@@ -27,6 +28,7 @@ __all__ = [
     "count",
     "counts",
     "exclusive",
+    "flag",
     "given_surface",
     "lattice_pairs",
     "lengths",
@@ -38,6 +40,7 @@ __all__ = [
 
 Pins = bool | Sequence[int] | Sequence[bool] | NDArray
 
+SURFACE_RADIUS = 0.25  # of the spacing, where triangles collide, which need no balls that leave no gap
 SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
 SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
 BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = (
@@ -78,6 +81,7 @@ class Part:
     material: str
     colour: Sequence[float] | None
     self_collision: bool
+    surface_collision: bool = False
 
 
 @contextmanager
@@ -95,6 +99,11 @@ def counts(where: str, value: Any, n: int, low: int) -> tuple[int, ...]:
     if array.dtype.kind not in "iu" or array.shape != (n,) or (array < low).any():
         raise SceneError(f"{where}: {value!r} is not allowed; it must be {n} whole numbers of at least {low}")
     return tuple(int(k) for k in array)
+
+
+def flag(where: str, value: bool) -> bool:
+    """True or false. Raises SceneError."""
+    return bool(checks.flags(where, value, 1)[0])
 
 
 def count(where: str, value: Any, low: int) -> int:
@@ -260,7 +269,7 @@ def build(
             rest_length=rest,
         )
         faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
-        scene.add_triangles(faces)
+        scene.add_triangles(faces, collides=part.surface_collision)
         if bends is not None and len(bends[0]):
             scene.add_bending(balls[bends[0]], weights=bends[1], stiffness=bends[2])
         if cells is None or not len(cells[0]):
