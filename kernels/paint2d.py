@@ -82,8 +82,19 @@ def body_distance(s, q):
 
 
 @ti.func
-def backdrop(p, wall: ti.template(), walls, body: ti.template(), tint: ti.template(), bodies, look, height):
-    """The background gradient, the half planes and the colliders, hatched near their edge; the hatching turns with them."""
+def backdrop(
+    p,
+    wall: ti.template(),
+    walls,
+    body: ti.template(),
+    tint: ti.template(),
+    bodies,
+    look,
+    height,
+    transparent: ti.template(),
+):
+    """The background gradient, the half planes and the colliders, hatched near their edge; the hatching turns with them. Their
+    colour, and how much of the pixel walls and colliders cover."""
     top, bottom = row(look, 0), row(look, 1)
     result = top + (bottom - top) * unit(p[1] / height)
     d = ti.f32(1e9)  # px to the nearest wall, positive in the open; negative: depth inside the union
@@ -107,9 +118,15 @@ def backdrop(p, wall: ti.template(), walls, body: ti.template(), tint: ti.templa
         line = unit(ti.f32(1.2) - ti.abs(stripe - ti.floor(stripe) - ti.f32(0.5)) * ti.f32(7.8))
         fill = plain + (hatch - plain) * (line * ti.exp(d / 60))
         border = unit(d + ti.f32(2.5))
-        result += (fill - result) * solid
-        result += (edge - result) * (solid * border)
-    return result
+        if ti.static(transparent):
+            rim = solid * border
+            cover = rim + solid * (1 - rim)
+            result = (edge * rim + fill * (solid * (1 - rim))) / cover
+            solid = cover
+        else:
+            result += (fill - result) * solid
+            result += (edge - result) * (solid * border)
+    return result, solid
 
 
 @ti.kernel
@@ -121,6 +138,8 @@ def paint(
     body: ti.template(),
     tint: ti.template(),
     image: ti.template(),
+    alpha: ti.template(),
+    transparent: ti.template(),
     entry: ti.types.ndarray(ti.i32, 1),
     start: ti.types.ndarray(ti.i32, 1),
     look: Look,
@@ -157,5 +176,13 @@ def paint(
             through *= 1 - cover
             e -= 1
         if through > ti.f32(0.003):
-            total += backdrop(p, wall, walls, body, tint, bodies, look, ti.cast(height, ti.f32)) * through
+            far, solid = backdrop(p, wall, walls, body, tint, bodies, look, ti.cast(height, ti.f32), transparent)
+            if ti.static(transparent):
+                total += far * (solid * through)
+                through *= 1 - solid
+            else:
+                total += far * through
+        if ti.static(transparent):
+            alpha[pixel] = 1 - through if through > ti.f32(0.003) else ti.f32(1.0)
+            total /= ti.max(1 - through, ti.f32(1e-6))
         image[pixel] = total

@@ -248,22 +248,20 @@ def draw_rods(
 
 
 @ti.kernel
-def clear(keys: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32):
+def clear(
+    keys: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32, height: ti.i32
+):
     """Every key to the nearest plane, row (a, b, c): closeness a x + b y + c where positive. Otherwise 0, nothing."""
-    for slot in keys:
-        key = ti.i64(0)
-        pixel = slot // samples
-        x = ti.cast(pixel % width, ti.f32) + ti.f32(0.5)
-        y = ti.cast(pixel // width, ti.f32) + ti.f32(0.5)
+    for pixel in range(width * height):
         for s in ti.static(range(samples)):
-            if slot % samples == s:
-                x += ti.f32(ti.static(OFFSETS[samples][s][0]))
-                y += ti.f32(ti.static(OFFSETS[samples][s][1]))
-        for k in range(plane_count):
-            w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
-            if w > 0:
-                key = ti.max(key, pack(w, (PLANE << 28) | k))
-        keys[slot] = key
+            x = ti.cast(pixel % width, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0]))
+            y = ti.cast(pixel // width, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1]))
+            nearest, which = ti.f32(0.0), 0
+            for k in range(plane_count):
+                w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
+                if w > nearest:
+                    nearest, which = w, (PLANE << 28) | k
+            keys[pixel * samples + s] = pack(nearest, which)
 
 
 @ti.kernel

@@ -86,18 +86,20 @@ def resolve(
     eye: vec3,
     look: View,
     width: ti.i32,
+    height: ti.i32,
 ):
     """Shade every pixel: each distinct primitive among its samples once, weighted by its samples.
 
     Rows of look: direction to the lamp and the spacing of the ground's grid, direction of the fill, zenith, horizon.
+    Where the scene is transparent, samples of background and ground have neither colour nor share in alpha.
     """
-    for pixel in image:
+    for pixel in range(width * height):
         px, py = ti.cast(pixel % width, ti.f32) + ti.f32(0.5), ti.cast(pixel // width, ti.f32) + ti.f32(0.5)
         ray = pixel_ray(view, px, py)
         open_share = ti.f32(1.0)
         if ti.static(scene.has_occlusion):
             open_share = scene.openness[pixel]
-        total, weights, s = vec3(0, 0, 0), 0, 0
+        total, weights, solid, s = vec3(0, 0, 0), 0, 0, 0
         while weights < scene.samples and s < scene.samples:
             key = keys[pixel * scene.samples + s]
             weight = 1
@@ -105,10 +107,15 @@ def resolve(
                 if t != s and alike(key, keys[pixel * scene.samples + t]):
                     weight = 0 if t < s else weight + ti.min(weight, 1)
             if weight > 0:
-                total += weight * colour_of(scene, view, light, look, eye, ray, planes, key, px, py, open_share)
+                kind = ti.cast(key, ti.i32) >> 28
+                if ti.static(not scene.transparent) or (kind != 0 and kind != PLANE):
+                    total += weight * colour_of(scene, view, light, look, eye, ray, planes, key, px, py, open_share)
+                    solid += weight
                 weights += weight
             s += 1
-        image[pixel] = total / weights
+        image[pixel] = total / ti.max(solid, 1)
+        if ti.static(scene.transparent):
+            scene.alpha[pixel] = ti.cast(solid, ti.f32) / weights
 
 
 @ti.kernel
@@ -123,7 +130,7 @@ def occlude(
     height: ti.i32,
 ):
     """Share of the sky that each pixel sees among what lies within `reach`, from the depths about it; then smoothed."""
-    for pixel in scene.open_raw:
+    for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         key = keys[pixel * scene.samples]
         identity = ti.cast(key, ti.i32)
@@ -152,7 +159,7 @@ def occlude(
                         near = ti.max(1 - d / (2 * reach), ti.f32(0.0))
                         blocked += ti.max(v.dot(n) / d - ti.f32(0.08), ti.f32(0.0)) * near
         scene.open_raw[pixel] = ti.max(1 - blocked * ti.f32(3.0 / TAPS), ti.f32(0.12))
-    for pixel in scene.openness:
+    for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         w = closeness(keys[pixel * scene.samples])
         total, weights = ti.f32(0.0), ti.f32(0.0)
@@ -202,9 +209,17 @@ def smooth_edge(image: ti.template(), x, y, width, height):
 
 
 @ti.kernel
-def finish(image: ti.template(), edges: ti.template(), width: ti.i32, height: ti.i32, out: ti.types.ndarray(ti.i32, 1)):
-    """Linear colour to packed sRGB bytes (red lowest), with half a step of fixed noise against bands."""
-    for pixel in image:
+def finish(
+    image: ti.template(),
+    alpha: ti.template(),
+    transparent: ti.template(),
+    edges: ti.template(),
+    width: ti.i32,
+    height: ti.i32,
+    out: ti.types.ndarray(ti.i32, 1),
+):
+    """Linear colour to packed sRGB bytes (red lowest, alpha highest), with half a step of fixed noise against bands."""
+    for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         c = image[pixel]
         if ti.static(edges):
@@ -221,4 +236,6 @@ def finish(image: ti.template(), edges: ti.template(), width: ti.i32, height: ti
             )
             byte = ti.cast(ti.min(ti.max(encoded * 255 + noise, ti.f32(0.0)), ti.f32(255.0)), ti.i32)
             packed |= byte << (8 * k)
+        if ti.static(transparent):
+            packed |= ti.cast(alpha[pixel] * 255 + ti.f32(0.5), ti.i32) << 24
         out[pixel] = packed

@@ -22,12 +22,14 @@ from taichi_sim.drivers import Drivers
 from taichi_sim.errors import SceneError
 from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs, fixed_order
+from taichi_sim.forces.tearing import Tearing
 from taichi_sim.forces.total import TotalForce
 from taichi_sim.gauge import Gauge
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
 from taichi_sim.order import in_order, spatial_order
+from taichi_sim.pins import Pins
 from taichi_sim.scene import Scene, bounciest, used_materials
 from taichi_sim.settings import Settings
 from taichi_sim.state import State
@@ -99,15 +101,23 @@ class Assembly:
         self.integrator.fit(scene)
         springs = self._springs(scene, cpu, small, h)
         self.forces = TotalForce(self.model, self.fields, springs, forces)
+        self.forces.allocate(self.state, self.fields)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
         self.state.serial = self.fused
-        self.gauge = Gauge(self.model, self.state, springs, self.fields, self.fused)
+        self.gauge = Gauge(self.model, self.state, springs, self.forces.stores, self.fields, self.fused)
+        self.pins = Pins(self.model, self.state, self.fields) if scene.moving_pins else None
+        self.tearing: Tearing | None = None
+        if springs is not None and np.isfinite(scene.break_strain).any():
+            self.tearing = Tearing(self.model, springs, self.fields)
+            self.state.followers.append(self.tearing)
+        moves = self.colliders is not None and self.colliders.moves
+        self.led = [part for part in (self.colliders if moves else None, self.pins) if part is not None]
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         self.companion: Companion | None = None
         if settings.tolerance is not None:
             self.companion = Companion(self.state, self.integrator, self.fields, self.fused)
-        self.drivers = Drivers(self.integrator)
+        self.drivers = Drivers(self.integrator, self.pins, self.tearing)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
@@ -135,7 +145,7 @@ class Assembly:
         # these look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
         skin = 0.0 if sticks or facets or type(settings.integrator) not in BUILT_IN else SKIN
         pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0))
-        warm = self.model.has_gravity or pulls or bool(self.forces.extra)
+        warm = self.model.has_gravity or pulls or bool(self.forces.extra) or bool(scene.moving_pins)
         # only what rests is soft, and that takes gravity: a rigid contact is exact for two balls
         soft = self.model.has_gravity and pairs and settings.integrator.relaxes and settings.contacts != "sum"
         most = self._spare_bytes() // PAIR_BYTES
@@ -153,7 +163,8 @@ class Assembly:
             Facets(self.model, self.fields, pair_part, self.room.facets) if facets and pair_part is not None else None
         )
         rule = self._rule(scene, settings, cpu, warm)
-        pushed = self.colliders is not None and self.colliders.moves  # they may do work
+        # they may do work
+        pushed = (self.colliders is not None and self.colliders.moves) or bool(scene.moving_pins)
         return ContactSolver(
             self.model,
             self.state,
@@ -192,18 +203,19 @@ class Assembly:
 
     def prime(self, h: float, time: float) -> None:
         """Forces and contacts at the present positions."""
-        if self.colliders is not None:
-            self.colliders.load(time, h, 0)
+        for part in self.led:
+            part.load(time, h, 0)
         self.drivers.prime(h, time, self.fused)
 
     def run(self, substeps: int, h: float, time: float) -> None:
         """Advance the fields. 0 substeps compile the fused driver; the parallel one compiles with its first."""
-        if self.colliders is None or not self.colliders.moves:
+        if not self.led:
             self.drivers.run(substeps, h, time, self.fused)
             return
         for first in range(0, max(1, substeps), TICKS):
             now = min(TICKS, substeps - first)
-            self.colliders.load(time + first * h, h, now)
+            for part in self.led:
+                part.load(time + first * h, h, now)
             self.drivers.run(now, h, time + first * h, self.fused)
 
     def set_step(self, h: float, *, anew: bool = False) -> None:
@@ -265,6 +277,7 @@ class Assembly:
             room[name] = entries
         state = self.state
         x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
+        torn = None if self.tearing is None else self.tearing.springs_torn
         if self.companion is None:  # else both are there for a moment
             self.free()
         larger = Assembly(*self.arguments, room=Room(**room))
@@ -274,6 +287,8 @@ class Assembly:
         larger.set_step(self.h)
         larger.state.write(x, v, low)
         larger.state.write_turn(turn)
+        if torn is not None and larger.tearing is not None:
+            larger.tearing.tear(torn)
         return larger
 
     def _endless(self) -> str:
@@ -298,7 +313,7 @@ class Assembly:
 
 
 def _is_small(scene: Scene) -> bool:
-    return scene.n_balls + scene.n_springs <= FUSED_UP_TO
+    return scene.n_balls + scene.n_springs + 4 * (len(scene.cells) + len(scene.bends)) <= FUSED_UP_TO
 
 
 def compensates(scene: Scene, backend: Backend) -> bool:
@@ -320,10 +335,13 @@ def _slowest_bounce(scene: Scene, h: float) -> float:
 
 
 def spins(scene: Scene, settings: Settings) -> bool:
-    """Whether balls turn: "auto" where Coulomb friction can make them."""
+    """Whether balls turn: "auto" where Coulomb friction can make them and some are loose. Those of cloth and jelly, which
+    springs join at their centres, would only roll under it like casters."""
     if settings.contacts == "off" or settings.spin is False:
         return False
-    return settings.spin is True or any(material.friction > 0 for material in used_materials(scene))
+    loose = ~scene.pinned
+    loose[scene.pairs] = False
+    return settings.spin is True or (bool(loose.any()) and any(m.friction > 0 for m in used_materials(scene)))
 
 
 def may_gain(scene: Scene, rule: str, warm: bool) -> bool:

@@ -1,15 +1,17 @@
 """The taichi-sim command. It imports nothing heavy before it knows what to do."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, Literal
+from functools import partial
+from typing import Annotated, Any
 
 import typer
 
 from taichi_sim import __version__
 from taichi_sim.errors import BackendError, UnstableError
 from taichi_sim.interrupts import INTERRUPTED, TERMINATED, insistent_signals, leave
+from taichi_sim.options import pixels, positive, step
 
 __all__ = ["main"]
 
@@ -49,7 +51,15 @@ Out = Annotated[str | None, typer.Option("--out", "-o", help="x.mp4, x.webm, x.g
 Codec = Annotated[str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")]
 Size = Annotated[str | None, typer.Option(help="Size of the pictures in pixels, like 1280x720.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the frames in a folder that is not empty.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Keep the frames in the folder and write the missing ones.")]
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume", help="Go on with a video or a folder that was cut off, with the frames that are finished."
+    ),
+]
+Transparent = Annotated[
+    bool, typer.Option("--transparent", help="PNG frames without background and ground, with alpha.")
+]
 
 
 def _version(asked: bool) -> None:
@@ -76,6 +86,7 @@ def run(
     overwrite: Overwrite = False,
     resume: Resume = False,
     codec: Codec = None,
+    transparent: Transparent = False,
     arch: Arch = None,
     dt: Step = None,
     tolerance: Tolerance = None,
@@ -93,11 +104,13 @@ def run(
         job = _Job(scene, fps=fps, duration=duration, size=size)
         if round(job.output["fps"] * job.output["duration"]) < 1:
             raise ValueError("fps times duration is less than one frame; raise one of them")
+        if transparent:
+            job.output["style"]["transparent"] = True
         target = None
         if out is not None:
             target = open_output(out, fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-        elif overwrite or resume or codec:
-            raise ValueError("--overwrite, --resume and --codec need --out")
+        elif overwrite or resume or codec or transparent:
+            raise ValueError("--overwrite, --resume, --codec and --transparent need --out")
         try:
             with job.simulation(
                 arch=arch, dt=dt, tolerance=tolerance, integrator=integrator, precision=precision, threads=threads
@@ -108,6 +121,8 @@ def run(
                 typer.echo(f"{out}: holds the {target.frames} frames until then", err=True)
             elif target is not None:
                 target.discard()
+                if target.resumable and target.frames:
+                    typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
             raise
         if not quiet:
             typer.echo("\n".join([*summary.lines(), *([] if out is None else [f"written      {out}"])]))
@@ -127,16 +142,17 @@ def view(
     threads: Threads = None,
     quiet: Quiet = False,
 ) -> None:
-    """Show SCENE live: space pauses, s steps, r resets, p saves a picture, esc quits."""
+    """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
     with _plain_errors():
         from taichi_sim.outputs.window import require_display, show
 
         require_display()
         job = _Job(scene, fps=fps, duration=duration, size=size)
-        options: dict[str, Any] = {"arch": arch, "dt": dt, "tolerance": tolerance, "integrator": integrator}
-        options |= {"precision": precision, "threads": threads}
-        fps, size_px, style = (job.output[key] for key in ("fps", "size", "style"))
-        show(lambda: job.simulation(**options), fps=fps, size=size_px, until=duration, style=style)
+        options: dict[str, Any] = {"dt": dt, "tolerance": tolerance, "integrator": integrator}
+        options |= {"arch": arch, "precision": precision, "threads": threads}
+        output = {key: job.output[key] for key in ("fps", "size", "style")}
+        output["style"].pop("transparent", None)
+        show(partial(job.simulation, **options), **output, until=duration, say=_quiet if quiet else typer.echo)
 
 
 @main.command()
@@ -280,12 +296,23 @@ def bench(names: Annotated[list[str] | None, typer.Argument(metavar="[NAME ...]"
 
 
 @main.command(name="demos")
-def list_demos() -> None:
-    """List the built-in scenes, one line each."""
+def list_demos(
+    everything: Annotated[bool, typer.Option("--all", help="Make videos of those that have none yet.")] = False,
+    out: Annotated[str, typer.Option("--out", "-o", metavar="FOLDER", help="Where to, with --all.")] = "demos_out",
+    size: Size = None,
+    fps: Fps = None,
+    duration: Duration = None,
+    quiet: Quiet = False,
+) -> None:
+    """List the built-in scenes, one line each, or make videos of them."""
     with _plain_errors():
         from taichi_sim.scene_source import built_in, demos
 
         known = demos()
+        if everything:
+            from taichi_sim.outputs.gallery import render_all
+
+            raise typer.Exit(render_all(list(known), out, size=size, fps=fps, duration=duration, quiet=quiet))
         width = max(map(len, known), default=0)
         for name, file in known.items():
             typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())
@@ -300,23 +327,22 @@ class _Job:
     def __init__(self, name: str, *, fps: float | None, duration: float | None, size: str | None) -> None:
         from taichi_sim.scene_source import checked_output, open_scene, resolve
 
-        asked = {"fps": _positive("--fps", fps), "duration": _positive("--duration", duration), "size": _size(size)}
+        asked = {"fps": positive("--fps", fps), "duration": positive("--duration", duration), "size": pixels(size)}
         self.file = resolve(name)
         self.scene = open_scene(self.file)
-        of_scene = {} if self.scene is None else checked_output(self.scene.output)
+        of_scene = {} if self.scene is None else checked_output(self.scene)
         chosen = {"fps": 60.0, "duration": 5.0, "size": (1280, 720)} | of_scene
         chosen |= {key: value for key, value in asked.items() if value is not None}
         style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}
         self.output: dict[str, Any] = chosen | {"style": style}
 
-    def simulation(self, *, dt: str | None, tolerance: float | None, integrator: str | None, **process: Any) -> Any:
-        """The Simulation, with the command line's options over the scene's own."""
-        options = {"dt": _step(dt), "tolerance": tolerance, "integrator": integrator, **process}
-        given = {key: value for key, value in options.items() if value is not None}
+    def simulation(self, forces: Sequence[Any] = (), *, dt: str | None, **options: Any) -> Any:
+        """The Simulation, with the command line's options over the scene's own; one that a file makes takes no forces."""
+        given = {key: value for key, value in {"dt": step(dt), **options}.items() if value is not None}
         if self.scene is not None:
             from taichi_sim.simulation import Simulation
 
-            return Simulation(self.scene, **given)
+            return Simulation(self.scene, forces=forces, **given)
         from taichi_sim import backend
         from taichi_sim.scene_source import open_simulation
 
@@ -336,32 +362,6 @@ def _given(context: typer.Context, name: str | None) -> bool:
 
 def _quiet(line: str) -> None:
     pass
-
-
-def _positive(option: str, value: float | None) -> float | None:
-    if value is not None and not 0 < value < float("inf"):
-        raise ValueError(f"{option}: {value:g} is not allowed; it must be a number greater than 0")
-    return value
-
-
-def _step(text: str | None) -> float | Literal["auto"] | None:
-    if text is None or text == "auto":
-        return text  # type: ignore[return-value]
-    try:
-        return _positive("--dt", float(text))
-    except ValueError:
-        raise ValueError(f"--dt: {text!r} is not allowed; it must be a number greater than 0 or auto") from None
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    width, _, height = text.partition("x")
-    if not (width.isascii() and width.isdigit() and height.isascii() and height.isdigit()):
-        raise ValueError(f"--size: {text!r} is not allowed; it must be like 1280x720")
-    if not all(16 <= side <= 8192 for side in (int(width), int(height))):
-        raise ValueError(f"--size: {text!r} is not allowed; each side must be from 16 to 8192")
-    return int(width), int(height)
 
 
 @contextmanager

@@ -9,14 +9,18 @@ from numpy.typing import NDArray
 from taichi_sim.colliders import Collider
 from taichi_sim.frame import Contacts
 from taichi_sim.scene import Scene
+from taichi_sim.scene_elements import cell_volumes
 
 __all__ = [
     "Energy",
     "angular_momentum",
     "collider_depth",
     "contacts",
+    "cut",
+    "enclosed",
     "energy",
     "inertia",
+    "inverted",
     "largest_speed",
     "momentum",
     "strain",
@@ -39,17 +43,56 @@ def _moving(scene: Scene) -> Floats:
     return np.where(scene.pinned, 0.0, scene.mass)
 
 
-def energy(scene: Scene, x: Floats, v: Floats, spin: Floats | None = None) -> Energy:
-    """Energy of positions x and velocities v, both (n, dim), and of angular velocities (n, 1 or 3) [1/s]."""
+def energy(
+    scene: Scene, x: Floats, v: Floats, spin: Floats | None = None, torn: NDArray[np.bool_] | None = None
+) -> Energy:
+    """Energy of positions x and velocities v, both (n, dim), and of angular velocities (n, 1 or 3) [1/s]. torn: (m,) springs.
+    `spring` holds that of cells, bending and gas too."""
     m = _moving(scene)
     kinetic = 0.5 * float(np.sum(m * np.sum(v * v, axis=1)))
     if spin is not None:
         kinetic += 0.5 * float(np.sum(inertia(scene) * np.sum(spin * spin, axis=1)))
     r = x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]]
     stretch = np.linalg.norm(r, axis=1) - scene.rest_length
-    spring = 0.5 * float(np.sum(scene.stiffness * stretch**2))
+    strength = scene.stiffness if torn is None else np.where(torn, 0.0, scene.stiffness)
+    spring = 0.5 * float(np.sum(strength * stretch**2)) + _elements(scene, x)
     gravity = 0.0 - float(np.sum(m * (x @ scene.gravity)))
     return Energy(kinetic, spring, gravity, kinetic + spring + gravity)
+
+
+def _elements(scene: Scene, x: Floats) -> float:
+    """Energy of cells, bending and gas [J]; that of a gas is 0 at its first volume."""
+    total = 0.0
+    if len(scene.cells):
+        part = cell_volumes(x, scene.cells) / scene.rest_volume - 1.0
+        total += 0.5 * float(np.sum(scene.bulk_modulus * scene.rest_volume * part**2))
+    if len(scene.bends):
+        curve = np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends] - x[scene.bends[:, :1]])
+        total += 0.5 * float(np.sum(scene.bend_stiffness * np.sum(curve**2, axis=1)))
+    for gas in scene.gases:
+        now = enclosed(x, gas.triangles) / gas.volume
+        inside = (gas.pressure + gas.outside) * gas.volume
+        total += gas.outside * gas.volume * (now - 1.0) - (inside * float(np.log(now)) if now > 0 else -np.inf)
+    return total
+
+
+def enclosed(x: Floats, triangles: NDArray) -> float:
+    """Volume [m^3] in a closed surface of triangles (t, 3) of the balls at x (n, 3)."""
+    a, b, c = (x[triangles[:, k]] - x[triangles[0, 0]] for k in range(3))
+    return float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
+
+
+def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
+    """Which triangles (t, 3) of n balls have one of the pairs (k, 2) as a side."""
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
+    pairs = np.sort(torn.astype(np.int64), axis=1)
+    gone = np.isin(sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1])
+    return np.asarray(gone.any(axis=1))
+
+
+def inverted(scene: Scene, x: Floats) -> int:
+    """How many cells are flat or turned inside out."""
+    return int(np.count_nonzero(cell_volumes(x, scene.cells) <= 0.0)) if len(scene.cells) else 0
 
 
 def momentum(scene: Scene, v: Floats) -> Floats:

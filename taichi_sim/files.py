@@ -1,5 +1,6 @@
 """Files that appear under their final name only when they are complete."""
 
+import glob
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,6 +29,12 @@ class PartFile:
             self.file: IO[bytes] = open(self.part, "w+b")  # noqa: SIM115  # closed by finish or discard
         except OSError as error:
             raise OSError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+    def sweep(self) -> None:
+        """Delete what runs into the same name left that were killed."""
+        for part in self.path.parent.glob(f".{glob.escape(self.path.name)}.*.part"):
+            if part != self.part:
+                part.unlink(missing_ok=True)
 
     def finish(self) -> None:
         """Close the file and move it to its final name."""

@@ -1,5 +1,6 @@
 """Gauge: one look at a state after a chunk of steps: is every ball where it can be, how fast is the fastest, how much energy."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,10 +40,20 @@ class Look(NamedTuple):
 
 @ti.data_oriented
 class Gauge:
-    """Looks at the balls of a state. serial: all on one thread, as the fused driver runs; else parts go to all threads."""
+    """Looks at the balls of a state. stores: forces that hold energy besides springs. serial: all on one thread, as the fused
+    driver runs; else parts go to all threads."""
 
-    def __init__(self, model: Model, state: State, springs: Springs | None, fields: Fields, serial: bool) -> None:
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        springs: Springs | None,
+        stores: Sequence[Any],
+        fields: Fields,
+        serial: bool,
+    ) -> None:
         self.model, self.state, self.springs, self.serial = model, state, springs, serial
+        self.stores = list(stores)
         self.has_springs = springs is not None
         self.share = 0.5 if springs is not None and springs.order == "gather" else 1.0  # both ends list a spring
         self.n, self.parts = model.n, -(-model.n // PART)
@@ -76,6 +87,8 @@ class Gauge:
                     weight += ti.abs(height) / w
             if ti.static(self.has_springs):
                 elastic += self.share * gauge.stored(self.state.ball, self.springs, i, self.wide)
+            for force in ti.static(self.stores):
+                elastic += force.stored(self.state.ball, i, self.wide)
         row[c, gauge.BAD] = ti.cast(bad, self.wide)
         row[c, gauge.SPEED] = fastest
         row[c, gauge.KINETIC] = kinetic

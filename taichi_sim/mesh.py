@@ -12,7 +12,9 @@ from taichi_sim.errors import SceneError
 __all__ = [
     "SUFFIXES",
     "Surface",
+    "flaws",
     "hinge_pairs",
+    "hinges",
     "holes",
     "mesh_distance",
     "read_surface",
@@ -21,7 +23,9 @@ __all__ = [
     "volume",
 ]
 
-SUFFIXES = (".obj", ".ply", ".stl")
+SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf")
+FEW = 3  # places that a message names
+THIN = 1e-6  # twice its area over the square of its longest side: a triangle of less has none
 
 
 class Surface(NamedTuple):
@@ -32,7 +36,7 @@ class Surface(NamedTuple):
 
 
 def read_surface(path: str | os.PathLike[str]) -> Surface:
-    """Read an OBJ, PLY or STL file; larger polygons become triangles.
+    """Read an OBJ, PLY, STL, GLB or glTF file; larger polygons become triangles.
 
     Vertices at the same place become one (an STL file repeats them for each triangle, an OBJ file at texture seams), in
     the order of their first appearance; triangles that this leaves without area and vertices without a triangle go.
@@ -95,21 +99,27 @@ def unique_edges(triangles: NDArray) -> NDArray[np.int32]:
     return np.unique(np.sort(edges, axis=1), axis=0).astype(np.int32)
 
 
-def hinge_pairs(triangles: NDArray) -> NDArray[np.int32]:
-    """The two vertices that face each other across each interior edge, (h, 2): each pair once, lower first, sorted.
+def hinges(triangles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The edges (h, 2) that exactly two triangles share, and the two vertices (h, 2) that face each other across them.
 
-    An interior edge is one that exactly two triangles share; where three or more meet there is no single hinge.
+    Where three or more triangles meet there is no single hinge. The edges are sorted, lower vertex first.
     """
     if len(triangles) == 0:
-        return np.zeros((0, 2), dtype=np.int32)
+        return np.zeros((0, 2), dtype=np.int32), np.zeros((0, 2), dtype=np.int32)
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     opposite = np.concatenate([triangles[:, 2], triangles[:, 0], triangles[:, 1]])
-    _, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    unique, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     edge = edge.reshape(-1)
     inner = count[edge] == 2
     by_edge = np.argsort(edge[inner], kind="stable")
-    pairs = np.sort(opposite[inner][by_edge].reshape(-1, 2), axis=1)
-    return np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0).astype(np.int32)
+    facing = opposite[inner][by_edge].reshape(-1, 2)
+    two = facing[:, 0] != facing[:, 1]  # a triangle that is there twice is no hinge
+    return unique[count == 2][two].astype(np.int32), facing[two].astype(np.int32)
+
+
+def hinge_pairs(triangles: NDArray) -> NDArray[np.int32]:
+    """The two vertices that face each other across each interior edge, (h, 2): each pair once, lower first, sorted."""
+    return np.unique(np.sort(hinges(triangles)[1], axis=1), axis=0).astype(np.int32)
 
 
 def surface_area(surface: Surface) -> float:
@@ -126,6 +136,46 @@ def holes(triangles: NDArray) -> NDArray[np.int32]:
     unique, same, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     forward = np.bincount(same.reshape(-1), edges[:, 0] < edges[:, 1], minlength=len(unique))
     return unique[(count != 2) | (forward != 1)].astype(np.int32)
+
+
+def flaws(surface: Surface) -> list[str]:
+    """What keeps a mesh from having an inside, one phrase for each kind, with the first few places [m]; none: it is whole."""
+    t, x = surface.triangles, surface.vertices
+    if not len(t):
+        return ["it has no triangle"]
+    edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+    unique, same, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+    forward = np.bincount(same.reshape(-1), edges[:, 0] < edges[:, 1], minlength=len(unique))
+    _, first, times = np.unique(np.sort(t, axis=1), axis=0, return_index=True, return_counts=True)
+    a, b, c = (x[t[:, k]] for k in range(3))
+    longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    thin = np.linalg.norm(np.cross(b - a, c - a), axis=1) <= THIN * longest
+
+    def at_edges(which: NDArray) -> str:
+        return _listed(
+            [f"{i}-{j} at {x[[i, j]].mean(axis=0).round(4).tolist()}" for i, j in unique[which][:FEW]], which
+        )
+
+    found = (
+        (count == 1, at_edges, "edges have a triangle on one side only"),
+        (count > 2, at_edges, "edges have more than two triangles"),
+        ((count == 2) & (forward != 1), at_edges, "edges lie between triangles that face opposite ways"),
+        (
+            np.isin(np.arange(len(t)), first[times > 1]),
+            lambda which: _faces(which),
+            "triangles are there more than once",
+        ),
+        (thin, lambda which: _faces(which), "triangles have next to no area"),
+    )
+    return [f"{int(which.sum())} {what} ({where(which)})" for which, where, what in found if which.any()]
+
+
+def _faces(which: NDArray) -> str:
+    return _listed([str(k) for k in np.flatnonzero(which)[:FEW]], which)
+
+
+def _listed(first: list[str], which: NDArray) -> str:
+    return ", ".join(first) + (", ..." if which.sum() > FEW else "")
 
 
 def volume(surface: Surface) -> float:

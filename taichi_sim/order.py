@@ -14,10 +14,10 @@ def spatial_order(scene: Scene) -> NDArray[np.int64] | None:
     """The scene's balls (n,) sorted by rows of cells along x, or None to store them as they come.
 
     A contact pass over a million balls in random order takes three times as long as in this one. Springs are summed in the
-    order of their balls, which a mesh or a lattice has good already: scenes with springs, or triangles that collide, are left
-    alone.
+    order of their balls, which a mesh or a lattice has good already: scenes with springs, or with anything else that names
+    balls, are left alone.
     """
-    if scene.n_balls < FROM or scene.n_springs or scene.solid.any():
+    if scene.n_balls < FROM or scene.n_springs or scene.has_elements() or scene.moving_pins or scene.solid.any():
         return None
     width = 2.0 * float(np.median(scene.radius))
     cells = np.floor(scene.position / width)

@@ -1,7 +1,7 @@
 """Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike
 from typing import Any
 
@@ -11,54 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import checks
 from taichi_sim.colliders import Collider, build
 from taichi_sim.errors import SceneError
-from taichi_sim.groups import EVERY, ONLY, Groups, bits_of
+from taichi_sim.groups import EVERY, Groups, bits_of
+from taichi_sim.materials import Material, Wall, bounciest, used_materials
+from taichi_sim.scene_elements import Elements
+from taichi_sim.skins import Skin, build_skin, skins_from, skins_to
+from taichi_sim.tables import Table
 
 __all__ = ["Material", "Scene", "Wall", "bounciest", "used_materials"]
 
 
-@dataclass(frozen=True, slots=True)
-class Material:
-    """How a surface answers. Two that meet: the larger restitution, the geometric mean of the frictions."""
-
-    name: str
-    restitution: float = 0.0  # 0: no bounce, 1: elastic
-    friction: float = 0.0  # Coulomb coefficient
-    viscous_friction: float = 0.0  # 1/s
-    colour: tuple[float, float, float] | None = None  # sRGB, 0 to 1
-
-
-@dataclass(frozen=True, slots=True)
-class Wall:
-    """A half space, solid where normal . x < offset."""
-
-    normal: tuple[float, ...]  # unit
-    offset: float  # m
-    material: int
-    group: int = ONLY  # bits, see Scene.groups
-    mask: int = EVERY  # bits of the groups that it collides with
-
-
-class _Table:
-    """Columns that grow by whole calls and are joined when read."""
-
-    def __init__(self, **columns: NDArray) -> None:
-        self._parts = {name: [column] for name, column in columns.items()}
-        self.names = tuple(columns)
-        self.rows = 0
-
-    def append(self, n: int, **columns: NDArray) -> None:
-        for name, column in columns.items():
-            self._parts[name].append(column)
-        self.rows += n
-
-    def __getitem__(self, name: str) -> NDArray:
-        parts = self._parts[name]
-        if len(parts) > 1:
-            parts[:] = [np.concatenate(parts)]
-        return parts[0]
-
-
-class Scene:
+class Scene(Elements):
     """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
     Args:
@@ -77,10 +39,11 @@ class Scene:
         self.materials: list[Material] = [Material("default")]
         self.walls: list[Wall] = []
         self.colliders: list[Collider] = []
+        self.skins: list[Skin] = []
         self.groups = Groups()
         self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
         self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
-        self._balls = _Table(
+        self._balls = Table(
             position=np.zeros((0, dim)),
             velocity=np.zeros((0, dim)),
             mass=np.zeros(0),
@@ -92,15 +55,17 @@ class Scene:
             mask=np.zeros(0, dtype=np.int32),
             colour=np.zeros((0, 3)),
         )
-        self._springs = _Table(
+        self._springs = Table(
             pairs=np.zeros((0, 2), dtype=np.int32),
             stiffness=np.zeros(0),
             damping=np.zeros(0),
             rest_length=np.zeros(0),
             collides=np.zeros(0, dtype=bool),
+            break_strain=np.zeros(0),
         )
-        self._triangles = _Table(triangles=np.zeros((0, 3), dtype=np.int32), collides=np.zeros(0, dtype=bool))
+        self._triangles = Table(triangles=np.zeros((0, 3), dtype=np.int32), collides=np.zeros(0, dtype=bool))
         self._bodies = 0
+        self._begin_elements(dim)
 
     # What there is -------------------------------------------------------------------------------------------------
 
@@ -129,6 +94,7 @@ class Scene:
     damping = property(lambda self: self._springs["damping"], doc="(m,) N s/m")
     rest_length = property(lambda self: self._springs["rest_length"], doc="(m,) m")
     collides = property(lambda self: self._springs["collides"], doc="(m,) bool; True: a stick that balls bounce off")
+    break_strain = property(lambda self: self._springs["break_strain"], doc="(m,) strain at which it tears; inf: never")
     triangles = property(lambda self: self._triangles["triangles"], doc="(t, 3) balls, counter-clockwise from outside")
     solid = property(
         lambda self: self._triangles["collides"], doc="(t,) bool; True: triangles that nothing goes through"
@@ -224,6 +190,7 @@ class Scene:
         damping: ArrayLike = 0.0,
         rest_length: ArrayLike | None = None,
         collides: bool | Sequence[bool] | NDArray = False,
+        break_strain: ArrayLike | None = None,
     ) -> NDArray[np.int32]:
         """Add m springs and return their indices, shape (m,).
 
@@ -232,6 +199,7 @@ class Scene:
             stiffness: N/m, >= 0; damping: N s/m along the spring, >= 0; one or one per spring.
             rest_length: m, >= 0; None: the present distance.
             collides: True makes it a stick that balls bounce off; one or one per spring.
+            break_strain: (length - rest_length) / rest_length at which it tears for good, > 0; None or inf: never.
         """
         ij = checks.indices("springs.pairs", checks.many(pairs, 1), self.n_balls, width=2)
         m = len(ij)
@@ -250,7 +218,11 @@ class Scene:
             "damping": checks.per_item("springs.damping", damping, m, low=0),
             "rest_length": rest,
             "collides": checks.flags("springs.collides", collides, m),
+            "break_strain": self._break_strains(break_strain, m),
         }
+        both = columns["collides"] & np.isfinite(columns["break_strain"])
+        if both.any():
+            raise SceneError(f"springs.break_strain[{int(np.argmax(both))}]: a stick, which collides, cannot tear")
         first = self.n_springs
         self._springs.append(m, **columns)
         return np.arange(first, first + m, dtype=np.int32)
@@ -307,6 +279,27 @@ class Scene:
             raise SceneError(f"triangles[{k}]: {t[k].tolist()} may not collide; it must be three different balls")
         self._triangles.append(len(t), triangles=t, collides=solid)
 
+    def add_skin(
+        self,
+        corners: ArrayLike,
+        weights: ArrayLike,
+        triangles: ArrayLike,
+        *,
+        covers: ArrayLike | None = None,
+        colour: Sequence[float] | None = None,
+    ) -> int:
+        """Add a surface that pictures show in place of balls, their springs and triangles, and return its number.
+
+        Args:
+            corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares, 1 in sum for each vertex.
+            triangles: (t, 3) vertices of the skin, counter-clockwise seen from outside.
+            covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1; None: that of the balls.
+        """
+        where = f"skins[{len(self.skins)}]"
+        tint = None if colour is None else _colour(f"{where}.colour", colour)
+        self.skins.append(build_skin(where, self.n_balls, corners, weights, triangles, covers, tint))
+        return len(self.skins) - 1
+
     def new_body(self) -> int:
         """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
         self._bodies = max(self._bodies, int(self.body.max(initial=0))) + 1
@@ -335,16 +328,24 @@ class Scene:
         save_scene(self, path)
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """All columns of balls, springs and triangles under "balls.mass" and the like: what a state file keeps."""
-        tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
-        return {f"{name}.{key}": table[key] for name, table in tables.items() for key in table.names}
+        """All columns of balls, springs, triangles, cells, bends and skins under "balls.mass" and the like: what a state file
+        keeps."""
+        columns = {f"{name}.{key}": table[key] for name, table in self._tables().items() for key in table.names}
+        return columns | skins_to(self.skins)
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         """Add what `to_arrays` gave, without checks."""
+        for name, table in self._tables().items():
+            columns = {key: arrays[f"{name}.{key}"] for key in table.names if f"{name}.{key}" in arrays}
+            if name == "springs" and "break_strain" not in columns:  # of an older version
+                columns["break_strain"] = np.full(len(columns["pairs"]), np.inf)
+            if set(columns) == set(table.names):
+                table.append(len(next(iter(columns.values()))), **columns)
+        self.skins += skins_from(arrays)
+
+    def _tables(self) -> dict[str, Table]:
         tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
-        for name, table in tables.items():
-            columns = {key: arrays[f"{name}.{key}"] for key in table.names}
-            table.append(len(next(iter(columns.values()))), **columns)
+        return tables | {"cells": self._cells, "bends": self._bends}
 
     # Checks --------------------------------------------------------------------------------------------------------
 
@@ -364,6 +365,15 @@ class Scene:
         return member, self.groups.bits(f"{where}.collides_with", collides_with)
 
     @staticmethod
+    def _break_strains(value: Any, m: int) -> NDArray[np.float64]:
+        if value is None:
+            return np.full(m, np.inf)
+        given = np.asarray(value)
+        never = np.isposinf(given) if given.dtype.kind == "f" else np.zeros(given.shape, dtype=bool)
+        strain = checks.per_item("springs.break_strain", np.where(never, 1.0, given), m, positive=True)
+        return np.where(np.broadcast_to(never, (m,)), np.inf, strain)
+
+    @staticmethod
     def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:
         try:
             array = np.asarray(pinned)
@@ -376,21 +386,6 @@ class Scene:
         held = np.zeros(n, dtype=bool)
         held[checks.indices("balls.pinned", array, n)] = True
         return held
-
-
-def used_materials(scene: Scene) -> list[Material]:
-    """The materials that something in the scene is made of."""
-    used = {
-        *np.unique(scene.material).tolist(),
-        *(w.material for w in scene.walls),
-        *(c.material for c in scene.colliders),
-    }
-    return [scene.materials[index] for index in sorted(used)]
-
-
-def bounciest(scene: Scene) -> float:
-    """Largest restitution of anything in the scene."""
-    return max((material.restitution for material in used_materials(scene)), default=0.0)
 
 
 def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:

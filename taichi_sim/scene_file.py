@@ -1,7 +1,8 @@
 """Scene files: TOML to Scene. `save_scene` (the way back) lies in scene_save.py and is offered here too.
 
 Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
-wheel, pile), springs, walls, colliders, triangles. Springs that name no group therefore count all balls in this order.
+wheel, pile, truss, net, balloon, tower), springs, attachments, cells, bending, gases, moving pins, wind, walls, colliders,
+triangles, skins. Springs that name no group therefore count all balls in this order.
 """
 
 import difflib
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim import checks
+from taichi_sim.camera_path import CameraPath
 from taichi_sim.colliders import shape_of
 from taichi_sim.errors import SceneError
 from taichi_sim.scene import Scene
@@ -90,6 +92,7 @@ class _Reader:
                 arguments = self._with_file(("springs", index), table, ("pairs", "stiffness"))
                 arguments["pairs"] = self._members(scene, "springs.pairs", arguments, 2)
                 scene.add_springs(**arguments)
+        self._elements(scene, model)
         self._walls(scene, model.walls)
         for index, table in enumerate(model.colliders):
             with self._at("colliders", index):
@@ -102,6 +105,16 @@ class _Reader:
                 arguments = self._with_file(("triangles", index), table, ("triangles",))
                 arguments["triangles"] = self._members(scene, "triangles.triangles", arguments, 3)
                 scene.add_triangles(**arguments)
+        for index, table in enumerate(model.skins):
+            with self._at("skins", index):
+                arguments = self._with_file(("skins", index), table, ("corners", "weights", "triangles"))
+                balls = self._group(scene, arguments)
+                for name in ("corners", "covers"):
+                    if name in arguments:
+                        arguments[name] = _within(balls, f"skins.{name}", arguments[name])
+                scene.add_skin(**arguments)
+        with self._at("output", "camera"):
+            self._camera(scene)
         if scene.n_balls == 0:
             raise SceneError(f"{self.file}: holds no ball; a scene needs at least one, from [[balls]] or a shape")
         return scene
@@ -116,6 +129,49 @@ class _Reader:
                 group = arguments.pop("name", None)
                 self._name(group, scene.add_balls(**arguments))
 
+    def _elements(self, scene: Scene, model: Any) -> None:
+        for index, table in enumerate(model.attachments):
+            with self._at("attachments", index):
+                arguments = _given(table)
+                for side in ("one", "other"):
+                    arguments[side] = self._chosen(scene, f"attachments.{side}", arguments, side, f"{side}_members")
+                scene.attach(**arguments)
+        parts = (
+            ("cells", "corners", scene.dim + 1, scene.add_cells, ("corners", "bulk_modulus")),
+            ("bending", "corners", 4, scene.add_bending, ("corners", "weights", "stiffness")),
+            ("gases", "triangles", 3, scene.add_gas, ("triangles",)),
+        )
+        for name, key, width, add, needed in parts:
+            for index, table in enumerate(getattr(model, name)):
+                with self._at(name, index):
+                    arguments = self._with_file((name, index), table, needed)
+                    arguments[key] = self._members(scene, f"{name}.{key}", arguments, width)
+                    add(**arguments)
+        for index, table in enumerate(model.moving_pins):
+            with self._at("moving_pins", index):
+                arguments = self._with_file(("moving_pins", index), table, ("balls",))
+                arguments["balls"] = self._chosen(scene, "moving_pins.balls", arguments, "balls", "members")
+                scene.add_moving_pins(**arguments)
+        if model.wind is not None:
+            with self._at("wind"):
+                scene.add_wind(**_given(model.wind))
+
+    def _chosen(self, scene: Scene, where: str, arguments: dict[str, Any], key: str, members: str) -> NDArray[np.int32]:
+        """The balls that `key` names, a group or numbers in the scene, or of a group those of `members`."""
+        value, chosen = arguments.pop(key), arguments.pop(members, None)
+        if not isinstance(value, str):
+            if chosen is not None:
+                raise SceneError(f"{members}: count within a group of balls; {key} must be the name of one")
+            return checks.indices(where, value, scene.n_balls)
+        if value not in self.groups:
+            raise SceneError(f"{key}: {value!r} is not a name in this file; {_one_of(value, list(self.groups))}")
+        balls = self.groups[value]
+        return (
+            balls
+            if chosen is None
+            else balls[checks.indices(f"{where.partition('.')[0]}.{members}", chosen, len(balls))]
+        )
+
     def _walls(self, scene: Scene, tables: "Sequence[BaseModel]") -> None:
         for index, table in enumerate(tables):
             with self._at("walls", index):
@@ -124,6 +180,20 @@ class _Reader:
                 normal = np.asarray(arguments["normal"], dtype=np.float64)
                 if abs(np.linalg.norm(normal) - 1.0) < 4e-16:  # unit to rounding: a saved scene comes back bit for bit
                     scene.walls[-1] = replace(scene.walls[-1], normal=tuple(normal.tolist()))
+
+    def _camera(self, scene: Scene) -> None:
+        """Check [output.camera]; a name to follow becomes its balls."""
+        camera = scene.output.get("camera")
+        if camera is None:
+            return
+        name = camera.get("follow")
+        if isinstance(name, str):
+            if name not in self.groups:
+                raise SceneError(
+                    f"camera.follow: {name!r} is not a name in this file; {_one_of(name, list(self.groups))}"
+                )
+            camera["follow"] = self.groups[name].tolist()
+        CameraPath.of(camera, scene.dim, scene.n_balls)
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 
@@ -136,17 +206,20 @@ class _Reader:
 
     def _members(self, scene: Scene, where: str, arguments: dict[str, Any], width: int) -> NDArray[np.int32]:
         """The scene's balls that a table of springs or triangles names within its group."""
-        group = arguments.pop("balls", None)
-        if group is None:
-            balls = np.arange(scene.n_balls, dtype=np.int32)
-        elif group in self.groups:
-            balls = self.groups[group]
-        else:
-            raise SceneError(f"balls: {group!r} is not a name in this file; {_one_of(group, list(self.groups))}")
+        balls = self._group(scene, arguments)
         value = arguments[where.partition(".")[2]]
         if width == 2 and np.shape(value) == (2,):
             value = [value]
         return balls[checks.indices(where, value, len(balls), width=width)]
+
+    def _group(self, scene: Scene, arguments: dict[str, Any]) -> NDArray[np.int32]:
+        """The balls that a table counts within: its group's, or all."""
+        group = arguments.pop("balls", None)
+        if group is None:
+            return np.arange(scene.n_balls, dtype=np.int32)
+        if group in self.groups:
+            return self.groups[group]
+        raise SceneError(f"balls: {group!r} is not a name in this file; {_one_of(group, list(self.groups))}")
 
     def _with_file(self, place: _Path, table: "BaseModel", needed: Sequence[str]) -> dict[str, Any]:
         """The keys of a table, together with the arrays from the .npz that its `file` names."""
@@ -257,10 +330,16 @@ def _given(table: Any) -> dict[str, Any]:
     given = {name: getattr(table, name) for name in type(table).model_fields if name in table.model_fields_set}
     for name, value in given.items():
         try:
-            np.shape(value)
+            np.shape(value if name != "path" else ())  # keyframes are no vectors
         except ValueError:
             raise SceneError(f"{name}: its lists differ in length; give every vector as many numbers") from None
     return given
+
+
+def _within(balls: NDArray[np.int32], where: str, value: Any) -> NDArray[np.int32]:
+    """Numbers within `balls`, (k,) or (k, width), as the scene's."""
+    shape = np.shape(value)
+    return balls[checks.indices(where, value, len(balls), width=shape[1] if len(shape) == 2 else None)]
 
 
 def _frozen(value: Any) -> Any:

@@ -18,6 +18,7 @@ def line_of(text: str, path: Sequence[str | int]) -> int | None:
     lines = text.splitlines()
     if not path:
         return None
+    path = _dotted(lines, path)
     first, last, rest = _table(lines, path)
     if not rest:
         return first or None
@@ -26,6 +27,16 @@ def line_of(text: str, path: Sequence[str | int]) -> int | None:
         if key.match(lines[number]):
             return _element(lines, number, rest[1:]) if len(rest) > 1 else number + 1
     return first or None
+
+
+def _dotted(lines: list[str], path: Sequence[str | int]) -> Sequence[str | int]:
+    """The path with its first names joined where a header joins them: [output.camera], [[output.camera.path]]."""
+    headers = {m[2] for line in lines if (m := _HEADER.match(line))}
+    for depth in (3, 2):
+        name = ".".join(str(part) for part in path[:depth])
+        if len(path) >= depth and name in headers:
+            return (name, *path[depth:])
+    return path
 
 
 def _table(lines: list[str], path: Sequence[str | int]) -> tuple[int, int, Sequence[str | int]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim.files import replacing
 from taichi_sim.groups import EVERY, ONLY
 from taichi_sim.scene import Scene
+from taichi_sim.skins import Skin
 
 __all__ = ["save_scene"]
 
@@ -64,6 +65,7 @@ def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
         "materials": _materials(scene),
         "balls": _balls(scene, store),
         "springs": _springs(scene, store),
+        **_elements(scene, store),
         "walls": [
             {"normal": list(wall.normal), "offset": wall.offset, "material": scene.materials[wall.material].name}
             | _groups(scene, wall.group, wall.mask)
@@ -74,6 +76,7 @@ def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
     if len(scene.triangles):
         columns = {"triangles": scene.triangles, "collides": _one(scene.solid)}
         tables["triangles"] = [store.table("triangles_", columns)]
+    tables["skins"] = [_skin(skin, store, k) for k, skin in enumerate(scene.skins)]
     return document | {name: rows for name, rows in tables.items() if rows}
 
 
@@ -81,7 +84,9 @@ def _plain(value: Any) -> Any:
     """NumPy numbers and tuples as TOML has them."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
-    return list(value) if isinstance(value, tuple) else value
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items() if item is not None}
+    return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
 def _materials(scene: Scene) -> list[dict[str, Any]]:
@@ -105,6 +110,13 @@ def _collider(given: dict[str, Any], store: _Arrays, number: int) -> dict[str, A
     return store.table(
         f"colliders_{number}_", {k: getattr(given["mesh"], k) for k in ("vertices", "triangles")}, **plain
     )
+
+
+def _skin(skin: Skin, store: _Arrays, number: int) -> dict[str, Any]:
+    columns = {name: getattr(skin, name) for name in ("corners", "weights", "triangles")}
+    if len(skin.covers):
+        columns["covers"] = skin.covers
+    return store.table(f"skins_{number}_", columns, **({} if skin.colour is None else {"colour": list(skin.colour)}))
 
 
 def _groups(scene: Scene, group: int, mask: int) -> dict[str, Any]:
@@ -146,7 +158,30 @@ def _springs(scene: Scene, store: _Arrays) -> list[dict[str, Any]]:
         return []
     columns = {"pairs": scene.pairs, "rest_length": scene.rest_length}
     columns |= {name: _one(getattr(scene, name)) for name in ("stiffness", "damping", "collides")}
+    if np.isfinite(scene.break_strain).any():
+        columns["break_strain"] = _one(scene.break_strain)
     return [store.table("springs_", columns)]
+
+
+def _elements(scene: Scene, store: _Arrays) -> dict[str, Any]:
+    about = scene.elements()
+    tables: dict[str, Any] = {} if about["wind"] is None else {"wind": {k: _plain(v) for k, v in about["wind"].items()}}
+    if len(scene.cells):
+        columns = {"corners": scene.cells, "rest_volume": scene.rest_volume, "bulk_modulus": _one(scene.bulk_modulus)}
+        tables["cells"] = [store.table("cells_", columns)]
+    if len(scene.bends):
+        columns = {"corners": scene.bends, "weights": scene.bend_weights}
+        columns |= {"stiffness": _one(scene.bend_stiffness), "damping": _one(scene.bend_damping)}
+        tables["bending"] = [store.table("bending_", columns)]
+    tables["gases"] = [
+        store.table(f"gases_{k}_", {"triangles": gas.triangles}, pressure=gas.pressure, outside=gas.outside)
+        for k, gas in enumerate(scene.gases)
+    ]
+    tables["moving_pins"] = [
+        store.table(f"moving_pins_{k}_", {"balls": pins.balls}, **{key: _plain(v) for key, v in pins.given.items()})
+        for k, pins in enumerate(scene.moving_pins)
+    ]
+    return tables
 
 
 def _one(column: NDArray) -> NDArray:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -19,6 +20,7 @@ from pydantic import (
     create_model,
 )
 from pydantic.errors import PydanticSchemaGenerationError
+from pydantic_core import PydanticCustomError
 
 from taichi_sim import colliders, shapes
 from taichi_sim.scene import Scene
@@ -29,7 +31,18 @@ MOST_BODIES = 1_000_000
 
 # the shapes a scene file may name, in the order in which they are added
 SHAPES: dict[str, Callable[..., shapes.Shape]] = {
-    function.__name__: function for function in (shapes.cloth, shapes.jelly, shapes.rope, shapes.wheel, shapes.pile)
+    function.__name__: function
+    for function in (
+        shapes.cloth,
+        shapes.jelly,
+        shapes.rope,
+        shapes.wheel,
+        shapes.pile,
+        shapes.truss,
+        shapes.net,
+        shapes.balloon,
+        shapes.tower,
+    )
 }
 
 Seconds = Annotated[FiniteFloat, Gt(0)]
@@ -64,6 +77,12 @@ Pixels = Annotated[int, Ge(16), Le(8192)]
 Share = Annotated[FiniteFloat, Ge(0), Le(1)]
 
 
+def _rising(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] >= pair[1]:
+        raise PydanticCustomError("rising", "two numbers, the lower first")
+    return pair
+
+
 class Output(Strict):
     """[output]: how `taichi-sim run` makes pictures of the scene, where the command line does not say."""
 
@@ -73,6 +92,11 @@ class Output(Strict):
     background: tuple[Share, Share, Share] | None = None  # sRGB
     ambient_occlusion: bool = False
     shadow: bool = True
+    transparent: bool = False  # PNG frames with alpha, without background and ground
+    colour: Literal["object", "strain", "speed"] = "object"
+    colour_range: Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_rising)] | None = None  # strain, or m/s
+    subdivide: Literal[0, 1, 2] = 0  # surfaces, so many times
+    camera: dict[str, Any] | None = None  # the fields of CameraPath, judged there
 
 
 def _field(parameter: inspect.Parameter) -> tuple[Any, Any]:
@@ -114,6 +138,12 @@ def _colliders() -> type[BaseModel]:
 _file: dict[str, Any] = {"file": (str | None, None), "prefix": (str, "")}
 _name: dict[str, Any] = {"name": (str | None, None)}
 _group: dict[str, Any] = {"balls": (str | None, None)}
+_led: dict[str, Any] = {"balls": (str | tuple[int, ...] | None, None), "members": (tuple[int, ...] | None, None)}
+_joined: dict[str, Any] = {
+    side + end: (kind, default)
+    for side in ("one", "other")
+    for end, kind, default in (("", str | tuple[int, ...], ...), ("_members", tuple[int, ...] | None, None))
+}
 _body: dict[str, Any] = {"body": (Annotated[int, Ge(0), Le(MOST_BODIES)], 0)}
 
 TABLES: Mapping[str, type[BaseModel]] = {
@@ -121,9 +151,15 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "balls": _optional(_arguments(Scene.add_balls, **_name, **_file, **_body), "position", "radius"),
     **{name: _arguments(function, **_name) for name, function in SHAPES.items()},
     "springs": _optional(_arguments(Scene.add_springs, **_group, **_file), "pairs", "stiffness"),
+    "attachments": _arguments(Scene.attach, **_joined),
+    "cells": _optional(_arguments(Scene.add_cells, **_group, **_file), "corners", "bulk_modulus"),
+    "bending": _optional(_arguments(Scene.add_bending, **_group, **_file), "corners", "weights", "stiffness"),
+    "gases": _optional(_arguments(Scene.add_gas, **_group, **_file), "triangles"),
+    "moving_pins": _arguments(Scene.add_moving_pins, **_led, **_file),
     "walls": _arguments(Scene.add_wall),
     "colliders": _colliders(),
     "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
+    "skins": _optional(_arguments(Scene.add_skin, **_group, **_file), "corners", "weights", "triangles"),
 }
 
 _document: dict[str, Any] = {
@@ -132,6 +168,7 @@ _document: dict[str, Any] = {
     "gravity": (Any, None),
     "simulation": (Simulation, Field(default_factory=Simulation)),
     "output": (Output, Field(default_factory=Output)),
+    "wind": (_arguments(Scene.add_wind) | None, None),
     **{name: (tuple[model, ...], ()) for name, model in TABLES.items()},  # type: ignore[valid-type]
 }
 Document: type[BaseModel] = create_model("Document", __base__=Strict, **_document)

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from taichi_sim.camera_path import CameraPath
 from taichi_sim.errors import SceneError
 from taichi_sim.scene import Scene
 
@@ -67,21 +68,27 @@ def open_scene(file: Path) -> Scene | None:
     raise SceneError(f"{file}: has neither scene() nor simulation(); define one of them")
 
 
-def checked_output(output: dict[str, Any]) -> dict[str, Any]:
+def checked_output(scene: Scene) -> dict[str, Any]:
     """`Scene.output` as a scene in Python set it, its keys and values judged as those of [output] in a scene file are."""
+    output = scene.output
     if not output:
         return {}
     from pydantic import ValidationError
 
     from taichi_sim.scene_schema import Output
 
-    listed = {key: tuple(value) if isinstance(value, list) else value for key, value in output.items()}
+    listed: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in output.items()}
     try:
         Output.model_validate(listed)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         raise SceneError(f"scene.output: {place}: {first['input']!r} is not allowed: {first['msg']}") from None
+    if listed.get("camera") is not None:
+        try:
+            CameraPath.of(listed["camera"], scene.dim, scene.n_balls)
+        except SceneError as error:
+            raise SceneError(f"scene.output: {error}") from None
     return listed
 
 

@@ -11,22 +11,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import backend, checks, diagnostics
 from taichi_sim.assembly import Assembly, compensates
+from taichi_sim.cautions import cautions
 from taichi_sim.collider_checks import check_colliders
 from taichi_sim.controlled import Controlled, StepError, check_digits
 from taichi_sim.crossings import crossings
 from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
+from taichi_sim.moment import Moment
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
-from taichi_sim.stability import Stability, coarsest_spring, sinking_spring, stability
+from taichi_sim.stability import Stability, stability
 from taichi_sim.state import State
 from taichi_sim.stepper import Stepper
 
 __all__ = ["Simulation"]
 
 MOST_FRAMES = 10_000_000
-COARSE = 0.01  # of a radius: rounding of positions that shows
 
 
 class Simulation:
@@ -48,8 +49,9 @@ class Simulation:
             loses energy where balls touch several others at once.
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
         driver: "auto", "fused", "parallel" ("auto": by size).
-        spin: True, False or "auto": where a material has Coulomb friction ("auto"). forces: your own force objects.
-            threads: CPU threads.
+        spin: True, False or "auto": where a material has Coulomb friction and a ball is loose ("auto").
+        forces: your own force objects.
+        threads: CPU threads.
 
     Precision, arch and threads hold for the whole process. Raises ValueError, SceneError, BackendError; warns when dt is
     above the safe bound.
@@ -68,6 +70,8 @@ class Simulation:
         s = self.settings
         self.backend = backend.start(s.arch, s.precision, s.threads)
         self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
+        if s.tolerance is not None and np.isfinite(scene.break_strain).any():
+            raise ValueError("tolerance: cannot be kept where springs tear; give dt, or leave break_strain out")
         if s.tolerance is not None:
             check_digits(
                 scene, s.tolerance, self.backend.precision, self.dt, substeps, compensates(scene, self.backend)
@@ -75,9 +79,8 @@ class Simulation:
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else Controlled
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
-        self._warn_of_rounding()
-        self._warn_of_stretch()
-        self._warn_of_sinking(h)
+        for caution in cautions(scene, s.integrator.name, self.backend.precision, h):
+            warnings.warn(caution, stacklevel=2)
         self._closed = False
         self._still = scene.n_balls == 0
 
@@ -87,44 +90,6 @@ class Simulation:
             warnings.warn(
                 f"dt = {h:.6g} s is above the safe bound of {safe:.6g} s for every shape of this scene:"
                 f" {self._stability.reason}",
-                stacklevel=3,
-            )
-
-    def _warn_of_rounding(self) -> None:
-        scene = self.scene
-        if self.backend.precision == "f64" or not scene.n_balls:
-            return
-        far, small = float(np.max(np.abs(scene.position))), float(np.min(scene.radius))
-        centres = max((float(np.abs(c.motion.positions).max()) for c in scene.colliders), default=0.0)
-        where = f"the centre of a collider lies {centres:.4g} m" if centres > far else f"{far:.4g} m"
-        far = max(far, centres)
-        rounding = far * float(np.finfo(np.float32).eps)
-        if rounding > COARSE * small:
-            warnings.warn(
-                f"precision: {where} from the origin; there single precision tells positions {rounding:.2g} m apart, and the"
-                f' smallest radius is {small:.2g} m; use precision "f64", or build the scene nearer to the origin',
-                stacklevel=3,
-            )
-
-    def _warn_of_stretch(self) -> None:
-        """Where springs are too stiff for their load to show in single precision."""
-        found = coarsest_spring(self.scene) if self.backend.precision == "f32" else None
-        if found is not None:
-            spring, stretch, rounding = found
-            warnings.warn(
-                f"precision: the weight at spring {spring} stretches it by {stretch:.2g} m, and single precision tells positions"
-                f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin',
-                stacklevel=3,
-            )
-
-    def _warn_of_sinking(self, h: float) -> None:
-        """Where xpbd, which lets each spring give once in a step what it would alone, lets heavy balls sink."""
-        found = sinking_spring(self.scene, h) if self.settings.integrator.name == "xpbd" else None
-        if found is not None:
-            spring, ball, depth = found
-            warnings.warn(
-                f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by about {depth:.2g} m for want of"
-                " passes; take shorter steps, implicit_euler or tr_bdf2",
                 stacklevel=3,
             )
 
@@ -206,7 +171,7 @@ class Simulation:
 
     def energy(self) -> diagnostics.Energy:
         """Kinetic, spring, gravity and total energy [J], computed in float64."""
-        return diagnostics.energy(self.scene, self.position, self.velocity, self._spin())
+        return diagnostics.energy(self.scene, self.position, self.velocity, self._spin(), self.torn)
 
     def momentum(self) -> NDArray[np.float64]:
         """(dim,) kg m/s."""
@@ -237,21 +202,42 @@ class Simulation:
     def frame(self) -> Frame:
         """The present moment as NumPy arrays."""
         scene, x, v = self.scene, self.position, self.velocity
-        return Frame(
+        whole, triangles = self._whole()
+        return Moment(
+            scene,
+            self._spin(),
+            self.torn,
             time=self.time,
             position=x,
             velocity=v,
             radius=scene.radius,
-            springs=scene.pairs,
-            sticks=scene.collides,
-            strain=diagnostics.strain(scene, x),
-            triangles=scene.triangles,
+            springs=scene.pairs[whole],
+            sticks=scene.collides[whole],
+            triangles=triangles,
             colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
             pinned=scene.pinned,
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
             colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(self.time))) for c in scene.colliders),
-            energy=diagnostics.energy(scene, x, v, self._spin()),
+            skins=tuple(scene.skins),
+            gravity=scene.gravity,
         )
+
+    @property
+    def torn(self) -> NDArray[np.bool_] | None:
+        """(m,) springs that have torn, a copy; None where none can."""
+        tearing = None if self._still else self._parts.tearing
+        return None if tearing is None else tearing.springs_torn
+
+    def _whole(self) -> tuple[Any, NDArray]:
+        """The springs that are whole, as an index, and the triangles none of whose sides has torn."""
+        torn, scene = self.torn, self.scene
+        if torn is None or not torn.any():
+            return slice(None), scene.triangles
+        return ~torn, scene.triangles[~diagnostics.cut(scene.triangles, scene.pairs[torn], scene.n_balls)]
+
+    def inverted(self) -> int:
+        """How many cells are flat or turned inside out."""
+        return diagnostics.inverted(self.scene, self.position)
 
     def error(self) -> StepError | None:
         """What the control of the error found so far; None without `tolerance`."""
@@ -326,17 +312,21 @@ class Simulation:
         time: float,
         low: tuple[NDArray, NDArray] | None = None,
         surface_speed: NDArray | None = None,
+        torn: NDArray | None = None,
     ) -> None:
         """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
 
-        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. The impulses that contacts held are
-        found anew in the first steps: a pile that rests goes on resting, but not with the same bits.
+        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. torn: (m,) springs. The
+        impulses that contacts held are found anew in the first steps: a pile that rests goes on resting, but not with the
+        same bits.
         """
         n, dim = self.scene.n_balls, self.scene.dim
         self._stepper.set_time(time)
         if n:
             x, v = checks.vectors("position", position, n, dim), checks.vectors("velocity", velocity, n, dim)
             self._write(x, v, low, moved=True)
+            if torn is not None and self._parts.tearing is not None:
+                self._parts.tearing.tear(torn)
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
 

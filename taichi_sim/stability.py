@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.element_rates import Rates, element_rates
 from taichi_sim.scene import Scene
 
 __all__ = [
@@ -36,6 +37,7 @@ ROUNDS = 3  # that improve the weights of the present bound
 
 Floats = NDArray[np.float64]
 Bound = Callable[[Floats, Floats], tuple[float, int]]  # of (m,) stiffness and damping: lambda [1/s^2], and a spring
+Network = Callable[[float, float], tuple[float, int]]  # the same of factors of all stiffness and all damping
 
 
 class Stability(NamedTuple):
@@ -54,6 +56,8 @@ def largest_eigenvalue(scene: Scene, weight: Floats) -> tuple[float, int]:
 
     lambda <= max over springs of S_i / m_i + S_j / m_j with S_i the sum of weights at ball i; pinned ends give 0.
     """
+    if not len(weight):
+        return 0.0, 0
     sums = np.bincount(scene.pairs.ravel(), np.repeat(weight, 2), scene.n_balls)
     rate = np.where(scene.pinned, 0.0, sums / scene.mass)
     bound = rate[scene.pairs].sum(axis=1) * (weight > 0)
@@ -65,6 +69,8 @@ def present_eigenvalue(scene: Scene, stiffness: Floats, damping: Floats, positio
     """The same at `position` (n, dim) [m] for K of `stiffness` (m,), the tension of its springs included, plus a damping matrix
     of `damping` (m,); and a spring at the ball that sets it."""
     pairs, dim = scene.pairs, scene.dim
+    if not len(pairs):
+        return 0.0, 0
     r = position[pairs[:, 1]] - position[pairs[:, 0]]
     d = np.linalg.norm(r, axis=1)
     n = r / np.where(d > 0, d, 1.0)[:, None]
@@ -104,12 +110,15 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     Explicit Euler: min over springs of c / k, and 2 / lambda_D; nothing is safe with an undamped spring, nor across one that is
     stretched: there it gains, by h omega^2 a second, at any step, and the bound only holds for the motion along springs.
     """
-    if scene.n_springs == 0 or scene.pinned.all():
+    rates = element_rates(scene)
+    if (scene.n_springs == 0 and rates.elastic == 0.0) or scene.pinned.all():
         return Stability(np.inf, np.inf, None, None, "no spring moves a ball: every step is stable")
-    if integrator in ANY_STEP:
+    if integrator in ANY_STEP and rates.elastic == 0.0:
         return Stability(np.inf, np.inf, None, None, f"{integrator} is stable at any step; only its error grows")
+    if integrator in ANY_STEP or not np.any(scene.stiffness + scene.damping > 0):
+        return _of_elements(integrator, rates)
     k, c = scene.stiffness, scene.damping
-    h, spring = _step(scene, k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))
+    h, spring = _step(scene, k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c), rates)
     if np.isinf(h):
         return Stability(np.inf, np.inf, None, None, "no spring has stiffness or damping: every step is stable")
     now = h if position is None else present_limit(scene, integrator, position)[0]
@@ -121,9 +130,14 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
         f"spring {spring} (balls {i} and {j}, k = {k[spring]:.4g} N/m, c = {c[spring]:.4g} N s/m) limits {integrator};"
         f" ball {ball} (m = {scene.mass[ball]:.4g} kg) carries most of it"
     )
+    if rates.elastic > 0.0:
+        part = 1.0 - largest_eigenvalue(scene, k)[0] / (largest_eigenvalue(scene, k)[0] + rates.elastic)
+        reason += f"; cells, bending and gas make up {part:.0%} of the stiffness"
     if integrator == "explicit_euler":
         reason += "; across stretched springs, where nothing is damped, it gains energy at any step"
-    if h == 0.0:
+    if h == 0.0 and rates.elastic > 0.0:
+        reason = "cells, bending and gas are undamped: explicit Euler gains energy whatever the step"
+    elif h == 0.0:
         reason = f"spring {spring} (balls {i} and {j}) is undamped: explicit Euler gains energy whatever the step"
     return Stability(h, now, spring, ball, reason)
 
@@ -131,14 +145,43 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
 def present_limit(scene: Scene, integrator: str, position: Floats) -> tuple[float, int]:
     """The largest safe step [s] of a method that has one, at `position` (n, dim) [m], and the spring that sets it."""
     k, c = scene.stiffness, scene.damping
-    return _step(scene, k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position))
+    if not len(k) or integrator in ANY_STEP:
+        return _of_elements(integrator, element_rates(scene)).dt_any_shape, 0
+    return _step(scene, k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position), element_rates(scene))
 
 
 def without(scene: Scene, integrator: str, spring: int) -> float:
     """The bound for any shape if one spring were not there [s]."""
     k, c = scene.stiffness.copy(), scene.damping.copy()
     k[spring] = c[spring] = 0.0
-    return _step(scene, k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c))[0]
+    rates = element_rates(scene)
+    if not np.any(k + c > 0):
+        return _of_elements(integrator, rates).dt_any_shape
+    return _step(scene, k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c), rates)[0]
+
+
+def _of_elements(integrator: str, rates: Rates) -> Stability:
+    """Where only elements limit the step: they are explicit in every method."""
+    h = _without_springs(integrator, rates)
+    if np.isinf(h):
+        return Stability(h, h, None, None, "nothing has stiffness or damping: every step is stable")
+    what = "explicit Euler gains energy whatever the step" if h == 0.0 else f"explicit forces, limit {integrator}"
+    return Stability(h, h, None, None, f"cells, bending and gas: {what}")
+
+
+def _without_springs(integrator: str, rates: Rates) -> float:
+    if integrator == "explicit_euler":
+        return 0.0 if rates.elastic > 0.0 else _over(2.0, rates.damping)
+    if integrator == "rk4":
+        return _over(2.61, max(float(np.sqrt(rates.elastic)), rates.damping))
+    part = 0.5 if integrator == "tr_bdf2" else 1.0  # its two stages take explicit forces from old places
+    return part * _quadratic(rates, 4.0)
+
+
+def _quadratic(rates: Rates, factor: float) -> float:
+    """Root of h^2 elastic + factor h damping = 4."""
+    a, b = rates.elastic, factor * rates.damping
+    return _over(8.0, b + float(np.sqrt(b * b + 16.0 * a)))
 
 
 def sinking_spring(scene: Scene, h: float) -> tuple[int, int, float] | None:
@@ -188,47 +231,52 @@ def _is_gentle(scene: Scene, k: Floats, c: Floats) -> bool:
     return bool(np.isfinite(h)) and h * h * largest_eigenvalue(scene, k + 4.0 * c / h)[0] <= 4.0
 
 
-def _step(scene: Scene, k: Floats, c: Floats, integrator: str, bound: Bound) -> tuple[float, int]:
-    """The largest step by a bound, for stiffness and damping (m,), and the spring that sets it."""
-    none = np.zeros(len(k))
+def _step(scene: Scene, k: Floats, c: Floats, integrator: str, springs: Bound, rates: Rates) -> tuple[float, int]:
+    """The largest step by a bound, for stiffness and damping (m,), and the spring that sets it. rates: of elements, which add to
+    what the bound says of springs: lambda(A + B) <= lambda(A) + lambda(B)."""
+
+    def bound(elastic: float, damping: float) -> tuple[float, int]:
+        value, spring = springs(elastic * k, damping * c)
+        return value + elastic * rates.elastic + damping * rates.damping, spring
+
     if integrator == "symplectic_euler":
-        return _with_damping(k, c, 2.0, bound)
+        return _with_damping(2.0, bound)
     if integrator == "verlet" and _is_gentle(scene, k, c):
-        return _with_damping(k, c, 4.0, bound)
+        return _with_damping(4.0, bound)
     if integrator == "rk4":
-        (lambda_k, spring_k), (lambda_d, spring_d) = bound(k, none), bound(none, c)
+        (lambda_k, spring_k), (lambda_d, spring_d) = bound(1.0, 0.0), bound(0.0, 1.0)
         elastic = np.sqrt(lambda_k) >= lambda_d
         return _over(2.61, max(np.sqrt(lambda_k), lambda_d)), spring_k if elastic else spring_d
     if integrator == "explicit_euler":
-        return _explicit(k, c, bound)
-    value, spring = bound(k, none)
-    return _over(2.0, float(np.sqrt(value))), spring
+        return (0.0, 0) if rates.elastic > 0.0 else _explicit(k, c, bound)
+    value, spring = bound(1.0, 0.0)
+    return min(_over(2.0, float(np.sqrt(value))), _over(1.0, rates.damping)), spring
 
 
 def _over(a: float, b: float) -> float:
     return a / b if b > 0 else np.inf
 
 
-def _with_damping(k: Floats, c: Floats, factor: float, bound: Bound) -> tuple[float, int]:
+def _with_damping(factor: float, bound: Network) -> tuple[float, int]:
     """Root of h^2 lambda(K + factor D / h) = 4 by bisection; the bound is monotone in h."""
-    none = np.zeros(len(k))
-    high = _over(2.0, float(np.sqrt(bound(k, none)[0])))
+    value, spring = bound(1.0, 0.0)
+    high = _over(2.0, float(np.sqrt(value)))
+    most, damped = bound(0.0, 1.0)
     if np.isinf(high):
-        value, spring = bound(none, c)
-        return _over(4.0 / factor, value), spring
-    if not np.any(c > 0):
-        return high, bound(k, none)[1]
+        return _over(4.0 / factor, most), damped
+    if most == 0.0:
+        return high, spring
     low = 0.0
     while high - low > 1e-8 * high:
         middle = 0.5 * (low + high)
-        enough = middle**2 * bound(k, factor * c / middle)[0] < 4.0
+        enough = middle**2 * bound(1.0, factor / middle)[0] < 4.0
         low, high = (middle, high) if enough else (low, middle)
-    return low, bound(k, factor * c / low)[1]
+    return low, bound(1.0, factor / low)[1]
 
 
-def _explicit(k: Floats, c: Floats, bound: Bound) -> tuple[float, int]:
+def _explicit(k: Floats, c: Floats, bound: Network) -> tuple[float, int]:
     """Every mode has d <= lambda_D and d / kappa >= min c / k: underdamped ones need h <= d / kappa, others h <= 2 / d."""
     ratio = np.divide(c, k, out=np.full_like(k, np.inf), where=k > 0)
     spring = int(np.argmin(ratio))
-    value, other = bound(np.zeros(len(k)), c)
+    value, other = bound(0.0, 1.0)
     return (float(ratio[spring]), spring) if ratio[spring] <= _over(2.0, value) else (_over(2.0, value), other)

@@ -30,6 +30,7 @@ class State:
         self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
         self.kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
         self.compensated = compensated
+        self.followers: list[Any] = []  # parts that keep and restore with the state
         self.serial = False  # whether copies go on one thread, for which a launch that wakes none is ten times shorter
         if compensated:
             self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
@@ -76,6 +77,8 @@ class State:
             self._copy(self.kept_turn, self.turn)
         if self.compensated:
             self._copy(self.kept_low, self.low)
+        for part in self.followers:
+            part.keep()
 
     def restore(self) -> None:
         """Return to the state last kept."""
@@ -84,6 +87,8 @@ class State:
             self._copy(self.turn, self.kept_turn)
         if self.compensated:
             self._copy(self.low, self.kept_low)
+        for part in self.followers:
+            part.restore()
 
     def write(self, x: np.ndarray, v: np.ndarray, low: tuple[np.ndarray, np.ndarray] | None = None) -> None:
         """Replace positions and velocities, both (n, dim), and what single precision rounded off of them (0)."""

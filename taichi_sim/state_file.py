@@ -53,6 +53,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "output": scene.output,
         "time": simulation.time,
         "stepping": stepping,
+        "elements": scene.elements(),
     }
     state = {"position": simulation.position, "velocity": simulation.velocity}
     state.update({STEPPING + name: array for name, array in moments.items()})
@@ -60,11 +61,14 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         state.update(zip(LOW, simulation.rounded_off))
     if np.any(simulation.surface_speed):
         state["surface_speed"] = simulation.surface_speed
+    if simulation.torn is not None:
+        state["torn"] = simulation.torn
     for k, collider in enumerate(scene.colliders):
         if "mesh" in collider.given:
             state.update({f"colliders.{k}.{name}": getattr(collider, name) for name in MESH})
     with replacing(path) as file:
-        np.savez(file, about=np.array(json.dumps(about)), **state, **scene.to_arrays())
+        text = np.array(json.dumps(about, default=np.ndarray.tolist))
+        np.savez(file, about=text, **state, **scene.to_arrays(), **scene.element_arrays())
 
 
 def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, Any]) -> Any:
@@ -90,6 +94,8 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         turning = None
         if "surface_speed" in arrays:
             turning = checks.vectors("surface_speed", arrays["surface_speed"], n, 1 if dim == 2 else 3)
+        if "torn" in arrays:
+            checks.flags("torn", arrays["torn"], scene.n_springs)
         stepping = about.get("stepping", {})
         moments = {
             name.removeprefix(STEPPING): checks.vectors(name, array, n, dim)
@@ -102,7 +108,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
             raise
         raise SceneError(f"{path}: is not a state that Simulation.save wrote ({error})") from None
     simulation = kind(scene, **{**settings, **overrides})
-    simulation.resume(x, v, time, low, turning)
+    simulation.resume(x, v, time, low, turning, arrays.get("torn"))
     if not {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
         simulation.set_stepping(stepping, moments)
     return simulation
@@ -119,6 +125,8 @@ def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
         mesh = {name: arrays[f"colliders.{k}.{name}"] for name in MESH} if given["shape"] == "mesh" else {}
         scene.add_collider(shape_of(given | mesh))
     scene.from_arrays(arrays)
+    if "elements" in about:
+        scene.set_elements(about["elements"], arrays)
     named = [*scene.material.tolist(), *(wall.material for wall in scene.walls)]
     if any(not 0 <= index < len(scene.materials) for index in set(named)):
         raise SceneError(f"a material is named that is none of the {len(scene.materials)} there are")

@@ -45,7 +45,8 @@ class Stepper:
         self._chunks = 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
-        self.driven, self.size = own or moves, size(scene)
+        led = bool(scene.moving_pins or scene.gases or scene.wind is not None)
+        self.driven, self.size = own or moves or led, size(scene)
         self.watch = Watch(
             scene,
             self.method,

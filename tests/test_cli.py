@@ -203,8 +203,16 @@ REFUSED = [
     (("run", "ball.toml", "--duration", "inf"), "--duration: inf is not allowed"),
     (("run", "ball.toml", "--size", "big"), "--size: 'big' is not allowed; it must be like 1280x720"),
     (("run", "ball.toml", "--size", "0x10"), "--size: '0x10' is not allowed; each side must be from 16 to 8192"),
-    (("run", "ball.toml", "--resume"), "--overwrite, --resume and --codec need --out"),
-    (("run", "ball.toml", "-o", "x.avi"), "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.npz or folder/"),
+    (("run", "ball.toml", "--resume"), "--overwrite, --resume, --codec and --transparent need --out"),
+    (
+        ("run", "ball.toml", "-o", "x.mp4", "--transparent"),
+        "transparent: x.mp4 holds no transparency; write PNG frames",
+    ),
+    (("run", "ball.toml", "-o", "x.gif", "--resume"), "x.gif: only videos and folders of PNG frames can be resumed"),
+    (
+        ("run", "ball.toml", "-o", "x.avi"),
+        "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.npz, x.ply, x.obj or folder/",
+    ),
     (("run", "ball.toml", "-o", "none/x.mp4"), "none/x.mp4: there is no folder 'none'; make it first"),
     (("run", "ball.toml", "-o", "full"), "full: the folder is not empty; use --overwrite, --resume or another name"),
     (("view", "ball.toml"), "there is no display for a window; use `taichi-sim run SCENE -o x.mp4` instead"),

@@ -83,7 +83,7 @@ BAD = [
     ("flat.obj", SQUARE + "f 1 1 2\n", "no face with an area"),
     ("beyond.obj", SQUARE + "f 1 2 9\n", "cannot be read as OBJ"),
     ("words.ply", "not a mesh", "cannot be read as PLY"),
-    ("scene.gltf", "{}", "ends in .obj .ply .stl"),
+    ("scene.fbx", "{}", "ends in .obj .ply .stl .glb .gltf"),
 ]
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from taichi_sim import Box, Scene, Sphere, backend
 from taichi_sim.frame import Frame, Placed
+from taichi_sim.model import components
 from taichi_sim.render import Camera, Renderer
-from taichi_sim.render.palette import components
 from taichi_sim.render.tiles import tile_lists
 
 SIZE = (160, 90)
@@ -166,7 +166,7 @@ def test_the_area_of_a_disc():
     left = image[:, : SIZE[0] // 2, 0].astype(float) / 255
     linear = np.where(left <= 0.04045, left / 12.92, ((left + 0.055) / 1.055) ** 2.4)
     painter = Renderer2D(frame, SIZE)
-    scale = painter._scale
+    scale = painter.camera.scale
     painter.close()
     body = np.pi * (0.7 * scale) ** 2
     dark = np.clip(1.0 - linear, 0, 1)
@@ -258,3 +258,70 @@ def test_bad_arguments_are_refused():
         Renderer(frame, size=SIZE, background=(1.0, 0.0))
     with pytest.raises(ValueError, match="camera"):
         Renderer(frame, size=SIZE, camera=Camera((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
+
+def linear(image):
+    c = image.astype(float) / 255
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_transparent_picture_laid_over_a_background_is_the_opaque_one(dim):
+    """Straight alpha, also where a pixel is covered in part; the ground is holdout, colliders are drawn."""
+    grey = (0.3, 0.3, 0.3)
+    points = np.array([(0.0, 0.3, 0.0), (1.5, 0.9, -1.0), (-1.5, -1.0, 0.0)])[:, :dim]
+    triangles = np.array([[0, 1, 2]], dtype=np.int32)
+    wall = np.eye(dim + 1)[1:2] - np.eye(dim + 1)[-1:]  # the ground at y = -1
+    box = (placed(Box((-2.0, 1.0, 0.0)[:dim], (0.5,) * dim, colour=RED), dim),)
+    options = {"background": grey} | ({"camera": FRONT, "shadow": False} if dim == 3 else {})
+    frame = balls(
+        [*points, np.zeros(dim) - 0.6], [0.4] * 4, [RED, GREEN, RED, GREEN], triangles=triangles, colliders=box
+    )
+    opaque, clear = picture(frame, **options), picture(frame, transparent=True, **options)
+    assert clear.shape == (SIZE[1], SIZE[0], 4)
+    alpha = clear[:, :, 3:] / 255
+    laid = linear(clear[:, :, :3]) * alpha + linear(np.full(3, round(0.3 * 255))) * (1 - alpha)
+    assert np.abs(laid - linear(opaque)).max() < 0.025
+    assert np.count_nonzero((alpha > 0.1) & (alpha < 0.9)) > 50
+    assert np.all(clear[alpha[:, :, 0] == 0] == 0)
+    frame.walls = wall
+    above = picture(frame, transparent=True, **options)
+    assert above[-1, :, 3].max() == 0
+    assert above[0, 0, 3] == 0
+
+
+def test_shadows_of_what_rests_do_not_flicker_while_something_moves():
+    """The shadow map stays put while the scene keeps within its bounds."""
+    ground = np.array([[0.0, 1.0, 0.0, 0.0]])
+    frames = [balls([(-1.5, 0.5, 0.0), (1.5, 0.5 + 0.01 * k, 0.0)], 0.4, [RED, GREEN], walls=ground) for k in (0, 1, 2)]
+    frames[0].position[0, 1] = 0.9  # so that the picture has room
+    seen = []
+    with Renderer(frames[0], size=SIZE) as renderer:
+        for frame in frames[1:]:
+            seen.append(renderer.render(frame).astype(int))
+    changed = np.abs(seen[1] - seen[0]).sum(axis=2) > 0
+    assert changed.any()
+    assert not changed[:, : SIZE[0] // 2 - 8].any()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_what_tears_is_drawn_without_new_fields(dim):
+    """Fewer springs and triangles fit where more were; new fields would compile all kernels again."""
+    x = np.random.default_rng(0).uniform(-1, 1, (12, dim))
+    springs = np.array([[0, 1], [1, 2], [2, 3], [3, 4]], dtype=np.int32)
+    triangles = np.array([[5, 6, 7], [6, 7, 8], [9, 10, 11]], dtype=np.int32)
+
+    def frame(m: int, t: int) -> Frame:
+        rods = {"springs": springs[:m], "sticks": np.zeros(m, dtype=bool), "strain": np.zeros(m)}
+        return Frame(0.0, x, 0 * x, np.full(12, 0.1), triangles=triangles[:t], **rods)
+
+    with Renderer(frame(4, 3), size=SIZE) as renderer:
+        whole = renderer.render(frame(4, 3))
+        painter = renderer._painter
+        fields = painter._tree if dim == 2 else painter._buffers
+        torn = renderer.render(frame(2, 1))
+        assert fields is (painter._tree if dim == 2 else painter._buffers)
+        assert not np.array_equal(torn, whole)
+        assert np.array_equal(renderer.render(frame(4, 3)), whole)
+    with Renderer(frame(2, 1), size=SIZE) as renderer:
+        assert np.array_equal(renderer.render(frame(2, 1)), torn)

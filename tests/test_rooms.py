@@ -20,23 +20,30 @@ LEVELS = (
     ("simulation", "state_file", "render"),
     ("controlled",),
     ("stepper",),
-    ("collider_checks",),
-    ("assembly", "drivers", "settings"),
+    ("collider_checks", "cautions"),
+    ("assembly", "settings"),
+    ("drivers",),
     ("companion",),
     ("integrators",),
     ("gauge",),
-    ("contacts", "forces"),
+    ("contacts", "forces", "pins"),
+    ("moment",),
     ("diagnostics", "stability", "order", "watch", "crossings"),
+    ("element_rates",),
     ("state",),
     ("model",),
     ("fields", "backend"),
     ("front_end",),
     ("scene_file", "scene_save", "scene_source", "scene_lines", "scene_schema"),
-    ("shapes", "shape_parts", "rates"),
+    ("shapes", "rates"),
+    ("shape_parts",),
+    ("fabric", "solids"),
     ("scene", "frame"),
+    ("scene_elements", "materials"),
     ("colliders",),
-    ("mesh", "motion"),
-    ("checks", "files", "interrupts", "memory", "groups"),
+    ("level_set",),
+    ("mesh", "motion", "skins", "tables", "camera_path"),
+    ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
 )
@@ -44,18 +51,24 @@ LEVEL = {name: k for k, names in enumerate(LEVELS) for name in names}
 # settings names integrators, base knows the solver and the forces; no Taichi in the scene's rooms
 NO_TAICHI = (
     "scene",
+    "scene_elements",
+    "materials",
     "shapes",
     "shape_parts",
+    "fabric",
+    "solids",
     "rates",
     "mesh",
     "motion",
     "colliders",
     "collider_checks",
+    "cautions",
     "errors",
     "checks",
     "frame",
     "files",
     "stability",
+    "element_rates",
     "watch",
     "diagnostics",
     "crossings",
@@ -63,6 +76,9 @@ NO_TAICHI = (
     "interrupts",
     "memory",
     "groups",
+    "skins",
+    "tables",
+    "camera_path",
 )
 
 
@@ -189,7 +205,9 @@ def test_simulation_has(name):
         assert hasattr(sim, name)
 
 
-@pytest.mark.parametrize("name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "save"])
+@pytest.mark.parametrize(
+    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "save"]
+)
 def test_scene_has(name):
     assert callable(getattr(ts.Scene, name))
 
@@ -203,7 +221,7 @@ def test_arguments_of_simulation():
 
 
 def test_shapes():
-    for name in ("cloth", "jelly", "rope", "wheel", "pile"):
+    for name in ("cloth", "jelly", "rope", "wheel", "pile", "truss", "net", "balloon", "tower"):
         assert callable(getattr(ts.shapes, name)), name
 
 

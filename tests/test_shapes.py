@@ -25,6 +25,9 @@ MADE = {
     "rope 3D": (3, lambda s: shapes.rope(s, (0, 0, 0), (1, 1, 0), 2)),
     "wheel 2D": (2, lambda s: shapes.wheel(s, (0, 0), 0.5)),
     "wheel 3D": (3, lambda s: shapes.wheel(s, (0, 0, 1), 0.5, 40)),
+    "truss 2D": (2, lambda s: shapes.truss(s, (4, 1))),
+    "truss 3D": (3, lambda s: shapes.truss(s, (4, 1, 0.5), 5)),
+    "net": (3, lambda s: shapes.net(s)),
 }
 
 
@@ -149,6 +152,68 @@ def test_rope_wheel_pile():
     assert distance.min() > 0.2  # they do not touch at the start
 
 
+def test_truss():
+    for dim, bars in ((2, 4 * 2 + 5 + 4 * 2), (3, 16 + 20 + 4 * 8 + 5 * 2)):
+        scene = Scene(dim=dim)
+        beam = shapes.truss(scene, (4, 1, 2)[:dim], 4, mass=3.0, pinned=range(2 ** (dim - 1)))
+        assert len(beam.springs) == bars
+        assert (scene.position[scene.pinned, 0] == 0).all()
+        assert scene.position.max(axis=0).tolist() == [4, 1, 2][:dim]
+        assert scene.mass.sum() == pytest.approx(3.0)
+        assert set(np.round(scene.rest_length**2, 9)) == (
+            {1, 2} if dim == 2 else {1, 2, 4, 5}
+        )  # no diagonal through a cell
+
+
+def test_net():
+    scene = Scene(dim=3)
+    made = shapes.net(scene, (2, 1), (4, 2), 3, mass=2.0, pinned=[0, 14])
+    knots, between = 5 * 3, 2 * (4 * 3 + 5 * 2)
+    assert len(made.balls) == knots + between
+    assert len(made.springs) == 3 * (4 * 3 + 5 * 2)
+    assert scene.position[[0, 1, 3, 14]].tolist() == [[0, 0, 0], [0, 0, 0.5], [0.5, 0, 0], [2, 0, 1]]
+    ends = np.bincount(scene.pairs.ravel())
+    assert (ends[knots:] == 2).all()
+    assert sorted(set(ends[:knots])) == [2, 3, 4]
+    assert scene.rest_length == pytest.approx(1 / 6)
+
+
+def test_balloon_is_in_balance():
+    """The skin's pull on each ball is what the gas pushes, p times its share of the area."""
+    scene = Scene(dim=3)
+    made = shapes.balloon(scene, (1, 2, 3), 0.5, 3, pressure=30.0, stretch_stiffness=60.0, mass=0.1)
+    assert len(made.balls) == 642
+    x = scene.position
+    assert np.linalg.norm(x - [1, 2, 3], axis=1) == pytest.approx(0.5)
+    assert scene.mass.sum() == pytest.approx(0.1)
+    assert scene.gases[0].volume == pytest.approx(np.pi / 6, rel=0.02)
+    apart = x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]]
+    length = np.linalg.norm(apart, axis=1)
+    pull = (scene.stiffness * (length - scene.rest_length) / length)[:, None] * apart
+    force, push = np.zeros_like(x), np.zeros_like(x)
+    np.add.at(force, scene.pairs[:, 0], pull)
+    np.add.at(force, scene.pairs[:, 1], -pull)
+    for k in range(3):
+        np.add.at(push, made.triangles[:, k], 30.0 * area_vectors(x, made.triangles) / 3)
+    outward = x - [1, 2, 3]
+    assert (force * outward).sum() == pytest.approx(-(push * outward).sum(), rel=0.005)
+    assert np.linalg.norm(force + push, axis=1).max() < 0.1 * np.linalg.norm(push, axis=1).max()
+    shapes.balloon(scene, (0, 0, 0), 0.2, 1)
+    assert scene.gases[1].pressure > 0
+
+
+def test_tower():
+    for dim in (2, 3):
+        scene = Scene(dim=dim)
+        made = shapes.tower(scene, 3, (0.3,) * dim, (4,) * dim, gap=0.01, mass=2.0, radius=0.04)
+        assert scene.mass.sum() == pytest.approx(6.0)
+        assert len(np.unique(scene.body)) == 3
+        low = [scene.position[scene.body == body, 1].min() for body in np.unique(scene.body)]
+        assert np.diff(low) == pytest.approx(0.3 + 0.08 + 0.01)
+        assert made.balls.tolist() == list(range(scene.n_balls))
+        assert len(made.springs) == scene.n_springs
+
+
 def test_self_collision():
     scene = Scene(dim=3)
     shapes.cloth(scene, resolution=(4, 4), self_collision=True)
@@ -197,6 +262,16 @@ REFUSED = [
     (2, lambda s: shapes.wheel(s, (0, 0), 1.0, 2), r"wheel\.spokes: 2 .*at least 3"),
     (2, lambda s: shapes.pile(s, (3, 0), 1.0), r"pile\.resolution"),
     (2, lambda s: shapes.pile(s, (3, 3), 1.0, jitter=2), r"pile\.jitter: 2"),
+    (3, lambda s: shapes.cloth(s, resolution=(200000, 200000)), r"cloth\.resolution: .*4e\+10 balls .*GB of memory"),
+    (2, lambda s: shapes.truss(s, (1, 2, 3)), r"truss\.size: .* 2 lengths"),
+    (2, lambda s: shapes.truss(s, (1, 2), 0), r"truss\.cells: 0 .*at least 1"),
+    (3, lambda s: shapes.net(s, meshes=(0, 2)), r"net\.meshes: .*at least 1"),
+    (2, lambda s: shapes.net(s), "net: needs a scene with dim = 3"),
+    (3, lambda s: shapes.balloon(s, (0, 0, 0), -1), r"balloon\.radius: -1"),
+    (3, lambda s: shapes.balloon(s, (0, 0, 0), 1, 20), r"balloon\.subdivisions: 20 .*GB of memory"),
+    (3, lambda s: shapes.balloon(s, (0, 0, 0), 1, pressure=1e6), r"balloon\.pressure: 1e\+06 .*133.3 Pa at most"),
+    (3, lambda s: shapes.tower(s, 0), r"tower\.levels: 0 .*at least 1"),
+    (3, lambda s: shapes.tower(s, young_modulus=-1), r"tower\.young_modulus: -1"),
 ]
 
 
@@ -205,4 +280,4 @@ def test_refused_and_the_scene_unchanged(dim, make, message):
     scene = Scene(dim=dim)
     with pytest.raises(SceneError, match=message):
         make(scene)
-    assert scene.n_balls == scene.n_springs == len(scene.triangles) == 0
+    assert scene.n_balls == scene.n_springs == len(scene.triangles) == len(scene.gases) == 0

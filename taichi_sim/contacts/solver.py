@@ -383,7 +383,8 @@ class ContactSolver:
         shift = h * v
         drift = v
         if ti.static(self.has_walls):
-            shift, drift = self.walls.move(i, ball[i].x, v, a, h, change)
+            if self.model.inverse_mass[i] > 0.0:  # nothing holds a pin that is led
+                shift, drift = self.walls.move(i, ball[i].x, v, a, h, change)
         if ti.static(self.has_grid):
             swept.note(self, i, shift)  # what only undoes overlap goes through nothing
         if ti.static(self.has_offset):

@@ -1,5 +1,7 @@
 """Springs: Hooke's law with damping along the spring, summed by gather, by blocks, in rows or with atomics."""
 
+from typing import Any
+
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
@@ -49,6 +51,8 @@ class Springs:
         self.padded = self.m
         self.damped = bool(np.any(scene.damping > 0))
         self.order = order
+        self.given = damping
+        self.tearing: Any = None  # see forces.tearing
         low = scene.pairs.min(axis=1)
         high = scene.pairs.max(axis=1)
         if order == "gather":
@@ -95,9 +99,12 @@ class Springs:
 
     def set_damping(self, damping: NDArray[np.float64]) -> None:
         """Replace the damping (m,) [N s/m] of all springs."""
+        self.given = damping
         if self.damped:
             field = self.spring.damping
             stored = np.where(self.number < 0, 0.0, damping[self.number])
+            if self.tearing is not None:
+                stored = np.where(self.tearing.whole(), stored, 0.0)
             field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
 
     def names(self) -> list[str]:

@@ -14,6 +14,9 @@ A force of your own is a small class with one function; it may read any field of
 
     Simulation(scene, forces=[Drag(0.1)])
 
+It may have `allocate(model, state, fields)`, called before the simulation's fields exist, to declare fields of its own: see
+`Fields` and, for an example, `Pointer`.
+
 `verlet` asks for it at predicted velocities, where springs are not strongly damped: drag is then of order 2, and stable while
 h c / m < 1.
 """
@@ -25,15 +28,21 @@ from typing import Any
 import taichi as ti
 
 from taichi_sim.fields import Fields
+from taichi_sim.forces.bending import Bending
+from taichi_sim.forces.cells import Cells
+from taichi_sim.forces.gas import Gases
 from taichi_sim.forces.springs import Springs
+from taichi_sim.forces.wind import Wind
 from taichi_sim.model import Model
+from taichi_sim.state import State
 
 __all__ = ["TotalForce"]
 
 
 @ti.data_oriented
 class TotalForce:
-    """Gravity, springs and the user's forces. What the scene lacks compiles to nothing."""
+    """Gravity, springs, the scene's elements (cells, bending, gas, wind) and the user's forces. What the scene lacks compiles to
+    nothing."""
 
     def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
         if not isinstance(extra, (list, tuple)):
@@ -50,18 +59,26 @@ class TotalForce:
             if not getattr(function, "_is_taichi_function", False):
                 raise ValueError(f"forces: {name}.accumulate is not a Taichi function; write @ti.func above it")
         self.model, self.n = model, model.n
-        self.springs, self.extra = springs, list(extra)
-        self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(extra)
+        elements = [kind(model, fields) for kind in _elements(model)]
+        self.springs, self.extra = springs, [*elements, *extra]
+        self.stores = [force for force in elements if force.elastic]  # energy, that the gauge counts
+        self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(self.extra)
         self.impulse = fields.vectors(model.n if self.has_impulse else 0, model.dim)  # N s, summed from old values
         self.damped = springs is not None and springs.damped
         if self.damped:
             self.jump = fields.vectors(model.n, model.dim)
 
+    def allocate(self, state: State, fields: Fields) -> None:
+        """Let the user's forces declare fields."""
+        for force in self.extra:
+            if hasattr(force, "allocate"):
+                force.allocate(self.model, state, fields)
+
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
         names = ["gravity"] if self.model.has_gravity else []
         names += self.springs.names() if self.springs is not None else []
-        return names + [f"force.{type(force).__name__}" for force in self.extra]
+        return names + [getattr(force, "name", f"force.{type(force).__name__}") for force in self.extra]
 
     @ti.func
     def change(self, i, h):
@@ -127,3 +144,15 @@ class TotalForce:
         if ti.static(self.has_springs):
             self.springs.total(ball, self.impulse, h)
         self._extra(ball, h, time)
+
+
+def _elements(model: Model) -> list[Any]:
+    """The kinds of force that the scene has besides gravity and springs."""
+    scene = model.scene
+    wanted = (
+        (Cells, len(scene.cells)),
+        (Bending, len(scene.bends)),
+        (Gases, len(scene.gases)),
+        (Wind, scene.wind is not None and len(scene.triangles)),
+    )
+    return [kind for kind, there in wanted if there]

@@ -10,7 +10,7 @@ __all__ = ["Output", "Summary", "export", "open_output"]
 
 
 ENDINGS = {".mp4": ("h264", "h265"), ".webm": ("vp9",)}  # of videos, and their codecs, the usual one first
-USE = "use x.mp4, x.webm, x.gif, x.npz or folder/ for PNG frames"
+USE = "use x.mp4, x.webm, x.gif, x.npz, x.ply, x.obj or folder/ for PNG frames"
 
 
 def open_output(
@@ -21,16 +21,20 @@ def open_output(
     resume: bool = False,
     codec: str | None = None,
 ) -> Output:
-    """The output for a name: x.mp4 or x.webm a video, x.gif an animation, x.npz arrays, a name without an ending PNG frames.
+    """The output for a name: x.mp4 or x.webm a video, x.gif an animation, x.npz arrays, x.ply or x.obj surfaces, a file for each
+    frame, a name without an ending PNG frames.
 
-    It is opened at once: ValueError for another ending, OSError where it cannot be written. overwrite and resume are
-    for a folder of frames that is not empty; a file is replaced when the new one is complete. codec: "h264" or "h265" for
+    It is opened at once: ValueError for another ending, OSError where it cannot be written. overwrite is for a folder of frames
+    that is not empty; a file is replaced when the new one is complete. resume goes on with a folder or a video that was cut off,
+    with the frames that are finished. codec: "h264" or "h265" for
     x.mp4, "vp9" for x.webm.
     """
     name = fspath(path)
     suffix = "" if name.endswith(("/", "\\")) or Path(name).is_dir() else Path(name).suffix.lower()
-    if resume and suffix:
-        raise ValueError(f"{name}: only a folder of PNG frames can be resumed")
+    if resume and suffix and suffix not in ENDINGS:
+        raise ValueError(f"{name}: only videos and folders of PNG frames can be resumed")
+    if resume and overwrite:
+        raise ValueError("overwrite and resume exclude each other; give one of them")
     codecs = ENDINGS.get(suffix, ())
     if codec is not None and codec not in codecs:
         allowed = ", ".join(f"{', '.join(known)} for x{ending}" for ending, known in ENDINGS.items())
@@ -38,7 +42,7 @@ def open_output(
     if codecs:
         from taichi_sim.outputs.video import Video
 
-        return Video(name, fps, codec=codec or codecs[0])
+        return Video(name, fps, codec=codec or codecs[0], resume=resume)
     if suffix == ".gif":
         from taichi_sim.outputs.gif import Gif
 
@@ -47,6 +51,10 @@ def open_output(
         from taichi_sim.outputs.arrays import Arrays
 
         return Arrays(name)
+    if suffix in (".ply", ".obj"):
+        from taichi_sim.outputs.geometry import Geometry
+
+        return Geometry(name)
     if suffix == "":
         from taichi_sim.outputs.png import PngFolder
 

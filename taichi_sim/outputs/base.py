@@ -17,18 +17,23 @@ from taichi_sim.frame import Frame
 
 __all__ = ["Image", "Output"]
 
-Image = NDArray[np.uint8]  # (height, width, 3) sRGB, row 0 at the top
+Image = NDArray[
+    np.uint8
+]  # (height, width, 3) sRGB, row 0 at the top; with alpha (height, width, 4), colours not multiplied by it
 
 
 class Output:
     """Takes frames in order of time. As a context manager it is finished on leaving the block.
 
     It is finished, too, when the simulation became unstable: the frames so far are kept. Any other exception, Ctrl-C
-    among them, discards it, and whatever lay under its name before is still there.
+    among them, discards it, and whatever lay under its name before is still there. What is `resumable` keeps its finished
+    frames for another run.
     """
 
     needs_image = True  # False: write is called with image None
     apart = False  # True: write may be called in a thread of its own, while the simulation goes on and `wants` is asked
+    alpha = False  # whether it takes pictures with alpha
+    resumable = False  # whether a run that was cut off can be gone on with
     frames = 0  # how many it holds so far; `export` counts
 
     def wants(self, index: int) -> bool:
@@ -43,7 +48,7 @@ class Output:
         """Complete the output: it now lies under its final name."""
 
     def discard(self) -> None:
-        """Give it up: no trace of it is left."""
+        """Give it up: no trace of it is left, but for what a resumable one keeps."""
 
     def __enter__(self) -> "Output":
         return self

@@ -24,6 +24,8 @@ class PngFolder(Output):
     """
 
     apart = True
+    alpha = True
+    resumable = True
 
     def __init__(self, path: str | PathLike[str], *, overwrite: bool = False, resume: bool = False) -> None:
         self.path = Path(path)

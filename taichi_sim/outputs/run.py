@@ -113,25 +113,36 @@ def export(
     """
     summary = Summary()
     clock = _Clock(summary)
+    style = style or {}
     with ExitStack() as stack:
         if output is not None:
             stack.enter_context(output)
+            if style.get("transparent") and output.needs_image and not output.alpha:
+                name = getattr(output, "path", "this output")
+                raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
             write = stack.enter_context(Behind(output)).write if output.apart else partial(_write, output)
         advance = stack.enter_context(_bar(max(1, round(fps * duration)))) if progress else _no_bar
         renderer: Any = None
+        frame: Frame | None = None
         for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
             clock.charge("simulating")
             frame.contacts = simulation.contacts()
             _observe(summary, frame)
-            if output is not None and output.wants(index):
+            if output is not None:
                 if output.needs_image and renderer is None:
-                    renderer = stack.enter_context(_renderer(frame, size, style or {}))
-                image = None if renderer is None else renderer.render(frame)
-                clock.charge("drawing")
-                write(index, frame, image)
-                clock.charge("writing")
+                    renderer = stack.enter_context(_renderer(frame, size, style))
+                if output.wants(index):
+                    image = None if renderer is None else renderer.render(frame)
+                    clock.charge("drawing")
+                    write(index, frame, image)
+                    clock.charge("writing")
+                elif renderer is not None:
+                    renderer.skip(frame)
+                    clock.charge("drawing")
             advance(frame.time)
         summary.duration = duration
+        if frame is not None and frame.energy is not None:
+            summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver = simulation.error(), simulation.solver()
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
     clock.charge("writing")
@@ -155,9 +166,8 @@ def _observe(summary: Summary, frame: Frame) -> None:
         summary.most_contacts = max(summary.most_contacts, now.number)
         for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
-    if frame.energy is not None:
-        summary.energy_end = tuple(frame.energy)
-        summary.energy_start = summary.energy_start or summary.energy_end
+    if summary.frames == 1 and frame.energy is not None:  # of the first and the last: it takes long
+        summary.energy_start = tuple(frame.energy)
 
 
 def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> Any:

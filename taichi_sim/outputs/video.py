@@ -1,7 +1,9 @@
 """MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
 from fractions import Fraction
+from itertools import islice
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +11,7 @@ import numpy as np
 from taichi_sim.files import PartFile
 from taichi_sim.frame import Frame
 from taichi_sim.outputs.base import Image, Output
+from taichi_sim.outputs.journal import Journal
 
 __all__ = ["CODECS", "Video"]
 
@@ -39,22 +42,39 @@ class Video(Output):
 
     Args:
         path: the final name. fps: frames per second of the video. codec: "h264", "h265" or "vp9"; crf: of the codec's own
-        scale, from 0 (best) on; 18 of H.264, 20 of H.265, 24 of VP9 look like the original.
+        scale, from 0 (best) on; 18 of H.264, 20 of H.265, 24 of VP9 look like the original. resume: go on where a run into the
+        same name was cut off; use it with the same scene and options.
     Frame k is shown at k / fps. Odd sizes grow by one repeated row or column, since yuv420p needs even ones.
     """
 
     apart = True
+    resumable = True
 
     def __init__(
-        self, path: str | PathLike[str], fps: float = 60.0, crf: int | None = None, codec: str = "h264"
+        self,
+        path: str | PathLike[str],
+        fps: float = 60.0,
+        crf: int | None = None,
+        codec: str = "h264",
+        resume: bool = False,
     ) -> None:
         self.codec = CODECS[codec]
         self.path = path
         self.rate = Fraction(fps).limit_denominator(100_000)
         self.crf = self.codec.crf if crf is None else crf
+        self._journal = Journal(Path(path), fps, resume)
         self._part = PartFile(path)
+        if resume:
+            self._part.sweep()
+        self._kept = self._journal.frames  # by an earlier run
         self._container: Any = None
         self._stream: Any = None
+
+    def wants(self, index: int) -> bool:
+        """Whether the frame is not kept already."""
+        if index < self._kept:
+            self.frames = index + 1
+        return index >= self._kept
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Encode one picture."""
@@ -63,16 +83,30 @@ class Video(Output):
         assert image is not None
         height, width = image.shape[:2]
         picture = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-        if self._container is None:
-            self._open(picture.shape[1], picture.shape[0])
         source = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-        encoded = source.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
-        encoded.pts = index
-        encoded.time_base = 1 / self.rate
-        self._container.mux(self._stream.encode(encoded))
+        converted = source.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        if self._container is None:
+            self._open(converted.width, converted.height)
+        converted.time_base = 1 / self.rate
+        converted.pts = index
+        self._journal.append(converted)
+        self._encode(converted, index)
+
+    def _encode(self, picture: Any, index: int) -> None:
+        picture.time_base = 1 / self.rate
+        picture.pts = index
+        self._container.mux(self._stream.encode(picture))
 
     def _open(self, width: int, height: int) -> None:
+        """Start the file with the pictures that were kept."""
         import av
+
+        kept = self._journal.size
+        if kept is not None and self._kept and kept != (width, height):
+            raise ValueError(
+                f"{self.path}: the frames kept of it are {kept[0]}x{kept[1]}, not {width}x{height}; resume with the same options,"
+                " or leave --resume out"
+            )
 
         codec = self.codec
         self._container = av.open(
@@ -91,16 +125,26 @@ class Video(Output):
         context.colorspace = context.color_primaries = context.color_trc = BT709
         context.color_range = LIMITED
         self._stream = stream
+        kept_and_asked_for = islice(self._journal.pictures(), self.frames) if self._kept else ()
+        for index, picture in enumerate(kept_and_asked_for):
+            fresh = av.VideoFrame.from_ndarray(picture.to_ndarray(), format="yuv420p")
+            fresh.colorspace, fresh.color_range = BT709, LIMITED
+            self._encode(fresh, index)
 
     def finish(self) -> None:
         """Write what the encoder still holds and the index."""
+        if self._container is None and self._kept and self._journal.size is not None:
+            self._open(*self._journal.size)
         if self._container is not None:
             self._container.mux(self._stream.encode())
             self._container.close()
             self._container = None
         self._part.finish()
+        self._journal.delete()
 
     def discard(self) -> None:
-        """Delete the unfinished file."""
+        """Delete the unfinished file; its frames stay beside it, for resume."""
         self._container = self._stream = None
         self._part.discard()
+        self._journal.close()
+        self.frames = self._journal.frames

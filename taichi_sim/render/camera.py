@@ -8,7 +8,18 @@ from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
 
-__all__ = ["Bounds", "Camera", "ground_planes", "near_boxes", "robust_bounds", "view_matrix"]
+__all__ = [
+    "AZIMUTH",
+    "ELEVATION",
+    "FOV",
+    "Bounds",
+    "Camera",
+    "Flat",
+    "ground_planes",
+    "near_boxes",
+    "robust_bounds",
+    "view_matrix",
+]
 
 Floats = NDArray[np.float64]
 SAMPLE = 20_000  # balls looked at: enough for a frame, quick for millions
@@ -39,14 +50,19 @@ class Camera:
 
     @classmethod
     def fit(
-        cls, frame: Frame, aspect: float = 16 / 9, azimuth: float = AZIMUTH, elevation: float = ELEVATION
+        cls,
+        frame: Frame,
+        aspect: float = 16 / 9,
+        azimuth: float = AZIMUTH,
+        elevation: float = ELEVATION,
+        fov: float = FOV,
     ) -> "Camera":
         """A camera that shows a 3D frame but far-flung balls, and the walls that are near. Angles in degrees."""
         points, radius = _content(frame)
         a, e = math.radians(azimuth), math.radians(elevation)
         back = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
         axes = cls(_triple(back), (0.0, 0.0, 0.0)).axes()
-        tall = math.tan(math.radians(FOV) / 2) / MARGIN
+        tall = math.tan(math.radians(fov) / 2) / MARGIN
         slopes = np.array([tall * aspect, tall])
         target = (points.min(axis=0) + points.max(axis=0)) / 2
         distance = 1.0
@@ -58,7 +74,15 @@ class Camera:
             low = ((local[:, :2] - radius[:, None]) / depth).min(axis=0)
             high = ((local[:, :2] + radius[:, None]) / depth).max(axis=0)
             target = target + ((low + high) / 2 * distance * 0.7) @ axes[:2]
-        return cls(_triple(target + back * distance), _triple(target))
+        return cls(_triple(target + back * distance), _triple(target), fov=fov)
+
+
+@dataclass(frozen=True, slots=True)
+class Flat:
+    """A view of a 2D scene: low (m) the lower left corner of the picture, scale px per metre."""
+
+    low: tuple[float, float]
+    scale: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What of a frame is drawn: which balls as spheres or discs, which springs as rods, and in which colour."""
+"""What of a frame is drawn: which balls as spheres or discs, which springs as rods, which surfaces, and in which colour."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from taichi_sim.colliders import Collider
 from taichi_sim.frame import Frame
+from taichi_sim.render.binding import Binding
 from taichi_sim.render.bodies import Bodies
 from taichi_sim.render.palette import body_colours
+from taichi_sim.skins import Skin
 
 __all__ = ["Content"]
 
@@ -17,8 +19,9 @@ __all__ = ["Content"]
 class Content:
     """The unchanging part of a frame, ready to draw.
 
-    radius (n,) m, 0 for balls on triangles; colour (n, 3) sRGB; rods: indices of the springs drawn; rod_ends (k, 2);
-    rod_radius (k,) m; rod_stick (k,); triangles of balls (t, 3); bodies: colliders, in 3D.
+    radius (n,) m, 0 for balls on triangles; rods: indices of the springs drawn; rod_ends (k, 2); rod_radius (k,) m;
+    rod_stick (k,). Vertices are the n balls and, after them, those of skins and of finer surfaces, which `binding` holds to
+    the balls; colour (n + s, 3) sRGB and triangles (t, 3) are theirs. bodies: colliders, in 3D.
     """
 
     source: tuple[NDArray, ...]
@@ -29,35 +32,45 @@ class Content:
     rod_radius: NDArray[np.float64]
     rod_stick: NDArray[np.bool_]
     triangles: NDArray[np.int32]
+    binding: Binding
     bodies: Bodies | None
     colliders: tuple[Collider, ...]
+    skins: tuple[Skin, ...]
 
     @classmethod
-    def of(cls, frame: Frame, size: float) -> "Content":
-        """size: of the scene in metres, for rods between balls without a radius."""
+    def of(cls, frame: Frame, size: float, subdivide: int = 0) -> "Content":
+        """size: of the scene in metres, for rods between balls without a radius. subdivide: surfaces so many times."""
         n = len(frame.position)
-        skin = np.zeros(n, dtype=bool)
-        skin[frame.triangles.ravel()] = True
+        covered = np.zeros(n, dtype=bool)
+        for one in frame.skins:
+            covered |= one.covered(n)
+        own = frame.triangles.reshape(-1, 3)
+        triangles, binding = Binding.finer(frame.skins, own[~covered[own].all(axis=1)], n, subdivide)
+        skin = covered.copy()
+        skin[own.ravel()] = True
         springs = frame.springs.reshape(-1, 2)
         rods = np.flatnonzero(~(skin[springs[:, 0]] | skin[springs[:, 1]]))  # inner ones would poke through
         ends = np.ascontiguousarray(springs[rods], dtype=np.int32)
+        colour = body_colours(frame)
         stick = frame.sticks[rods] if len(frame.sticks) == len(springs) else np.zeros(len(rods), dtype=bool)
         return cls(
             source=_source(frame),
             radius=np.where(skin, 0.0, frame.radius),
-            colour=body_colours(frame),
+            colour=np.concatenate([colour, binding.colours(colour)]),
             rods=rods,
             rod_ends=ends,
             rod_radius=_rod_radius(frame, ends, stick, size),
             rod_stick=stick,
             bodies=Bodies.of(frame) if frame.dim == 3 else None,
             colliders=_colliders(frame),
-            triangles=np.ascontiguousarray(frame.triangles.reshape(-1, 3), dtype=np.int32),
+            skins=frame.skins,
+            triangles=np.ascontiguousarray(triangles, dtype=np.int32),
+            binding=binding,
         )
 
     def matches(self, frame: Frame) -> bool:
         """Whether a frame has what this was made from; frames of one simulation share the very arrays."""
-        if self.colliders != _colliders(frame):
+        if self.colliders != _colliders(frame) or self.skins != frame.skins:
             return False
         return all(a is b or np.array_equal(a, b, equal_nan=True) for a, b in zip(self.source, _source(frame)))
 

@@ -7,11 +7,11 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
-from taichi_sim.kernels import raster, resolve, shade
+from taichi_sim.kernels import follow, raster, resolve, shade
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
-__all__ = ["Buffers", "Canvas"]
+__all__ = ["Buffers", "Canvas", "finished", "padded"]
 
 SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 
@@ -19,13 +19,15 @@ SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 class Buffers:
     """Balls, rods and triangles in scene units. `has_*`: what there is of; kernels compile only for that.
 
-    The vertices of colliders follow the balls, as balls without a radius; their triangles follow those of the balls.
+    After the balls come the vertices of skins and those of colliders, as balls without a radius; the triangles of colliders
+    follow all others.
     """
 
     def __init__(self, content: Content) -> None:
-        n, m, t = self.capacity = _sizes(content)
+        self.capacity = _sizes(content)
+        n, m, t = self.capacity[:3]
         self.has_spheres = bool(np.any(content.radius > 0))
-        self.has_rods, self.has_triangles = m > 0, t > 0
+        self.has_rods, self.has_triangles, self.has_skins = m > 0, t > 0, len(content.binding) > 0
         builder = ti.FieldsBuilder()
         self.ball = _place(builder, ti.Vector.field(4, ti.f32), n)
         self.colour = _place(builder, ti.Vector.field(3, ti.f32), n)
@@ -38,23 +40,29 @@ class Buffers:
             self.incident = _place(builder, ti.field(ti.i32), 3 * t)
             self.start = _place(builder, ti.field(ti.i32), n + 1)
             self.normal = _place(builder, ti.Vector.field(3, ti.f32), n)
+        if self.has_skins:
+            self.bound_start = _place(builder, ti.field(ti.i32), len(content.binding) + 1)
+            self.bound_entry = _place(builder, ti.field(ti.i32), len(content.binding.entry))
+            self.bound_weight = _place(builder, ti.field(ti.f32), len(content.binding.entry))
         self._tree = builder.finalize()
         self.ball.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
         self._upload = np.zeros((max(n, 1), 4), dtype=np.float32)
         self.vertices, self.rods, self.triangles = n, m, t
-        self.balls = len(content.radius)
+        self.balls, self.bound = len(content.radius), len(content.binding)
         self.squares = 0.0  # sum of squared radii
         self._radius = np.zeros(self.balls, dtype=np.float32)
 
     def holds(self, content: Content) -> bool:
         """Whether this content fits and draws the same kinds of things."""
-        n, m, t = _sizes(content)
-        kinds = (bool(np.any(content.radius > 0)), m > 0, t > 0)
-        return self.capacity == (n, m, t) and kinds == (self.has_spheres, self.has_rods, self.has_triangles)
+        sizes = _sizes(content)
+        fits = all(0 < now <= room or now == room for now, room in zip(sizes[1:3], self.capacity[1:3]))
+        same = (sizes[0], *sizes[3:]) == (self.capacity[0], *self.capacity[3:])
+        return fits and same and self.has_spheres == bool(np.any(content.radius > 0))
 
     def load(self, content: Content, colour: NDArray, unit: float) -> None:
         """Take over what does not change from frame to frame; colour linear."""
         n = self.vertices
+        _, self.rods, self.triangles = _sizes(content)[:3]  # fewer than there is room for, where springs tore
         self.bodies = content.bodies
         if n == 0:
             return
@@ -64,37 +72,51 @@ class Buffers:
         self._radius = (content.radius / unit).astype(np.float32)
         self.squares = float(np.square(self._radius, dtype=np.float64).sum())
         if self.has_rods:
-            self.rod.from_numpy(content.rod_ends)
-            self.rod_radius.from_numpy((content.rod_radius / unit).astype(np.float32))
+            self.rod.from_numpy(padded(content.rod_ends, self.capacity[1]))
+            self.rod_radius.from_numpy(padded((content.rod_radius / unit).astype(np.float32), self.capacity[1]))
         if self.has_triangles:
             self._corners = content.triangles
             if self.bodies is not None:
-                self._corners = np.concatenate([content.triangles, self.bodies.triangles + self.balls]).astype(np.int32)
+                first = self.balls + self.bound
+                self._corners = np.concatenate([content.triangles, self.bodies.triangles + first]).astype(np.int32)
             corners = self._corners.ravel()
             order = np.argsort(corners, kind="stable")
             start = np.zeros(n + 1, dtype=np.int32)
             start[1:] = np.cumsum(np.bincount(corners, minlength=n))
-            self.corner.from_numpy(self._corners)
-            self.incident.from_numpy((order // 3).astype(np.int32))
+            self.corner.from_numpy(padded(self._corners, self.capacity[2]))
+            self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * self.capacity[2]))
             self.start.from_numpy(start)
+        if self.has_skins:
+            self.bound_start.from_numpy(content.binding.start)
+            self.bound_entry.from_numpy(content.binding.entry)
+            self.bound_weight.from_numpy(content.binding.weight.astype(np.float32))
 
     def move(self, frame: Frame, origin: NDArray, unit: float, strain: NDArray | None, eye: NDArray) -> None:
         """Take over positions (m) and strains; eye (m)."""
         if self.vertices == 0:
             return
-        n = self.balls
-        np.subtract(frame.position, origin, out=self._upload[:n, :3], casting="same_kind")
+        n = self.balls + self.bound
+        np.subtract(frame.position, origin, out=self._upload[: self.balls, :3], casting="same_kind")
         if self.bodies is not None and len(self.bodies.vertices):
             placed = self.bodies.place(frame)
             self._upload[n : self.vertices, :3] = placed - origin
             if self.bodies.hollow.any():
                 self._corners[len(self._corners) - len(self.bodies.triangles) :] = self.bodies.seen(placed, eye) + n
-                self.corner.from_numpy(self._corners)
+                self.corner.from_numpy(padded(self._corners, self.capacity[2]))
         self._upload[:, :3] *= 1.0 / unit
         self._upload[: self.balls, 3] = self._radius
-        self.ball.from_numpy(self._upload)
+        self._send()
         if self.has_rods and strain is not None:
-            self.rod_strain.from_numpy(strain.astype(np.float32))
+            self.rod_strain.from_numpy(padded(strain.astype(np.float32), self.capacity[1]))
+
+    def paint(self, values: NDArray, table: NDArray[np.float32]) -> None:
+        """Colour balls and the surfaces on them by values (n,) from 0 to 1 along a table of linear colours (k, 3)."""
+        value = np.zeros(max(self.balls, 1), dtype=np.float32)
+        value[: self.balls] = values
+        follow.paint_balls(value, table, self.colour, self.balls)
+        if self.has_skins:
+            start, entry, weight = self.bound_start, self.bound_entry, self.bound_weight
+            follow.paint_bound(value, table, self.colour, start, entry, weight, self.balls, self.bound)
 
     def thin_out(self, view: NDArray, area: float) -> None:
         """Leave out the farthest spheres of a view beyond a total area (px) of all discs: buried layers deep."""
@@ -104,7 +126,13 @@ class Buffers:
         order = np.argsort(depth - points[:, 3], kind="stable")
         covered = np.minimum(np.pi * (points[order, 3] * scale[order]) ** 2, 4 * view[3, 1] * view[3, 2])
         points[order[np.cumsum(covered) > area], 3] = 0.0
+        self._send()
+
+    def _send(self) -> None:
+        """Balls to the device, and the vertices of skins after them."""
         self.ball.from_numpy(self._upload)
+        if self.has_skins:
+            follow.bind(self.ball, self.bound_start, self.bound_entry, self.bound_weight, self.balls, self.bound)
 
     def find_normals(self) -> None:
         raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.vertices)
@@ -113,11 +141,12 @@ class Buffers:
         self._tree.destroy()
 
 
-def _sizes(content: Content) -> tuple[int, int, int]:
-    """Vertices (balls and those of colliders), rods and triangles."""
-    bodies = content.bodies
+def _sizes(content: Content) -> tuple[int, ...]:
+    """Vertices (balls, those of skins and of colliders), rods, triangles; balls, and entries of skins."""
+    bodies, binding = content.bodies, content.binding
     more = (0, 0) if bodies is None else (len(bodies.vertices), len(bodies.triangles))
-    return len(content.radius) + more[0], len(content.rods), len(content.triangles) + more[1]
+    n = len(content.radius)
+    return n + len(binding) + more[0], len(content.rods), len(content.triangles) + more[1], n, len(binding.entry)
 
 
 class _Scene:
@@ -129,12 +158,15 @@ class _Scene:
         self.has_shadow, self.has_occlusion = canvas.shadow is not None, canvas.openness is not None
         self.shadow, self.coarse = canvas.shadow, canvas.coarse
         self.openness, self.open_raw = canvas.openness, canvas.open_raw
+        self.transparent, self.alpha = canvas.alpha is not None, canvas.alpha
 
 
 class Canvas:
     """Keys of the picture and of the shadow map, colours, and the sky that each pixel sees."""
 
-    def __init__(self, size: tuple[int, int], samples: int, shadow: bool, occlusion: bool) -> None:
+    def __init__(
+        self, size: tuple[int, int], samples: int, shadow: bool, occlusion: bool, transparent: bool = False
+    ) -> None:
         pixels = size[0] * size[1]
         self.samples, self.shadow_side = samples, SHADOW_SIDE[samples]
         builder = ti.FieldsBuilder()
@@ -146,6 +178,7 @@ class Canvas:
         self.coarse: Any = _place(builder, ti.field(ti.f32), cells) if shadow else None
         self.openness: Any = _place(builder, ti.field(ti.f32), pixels) if occlusion else None
         self.open_raw: Any = _place(builder, ti.field(ti.f32), pixels) if occlusion else None
+        self.alpha: Any = _place(builder, ti.field(ti.f32), pixels) if transparent else None
         self._tree = builder.finalize()
         self.image.fill(0.0)  # see Buffers
         self._out = np.zeros(pixels, dtype=np.int32)
@@ -158,12 +191,26 @@ class Canvas:
         return self._scene[1]
 
     def finish(self, width: int, height: int) -> NDArray[np.uint8]:
-        resolve.finish(self.image, self.samples == 1, width, height, self._out)
-        return np.ascontiguousarray(self._out.view(np.uint8).reshape(height, width, 4)[:, :, :3])
+        return finished(self.image, self.alpha, self.samples == 1, width, height, self._out)
 
     def close(self) -> None:
         self._tree.destroy()
         self._scene = None
+
+
+def finished(image: Any, alpha: Any, edges: bool, width: int, height: int, out: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """The picture (height, width, 3) from linear colours, or with alpha (height, width, 4); out: (pixels,) to work in."""
+    transparent = alpha is not None
+    resolve.finish(image, alpha if transparent else image, transparent, edges, width, height, out)
+    shown = out[: width * height].view(np.uint8).reshape(height, width, 4)
+    return np.ascontiguousarray(shown[:, :, : 4 if transparent else 3])
+
+
+def padded(values: NDArray, rows: int) -> NDArray:
+    """The values and zeros after them, so many rows in all."""
+    if len(values) == rows:
+        return values
+    return np.concatenate([values, np.zeros((rows - len(values), *values.shape[1:]), dtype=values.dtype)])
 
 
 def _place(builder: Any, field: Any, count: int) -> Any:

@@ -1,13 +1,16 @@
 """Renderer: frames to pictures, without OpenGL, window or display."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim import backend
+from taichi_sim.camera_path import CameraPath
 from taichi_sim.frame import Frame
 from taichi_sim.render.camera import Camera
+from taichi_sim.render.colouring import Colouring
 
 __all__ = ["Renderer"]
 
@@ -16,8 +19,12 @@ class Renderer:
     """Draws the frames of one scene.
 
     Args: the first frame (it places the camera); size (width, height) px; background None (the renderer's own), one
-    sRGB colour in 0..1 or a pair (top, bottom); ambient_occlusion, shadow and camera for 3D only. Raises ValueError for
-    a bad argument. `render` returns uint8 (height, width, 3), row 0 at the top, sRGB.
+    sRGB colour in 0..1 or a pair (top, bottom); ambient_occlusion and shadow for 3D only; camera: a CameraPath or its keys,
+    or, in 3D, a fixed Camera; None: one that shows all; transparent: neither
+    background nor ground, and alpha; colour: "object", or "strain" or "speed" of balls and surfaces on a scale from the first
+    to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly. Raises
+    ValueError for a bad argument. `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which
+    colours are not multiplied; row 0 at the top, sRGB.
     """
 
     def __init__(
@@ -27,28 +34,50 @@ class Renderer:
         background: Any = None,
         ambient_occlusion: bool = False,
         shadow: bool = True,
-        camera: Camera | None = None,
+        camera: Camera | CameraPath | Mapping[str, Any] | None = None,
+        transparent: bool = False,
+        colour: str = "object",
+        colour_range: tuple[float, float] | None = None,
+        subdivide: int = 0,
     ) -> None:
         width, height = (int(a) for a in size)
         if width < 1 or height < 1:
             raise ValueError(f"size: {size} is not allowed; width and height must be at least 1")
+        if subdivide not in (0, 1, 2):
+            raise ValueError(f"subdivide: {subdivide!r} is not allowed; it must be 0, 1 or 2")
+        look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
         backend.start()
         self.size = (width, height)
         self._painter: Any
         if frame.dim == 3:
             from taichi_sim.render.renderer3d import Renderer3D
 
-            self._painter = Renderer3D(frame, self.size, background, ambient_occlusion, shadow, camera)
+            self._painter = Renderer3D(frame, self.size, background, ambient_occlusion, shadow, camera, *look)
         else:
             from taichi_sim.render.renderer2d import Renderer2D
 
-            self._painter = Renderer2D(frame, self.size, background)
+            self._painter = Renderer2D(frame, self.size, background, *look, camera)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame of the same scene."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame of the same scene. In 3D it may be `coarse` times less wide and high, and so much quicker."""
         if self._painter is None:
             raise RuntimeError("this renderer is closed")
-        return self._painter.render(frame)
+        return self._painter.render(frame, coarse)
+
+    @property
+    def camera(self) -> Any:
+        """Where pictures are seen from: a Camera in 3D, a Flat in 2D. Once replaced, it stays, whatever a CameraPath says."""
+        return self._painter.camera
+
+    @camera.setter
+    def camera(self, camera: Any) -> None:
+        self._painter.look(camera)
+
+    def skip(self, frame: Frame) -> None:
+        """Take note of a frame that is not drawn, for later ones to look as if it had been."""
+        if self._painter is None:
+            raise RuntimeError("this renderer is closed")
+        self._painter.skip(frame)
 
     def close(self) -> None:
         """Free its memory. Calling it twice does no harm."""

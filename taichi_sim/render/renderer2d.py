@@ -1,17 +1,22 @@
 """Pictures of 2D frames: discs, rods, triangles and walls with analytic edges."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
+from taichi_sim.camera_path import CameraPath
 from taichi_sim.frame import Frame
-from taichi_sim.kernels import paint2d, resolve
-from taichi_sim.render.camera import Bounds, near_boxes, robust_bounds
+from taichi_sim.kernels import paint2d
+from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
+from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
+from taichi_sim.render.fields import finished, padded
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
+from taichi_sim.render.tracker import Follower
 
 __all__ = ["Renderer2D"]
 
@@ -25,11 +30,23 @@ THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 
 
 class Renderer2D:
-    """See `Renderer`. The view is placed by the first frame and stays."""
+    """See `Renderer`. The view is placed by the first frame and stays, but for what a CameraPath says."""
 
-    def __init__(self, frame: Frame, size: tuple[int, int], background: Any = None) -> None:
+    def __init__(
+        self,
+        frame: Frame,
+        size: tuple[int, int],
+        background: Any = None,
+        transparent: bool = False,
+        colouring: Colouring | None = None,
+        subdivide: int = 0,
+        camera: Any = None,
+    ) -> None:
         self.size = size
-        self._low, self._scale, self._extent = _view(frame, size)
+        self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
+        low, scale, self._extent = _view(frame, size)
+        self.camera = Flat((float(low[0]), float(low[1])), scale)
+        self._follower = self._place(frame, camera)
         self._top, bottom = background_colours(background, TOP, BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
         wall, hatch, edge = (
@@ -44,17 +61,18 @@ class Renderer2D:
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top; quick enough never to be coarse."""
         self._prepare(frame)
+        self.skip(frame)
         width, height = self.size
         shape, low, high = self._shapes(frame)
         tile = 8 if len(shape) > CROWD else 16
         entry, start = tile_lists(low, high, self.size, tile)
         if len(shape):
-            self._shape.from_numpy(shape)
-            self._colour.from_numpy(self._colours(frame))
-        walls = self._walls(frame)
+            self._shape.from_numpy(padded(shape, self._capacity[0]))
+            self._colour.from_numpy(padded(self._colours(frame), self._capacity[0]))
+        walls = self._walls(frame)[: 0 if self._transparent else None]
         if len(walls):
             self._wall.from_numpy(walls)
         if frame.colliders:
@@ -67,6 +85,8 @@ class Renderer2D:
             self._body,
             self._tint,
             self._image,
+            self._alpha,
+            self._transparent,
             entry,
             start,
             self._look,
@@ -76,8 +96,31 @@ class Renderer2D:
             width,
             height,
         )
-        resolve.finish(self._image, False, width, height, self._out)
-        return np.ascontiguousarray(self._out.view(np.uint8).reshape(height, width, 4)[:, :, :3])
+        return finished(self._image, self._alpha if self._transparent else None, False, width, height, self._out)
+
+    def skip(self, frame: Frame) -> None:
+        """Take note of a frame that is not drawn."""
+        if self._follower is not None:
+            low = self._begin + self._follower.at(frame) - self._follower.begin
+            self.camera = Flat((float(low[0]), float(low[1])), self.camera.scale)
+
+    def look(self, camera: Flat) -> None:
+        """Look there from now on, whatever a CameraPath says."""
+        self.camera, self._follower = camera, None
+
+    def _place(self, frame: Frame, camera: Any) -> Follower | None:
+        """Move the view to where a CameraPath, or the keys of one, wants it."""
+        path = CameraPath.of(camera, 2, len(frame.position)) if isinstance(camera, Mapping) else camera
+        if path is None:
+            return None
+        follower = None if path.follow is None else Follower(path.follow, frame)
+        half = np.array(self.size) / 2
+        middle = self.camera.low + half / self.camera.scale if follower is None else follower.begin
+        middle = middle if path.centre is None else np.array(path.centre)
+        scale = self.camera.scale if path.width is None else self.size[0] / path.width
+        self._begin = middle - half / scale
+        self.camera = Flat((float(self._begin[0]), float(self._begin[1])), scale)
+        return follower
 
     def close(self) -> None:
         """Free the fields."""
@@ -90,17 +133,17 @@ class Renderer2D:
         fixed = (len(frame.walls) if frame.walls.size else 0, len(frame.colliders))
         if self._content is not None and self._content.matches(frame) and fixed == self._capacity[1:]:
             return
-        content = Content.of(frame, self._extent)
+        content = Content.of(frame, self._extent, self._subdivide)
         self._content = content
         self._discs = np.flatnonzero(content.radius > 0)
         self._rods = np.argsort(content.rod_stick, kind="stable")  # springs below sticks
         self._outline = _outline(content.triangles)
         counts = (len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
-        if self._capacity != (sum(counts), *fixed):
+        if self._capacity[0] < sum(counts) or self._capacity[1:] != fixed:  # springs that tear leave room
             self._allocate(sum(counts), *fixed)
         kind = np.repeat([paint2d.TRIANGLE, paint2d.ROD, paint2d.ROD, paint2d.DISC], counts).astype(np.int32)
         if len(kind):
-            self._kind.from_numpy(kind)
+            self._kind.from_numpy(padded(kind, self._capacity[0]))
         if frame.colliders:
             tints = [p.collider.colour for p in frame.colliders]
             linear = [np.full(3, -1.0) if tint is None else to_linear(np.array(tint)) for tint in tints]
@@ -120,7 +163,10 @@ class Renderer2D:
         self._body, self._tint = ti.Vector.field(8, ti.f32), ti.Vector.field(3, ti.f32)
         builder.dense(ti.i, max(bodies, 1)).place(self._body)
         builder.dense(ti.i, max(bodies, 1)).place(self._tint)
-        builder.dense(ti.i, self.size[0] * self.size[1]).place(self._image)
+        self._alpha = ti.field(ti.f32)  # of a transparent picture
+        pixels = self.size[0] * self.size[1]
+        builder.dense(ti.i, pixels).place(self._image)
+        builder.dense(ti.i, pixels if self._transparent else 1).place(self._alpha)
         self._tree = builder.finalize()
         self._wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
         self._capacity = (shapes, walls, bodies)
@@ -129,10 +175,13 @@ class Renderer2D:
         """Shapes in drawing order, and the corners of their boxes, px."""
         content = self._content
         assert content is not None
-        p = (frame.position - self._low) * self._scale
+        n = len(frame.position)
+        p = (
+            np.concatenate([frame.position, content.binding.apply(frame.position)]) - self.camera.low
+        ) * self.camera.scale
         p[:, 1] = self.size[1] - p[:, 1]
-        t, o, m, n = len(content.triangles), len(self._outline), len(self._rods), len(self._discs)
-        shape = np.zeros((t + o + m + n, 8), dtype=np.float32)
+        t, o, m = len(content.triangles), len(self._outline), len(self._rods)
+        shape = np.zeros((t + o + m + len(self._discs), 8), dtype=np.float32)
         low, high = np.zeros((len(shape), 2)), np.zeros((len(shape), 2))
         corners = p[content.triangles]
         shape[:t, :6] = corners.reshape(t, 6)
@@ -140,7 +189,7 @@ class Renderer2D:
         ends = np.concatenate([self._outline, content.rod_ends[self._rods]])
         stick = content.rod_stick[self._rods]
         thinnest = np.where(stick, THINNEST["stick"], THINNEST["spring"])
-        thick = np.maximum(content.rod_radius[self._rods] * self._scale, thinnest)
+        thick = np.maximum(content.rod_radius[self._rods] * self.camera.scale, thinnest)
         thick = np.concatenate([np.full(o, THINNEST["outline"]), thick])[:, None]
         rods = slice(t, t + o + m)
         a, b = p[ends[:, 0]], p[ends[:, 1]]
@@ -148,10 +197,10 @@ class Renderer2D:
         shape[t : t + o, 5] = 1.0  # blunt
         low[rods], high[rods] = np.minimum(a, b) - thick - 1, np.maximum(a, b) + thick + 1
         discs = slice(t + o + m, None)
-        r = np.maximum(content.radius[self._discs] * self._scale, THINNEST["disc"])[:, None]
+        r = np.maximum(content.radius[self._discs] * self.camera.scale, THINNEST["disc"])[:, None]
         centre = p[self._discs]
         shape[discs, :2], shape[discs, 2:3] = centre, r
-        if len(frame.pinned) == len(p):
+        if len(frame.pinned) == n:
             shape[discs, 3] = frame.pinned[self._discs]
         low[discs], high[discs] = centre - r - 1, centre + r + 1
         return shape, low, high
@@ -177,6 +226,14 @@ class Renderer2D:
             first = len(content.triangles) + len(self._outline)
             share = np.abs(strain)
             self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL)) * (1 - share) + ends * share
+        if self._colouring is not None:
+            value = self._colouring.values(frame)[:, None]
+            value = np.concatenate([value, content.binding.apply(value)])[:, 0]
+            table = Colouring.table()
+            along = np.rint(np.clip(value, 0.0, 1.0) * (len(table) - 1)).astype(int)
+            t = len(content.triangles)
+            self._base[:t] = table[along[content.triangles]].mean(axis=1)
+            self._base[len(self._base) - len(self._discs) :] = table[along[self._discs]]
         return self._base
 
     def _bodies(self, frame: Frame) -> NDArray[np.float32]:
@@ -184,9 +241,9 @@ class Renderer2D:
         rows = np.zeros((len(frame.colliders), 8), dtype=np.float32)
         for row, placed in zip(rows, frame.colliders):
             shape, along = placed.collider, placed.rotation[:, 0]
-            x, y = (placed.centre - self._low) * self._scale
+            x, y = (placed.centre - self.camera.low) * self.camera.scale
             row[:4] = x, self.size[1] - y, along[0], -along[1]
-            row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self._scale
+            row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self.camera.scale
         return rows
 
     def _walls(self, frame: Frame) -> NDArray[np.float32]:
@@ -194,7 +251,7 @@ class Renderer2D:
         if frame.walls.size == 0:
             return np.zeros((0, 3), dtype=np.float32)
         normal, offset = frame.walls[:, :2], frame.walls[:, 2]
-        constant = (normal @ self._low - offset) * self._scale + normal[:, 1] * self.size[1]
+        constant = (normal @ self.camera.low - offset) * self.camera.scale + normal[:, 1] * self.size[1]
         return np.column_stack([normal[:, 0], -normal[:, 1], constant]).astype(np.float32)
 
 

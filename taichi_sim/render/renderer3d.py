@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import raster, resolve, shade
 from taichi_sim.render.camera import Bounds, Camera, ground_planes, near_boxes, robust_bounds, view_matrix
+from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import Buffers, Canvas
 from taichi_sim.render.palette import background_colours, to_linear
+from taichi_sim.render.tracker import Tracker
 
 __all__ = ["Renderer3D"]
 
@@ -34,31 +36,42 @@ class Renderer3D:
         background: Any = None,
         ambient_occlusion: bool = False,
         shadow: bool = True,
-        camera: Camera | None = None,
+        camera: Any = None,
+        transparent: bool = False,
+        colouring: Colouring | None = None,
+        subdivide: int = 0,
     ) -> None:
         self.size = size
-        self.camera = camera or Camera.fit(frame, size[0] / size[1])
+        self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
+        self._table = Colouring.table()
+        self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
+        self.camera = self._tracker.first
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
         self._zenith, self._horizon = background_colours(background, ZENITH, HORIZON)
-        self._lamp = _lamp(self.camera)
+        self._lamp, self._fill = _lamp(self.camera), _fill(self.camera)  # they stay when the camera moves
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Content | None = None
         self._buffers: Buffers | None = None
         self._canvas: Canvas | None = None
         self._prepare(frame)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3), sRGB, row 0 at the top."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top."""
         self._prepare(frame)
+        self._aim(frame)
         assert self._content is not None
         assert self._buffers is not None
         assert self._canvas is not None
-        strain = frame.strain[self._content.rods] if len(frame.strain) == len(frame.springs) else None
+        rods, strain = self._content.rods, None
+        if len(rods) and len(frame.strain) == len(frame.springs):
+            strain = frame.strain[rods]
         self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
-        width, height = self.size
-        view = self._view()
+        if self._colouring is not None:
+            self._buffers.paint(self._colouring.values(frame), self._table)
+        width, height = (max(1, side // coarse) for side in self.size)
+        view = self._view(width, height)
         self._spare(view)
         planes = ground_planes(frame)
         planes[:, 3] = (planes[:, 3] - planes[:, :3] @ self._origin) / self._unit
@@ -70,7 +83,8 @@ class Renderer3D:
             self._buffers.find_normals()
         light = self._cast_shadows(frame) if self._shadow else view
         keys = self._canvas.keys
-        raster.clear(keys, self._canvas.samples, _on_screen(planes, self.camera.axes(), eye, view), len(planes), width)
+        seen = _on_screen(planes, self.camera.axes(), eye, view)
+        raster.clear(keys, self._canvas.samples, seen, len(planes), width, height)
         self._draw(keys, self._canvas.samples, view, width, height, True)
         scene = self._canvas.scene(self._buffers)
         if self._ambient_occlusion:
@@ -85,8 +99,22 @@ class Renderer3D:
             _vec(eye),
             self._look_matrix(),
             width,
+            height,
         )
         return self._canvas.finish(width, height)
+
+    def skip(self, frame: Frame) -> None:
+        """Take note of a frame that is not drawn."""
+        self._aim(frame)
+        self._widen(frame)
+
+    def look(self, camera: Camera) -> None:
+        """Look from there from now on, whatever a CameraPath says."""
+        self.camera, self._tracker = camera, None
+
+    def _aim(self, frame: Frame) -> None:
+        if self._tracker is not None:
+            self.camera = self._tracker.at(frame)
 
     def close(self) -> None:
         """Free the fields."""
@@ -99,7 +127,7 @@ class Renderer3D:
         """Take over what changed beyond positions; allocate again where a frame has more of anything."""
         if self._content is not None and self._content.matches(frame):
             return
-        content = Content.of(frame, self._unit)
+        content = Content.of(frame, self._unit, self._subdivide)
         self._content = content
         if self._buffers is None or not self._buffers.holds(content):
             if self._buffers is not None:
@@ -107,8 +135,8 @@ class Renderer3D:
             self._buffers = Buffers(content)
         if self._canvas is None:
             drawn = int(np.count_nonzero(content.radius)) + len(content.rods)
-            samples = 1 if drawn > MANY else 4
-            self._canvas = Canvas(self.size, samples, self._shadow, self._ambient_occlusion)
+            samples = 1 if drawn > MANY and not self._transparent else 4
+            self._canvas = Canvas(self.size, samples, self._shadow, self._ambient_occlusion, self._transparent)
         colour = to_linear(content.colour)
         if len(frame.pinned) == len(colour) and not len(frame.triangles):
             colour = np.where(frame.pinned[:, None] & (frame.colour.size == 0), to_linear(np.array(PINNED)), colour)
@@ -117,12 +145,11 @@ class Renderer3D:
     def _look_matrix(self) -> Any:
         """Rows: lamp and the spacing of the grid, fill, zenith, horizon."""
         look = np.zeros((4, 4))
-        look[:, :3] = self._lamp, _fill(self.camera), self._zenith, self._horizon
+        look[:, :3] = self._lamp, self._fill, self._zenith, self._horizon
         look[0, 3] = self._spacing / self._unit
         return _mat(look)
 
-    def _view(self) -> NDArray[np.float32]:
-        width, height = self.size
+    def _view(self, width: int, height: int) -> NDArray[np.float32]:
         eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
         focal = height / 2 / math.tan(math.radians(self.camera.fov) / 2)
         return view_matrix(self.camera.axes(), eye, focal, (width / 2, height / 2))
@@ -155,15 +182,9 @@ class Renderer3D:
         return Bounds(points.min(axis=0), points.max(axis=0))
 
     def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:
-        """Draw the shadow map; return its view. It covers the scene's bounds, which grow in steps as balls spread."""
+        """Draw the shadow map; return its view, which covers the bounds."""
         assert self._canvas is not None
-        now = self._extent(frame)
-        low, high = np.minimum(now.low, self._bounds.low), np.maximum(now.high, self._bounds.high)
-        grown = Bounds(low, high)
-        if grown.size > 1.02 * self._bounds.size:
-            pad = 0.15 * grown.size
-            self._bounds = Bounds(low - pad, high + pad)
-        bounds = self._bounds
+        bounds = self._widen(frame)
         axes = Camera(eye=tuple(self._lamp), target=(0.0, 0.0, 0.0)).axes()
         side = self._canvas.shadow_side
         radius = 0.53 * bounds.size / self._unit
@@ -175,6 +196,16 @@ class Renderer3D:
         self._draw(keys, 1, light, side, side, False)
         shade.coarsen(keys, self._canvas.cell, self._canvas.coarse, side)
         return light
+
+    def _widen(self, frame: Frame) -> Bounds:
+        """The scene's bounds, which grow in steps as balls spread."""
+        now = self._extent(frame)
+        low, high = np.minimum(now.low, self._bounds.low), np.maximum(now.high, self._bounds.high)
+        grown = Bounds(low, high)
+        if grown.size > 1.02 * self._bounds.size:
+            pad = 0.15 * grown.size
+            self._bounds = Bounds(low - pad, high + pad)
+        return self._bounds
 
 
 def _mat(matrix: NDArray) -> Any:

@@ -44,7 +44,7 @@ def read(
         raise SceneError(f"{file}: makes its own simulation(); methods and steps can be compared for a scene() only")
     if not scene.n_balls:
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
-    checked_output(scene.output)
+    checked_output(scene)
     process = {"arch": arch, "threads": threads}
     Settings.resolve(scene, {key: value for key, value in process.items() if value is not None})
     known = {made: key for key, made in demos().items()}

@@ -135,10 +135,11 @@ def key_of(scene: Scene, plan: Plan) -> str:
         "groups": scene.groups.names,
         "walls": [asdict(wall) for wall in scene.walls],
         "settings": scene.settings,
+        "elements": scene.elements(),
         "plan": {"duration": plan.duration, "arch": plan.arch, "threads": plan.threads, "most": plan.most},
     }
     digest = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode())
-    for name, array in scene.to_arrays().items():
+    for name, array in (scene.to_arrays() | scene.element_arrays()).items():
         digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
     for collider in scene.colliders:
         for name, value in collider.given.items():

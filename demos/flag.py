@@ -1,0 +1,36 @@
+"""A flag in a storm tears off its pole, all but its upper corner."""
+
+import numpy as np
+
+import taichi_sim as ts
+
+SIZE, NUMBER = (1.5, 1.0), (61, 41)
+
+
+def scene():
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.output = {"fps": 60, "duration": 6, "size": (1280, 720)}
+    flag = ts.shapes.cloth(
+        scene,
+        size=SIZE,
+        resolution=NUMBER,
+        stiffness=300,
+        damping=0.02,
+        position=(0, 2.2, 0),
+        rotation=(90, 0, 0),
+        pinned=np.arange(0, NUMBER[1], 3),
+        colour=(0.8, 0.15, 0.2),
+    )
+    strength = np.random.default_rng(7).uniform(0.1, 0.3, len(flag.springs))  # cloth is not as strong everywhere
+    along, down = np.divmod(scene.pairs[flag.springs].max(axis=1), NUMBER[1])
+    strength[(along < 6) & (down < 6)] = np.inf  # the upper corner is sewn on
+    scene.break_strain[flag.springs] = strength
+    scene.add_collider(ts.Capsule((-0.06, 0.0, 0), (-0.06, 2.4, 0), 0.025))
+    scene.add_wall((0, 1, 0))
+    scene.add_wind((10, 0, 1.5), gust=0.8, gust_length=2.0)
+    return scene
+
+
+def check(sim):
+    assert 20 < np.count_nonzero(sim.torn) < 0.5 * sim.scene.n_springs
+    assert np.all(np.isfinite(sim.position))

@@ -1,0 +1,38 @@
+"""A net catches ten thousand balls."""
+
+import numpy as np
+
+import taichi_sim as ts
+
+SIDE, NUMBER, RADIUS, SLACK = 2.8, 65, 0.035, 1.15
+
+
+def scene():
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.output = {"fps": 60, "duration": 4, "size": (1280, 720)}
+    scene.add_material("rubber", restitution=0.2, friction=0.3)
+    knots = np.stack(np.meshgrid(np.arange(NUMBER), np.arange(NUMBER), indexing="ij"), axis=-1).reshape(-1, 2)
+    edge = np.any((knots == 0) | (knots == NUMBER - 1), axis=1)
+    place = np.insert((knots / (NUMBER - 1) - 0.5) * SIDE, 1, 1.6, axis=1)
+    index = scene.add_balls(
+        place, radius=0.02, mass=0.02, pinned=edge, material="rubber", body=scene.new_body(), colour=(0.25, 0.22, 0.2)
+    ).reshape(NUMBER, NUMBER)
+    cords = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
+    pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in cords])
+    length = SLACK * SIDE / (NUMBER - 1)
+    scene.add_springs(pairs, stiffness=3000, damping=0.6, rest_length=length, collides=True)
+    for k, colour in enumerate(
+        ((0.9, 0.3, 0.25), (0.95, 0.72, 0.25), (0.2, 0.55, 0.6), (0.9, 0.88, 0.82), (0.5, 0.35, 0.6))
+    ):
+        ts.shapes.pile(
+            scene, (20, 5, 20), RADIUS, mass=0.01, jitter=0.3, seed=k, spacing=0.075, material="rubber", colour=colour,
+            position=(-0.71, 1.75 + 0.4 * k, -0.71),
+        )  # fmt: skip
+    scene.add_wall((0, 1, 0), material="rubber")
+    return scene
+
+
+def check(sim):
+    loose = sim.position[NUMBER**2 :]
+    assert np.mean(loose[:, 1] > 0.3) > 0.98  # caught
+    assert sim.position[: NUMBER**2, 1].min() < 1.5  # it sags

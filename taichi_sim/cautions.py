@@ -1,0 +1,44 @@
+"""Cautions: what a user should know before a run, as sentences."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from taichi_sim.scene import Scene
+from taichi_sim.stability import coarsest_spring, sinking_spring
+
+__all__ = ["cautions"]
+
+COARSE = 0.01  # of a radius: rounding of positions that shows
+
+
+def cautions(scene: Scene, method: str, precision: str, h: float) -> Iterator[str]:
+    """Where single precision cannot resolve the scene, or substeps of h seconds let heavy balls sink."""
+    if precision == "f32" and scene.n_balls:
+        yield from _of_places(scene)
+        found = coarsest_spring(scene)
+        if found is not None:
+            spring, stretch, rounding = found
+            yield (
+                f"precision: the weight at spring {spring} stretches it by {stretch:.2g} m, and single precision tells positions"
+                f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin'
+            )
+    sinking = sinking_spring(scene, h) if method == "xpbd" else None
+    if sinking is not None:  # xpbd lets each spring give once in a step what it would alone
+        spring, ball, depth = sinking
+        yield (
+            f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by about {depth:.2g} m for want of"
+            " passes; take shorter steps, implicit_euler or tr_bdf2"
+        )
+
+
+def _of_places(scene: Scene) -> Iterator[str]:
+    far, small = float(np.max(np.abs(scene.position))), float(np.min(scene.radius))
+    centres = max((float(np.abs(c.motion.positions).max()) for c in scene.colliders), default=0.0)
+    where = f"the centre of a collider lies {centres:.4g} m" if centres > far else f"{far:.4g} m"
+    rounding = max(far, centres) * float(np.finfo(np.float32).eps)
+    if rounding > COARSE * small:
+        yield (
+            f"precision: {where} from the origin; there single precision tells positions {rounding:.2g} m apart, and the"
+            f' smallest radius is {small:.2g} m; use precision "f64", or build the scene nearer to the origin'
+        )

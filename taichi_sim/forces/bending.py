@@ -1,0 +1,65 @@
+"""Bending: elements of four balls whose weighted sum of places is the curvature, linear and damped."""
+
+import numpy as np
+import taichi as ti
+
+from taichi_sim.fields import Fields
+from taichi_sim.forces.corners import corners
+from taichi_sim.model import Model
+
+__all__ = ["Bending"]
+
+
+@ti.data_oriented
+class Bending:
+    """Forces -w_i sum_j w_j (k x_j + c v_j); the weights of an element sum to 0, so that places count from ball i."""
+
+    name = "bending"
+    elastic = True
+
+    def __init__(self, model: Model, fields: Fields) -> None:
+        scene = model.scene
+        self.n, self.dim = model.n, model.dim
+        bends, weights = scene.bends, scene.bend_weights
+        self.damped = bool(np.any(scene.bend_damping > 0))
+        rest = [[j for j in range(4) if j != k] for k in range(4)]
+        others = np.concatenate([bends[:, r] for r in rest])
+        real = fields.real
+        columns = {name: real for name in ("stiffness", "own", "wa", "wb", "wc")}
+        data = {"stiffness": np.tile(scene.bend_stiffness, 4), "own": weights.T.ravel()}
+        data |= {name: np.concatenate([weights[:, r[k]] for r in rest]) for k, name in enumerate(("wa", "wb", "wc"))}
+        if self.damped:
+            columns["damping"] = real
+            data["damping"] = np.tile(scene.bend_damping, 4)
+        self.start, self.row = corners(model, fields, others, bends.T.ravel(), columns, data)
+
+    @ti.func
+    def _curve(self, ball: ti.template(), i, row):
+        """Weighted sum of places [m]."""
+        x = ball[i].x
+        return row.wa * (ball[row.a].x - x) + row.wb * (ball[row.b].x - x) + row.wc * (ball[row.c].x - x)
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        """Each ball gathers from its elements."""
+        for i in range(self.n):
+            f = ti.Vector.zero(float, self.dim)
+            for e in range(self.start[i], self.start[i + 1]):
+                row = self.row[e]
+                pull = row.stiffness * self._curve(ball, i, row)
+                if ti.static(self.damped):
+                    v = ball[i].v
+                    change = row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
+                    pull += row.damping * change
+                f -= row.own * pull
+            impulse[i] = impulse[i] + h * f
+
+    @ti.func
+    def stored(self, ball: ti.template(), i, real: ti.template()):
+        """Ball i's share of the energy [J]: a quarter of each element."""
+        energy = ti.cast(0.0, real)
+        for e in range(self.start[i], self.start[i + 1]):
+            row = self.row[e]
+            curve = self._curve(ball, i, row)
+            energy += 0.125 * ti.cast(row.stiffness, real) * ti.cast(curve.dot(curve), real)
+        return energy

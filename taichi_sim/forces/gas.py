@@ -1,0 +1,90 @@
+"""Gas: closed surfaces that press outward, the more the smaller they are."""
+
+import numpy as np
+import taichi as ti
+
+from taichi_sim.fields import Fields
+from taichi_sim.forces.corners import corners
+from taichi_sim.kernels.springs import GRAIN, PART
+from taichi_sim.model import Model
+
+__all__ = ["Gases"]
+
+NONE = 1e-3  # of the first volume: a gas that is pressed together further presses no harder
+
+
+@ti.data_oriented
+class Gases:
+    """Forces p dV/dx with (p + outside) V = (pressure + outside) V0, for all gases of a scene.
+
+    Volumes are summed in parts of fixed length: the same bits for any number of threads. A triangle's volume is counted from the
+    gas's first ball: small numbers, whatever the place.
+    """
+
+    name = "gas"
+    elastic = False  # its energy may be negative, so the watch does not count it
+
+    def __init__(self, model: Model, fields: Fields) -> None:
+        gases = model.scene.gases
+        self.n, self.count = model.n, len(gases)
+        real = fields.real
+        t = np.concatenate([gas.triangles for gas in gases])
+        gas = np.repeat(np.arange(self.count), [len(g.triangles) for g in gases])
+        others = np.concatenate([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]])
+        self.start, self.row = corners(model, fields, others, t.T.ravel(), {"gas": ti.i32}, {"gas": np.tile(gas, 3)})
+        self.triangle = fields.table(
+            {name: ti.i32 for name in "abc"}, len(t), {n: t[:, k] for k, n in enumerate("abc")}
+        )
+        ends = np.cumsum([len(g.triangles) for g in gases])
+        parts = [
+            (k, f, min(f + PART, e)) for k, e in enumerate(ends) for f in range(e - len(gases[k].triangles), e, PART)
+        ]
+        table = np.array(parts)
+        self.parts = len(parts)
+        columns = {"gas": ti.i32, "first": ti.i32, "last": ti.i32}
+        self.part = fields.table(columns, self.parts, {name: table[:, k] for k, name in enumerate(columns)})
+        self.volume, self.pressure = fields.reals(self.parts), fields.reals(self.count)
+        self.law = fields.table(
+            {"home": ti.i32, "inside": real, "outside": real, "least": real},
+            self.count,
+            {
+                "home": np.array([g.triangles[0, 0] for g in gases]),
+                "inside": np.array([(g.pressure + g.outside) * g.volume for g in gases]),
+                "outside": np.array([g.outside for g in gases]),
+                "least": np.array([NONE * g.volume for g in gases]),
+            },
+        )
+
+    @ti.func
+    def _measure(self, ball: ti.template(), c):
+        """Volume of part c."""
+        part = self.part[c]
+        home = ball[self.law[part.gas].home].x
+        volume = 0.0 * home[0]
+        for k in range(part.first, part.last):
+            t = self.triangle[k]
+            volume += (ball[t.a].x - home).dot((ball[t.b].x - home).cross(ball[t.c].x - home))
+        self.volume[c] = volume / 6.0
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        """Volumes, pressures, then each ball gathers from its triangles: a sixth of (b - x) x (c - x)."""
+        for k in range(self.parts * GRAIN):
+            if k % GRAIN == 0:
+                self._measure(ball, k // GRAIN)
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            for g in range(self.count):
+                self.pressure[g] = 0.0
+            for c in range(self.parts):
+                self.pressure[self.part[c].gas] = self.pressure[self.part[c].gas] + self.volume[c]
+            for g in range(self.count):
+                law = self.law[g]
+                self.pressure[g] = law.inside / ti.max(self.pressure[g], law.least) - law.outside
+        for i in range(self.n):
+            f = ti.Vector.zero(float, 3)
+            for e in range(self.start[i], self.start[i + 1]):
+                row = self.row[e]
+                x = ball[i].x
+                f += self.pressure[row.gas] / 6.0 * (ball[row.a].x - x).cross(ball[row.b].x - x)
+            impulse[i] = impulse[i] + h * f

@@ -1,0 +1,100 @@
+"""Wind: air that presses on triangles, and drags on what moves through it."""
+
+import numpy as np
+import taichi as ti
+
+from taichi_sim.fields import Fields
+from taichi_sim.forces.corners import corners
+from taichi_sim.model import Model
+
+__all__ = ["Wind", "gusts"]
+
+MOST = 0.5  # of the relative velocity, that a step may take from a triangle
+WAVES = ((1.0, 0.0, 0.0, 0.0), (1.7, 0.9, 0.6, 1.3), (2.9, -1.4, 1.1, 4.1))  # along, across, across, phase
+SIDEWAYS = 0.5  # of the gusts, that blows across the wind
+
+
+@ti.data_oriented
+class Wind:
+    """On each triangle density / 2 (drag A |u_n| u_n + skin_friction A |u_t| u_t), u the air's velocity less the triangle's, a
+    third of it on each corner.
+
+    A coefficient c of u is never more than MOST / (h D), D = sum over corners w_j t_j / 9 with t_j the triangles at ball j: with
+    masses split so, a step can never reverse what it slows, however light the cloth.
+    """
+
+    name = "wind"
+    elastic = False
+
+    def __init__(self, model: Model, fields: Fields) -> None:
+        scene = model.scene
+        assert scene.wind is not None
+        wind, t = scene.wind, scene.triangles
+        self.n = model.n
+        real = fields.real
+        count = np.bincount(t.ravel(), minlength=model.n)
+        give = (model.inverse_mass_array * count)[t].sum(axis=1) / 9.0
+        most = np.divide(MOST, give, out=np.zeros(len(t)), where=give > 0)
+        others = np.concatenate([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]])
+        self.start, self.row = corners(model, fields, others, t.T.ravel(), {"most": real}, {"most": np.tile(most, 3)})
+        speed = float(np.linalg.norm(wind.velocity))
+        along, one, two = axes(np.array(wind.velocity))
+        self.along, self.one, self.two = (ti.Vector(axis.tolist()) for axis in (along, one, two))
+        self.velocity = ti.Vector(list(wind.velocity))
+        self.speed, self.gust, self.number = speed, wind.gust, 2.0 * np.pi / wind.gust_length
+        self.press, self.rub = 0.5 * wind.density * wind.drag, 0.5 * wind.density * wind.skin_friction
+        self.gusty = wind.gust > 0 and speed > 0
+
+    @ti.func
+    def air(self, x, time):
+        """Velocity of the air at x [m/s], see `gusts`."""
+        u = ti.Vector([0.0 * x[0], 0.0 * x[0], 0.0 * x[0]]) + self.velocity
+        if ti.static(self.gusty):
+            s, p, q = self.along.dot(x) - self.speed * time, self.one.dot(x), self.two.dot(x)
+            more, aside = 0.0 * s, 0.0 * s
+            for a, b, c, phase in ti.static(WAVES):
+                angle = self.number * (a * s + b * p + c * q) + phase
+                more += ti.sin(angle) / ti.static(len(WAVES))
+                aside += ti.cos(1.3 * angle) / ti.static(len(WAVES))
+            u += self.gust * self.speed * (more * self.along + SIDEWAYS * aside * self.one)
+        return u
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        """Each ball gathers from its triangles."""
+        for i in range(self.n):
+            f = ti.Vector.zero(float, 3)
+            for e in range(self.start[i], self.start[i + 1]):
+                row = self.row[e]
+                x, a, b = ball[i].x, ball[row.a].x, ball[row.b].x
+                area = 0.5 * (a - x).cross(b - x)
+                size = area.norm()
+                if size > 0.0:
+                    n = area / size
+                    u = self.air((x + a + b) / 3.0, time) - (ball[i].v + ball[row.a].v + ball[row.b].v) / 3.0
+                    across = u.dot(n)
+                    slip = u - across * n
+                    f += ti.min(self.press * size * ti.abs(across), row.most / h) * across * n
+                    f += ti.min(self.rub * size * slip.norm(), row.most / h) * slip
+            impulse[i] = impulse[i] + h * f / 3.0
+
+
+def axes(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors along a wind (3,), and two across it, the second as near to upright as can be."""
+    speed = np.linalg.norm(velocity)
+    along = velocity / speed if speed > 0 else np.array([1.0, 0.0, 0.0])
+    up = np.array([0.0, 1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
+    one = np.cross(up, along)
+    one /= np.linalg.norm(one)
+    return along, one, np.cross(along, one)
+
+
+def gusts(velocity: np.ndarray, gust: float, length: float, x: np.ndarray, time: float) -> np.ndarray:
+    """Velocity of the air (m, 3) [m/s] at x (m, 3): waves of three lengths that the wind carries along."""
+    along, one, two = axes(velocity)
+    speed = float(np.linalg.norm(velocity))
+    s, p, q = x @ along - speed * time, x @ one, x @ two
+    angles = [2.0 * np.pi / length * (a * s + b * p + c * q) + phase for a, b, c, phase in WAVES]
+    more = np.mean([np.sin(angle) for angle in angles], axis=0)
+    aside = np.mean([np.cos(1.3 * angle) for angle in angles], axis=0)
+    return velocity + gust * speed * (more[:, None] * along + SIDEWAYS * aside[:, None] * one)

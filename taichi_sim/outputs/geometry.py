@@ -1,0 +1,83 @@
+"""Surfaces as OBJ or PLY files, one for each frame, for other programs to render."""
+
+from os import W_OK, PathLike, access
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.files import replacing
+from taichi_sim.frame import Frame
+from taichi_sim.outputs.base import Image, Output
+
+__all__ = ["Geometry", "surface_of"]
+
+
+class Geometry(Output):
+    """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
+
+    Each holds the triangles of the frame, skins in place of what they cover, with the vertices that they use; a frame without
+    any triangle its balls as points, with their radius in PLY. A file that is there is replaced when the new one is complete;
+    what was written before an error or Ctrl-C stays.
+    """
+
+    needs_image = False
+    apart = True
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self.path = Path(path)
+        folder = self.path.parent
+        if not folder.is_dir():
+            raise FileNotFoundError(f"{self.path}: there is no folder {str(folder)!r}; make it first")
+        if not access(folder, W_OK):
+            raise PermissionError(f"{self.path}: cannot be written: no rights for the folder {str(folder)!r}")
+        self._ply = self.path.suffix.lower() == ".ply"
+
+    def write(self, index: int, frame: Frame, image: Image | None) -> None:
+        """Write one file."""
+        vertices, triangles = surface_of(frame)
+        radius = None
+        if not len(triangles):
+            vertices, radius = _in_3d(frame.position), frame.radius
+        with replacing(self.path.with_name(f"{self.path.stem}_{index:05d}{self.path.suffix}")) as file:
+            (_write_ply if self._ply else _write_obj)(file, vertices, triangles, radius)
+
+
+def surface_of(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices (v, 3) [m] and triangles (t, 3), counter-clockwise from outside, of all that a frame shows as a surface."""
+    x = _in_3d(frame.position)
+    covered = np.zeros(len(x), dtype=bool)
+    for skin in frame.skins:
+        covered |= skin.covered(len(x))
+    plain = frame.triangles[~covered[frame.triangles].any(axis=1)] if len(frame.triangles) else frame.triangles
+    used, new = np.unique(plain, return_inverse=True)
+    vertices, first = [x[used]], len(used)
+    triangles: list[NDArray] = [new.reshape(-1, 3)]
+    for skin in frame.skins:
+        vertices.append(np.einsum("sk,ski->si", skin.weights, x[skin.corners]))
+        triangles.append(first + skin.triangles)
+        first += len(skin.corners)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def _in_3d(x: NDArray) -> NDArray[np.float64]:
+    return x if x.shape[1] == 3 else np.column_stack([x, np.zeros(len(x))])
+
+
+def _write_ply(file: IO[bytes], vertices: NDArray, triangles: NDArray, radius: NDArray | None) -> None:
+    columns = vertices if radius is None else np.column_stack([vertices, radius])
+    names = ("x", "y", "z", "radius")[: columns.shape[1]]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(columns)}"]
+    head += [f"property float {name}" for name in names]
+    head += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
+    file.write("\n".join(head).encode())
+    file.write(columns.astype("<f4").tobytes())
+    rows = np.empty(len(triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
+    rows["n"], rows["corners"] = 3, triangles
+    file.write(rows.tobytes())
+
+
+def _write_obj(file: IO[bytes], vertices: NDArray, triangles: NDArray, radius: NDArray | None) -> None:
+    np.savetxt(file, vertices, fmt="v %.9g %.9g %.9g")
+    np.savetxt(file, triangles + 1, fmt="f %d %d %d")

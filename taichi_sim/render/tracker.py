@@ -1,0 +1,111 @@
+"""Tracker: the camera of each frame along a CameraPath."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.camera_path import CameraPath
+from taichi_sim.frame import Frame
+from taichi_sim.render.camera import AZIMUTH, ELEVATION, FOV, Camera
+
+__all__ = ["Follower", "Tracker"]
+
+FIRMNESS = 5.0  # 1/s: how fast a camera catches up with what it follows
+
+
+class Follower:
+    """The middle of some balls, smoothed: x'' = w^2 (g - x) + 2 w (g' - x'), critically damped, for a middle g that moves evenly
+    between two frames, solved exactly. Nothing lags behind what moves evenly, and no speed jumps."""
+
+    def __init__(self, balls: NDArray[np.int32], frame: Frame) -> None:
+        self._balls = balls
+        self.begin = self.place = self._goal = self._middle(frame)
+        self._speed = np.zeros_like(self.place)
+        self._time = frame.time
+        if len(frame.velocity):
+            self._speed = frame.velocity[balls].mean(axis=0)
+
+    def at(self, frame: Frame) -> NDArray[np.float64]:
+        """Where it is at a frame (dim,) [m]; frames come in order of time."""
+        elapsed = frame.time - self._time
+        if elapsed > 0:
+            goal, w = self._middle(frame), FIRMNESS
+            even = (goal - self._goal) / elapsed
+            off, drift = self.place - self._goal, self._speed - even
+            pull, fade = drift + w * off, math.exp(-w * elapsed)
+            self.place = goal + (off + pull * elapsed) * fade
+            self._speed = even + (drift - w * pull * elapsed) * fade
+            self._goal, self._time = goal, frame.time
+        return self.place
+
+    def _middle(self, frame: Frame) -> NDArray[np.float64]:
+        return np.array(frame.position[self._balls].mean(axis=0), dtype=float)
+
+
+class Tracker:
+    """camera: fixed, or a CameraPath or the keys of one, or None; what that leaves open is placed by the first frame.
+
+    Calls of `at` are in order of time, also for frames that are not drawn. Raises ValueError.
+    """
+
+    def __init__(self, frame: Frame, camera: Any, aspect: float) -> None:
+        self._follower: Follower | None = None
+        self._path: CameraPath | None = None
+        if isinstance(camera, Camera):
+            self.first = camera
+            return
+        if isinstance(camera, Mapping):
+            camera = CameraPath.of(camera, 3, len(frame.position))
+        path = self._path = camera or CameraPath()
+        if path.follow is not None:
+            self._follower = Follower(path.follow, frame)
+        self.first = self._along(path.path[0]["time"]) if path.path else _placed(path, frame, aspect, self._follower)
+        self.first.axes()  # refuses what has no direction
+
+    def at(self, frame: Frame) -> Camera:
+        """The camera of a frame."""
+        path = self._path
+        if path is None:
+            return self.first
+        if path.path:
+            return self._along(frame.time)
+        eye, target = np.array(self.first.eye), np.array(self.first.target)
+        if path.orbit:
+            eye = target + _turned(eye - target, np.array(path.up), math.radians(path.orbit * frame.time))
+        if self._follower is not None:
+            shift = self._follower.at(frame) - self._follower.begin
+            eye, target = eye + shift, target + shift
+        return Camera(_triple(eye), _triple(target), self.first.up, self.first.fov)
+
+    def _along(self, time: float) -> Camera:
+        assert self._path is not None
+        eye, target, fov = self._path.place(time)
+        return Camera(_triple(eye), _triple(target), _triple(self._path.up), FOV if fov is None else fov)
+
+
+def _placed(path: CameraPath, frame: Frame, aspect: float, follower: Follower | None) -> Camera:
+    """The camera at the start: as given, and where the scene fills the picture otherwise."""
+    azimuth = AZIMUTH if path.azimuth is None else path.azimuth
+    elevation = ELEVATION if path.elevation is None else path.elevation
+    fov = FOV if path.fov is None else path.fov
+    fit = Camera.fit(frame, aspect, azimuth, elevation, fov)
+    target = np.array(fit.target) if follower is None else follower.begin
+    target = target if path.target is None else np.array(path.target)
+    back = np.subtract(fit.eye, fit.target)
+    if path.distance is not None:
+        back *= path.distance / np.linalg.norm(back)
+    eye = target + back if path.eye is None else np.array(path.eye)
+    return Camera(_triple(eye), _triple(target), _triple(np.array(path.up)), fov)
+
+
+def _turned(arm: NDArray, axis: NDArray, angle: float) -> NDArray[np.float64]:
+    """An arm turned about an axis, counter-clockwise seen from its tip (Rodrigues)."""
+    u = axis / np.linalg.norm(axis)
+    return arm * math.cos(angle) + np.cross(u, arm) * math.sin(angle) + u * (u @ arm) * (1 - math.cos(angle))
+
+
+def _triple(vector: Any) -> tuple[float, float, float]:
+    return float(vector[0]), float(vector[1]), float(vector[2])

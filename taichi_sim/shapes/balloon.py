@@ -1,0 +1,110 @@
+"""Balloon: a ball of skin with gas in it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim import checks, fabric
+from taichi_sim.errors import SceneError
+from taichi_sim.mesh import Surface, surface_area
+from taichi_sim.scene import Scene
+from taichi_sim.shape_parts import Part, Shape, Springs, affordable, at_least_0, build, count, or_default
+
+__all__ = ["balloon"]
+
+RUBBER_DENSITY = 0.2  # kg/m^2
+RUBBER_STIFFNESS = 100.0  # N/m
+STRAIN = 0.1  # of the skin, by default
+MOST = 0.5  # part of the present length by which the skin may be stretched
+
+
+def balloon(
+    scene: Scene,
+    centre: Sequence[float],
+    radius: float,
+    subdivisions: int = 3,
+    *,
+    pressure: float | None = None,
+    mass: float | None = None,
+    stretch_stiffness: float = RUBBER_STIFFNESS,
+    damping: float | None = None,
+    ball_radius: float | None = None,
+    material: str = "default",
+    colour: Sequence[float] | None = None,
+    self_collision: bool = False,
+) -> Shape:
+    """A balloon in 3D: an icosahedron whose triangles are cut in four again and again, and gas in it.
+
+    Its skin is stretched so that it holds the gas at the start, tension = pressure radius / 2.
+
+    Args:
+        centre: (3,) m; radius: of the skin [m]; subdivisions: 10 4^s + 2 balls.
+        pressure: of the gas over that outside [Pa]; by default what stretches the skin by a tenth.
+        mass: of the skin [kg]; 0.2 kg per m^2 by default.
+        stretch_stiffness: of the skin [N/m], as of a cloth.
+        damping: N s/m of the skin, shared out as the stretch stiffness is.
+        ball_radius: of each ball [m]; 0.4 of the mean edge by default.
+    """
+    if scene.dim != 3:
+        raise SceneError("balloon: needs a scene with dim = 3")
+    middle = checks.vectors("balloon.centre", centre, 1, 3)[0]
+    reach = checks.number("balloon.radius", radius, positive=True)
+    cuts = count("balloon.subdivisions", subdivisions, 0)
+    balls = 10 * 4**cuts + 2
+    affordable("balloon.subdivisions", subdivisions, balls, 3 * balls)
+    stretch = checks.number("balloon.stretch_stiffness", stretch_stiffness, positive=True)
+    holds = 8 * stretch / (3 * reach)  # Pa, for each part by which the skin is stretched
+    inner = at_least_0("balloon.pressure", pressure, holds * STRAIN / (1 + STRAIN))
+    if inner > MOST * holds:
+        raise SceneError(
+            f"balloon.pressure: {inner:g} is not allowed; the skin holds {MOST * holds:.4g} Pa at most, then twice as long as at"
+            " rest; give a larger stretch_stiffness"
+        )
+    surface = _sphere(cuts)
+    surface = Surface(surface.vertices * reach, surface.triangles)
+    total = or_default("balloon.mass", mass, RUBBER_DENSITY * surface_area(surface))
+    parts = fabric.of_mesh(surface, fabric.Fabric(total / surface_area(surface), stretch, 0.0, 0.0))
+    pairs, strength = parts.springs[0]
+    edges = surface.vertices[pairs[:, 1]] - surface.vertices[pairs[:, 0]]
+    pull = 0.5 * inner * reach * fabric.tension_shares(surface)  # N/m of the edge's length
+    size = or_default("balloon.ball_radius", ball_radius, 0.4 * float(np.linalg.norm(edges, axis=1).mean()))
+    drag = at_least_0("balloon.damping", damping)
+    shape = build(
+        scene,
+        "balloon",
+        surface.vertices + middle,
+        [Springs(pairs, 0.0, strength)],
+        surface.triangles,
+        Part(parts.mass, size, False, material, colour, self_collision),
+        0.0,
+        None if drag is None else drag / stretch * strength,
+        stretched=pull / (strength - pull),
+    )
+    scene.add_gas(shape.triangles, pressure=inner)
+    return shape
+
+
+def _sphere(cuts: int) -> Surface:
+    """A unit icosphere, counter-clockwise from outside."""
+    golden = 0.5 * (1 + 5**0.5)
+    x = np.array([(s, t * golden, 0.0) for s in (-1, 1) for t in (-1, 1)])
+    vertices: NDArray = np.concatenate([np.roll(x, k, axis=1) for k in range(3)])
+    apart = np.linalg.norm(vertices[:, None] - vertices, axis=2)
+    near = np.isclose(apart, 2.0)
+    triangles = np.array(
+        [(i, j, k) for i in range(12) for j in range(i) for k in range(j) if near[i, j] and near[j, k] and near[k, i]]
+    )
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    inward = np.einsum("ti,ti->t", a, np.cross(b, c)) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    vertices = vertices / np.linalg.norm(vertices[0])
+    for _ in range(cuts):
+        sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+        edges, middle = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True)
+        ab, bc, ca = len(vertices) + middle.reshape(3, -1)
+        between = vertices[edges].sum(axis=1)
+        vertices = np.concatenate([vertices, between / np.linalg.norm(between, axis=1, keepdims=True)])
+        a, b, c = triangles.T
+        triangles = np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    return Surface(vertices, triangles.astype(np.int32))

@@ -1,0 +1,187 @@
+"""Cloth: a flat sheet, or a shell from a surface mesh."""
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim import checks, fabric
+from taichi_sim import mesh as meshes
+from taichi_sim.errors import SceneError
+from taichi_sim.scene import Scene
+from taichi_sim.shape_parts import (
+    Part,
+    Pins,
+    Shape,
+    Springs,
+    affordable,
+    at_least_0,
+    build,
+    counts,
+    exclusive,
+    given_surface,
+    lattice_pairs,
+    lengths,
+    moved,
+    or_default,
+    stable_stiffness,
+    surface_part,
+)
+
+__all__ = ["cloth"]
+
+CLOTH_DENSITY = 0.2  # kg/m^2, a cotton sheet
+SHEAR_SHARE = 0.25  # of a cloth's stiffness, in its diagonals
+BENDING_SHARE = 0.05  # of a cloth's stiffness, between balls two apart or across an edge
+STRETCH_STIFFNESS = 100.0  # N/m: 2 % at the top of a cotton sheet that hangs 1 m
+SHEAR_PART = 0.2  # of the stretch stiffness
+BENDING_RIGIDITY = 1e-5  # N m, cotton
+
+
+def cloth(
+    scene: Scene,
+    size: Sequence[float] | None = None,
+    resolution: Sequence[int] | None = None,
+    mesh: "str | PathLike[str] | meshes.Surface | None" = None,
+    *,
+    mass: float | None = None,
+    stiffness: float | None = None,
+    bending_stiffness: float | None = None,
+    mass_per_area: float | None = None,
+    stretch_stiffness: float | None = None,
+    shear_stiffness: float | None = None,
+    bending_rigidity: float | None = None,
+    damping: float | None = None,
+    radius: float | None = None,
+    pinned: Pins = False,
+    material: str = "default",
+    position: Sequence[float] | None = None,
+    rotation: Sequence[float] | None = None,
+    scale: float = 1.0,
+    colour: Sequence[float] | None = None,
+    self_collision: bool = False,
+    surface_collision: bool = False,
+) -> Shape:
+    """A sheet of cloth, or a shell from a surface mesh, in 3D.
+
+    The sheet lies in the x-z plane from the origin toward +x and +z; ball (i, j) along x and z has index
+    i * resolution[1] + j. It has springs to the next balls, along the diagonals (a quarter as stiff) and between
+    balls two apart (bending). A mesh keeps its coordinates: vertices are balls, edges springs, and bending springs
+    join the two vertices that face each other across an edge.
+
+    With any of mass_per_area, stretch_stiffness, shear_stiffness and bending_rigidity it is made of a material and the same at
+    every resolution: balls weigh what the area around them does, springs at the border count half, and bending elements (see
+    `Scene.add_bending`) take the place of bending springs wherever it is flat.
+
+    Args:
+        size: (x, z) m, (1, 1) by default; resolution: balls along x and z, at least 2, (32, 32) by default.
+        mesh: an OBJ, PLY, STL or GLB file, or a `taichi_sim.mesh.Surface`, in place of size and resolution.
+        mass: kg, shared out equally (by area in a material); 0.2 kg per m^2 of the sheet by default.
+        stiffness: N/m of each spring; bending_stiffness: N/m, a twentieth of it by default.
+        mass_per_area: kg/m^2, in place of mass; 0.2.
+        stretch_stiffness: N/m, force per width and strain along the threads; 100.
+        shear_stiffness: N/m; a fifth of it by default. A mesh has none of its own: a third of it.
+        bending_rigidity: N m, moment per width and curvature; 1e-5.
+        damping: N s/m of each spring; in a material of the sheet, shared out as the stretch stiffness is.
+        radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
+        surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
+    """
+    if scene.dim != 3:
+        raise SceneError("cloth: a cloth needs a scene with dim = 3; in 2D use rope or jelly")
+    woven = {
+        "mass_per_area": mass_per_area,
+        "stretch_stiffness": stretch_stiffness,
+        "shear_stiffness": shear_stiffness,
+        "bending_rigidity": bending_rigidity,
+    }
+    exclusive("cloth", woven, {"stiffness": stiffness, "bending_stiffness": bending_stiffness})
+    exclusive("cloth", {"mass_per_area": mass_per_area}, {"mass": mass})
+    factor = checks.number("cloth.scale", scale, positive=True)
+    grid: Any
+    if mesh is None:
+        grid = _grid(size, resolution, any(value is not None for value in woven.values()))
+        surface, spacing, area = grid[0], 0.45 * float(grid[2].min()), float(grid[3].prod())
+    elif size is not None or resolution is not None:
+        raise SceneError("cloth.mesh: takes the place of size and resolution; give one or the other")
+    else:
+        grid, surface = None, given_surface("cloth", mesh)
+        spacing, area = 0.4 * _mean_edge(surface), meshes.surface_area(surface)
+    area = area * factor**2
+    total = or_default("cloth.mass", mass, CLOTH_DENSITY * area)
+    thinner = surface_part("cloth", surface_collision)
+    ball_radius = or_default("cloth.radius", radius, thinner * spacing * factor)
+    drag = at_least_0("cloth.damping", damping)
+    strength, bends = 0.0, None
+    masses: float | NDArray = total
+    if all(value is None for value in woven.values()):
+        kinds = _shell(surface) if grid is None else _threads(grid[1])
+        strength = at_least_0("cloth.stiffness", stiffness, stable_stiffness(kinds, len(surface.vertices), total))
+        bending = at_least_0("cloth.bending_stiffness", bending_stiffness)
+        if bending is not None:
+            kinds[-1] = Springs(kinds[-1].pairs, 0.0, bending)
+    else:
+        cotton = _fabric(woven, total / area, grid is None)
+        if grid is None:
+            parts = fabric.of_mesh(meshes.Surface(surface.vertices * factor, surface.triangles), cotton)
+        else:
+            parts = fabric.of_sheet(grid[1], grid[2] * factor, cotton)
+        masses, bends = parts.mass, parts.bends
+        kinds = [Springs(pairs, 0.0, k) for pairs, k in parts.springs]
+        if drag is not None:
+            drag = drag / cotton.stretch * np.concatenate([k for _, k in parts.springs])
+    points = moved("cloth", surface.vertices, position, rotation, factor)
+    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
+    return build(scene, "cloth", points, kinds, surface.triangles, part, strength, drag, bends=bends)
+
+
+def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) -> fabric.Fabric:
+    stretch = or_default("cloth.stretch_stiffness", woven["stretch_stiffness"], STRETCH_STIFFNESS)
+    if of_mesh and woven["shear_stiffness"] is not None:
+        raise SceneError("cloth.shear_stiffness: a mesh has none of its own, but a third of the stretch stiffness")
+    return fabric.Fabric(
+        or_default("cloth.mass_per_area", woven["mass_per_area"], default_mass),
+        stretch,
+        at_least_0("cloth.shear_stiffness", woven["shear_stiffness"], SHEAR_PART * stretch),
+        at_least_0("cloth.bending_rigidity", woven["bending_rigidity"], BENDING_RIGIDITY),
+    )
+
+
+def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None, bends: bool) -> tuple:
+    """The surface of a flat sheet, its balls along x and z, their spacing and its size (2,) [m]."""
+    extent = lengths("cloth.size", (1.0, 1.0) if size is None else size, 2)
+    number = counts("cloth.resolution", (32, 32) if resolution is None else resolution, 2, 2)
+    balls = number[0] * number[1]
+    affordable("cloth.resolution", resolution, balls, (4 if bends else 6) * balls, bends=3 * balls * bends)
+    i, j = np.meshgrid(*map(np.arange, number), indexing="ij")
+    spacing = extent / (np.array(number) - 1)
+    points = np.stack([i * spacing[0], np.zeros(i.shape), j * spacing[1]], axis=-1).reshape(-1, 3)
+    index = np.arange(i.size).reshape(number)
+    here, right, up, across = index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]
+    corners = [here, up, right], [right, up, across]  # seen from +y
+    triangles = np.concatenate([np.stack([c.ravel() for c in three], axis=1) for three in corners])
+    return meshes.Surface(points, triangles), number, spacing, extent
+
+
+def _threads(number: tuple[int, int]) -> list[Springs]:
+    return [
+        Springs(lattice_pairs(number, (1, 0), (0, 1)), 1.0),
+        Springs(lattice_pairs(number, (1, 1), (1, -1)), SHEAR_SHARE),
+        Springs(lattice_pairs(number, (2, 0), (0, 2)), BENDING_SHARE),
+    ]
+
+
+def _shell(surface: meshes.Surface) -> list[Springs]:
+    edges, hinges = meshes.unique_edges(surface.triangles), meshes.hinge_pairs(surface.triangles)
+    joined = np.isin(_key(hinges), _key(edges))  # in a tetrahedron the facing vertices share an edge
+    return [Springs(edges, 1.0), Springs(hinges[~joined], BENDING_SHARE)]
+
+
+def _mean_edge(surface: meshes.Surface) -> float:
+    x, edges = surface.vertices, meshes.unique_edges(surface.triangles)
+    return float(np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1).mean())
+
+
+def _key(pairs: NDArray) -> NDArray[np.int64]:
+    return pairs[:, 0].astype(np.int64) << 32 | pairs[:, 1]

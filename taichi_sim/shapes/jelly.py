@@ -1,0 +1,258 @@
+"""Jelly: a block, or a closed mesh that is filled."""
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim import checks, solids
+from taichi_sim import mesh as meshes
+from taichi_sim.errors import SceneError
+from taichi_sim.scene import Scene
+from taichi_sim.shape_parts import (
+    SAFE_MARGIN,
+    SAFE_STEP,
+    Part,
+    Pins,
+    Shape,
+    Springs,
+    affordable,
+    at_least_0,
+    build,
+    counts,
+    exclusive,
+    given_surface,
+    lattice_pairs,
+    lengths,
+    moved,
+    or_default,
+    stable_stiffness,
+    surface_part,
+)
+
+__all__ = ["jelly"]
+
+JELLY_DENSITY = {2: 100.0, 3: 1000.0}  # kg/m^2 (a slab of 0.1 m) and kg/m^3: water
+WOBBLE = 40 * 10.0  # m/s^2: waves run at the root of that times the height
+MESH_RATIO = 0.4  # Poisson's, of a filled mesh
+BOXES = 16  # along the longest side of a mesh
+FILLS = ("voxels", "tetrahedra")
+THIN = 0.25  # radius of a filled mesh's balls, of its spacing
+
+
+def jelly(
+    scene: Scene,
+    size: Sequence[float] | None = None,
+    resolution: Sequence[int] | None = None,
+    mesh: "str | PathLike[str] | meshes.Surface | None" = None,
+    *,
+    mass: float | None = None,
+    stiffness: float | None = None,
+    density: float | None = None,
+    young_modulus: float | None = None,
+    poisson_ratio: float | None = None,
+    fill: str = "voxels",
+    spacing: float | None = None,
+    damping: float | None = None,
+    radius: float | None = None,
+    pinned: Pins = False,
+    material: str = "default",
+    position: Sequence[float] | None = None,
+    rotation: float | Sequence[float] | None = None,
+    scale: float = 1.0,
+    colour: Sequence[float] | None = None,
+    self_collision: bool = False,
+    surface_collision: bool = False,
+) -> Shape:
+    """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D; or a filled mesh.
+
+    Springs run along the edges and the diagonals of faces and cells, their stiffness in the ratio that makes the
+    lattice elastic alike in all directions (see `_lattice`). In 3D the surface has triangles. Ball (i, j, k) has
+    index (i * resolution[1] + j) * resolution[2] + k.
+
+    With any of density, young_modulus and poisson_ratio it is made of a material and the same at every resolution: balls weigh
+    what the volume around them does, springs on the surface count by their share, and cells keep the volume as the ratio asks.
+    A mesh keeps its coordinates, is always of a material, and shows its own surface.
+
+    Args:
+        size: m per axis, 0.4 by default; resolution: balls per axis, at least 2, 8 by default.
+        mesh: an OBJ, PLY, STL or GLB file of a closed surface, or a `taichi_sim.mesh.Surface`, in place of size and resolution.
+        mass: kg, shared out equally (by volume in a material); as heavy as water by default (in 2D a slab of 0.1 m).
+        stiffness: of an edge [N/m]. By default such that waves run at sqrt(40 g height), which wobbles like jelly,
+        and never
+            above what is stable at 1 ms.
+        density: kg/m^3, in 2D kg/m^2, in place of mass.
+        young_modulus: Pa, in 2D N/m. By default as for stiffness.
+        poisson_ratio: from that of springs, 1/4 (in 2D 1/3), the default, to less than 1/2 (in 2D 1): cells keep the volume.
+            0.4 for a mesh.
+        fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
+            the package pytetwild, which takes half a minute, closed meshes alone and, each time, other points.
+        spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
+        radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
+        surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
+    """
+    elastic = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
+    exclusive("jelly", elastic, {"stiffness": stiffness})
+    exclusive("jelly", {"density": density}, {"mass": mass})
+    factor = checks.number("jelly.scale", scale, positive=True)
+    if fill not in FILLS:
+        raise SceneError(f"jelly.fill: {fill!r} is not allowed; it must be one of {', '.join(map(repr, FILLS))}")
+    drag = at_least_0("jelly.damping", damping)
+    thinner = surface_part("jelly", surface_collision)
+    if surface_collision and scene.dim == 2:
+        raise SceneError("jelly.surface_collision: needs a scene with dim = 3")
+    if mesh is None:
+        if spacing is not None:
+            raise SceneError("jelly.spacing: is for a mesh; a block has a resolution")
+        block = _block(scene.dim, size, resolution)
+        if all(value is None for value in elastic.values()):
+            points, kinds, soft, triangles, finest = _springs(block, factor, mass)
+            total = or_default("jelly.mass", mass, _density(scene.dim) * float(np.prod(block[0] * factor)))
+            strength = at_least_0("jelly.stiffness", stiffness, soft)
+            points = moved("jelly", points, position, rotation, factor)
+            ball_radius = or_default("jelly.radius", radius, thinner * finest)
+            part = Part(total, ball_radius, pinned, material, colour, self_collision, surface_collision)
+            return build(scene, "jelly", points, kinds, triangles, part, strength, drag)
+        body, extent, default_radius = _solid_block(block, factor)
+        volume, skin = float(np.prod(extent)), None
+        default_radius *= thinner
+    else:
+        if scene.dim != 3:
+            raise SceneError("jelly.mesh: fills closed surfaces, in a scene with dim = 3")
+        for name, value in (("size", size), ("resolution", resolution), ("stiffness", stiffness)):
+            if value is not None:
+                raise SceneError(f"jelly.{name}: is for a block; a mesh takes spacing, scale and young_modulus")
+        surface = given_surface("jelly", mesh)
+        surface = meshes.Surface(surface.vertices * factor, surface.triangles)
+        extent = np.ptp(surface.vertices, axis=0)
+        step = or_default("jelly.spacing", spacing, float(extent.max()) / BOXES)
+        body, skin = (_voxels if fill == "voxels" else _tetrahedra)(surface, step)
+        default_radius = THIN * step
+        enclosed = abs(meshes.volume(surface))
+        volume = enclosed if not len(meshes.holes(surface.triangles)) else float(body.volume.sum())
+    total = mass if mass is not None else volume * or_default("jelly.density", density, _density(scene.dim))
+    total = or_default("jelly.mass", total, 1.0)
+    masses = body.volume * (total / float(body.volume.sum()))
+    least = 1 / (scene.dim + 1)
+    ratio = poisson_ratio if poisson_ratio is not None else least if mesh is None else MESH_RATIO
+    unit = solids.moduli("jelly", scene.dim, 1.0, ratio)
+    modulus = or_default("jelly.young_modulus", young_modulus, _wobbly(body, masses, float(extent[1]), unit))
+    mu, bulk = modulus * unit[0], modulus * unit[1]
+    kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
+    cells = None
+    if bulk > 0:
+        cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume)
+    points = moved("jelly", body.points, position, rotation, 1.0)
+    ball_radius = or_default("jelly.radius", radius, default_radius)
+    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
+    shape = build(scene, "jelly", points, kinds, body.triangles, part, 0.0, drag, cells=cells)
+    if skin is not None:
+        scene.add_skin(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)
+    return shape
+
+
+def _density(dim: int) -> float:
+    return JELLY_DENSITY[dim]
+
+
+# Blocks ------------------------------------------------------------------------------------------------------------
+
+
+def _block(dim: int, size: Any, resolution: Any) -> tuple[NDArray[np.float64], tuple[int, ...]]:
+    """Size (dim,) [m] and balls per axis."""
+    extent = lengths("jelly.size", (0.4,) * dim if size is None else size, dim)
+    number = counts("jelly.resolution", (8,) * dim if resolution is None else resolution, dim, 2)
+    balls = int(np.prod(number, dtype=object))
+    affordable("jelly.resolution", resolution, balls, balls * (4 if dim == 2 else 13), cells=balls * 2)
+    return extent, number
+
+
+def _springs(block: tuple, factor: float, mass: float | None) -> tuple:
+    """Points, springs, the default stiffness, surface and ball radius of a block of equal balls."""
+    extent, number = block
+    dim = len(number)
+    spacing = extent / (np.array(number) - 1)
+    points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * spacing
+    total = or_default("jelly.mass", mass, _density(dim) * float(np.prod(extent * factor)))
+    kinds, along = _lattice(number)
+    cell = float(np.prod(spacing * factor)) ** (2 / dim)  # m^2
+    soft = WOBBLE * float(extent[1]) * factor * total / len(points) / (along * cell)  # c^2 = along k a^2 / m
+    triangles = np.zeros((0, 3), dtype=np.int64)
+    if dim == 3:
+        triangles = solids.box_surface(np.ones([n - 1 for n in number], dtype=bool))
+    finest = 0.45 * float(spacing.min()) * factor
+    return points, kinds, min(soft, stable_stiffness(kinds, len(points), total)), triangles, finest
+
+
+def _lattice(number: tuple[int, ...]) -> tuple[list[Springs], float]:
+    """The springs of a square or cubic lattice that is elastic alike in all directions, and its C11 a^(dim-2) / k.
+
+    With k1 on the edges, k2 on the face diagonals and k3 on the cell diagonals, summing k L^2 n n n n over the
+    springs of a cell gives C11 = k1 + 2 k2 + 4/3 k3 and C12 = C44 = k2 + 4/3 k3 (times 1/a) in 3D, C11 = k1 + k2 and
+    C12 = k2 in 2D. Isotropy, C11 = C12 + 2 C44, then asks for k1 = k2 + 8/3 k3, or k1 = 2 k2 in 2D.
+    """
+    if len(number) == 2:
+        edges, diagonals = lattice_pairs(number, (1, 0), (0, 1)), lattice_pairs(number, (1, 1), (1, -1))
+        return [Springs(edges, 1.0), Springs(diagonals, 0.5)], 1.5
+    faces = lattice_pairs(number, (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1))
+    cells = lattice_pairs(number, (1, 1, 1), (1, 1, -1), (1, -1, 1), (1, -1, -1))
+    edges = lattice_pairs(number, (1, 0, 0), (0, 1, 0), (0, 0, 1))
+    return [Springs(edges, 1.0), Springs(faces, 0.6), Springs(cells, 0.15)], 2.4
+
+
+def _solid_block(block: tuple, factor: float) -> tuple[solids.Solid, NDArray[np.float64], float]:
+    extent, number = block[0] * factor, block[1]
+    spacing = extent / (np.array(number) - 1)
+    filled = np.ones([n - 1 for n in number], dtype=bool)
+    return solids.lattice("jelly", filled, spacing), extent, 0.45 * float(spacing.min())
+
+
+def _wobbly(body: solids.Solid, masses: NDArray, height: float, unit: tuple[float, float]) -> float:
+    """The default of Young's modulus: waves at sqrt(40 g height), and never above what is stable at 1 ms with a margin.
+
+    unit: mu and lambda - mu for a modulus of 1.
+    """
+    mu, bulk = unit
+    density = float(masses.sum() / body.volume.sum())
+    return min(
+        WOBBLE * height * density / (3 * mu + bulk),
+        4 / (SAFE_MARGIN * SAFE_STEP**2 * solids.largest_rate(body, masses, mu, bulk)),
+    )
+
+
+# Meshes ------------------------------------------------------------------------------------------------------------
+
+
+def _voxels(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tuple[NDArray, NDArray]]:
+    low, extent = surface.vertices.min(axis=0), np.ptp(surface.vertices, axis=0)
+    number = np.maximum(1, np.ceil(extent / step - 1e-9))
+    boxes = float(np.prod(number))
+    part = min(1.0, abs(meshes.volume(surface)) / max(1e-300, float(np.prod(extent))))
+    balls = int(boxes * max(part, 0.05))
+    affordable("jelly.spacing", step, balls, 13 * balls, cells=2 * balls)
+    shape = tuple(int(n) for n in number)
+    low = low - 0.5 * (number * step - extent)
+    filled = solids.connected(solids.inside(surface, low, step, shape))
+    if not filled.any():
+        raise SceneError(
+            f"jelly.spacing: {step:.4g} is not allowed; no box of that size fits into the mesh; give a smaller one"
+        )
+    body = solids.lattice("jelly", filled, np.full(3, step))
+    return body._replace(points=body.points + low), solids.skin_of_boxes(filled, (surface.vertices - low) / step)
+
+
+def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tuple[NDArray, NDArray]]:
+    wrong = meshes.flaws(surface)
+    if wrong:
+        raise SceneError(
+            f'jelly.mesh: cannot be filled with tetrahedra: {"; ".join(wrong)}. Mend it, or use fill = "voxels", which takes any'
+            " mesh"
+        )
+    if meshes.volume(surface) < 0:
+        surface = meshes.Surface(surface.vertices, surface.triangles[:, ::-1])
+    balls = int(abs(meshes.volume(surface)) / step**3)
+    affordable("jelly.spacing", step, balls, 7 * balls, cells=6 * balls)
+    points, cells = solids.tetrahedra("jelly", surface, step)
+    return solids.springs_of(points, cells), solids.skin_of_tetrahedra(points, cells, surface.vertices)

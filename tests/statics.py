@@ -1,0 +1,64 @@
+"""Forces and stiffness of springs, bending elements and cells of a scene in NumPy, and where it hangs at rest."""
+
+import numpy as np
+
+
+def forces(scene, x):
+    """Forces (n dim,) [N] at x (n, dim) and their dense stiffness matrix; that of springs without what compression softens."""
+    n, dim = x.shape
+    i, j = scene.pairs[:, 0], scene.pairs[:, 1]
+    apart = x[j] - x[i]
+    length = np.linalg.norm(apart, axis=1)
+    along = apart / length[:, None]
+    pull = scene.stiffness * (length - scene.rest_length)
+    force = scene.mass[:, None] * scene.gravity
+    np.add.at(force, i, pull[:, None] * along)
+    np.add.at(force, j, -pull[:, None] * along)
+    across = np.maximum(pull / length, 0.0)
+    block = np.einsum("m,mi,mj->mij", scene.stiffness - across, along, along) + across[:, None, None] * np.eye(dim)
+    matrix = np.zeros((n, dim, n, dim))
+    for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+        np.add.at(matrix, (a, slice(None), b), sign * block)
+    for corners, weights, k in zip(scene.bends, scene.bend_weights, scene.bend_stiffness):
+        force[corners] -= k * np.outer(weights, weights @ x[corners])
+        for a, wa in zip(corners, weights):
+            for b, wb in zip(corners, weights):
+                matrix[a, :, b] += k * wa * wb * np.eye(dim)
+    if len(scene.cells):
+        volume, gradient = cell_gradients(x, scene.cells)
+        push = scene.bulk_modulus * (volume / scene.rest_volume - 1)
+        np.add.at(force, scene.cells, -push[:, None, None] * gradient)
+        stiff = np.einsum("c,cki,clj->ckilj", scene.bulk_modulus / scene.rest_volume, gradient, gradient)
+        for k in range(dim + 1):
+            for m in range(dim + 1):
+                np.add.at(matrix, (scene.cells[:, k], slice(None), scene.cells[:, m]), stiff[:, k, :, m])
+    return force.ravel(), matrix.reshape(n * dim, n * dim)
+
+
+def cell_gradients(x, cells):
+    """Volumes (c,) and their derivatives (c, dim + 1, dim) by the corners."""
+    sides = x[cells[:, 1:]] - x[cells[:, :1]]
+    if x.shape[1] == 2:
+        u, v = sides[:, 0], sides[:, 1]
+        volume = 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+        of = 0.5 * np.stack([np.stack([v[:, 1], -v[:, 0]], 1), np.stack([-u[:, 1], u[:, 0]], 1)], axis=1)
+    else:
+        a, b, c = sides[:, 0], sides[:, 1], sides[:, 2]
+        of = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1) / 6
+        volume = np.einsum("ci,ci->c", a, of[:, 0])
+    return volume, np.concatenate([-of.sum(axis=1, keepdims=True), of], axis=1)
+
+
+def at_rest(scene, x=None, rounds=100, most=1e-11):
+    """Positions (n, dim) where the forces on all free balls vanish, by Newton's method with shortened steps; and K there."""
+    x = np.array(scene.position if x is None else x)
+    free = np.repeat(~scene.pinned, x.shape[1])
+    weight = np.abs(scene.mass[:, None] * scene.gravity).sum()
+    for _ in range(rounds):
+        force, matrix = forces(scene, x)
+        left = np.linalg.norm(force[free]) / weight
+        if left < most:
+            return x, matrix[np.ix_(free, free)]
+        step = np.linalg.solve(matrix[np.ix_(free, free)], force[free])
+        x.reshape(-1)[free] += step * min(1.0, 0.1 * np.ptp(scene.position) / np.abs(step).max())
+    raise AssertionError(f"no rest: {left:.1e} of the weight is left")

@@ -1,0 +1,281 @@
+"""Cameras that move: where they are at a time, how smoothly, what is refused, and that files keep them."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taichi_sim import Frame, Scene, SceneError, Simulation
+from taichi_sim.camera_path import CameraPath, eased
+from taichi_sim.render import Camera, Renderer
+from taichi_sim.render.tracker import Tracker
+from taichi_sim.scene_file import load_scene
+from taichi_sim.scene_source import checked_output
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ASPECT = 16 / 9
+
+
+def frame_at(time, position, velocity=None, dim=3):
+    x = np.asarray(position, dtype=float).reshape(-1, dim)
+    v = np.zeros_like(x) if velocity is None else np.asarray(velocity, dtype=float).reshape(-1, dim)
+    return Frame(time=time, position=x, velocity=v, radius=np.full(len(x), 0.2))
+
+
+START = frame_at(0.0, [[0, 0, 0], [2, 1, 0], [0, 1, 3]])
+
+
+def test_the_default_shows_all():
+    for given in (None, {}, CameraPath()):
+        tracker = Tracker(START, given, ASPECT)
+        assert tracker.at(frame_at(1.0, START.position)) == Camera.fit(START, ASPECT)
+
+
+def test_placed():
+    camera = Tracker(START, {"eye": (0, 0, 9), "target": (0, 1, 0), "up": (1, 0, 0), "fov": 20}, ASPECT).first
+    assert camera == Camera((0, 0, 9), (0, 1, 0), (1, 0, 0), 20)
+    camera = Tracker(START, {"target": (1, 2, 3), "azimuth": 90, "elevation": 0, "distance": 4}, ASPECT).first
+    assert camera.target == (1, 2, 3)
+    assert camera.eye == pytest.approx((5, 2, 3))
+    low, high = (Tracker(START, {"elevation": e}, ASPECT).first for e in (0.0, 80.0))
+    assert high.eye[1] > low.eye[1] + 3
+    near, far = (Tracker(START, {"fov": fov}, ASPECT).first for fov in (60.0, 20.0))
+    assert np.linalg.norm(np.subtract(far.eye, far.target)) > 2 * np.linalg.norm(np.subtract(near.eye, near.target))
+
+
+def test_orbit():
+    """A quarter turn a second about y, counter-clockwise seen from above."""
+    tracker = Tracker(START, {"eye": (4, 2, 0), "target": (0, 0, 0), "orbit": 90}, ASPECT)
+    for time, eye in ((0, (4, 2, 0)), (1, (0, 2, -4)), (2, (-4, 2, 0)), (4, (4, 2, 0))):
+        assert tracker.at(frame_at(time, START.position)).eye == pytest.approx(eye, abs=1e-12)
+
+
+KEYS = [
+    {"time": 0.0, "eye": (0.0, 1.0, 5.0), "target": (0.0, 0.0, 0.0)},
+    {"time": 1.0, "eye": (3.0, 1.0, 5.0), "target": (0.0, 0.0, 0.0)},
+    {"time": 1.5, "eye": (3.5, 1.0, 5.0), "target": (0.0, 2.0, 0.0)},
+    {"time": 4.0, "eye": (0.0, 1.0, 5.0), "target": (0.0, 2.0, 0.0)},
+]
+
+
+def test_a_path_passes_through_its_keyframes():
+    tracker = Tracker(START, {"path": KEYS}, ASPECT)
+    assert tracker.first.eye == KEYS[0]["eye"]
+    for key in KEYS:
+        camera = tracker.at(frame_at(key["time"], START.position))
+        assert camera.eye == pytest.approx(key["eye"])
+        assert camera.target == pytest.approx(key["target"])
+    assert tracker.at(frame_at(-1.0, START.position)).eye == KEYS[0]["eye"]
+    assert tracker.at(frame_at(9.0, START.position)).target == KEYS[-1]["target"]
+    wide = [key | {"fov": fov} for key, fov in zip(KEYS, (20, 30, 40, 50), strict=True)]
+    assert Tracker(START, {"path": wide}, ASPECT).at(frame_at(1.5, START.position)).fov == pytest.approx(40)
+
+
+def test_between_keyframes_nothing_overshoots_and_the_slope_is_continuous():
+    rng = np.random.default_rng(7)
+    times = np.cumsum(rng.uniform(0.1, 2.0, 9))
+    values = rng.normal(size=(9, 3))
+    values[4] = values[3]  # a rest
+    fine = np.linspace(times[0] - 0.5, times[-1] + 0.5, 40_001)
+    path = np.array([eased(times, values, t) for t in fine])
+    k = np.clip(np.searchsorted(times, fine) - 1, 0, 7)
+    low, high = np.minimum(values[k], values[k + 1]), np.maximum(values[k], values[k + 1])
+    assert np.all((path > low - 1e-12) & (path < high + 1e-12))
+    slope = np.diff(path, axis=0) / np.diff(fine)[:, None]
+    assert np.abs(np.diff(slope, axis=0)).max() < 0.02 * np.abs(slope).max()
+
+
+def follow(track, velocity=None, dt=1 / 60, camera=None):
+    """Eyes (f, 3) of a camera that follows ball 1 along a track (f, 3)."""
+    away = [9.0, 9.0, 9.0]
+    frames = [frame_at(k * dt, [away, x], None if velocity is None else [away, velocity]) for k, x in enumerate(track)]
+    tracker = Tracker(frames[0], {"follow": 1, **(camera or {})}, ASPECT)
+    return np.array([tracker.at(frame).eye for frame in frames])
+
+
+def test_what_moves_evenly_is_followed_without_lag():
+    t = np.arange(60)[:, None] / 60
+    track = t * (2.0, -1.0, 0.5)
+    eyes = follow(track, velocity=(2.0, -1.0, 0.5))
+    assert eyes - eyes[0] == pytest.approx(track, abs=1e-12)
+    late = follow(track)  # from rest
+    assert np.abs((late - late[0] - track)[-1]).max() < 0.02
+
+
+def test_a_bounce_does_not_jerk_and_jitter_does_not_show():
+    t = np.arange(240) / 60
+    height = np.abs(np.sin(3 * t))  # speed jumps by 6 m/s where it touches the ground
+    eyes = follow(np.stack([0 * t, height, 0 * t], 1))
+    change = np.abs(np.diff(eyes[:, 1], 2)).max() * 60
+    assert change < 0.2 * np.abs(np.diff(height, 2)).max() * 60
+    noise = np.random.default_rng(2).normal(scale=0.01, size=(240, 3))
+    eyes = follow(noise)
+    assert np.diff(eyes, axis=0).std() < 0.15 * np.diff(noise, axis=0).std()
+
+
+def test_frames_that_are_not_drawn_count():
+    """A resumed run shows what one that was not cut off does."""
+    t = np.arange(30) / 10
+    frames = [frame_at(a, [[0, 0, 0], [np.sin(a), 0, 0]]) for a in t]
+    options = {"size": (64, 48), "camera": {"follow": [1], "orbit": 30.0}}
+    with Renderer(frames[0], **options) as renderer:
+        whole = [renderer.render(frame) for frame in frames]
+    with Renderer(frames[0], **options) as renderer:
+        for frame in frames[:20]:
+            renderer.skip(frame)
+        assert all(np.array_equal(renderer.render(frame), image) for frame, image in zip(frames[20:], whole[20:]))
+    assert not np.array_equal(whole[0], whole[20])
+
+
+def test_flat_pictures_follow_too():
+    """The ball stays in the middle, the other one leaves; the picture is as wide as asked."""
+    points = [[0.0, 0.0], [1.0, 0.0]]
+    frames = [frame_at(k / 10, [points[0], [1.0 + k / 10, 0.0]], [[0, 0], [1.0, 0]], dim=2) for k in range(40)]
+    for frame in frames:
+        frame.colour = np.array([[0.9, 0.1, 0.1], [0.1, 0.8, 0.1]])
+    with Renderer(frames[0], size=(120, 80), camera={"width": 3.0, "follow": 1}) as renderer:
+        first, *_, last = [renderer.render(frame).astype(int) for frame in frames]
+    for image in (first, last):
+        green = image[..., 1] > 1.5 * image[..., 0]
+        rows, columns = np.nonzero(green)
+        assert rows.mean() == pytest.approx(39.5, abs=1)
+        assert columns.mean() == pytest.approx(59.5, abs=1)
+        assert np.ptp(columns) + 1 == pytest.approx(0.4 / 3.0 * 120, abs=2)
+    assert np.any(first[..., 0] > 1.5 * first[..., 1])
+    assert not np.any(last[..., 0] > 1.5 * last[..., 1])
+
+
+BAD = [
+    ({"eyes": (0, 0, 1)}, r"camera\.eyes: is not a known key; did you mean 'eye'\?"),
+    ({"eye": (0, 1)}, r"camera\.eye: shape \(2,\)"),
+    (
+        {"eye": (0, 0, 1), "target": (0, 0, 1)},
+        r"camera\.target: \[0\.0, 0\.0, 1\.0\] is not allowed; it must differ from eye",
+    ),
+    ({"eye": (0, 0, 1), "distance": 2}, r"camera\.distance: does not go together with eye"),
+    ({"path": KEYS, "orbit": 3}, r"camera\.orbit: does not go together with path"),
+    ({"up": (0, 0, 0)}, r"camera\.up: .* it must have a direction"),
+    ({"fov": 190}, r"camera\.fov: 190\.0 is not allowed; it must be from 1 to 170"),
+    ({"distance": 0}, r"camera\.distance: 0\.0 is not allowed; it must be greater than 0"),
+    ({"follow": 3}, r"camera\.follow\[0\]: 3 is not allowed; it must name a ball, from 0 to 2"),
+    ({"follow": []}, r"camera\.follow: \[\] is not allowed; it must name at least one ball"),
+    ({"path": KEYS[:1]}, r"camera\.path: .* two keyframes or more"),
+    ({"path": KEYS[::-1]}, r"camera\.path\[1\]\.time: 1\.5 is not allowed; it must be later than the one before"),
+    ({"path": [KEYS[0], KEYS[1] | {"fov": 3}]}, r"camera\.path\[1\]\.fov: give one to all keyframes or to none"),
+    ({"path": [KEYS[0], {"time": 1.0}]}, r"camera\.path\[1\]\.eye: is missing"),
+    ({"path": [KEYS[0], KEYS[1] | {"roll": 3}]}, r"camera\.path\[1\]\.roll: is not a known key"),
+    ({"width": 3.0}, r"camera\.width: is not a known key; in 3D there are eye, "),
+]
+
+
+@pytest.mark.parametrize(("given", "message"), BAD)
+def test_refused(given, message):
+    with pytest.raises(SceneError, match=message):
+        CameraPath.of(given, 3, 3)
+    scene = Scene(dim=3)
+    scene.add_balls(START.position, radius=0.1)
+    scene.output = {"camera": given}
+    with pytest.raises(SceneError, match=rf"scene\.output: {message}"):
+        checked_output(scene)
+
+
+TEXT = """format = 1
+dim = 3
+[[balls]]
+position = [[0.0, 0.0, 0.0]]
+radius = 0.1
+[[balls]]
+name = "pair"
+position = [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+radius = 0.1
+[output]
+fps = 30
+[output.camera]
+azimuth = 10.0
+follow = "pair"
+"""
+
+
+def test_kept_in_files(tmp_path):
+    (tmp_path / "x.toml").write_text(TEXT)
+    scene = load_scene(tmp_path / "x.toml")
+    assert scene.output == {"fps": 30, "camera": {"azimuth": 10.0, "follow": [1, 2]}}
+    assert checked_output(scene)["camera"]["follow"] == [1, 2]
+    scene.output["camera"] = {"follow": np.array([1, 2]), "target": (0.0, 1.0, 0.0)}
+    wanted = {"follow": [1, 2], "target": [0.0, 1.0, 0.0]}
+    scene.save(tmp_path / "y.toml")
+    again = load_scene(tmp_path / "y.toml").output["camera"]
+    assert {key: list(value) for key, value in again.items()} == wanted
+    with Simulation(scene) as sim:
+        sim.save(tmp_path / "x.npz")
+    with Simulation.restore(tmp_path / "x.npz") as sim:
+        assert sim.scene.output["camera"] == wanted
+        assert len(checked_output(sim.scene)["camera"]) == 2
+    scene.output["camera"] = {"path": KEYS}
+    scene.save(tmp_path / "z.toml")
+    kept = load_scene(tmp_path / "z.toml").output["camera"]
+    assert CameraPath.of(kept, 3, 3) == CameraPath.of({"path": KEYS}, 3, 3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            '"pair"\n',
+            '"pear"\n',
+            r"line 14: output\.camera\.follow: 'pear' is not a name in this file; did you mean 'pair'",
+        ),
+        (
+            "azimuth = 10.0",
+            "azimut = 10.0",
+            r"line 13: output\.camera\.azimut: is not a known key; did you mean 'azimuth'",
+        ),
+        ("azimuth = 10.0", "distance = -1.0", r"line 13: output\.camera\.distance: -1\.0 is not allowed"),
+        (
+            'azimuth = 10.0\nfollow = "pair"',
+            "path = [" + 2 * "\n  {time = 0.0, eye = [0, 0, 1], target = [0, 0, 0]}," + "\n]",
+            r"line 15: output\.camera\.path\[1\]\.time: 0 is not allowed; it must be later",
+        ),
+        (
+            'azimuth = 10.0\nfollow = "pair"',
+            "[[output.camera.path]]\ntime = 0.0\neye = [0, 0, 1]\ntarget = [0, 0, 0]\n"
+            "[[output.camera.path]]\ntime = 0.0\neye = [0, 0, 1]\ntarget = [0, 0, 0]\n",
+            r"line 18: output\.camera\.path\[1\]\.time: 0 is not allowed; it must be later",
+        ),
+        ("fps = 30", "colour_range = [1.0, 0.0]", r"line 11: output\.colour_range: .* two numbers, the lower first"),
+        ("fps = 30", "subdivide = 3", r"line 11: output\.subdivide: 3 is not allowed"),
+    ],
+)
+def test_bad_files(tmp_path, old, new, message):
+    assert old in TEXT
+    (tmp_path / "x.toml").write_text(TEXT.replace(old, new) if old != '"pair"\n' else TEXT[:-7] + new)
+    with pytest.raises(SceneError, match=message):
+        load_scene(tmp_path / "x.toml")
+
+
+def test_the_examples_of_the_docs():
+    text = (Path(__file__).parent.parent / "docs" / "pictures.md").read_text()
+    for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL):
+        camera = tomllib.loads(block)["output"]["camera"]
+        CameraPath.of({key: 0 if key == "follow" else value for key, value in camera.items()}, 3, 1)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_camera_that_is_put_elsewhere_stays_there(dim):
+    frames = [frame_at(k / 10, np.array([[0, 0, 0], [1.0 + k, 0, 0]])[:, :dim], dim=dim) for k in range(3)]
+    with Renderer(frames[0], size=(64, 48), camera={"follow": 1}) as renderer:
+        renderer.render(frames[0])
+        first = renderer.camera
+        renderer.render(frames[1])
+        assert renderer.camera != first
+        image = renderer.render(frames[1])
+        renderer.camera = first
+        assert not np.array_equal(renderer.render(frames[1]), image)
+        renderer.render(frames[2])
+        assert renderer.camera == first

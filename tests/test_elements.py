@@ -1,0 +1,284 @@
+"""Cells, bending, gas and wind against plain NumPy in float64; what they conserve; how stiff they may be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import PRECISION
+from physics_support import EPS, F64, simulate
+
+import taichi_sim as ts
+from taichi_sim import diagnostics
+from taichi_sim.element_rates import element_rates
+from taichi_sim.forces.wind import gusts
+from taichi_sim.scene_elements import cell_volumes
+
+H = 1e-3  # s
+
+
+def box(seed: int = 1) -> ts.Scene:
+    """A deformed, moving box of 8 balls in 3D with six cells, bending elements, gas and a gusty wind; one ball pinned."""
+    rng = np.random.default_rng(seed)
+    scene = ts.Scene(dim=3)
+    corner = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=float)
+    balls = scene.add_balls(
+        corner, radius=0.1, mass=rng.uniform(0.5, 2.0, 8), velocity=rng.normal(size=(8, 3)), pinned=[7]
+    )
+    paths = [(0, 4, 6, 7), (0, 6, 2, 7), (0, 2, 3, 7), (0, 3, 1, 7), (0, 1, 5, 7), (0, 5, 4, 7)]
+    scene.add_cells(paths, bulk_modulus=rng.uniform(10.0, 30.0, 6))
+    weights = rng.normal(size=(3, 4))
+    weights[:, 3] = -weights[:, :3].sum(axis=1)
+    scene.add_bending(
+        [[0, 1, 2, 3], [4, 5, 6, 7], [0, 2, 5, 7]], weights=weights, stiffness=[3.0, 5.0, 1.0], damping=[0.0, 0.2, 0.1]
+    )
+    faces = [
+        (0, 1, 3),
+        (0, 3, 2),
+        (4, 6, 7),
+        (4, 7, 5),
+        (0, 4, 5),
+        (0, 5, 1),
+        (2, 3, 7),
+        (2, 7, 6),
+        (0, 2, 6),
+        (0, 6, 4),
+    ]
+    faces += [(1, 5, 7), (1, 7, 3)]
+    scene.add_triangles(balls[np.array(faces)])
+    scene.add_gas(faces, pressure=40.0, outside=5.0)
+    scene.add_wind((3.0, 1.0, -2.0), gust=0.5, gust_length=0.7)
+    scene.position[:] += rng.normal(size=(8, 3)) * 0.15
+    return scene
+
+
+def square() -> ts.Scene:
+    """Two triangular cells in 2D, deformed."""
+    rng = np.random.default_rng(2)
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0], [1, 0], [1, 1], [0, 1]], radius=0.1, mass=[1.0, 2.0, 1.5, 0.5])
+    scene.add_cells([[0, 1, 2], [0, 3, 2]], bulk_modulus=[20.0, 30.0])
+    scene.position[:] += rng.normal(size=(4, 2)) * 0.2
+    return scene
+
+
+def elastic_forces(scene: ts.Scene, x: np.ndarray) -> np.ndarray:
+    """-dE/dx (n, dim) by central differences of the energy that diagnostics gives."""
+    force, step = np.zeros_like(x), 1e-5
+    for i in range(x.shape[0]):
+        for a in range(x.shape[1]):
+            e = []
+            for side in (1, -1):
+                moved = x.copy()
+                moved[i, a] += side * step
+                e.append(diagnostics.energy(scene, moved, np.zeros_like(x)).spring)
+            force[i, a] = (e[1] - e[0]) / (2 * step)
+    return force
+
+
+def wind_forces(scene: ts.Scene, x: np.ndarray, v: np.ndarray, h: float) -> np.ndarray:
+    """Air on triangles (n, 3), one after another."""
+    force, wind = np.zeros_like(x), scene.wind
+    w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+    count = np.bincount(scene.triangles.ravel(), minlength=len(x))
+    for t in scene.triangles:
+        area = 0.5 * np.cross(x[t[1]] - x[t[0]], x[t[2]] - x[t[0]])
+        size = np.linalg.norm(area)
+        n = area / size
+        u = gusts(np.array(wind.velocity), wind.gust, wind.gust_length, x[t].mean(axis=0)[None], 0.0)[0] - v[t].mean(
+            axis=0
+        )
+        most = 0.5 / (h * (w[t] * count[t]).sum() / 9.0)
+        across, slip = u @ n, u - (u @ n) * n
+        f = min(0.5 * wind.density * wind.drag * size * abs(across), most) * across * n
+        f += min(0.5 * wind.density * wind.skin_friction * size * np.linalg.norm(slip), most) * slip
+        force[t] += f / 3.0
+    return force
+
+
+def bend_damping(scene: ts.Scene, v: np.ndarray) -> np.ndarray:
+    force = np.zeros_like(v)
+    for balls, w, c in zip(scene.bends, scene.bend_weights, scene.bend_damping):
+        force[balls] -= c * np.outer(w, w @ v[balls])
+    return force
+
+
+@pytest.mark.parametrize("driver", ["fused", "parallel"])
+@pytest.mark.parametrize("make", [box, square])
+def test_forces_agree_with_numpy(make, driver):
+    scene = make()
+    x, v = scene.position.copy(), scene.velocity.copy()
+    force = elastic_forces(scene, x)
+    if scene.wind is not None:
+        force += wind_forces(scene, x, v, H) + bend_damping(scene, v)
+    w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)[:, None]
+    with simulate(scene, ("ordered", driver), integrator="symplectic_euler", dt=H, contacts="off") as sim:
+        sim.step()
+        change = (sim.velocity - v) / H
+    scale = np.abs(w * force).max()
+    assert scale > 1.0
+    np.testing.assert_allclose(change, w * force, atol=scale * (1e-8 if F64 else 3e-3))
+
+
+def test_a_strong_wind_takes_at_most_half_of_what_it_slows_in_a_step():
+    """Light triangles, a gale and a long step: uncapped they would fly off faster than the wind."""
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0]], radius=0.01, mass=1e-4)
+    scene.add_triangles([[0, 1, 2]])
+    scene.add_wind((0.0, 0.0, 50.0))
+    with simulate(scene, integrator="symplectic_euler", dt=0.1, contacts="off") as sim:
+        sim.step()
+        np.testing.assert_allclose(sim.velocity[:, 2], 25.0, rtol=1e-5)
+        sim.step(60)
+        assert np.all(sim.velocity[:, 2] <= 50.0 * (1 + 1e-6))
+        assert np.all(sim.velocity[:, 2] > 49.0)
+
+
+def test_both_drivers_give_the_same_bits():
+    ends = []
+    for driver in ("fused", "parallel"):
+        with simulate(box(), ("ordered", driver), dt=H, contacts="off") as sim:
+            sim.step(50)
+            ends.append(sim.position)
+    np.testing.assert_array_equal(*ends)
+
+
+def closed(dim: int) -> ts.Scene:
+    """Cells, in 3D bending and gas too, without wind, damping or pins."""
+    scene = square() if dim == 2 else box()
+    scene.wind = None
+    scene.pinned[:] = False
+    if dim == 3:
+        scene.bend_damping[:] = 0.0
+    return scene
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_momentum_and_energy_are_kept(dim):
+    scene = closed(dim)
+    with simulate(scene, dt=5e-4, contacts="off") as sim:
+        start, momentum, turn = sim.energy(), sim.momentum(), np.atleast_1d(sim.angular_momentum())
+        largest = start.spring + start.kinetic + 1.0
+        sim.step(400)
+        size = float(np.sum(scene.mass[:, None] * np.abs(sim.velocity))) + 1.0
+        assert np.abs(sim.momentum() - momentum).max() < 40 * EPS * size * 20
+        assert np.abs(np.atleast_1d(sim.angular_momentum()) - turn).max() < 40 * EPS * size * 40
+        assert abs(sim.energy().total - start.total) < 2e-3 * largest
+        assert sim.energy().kinetic > 0.05  # it moved
+
+
+def test_order_of_verlet_with_elements():
+    if not F64:
+        pytest.skip("orders are measured in double precision")
+    ends = []
+    for steps in (40, 80, 160, 640):
+        with simulate(closed(3), dt=0.2 / steps, contacts="off") as sim:
+            sim.step(steps)
+            ends.append(sim.position)
+    errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(np.abs(slopes - 2.0) < 0.15), slopes
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_cell_turned_inside_out_comes_back(dim):
+    scene = ts.Scene(dim=dim)
+    corners = np.concatenate([np.zeros((1, dim)), np.eye(dim)])
+    scene.add_balls(corners, radius=0.01)
+    scene.add_cells([list(range(dim + 1))], bulk_modulus=50.0)
+    scene.add_springs([[i, j] for i in range(dim + 1) for j in range(i)], stiffness=1.0, damping=2.0)
+    scene.position[0] = 0.8  # through the opposite side
+    assert diagnostics.inverted(scene, scene.position) == 1
+    with simulate(scene, contacts="off") as sim:
+        sim.run(6.0)
+        assert diagnostics.inverted(scene, sim.position) == 0
+        volume = cell_volumes(sim.position, scene.cells)
+        np.testing.assert_allclose(volume, scene.rest_volume, rtol=0.03)
+
+
+def hessian(scene: ts.Scene, x: np.ndarray) -> np.ndarray:
+    n, step = x.size, 1e-5
+    rows = []
+    for k in range(n):
+        sides = []
+        for side in (1, -1):
+            moved = x.copy().ravel()
+            moved[k] += side * step
+            sides.append(-elastic_forces(scene, moved.reshape(x.shape)).ravel())
+        rows.append((sides[0] - sides[1]) / (2 * step))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_bound_is_above_the_exact_eigenvalue_at_rest(dim):
+    scene = closed(dim)
+    if dim == 3:  # at rest but for the gas, whose pressure is bounded coarsely
+        scene.gases[0] = replace(scene.gases[0], pressure=1.0, outside=40.0)
+        scene.position[:] = [[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    else:
+        scene.position[:] = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    root = np.repeat(1.0 / np.sqrt(scene.mass), dim)
+    exact = np.linalg.eigvalsh(root[:, None] * hessian(scene, scene.position) * root)[-1]
+    bound = element_rates(scene).elastic
+    assert exact * 1.0 < bound < 3.0 * exact, (exact, bound)
+
+
+def test_the_advised_step_counts_elements():
+    scene = square()
+    scene.add_springs([[0, 1], [1, 2]], stiffness=5.0)
+    alone = ts.Scene(dim=2)
+    alone.add_balls(scene.position, radius=0.1, mass=scene.mass)
+    alone.add_springs([[0, 1], [1, 2]], stiffness=5.0)
+    from taichi_sim.stability import stability
+
+    for method in ("symplectic_euler", "verlet", "rk4"):
+        assert stability(scene, method).dt_any_shape < 0.7 * stability(alone, method).dt_any_shape
+    assert "cells" in stability(scene, "verlet").reason
+    assert np.isfinite(stability(scene, "implicit_euler").dt_any_shape)
+    assert stability(scene, "explicit_euler").dt_any_shape == 0.0
+
+
+def test_a_balloon_keeps_pressure_times_volume():
+    scene = box()
+    volume = scene.gases[0].volume
+    for factor in (0.9, 1.0, 1.2):
+        scene.position[:] = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * factor
+        v = diagnostics.enclosed(scene.position, scene.gases[0].triangles)
+        assert v == pytest.approx(volume * factor**3)
+    assert PRECISION in ("f32", "f64")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s.add_cells([[0, 1, 2, 2]], bulk_modulus=1.0), r"cells.corners\[0\].*twice"),
+        (lambda s: s.add_cells([[0, 1, 2, 9]], bulk_modulus=1.0), r"cells.corners\[0\].*from 0 to 7"),
+        (lambda s: s.add_cells([[0, 1, 2, 3]], bulk_modulus=1.0), r"cells.corners\[0\].*flat"),
+        (lambda s: s.add_cells([[0, 1, 2, 4]], bulk_modulus=-1.0), r"cells.bulk_modulus: -1.0"),
+        (lambda s: s.add_bending([[0, 1, 2, 3]], weights=[1, 1, 1, 1], stiffness=1.0), r"bending.weights\[0\].*sum"),
+        (lambda s: s.add_wind((0, 0)), r"wind.velocity"),
+        (lambda s: s.add_wind((0, 0, 1), gust=2.0), r"wind.gust: 2.0.*from 0 to 1"),
+        (lambda s: s.add_gas([[0, 1, 2]], pressure=1.0), r"gas.triangles.*edge from ball 0 to 1"),
+        (lambda s: s.attach([0, 1], [2], stiffness=1.0), r"attachments.other: names 1 balls and attachments.one 2"),
+        (lambda s: s.add_springs([[0, 1]], stiffness=1.0, break_strain=0.0), r"springs.break_strain: 0.0"),
+        (
+            lambda s: s.add_springs([[0, 1]], stiffness=1.0, break_strain=1.0, collides=True),
+            r"springs.break_strain\[0\].*stick",
+        ),
+    ],
+)
+def test_wrong_arguments_are_named(change, words):
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], radius=0.1)
+    before = {name: array.copy() for name, array in scene.to_arrays().items()}
+    with pytest.raises(ts.SceneError, match=words):
+        change(scene)
+    after = scene.to_arrays()
+    assert all(len(after[name]) == len(before[name]) for name in before)
+
+
+def test_two_dimensions_have_no_wind_and_no_gas():
+    scene = square()
+    with pytest.raises(ts.SceneError, match="dim = 3"):
+        scene.add_wind((1.0, 0.0))
+    with pytest.raises(ts.SceneError, match="dim = 3"):
+        scene.add_gas([[0, 1, 2]], pressure=1.0)

@@ -1,0 +1,190 @@
+"""Cloth of a material: the same at every resolution, against theory and a dense Newton solution; no Taichi."""
+
+import numpy as np
+import pytest
+from statics import at_rest
+
+from taichi_sim import Scene, SceneError, shapes
+from taichi_sim.mesh import Surface
+
+STRETCH, SHEAR, RIGIDITY = 80.0, 20.0, 1e-3
+
+
+def sheet(size=(1.0, 1.0), resolution=(9, 9), gravity=(0, -10, 0), **more):
+    scene = Scene(dim=3, gravity=gravity)
+    material = {
+        "stretch_stiffness": STRETCH,
+        "shear_stiffness": SHEAR,
+        "bending_rigidity": RIGIDITY,
+        "mass_per_area": 0.2,
+    }
+    return scene, shapes.cloth(scene, size, resolution, **(material | more))
+
+
+def spring_energy(scene, x):
+    length = np.linalg.norm(x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]], axis=1)
+    return 0.5 * float(scene.stiffness @ (length - scene.rest_length) ** 2)
+
+
+def bending_energy(scene, x):
+    return 0.5 * float(
+        scene.bend_stiffness @ np.sum(np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends]) ** 2, axis=1)
+    )
+
+
+def mesh_of(scene_size, cells):
+    """The unit sheet as a mesh of right triangles, in the x-z plane."""
+    scene = Scene(dim=3)
+    made = shapes.cloth(scene, scene_size, (cells + 1, cells + 1))
+    return Surface(scene.position.copy(), made.triangles.copy())
+
+
+@pytest.mark.parametrize("resolution", [(2, 2), (5, 9), (12, 10)])
+def test_moduli_and_mass_at_any_resolution(resolution):
+    """Energy per area of a homogeneous strain e: (C11 (exx^2 + ezz^2) + 2 C12 exx ezz) / 2 + 2 C44 exz^2, C12 = C44."""
+    size = (1.0, 1.2)
+    scene, _ = sheet(size, resolution)
+    if resolution == (5, 9):
+        with pytest.raises(SceneError, match=r"cloth\.shear_stiffness: 79"):
+            sheet(size, resolution, shear_stiffness=79.0)  # the sides of the grid are 0.25 and 0.15
+    assert scene.mass.sum() == pytest.approx(0.2 * 1.2)
+    assert scene.mass[0] == pytest.approx(0.25 * scene.mass.max() if min(resolution) > 2 else scene.mass.max())
+    x, area, small = scene.position, 1.2, 1e-6
+    for xx, zz, xz in ((1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -0.5, 0.7)):
+        strain = small * np.array([[xx, 0, xz], [0, 0, 0], [xz, 0, zz]])
+        want = 0.5 * (STRETCH * (xx**2 + zz**2) + 2 * SHEAR * xx * zz) + 2 * SHEAR * xz**2
+        assert spring_energy(scene, x + x @ strain) / area == pytest.approx(want * small**2, rel=1e-4)
+
+
+@pytest.mark.parametrize("resolution", [(9, 9), (33, 17)])
+def test_bending_rigidity_of_a_sheet(resolution):
+    """Curvatures wxx, wzz and twist wxz: B (wxx^2 + wzz^2 + 2 wxz^2) / 2 per area, but for the ends of its rows."""
+    scene, _ = sheet((1.0, 1.0), resolution)
+    x = scene.position
+    (a, b), small = 1 / (np.array(resolution) - 1), 1e-4
+    for xx, zz, xz in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 2, -0.5)):
+        y = small * (0.5 * xx * x[:, 0] ** 2 + 0.5 * zz * x[:, 2] ** 2 + xz * x[:, 0] * x[:, 2])
+        want = 0.5 * RIGIDITY * (xx**2 * (1 - a) + zz**2 * (1 - b) + 2 * xz**2)
+        assert bending_energy(scene, x + np.outer(y, [0, 1, 0])) == pytest.approx(want * small**2, rel=1e-9)
+    turned, _ = sheet((1.0, 1.0), resolution, rotation=(20, 30, 40))
+    assert bending_energy(turned, turned.position) < 1e-20
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.6])
+def test_bending_rigidity_of_a_flat_mesh(turn):
+    """Rolled on a cylinder it stores B / (2 r^2) per area, in whatever direction; its border has no hinge."""
+    flat, radius, cells = mesh_of((1, 1), 24), 5.0, 24
+    x, z = flat.vertices[:, 0], flat.vertices[:, 2]
+    along, across = np.cos(turn) * x + np.sin(turn) * z, np.cos(turn) * z - np.sin(turn) * x
+    rolled = np.stack([radius * np.sin(along / radius), radius * (1 - np.cos(along / radius)), across], axis=1)
+    scene = Scene(dim=3)
+    level = Surface(np.stack([along, 0 * x, across], axis=1), flat.triangles)
+    shapes.cloth(scene, mesh=level, stretch_stiffness=STRETCH, bending_rigidity=RIGIDITY)
+    assert len(scene.bends) == cells * (cells - 1) * 2 + cells**2
+    assert bending_energy(scene, scene.position) < 1e-20
+    assert bending_energy(scene, rolled) == pytest.approx(RIGIDITY / (2 * radius**2), rel=0.08)
+
+
+def test_a_fold_is_as_stiff_as_a_flat_hinge():
+    """B e^2 / (A0 + A1) times half the square of the change of the angle: by an element, or by a spring across the edge."""
+
+    def hinge(angle):
+        return np.array([[0.0, 0, -0.2], [0, 0, 0.3], [-0.3, 0, 0.1], [0.4 * np.cos(angle), 0.4 * np.sin(angle), 0]])
+
+    faces, small = np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32), 1e-4
+    want = RIGIDITY * 0.5**2 / (0.5 * 0.5 * 0.7) * small**2 / 2
+    for angle in (0.0, 0.5, -1.5):
+        scene = Scene(dim=3)
+        shapes.cloth(scene, mesh=Surface(hinge(angle), faces), stretch_stiffness=1e6, bending_rigidity=RIGIDITY)
+        assert (len(scene.bends), scene.n_springs) == ((1, 5) if angle == 0 else (0, 6))
+        bent = hinge(angle + small)
+        assert bending_energy(scene, bent) + spring_energy(scene, bent) == pytest.approx(want, rel=1e-3)
+
+
+def test_stretch_of_a_mesh():
+    """Van Gelder's springs on triangles of equal sides: C11 is the stretch stiffness, C12 = C44 a third of it."""
+    rows, side = 20, 1 / 20
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(rows + 1), np.arange(rows + 1), indexing="ij"))
+    place = np.stack([side * (i + 0.5 * j), 0 * i, side * np.sqrt(0.75) * j], axis=1)
+    k = np.arange(len(i)).reshape(rows + 1, rows + 1)
+    faces = np.concatenate(
+        [
+            np.stack([a.ravel() for a in three], 1)
+            for three in ((k[:-1, :-1], k[:-1, 1:], k[1:, :-1]), (k[1:, :-1], k[:-1, 1:], k[1:, 1:]))
+        ]
+    )
+    scene = Scene(dim=3)
+    shapes.cloth(scene, mesh=Surface(place, faces.astype(np.int32)), stretch_stiffness=STRETCH, mass_per_area=0.3)
+    area, small = np.sqrt(0.75), 1e-6
+    assert scene.mass.sum() == pytest.approx(0.3 * area)
+    for xx, zz, xz in ((1, 0, 0), (0, 1, 0), (1, 1, 0), (0, 0, 1)):
+        strain = small * np.array([[xx, 0, xz], [0, 0, 0], [xz, 0, zz]])
+        want = 0.5 * STRETCH * (xx**2 + zz**2 + 2 / 3 * xx * zz) + 2 / 3 * STRETCH * xz**2
+        assert spring_energy(scene, scene.position @ (np.eye(3) + strain)) / area == pytest.approx(
+            want * small**2, rel=1e-4
+        )
+
+
+def test_a_strip_bends_as_a_beam():
+    """A strip clamped at one end sags by q L^4 / (8 B): 40 meshes long, from the middle of the first, which is held."""
+    rigidity, mass = 1e-3, 2e-5
+    scene, _ = sheet((1.0, 0.1), (41, 3), bending_rigidity=rigidity, mass_per_area=mass, pinned=list(range(6)))
+    x, _ = at_rest(scene, most=1e-7)
+    length = 1.0 - 0.5 / 40
+    assert -x[-1, 1] == pytest.approx(mass * 10 * length**4 / (8 * rigidity), rel=0.01)  # 2.4 cm
+
+
+def hanging(n):
+    """A cloth that hangs flat from its edge: how far it reaches, and the period of its slowest bounce."""
+    scene, _ = sheet((1.0, 1.0), (n, n), pinned=list(range(n)), bending_rigidity=1e-5)
+    x = scene.position
+    scene.position[:] = np.stack([0 * x[:, 0], -x[:, 0], x[:, 2]], axis=1)
+    x, matrix = at_rest(scene)
+    free = np.repeat(scene.mass[~scene.pinned], 3)
+    rate, mode = np.linalg.eigh(matrix / np.sqrt(np.outer(free, free)))
+    part = np.abs(np.sqrt(free[1::3]) @ mode[1::3])  # how much of the mass a mode moves up and down
+    return -x[:, 1].min(), 2 * np.pi / np.sqrt(rate[np.argmax(part)])
+
+
+def test_it_hangs_alike_at_every_resolution():
+    coarse, fine = hanging(6), hanging(13)
+    young = STRETCH - SHEAR**2 / STRETCH  # its width is free
+    assert fine[0] - 1 == pytest.approx(0.5 * 0.2 * 10 / young, rel=0.02)
+    assert coarse[0] - 1 == pytest.approx(fine[0] - 1, rel=0.03)
+    assert coarse[1] == pytest.approx(fine[1], rel=0.03)
+    assert fine[1] == pytest.approx(4 / np.sqrt(young / 0.2), rel=0.02)  # a rod held at one end
+
+
+def test_damping_is_shared_out_as_the_stiffness_is():
+    for n in (5, 9):
+        scene, _ = sheet((1.0, 1.0), (n, n), damping=0.4)
+        assert scene.damping == pytest.approx(0.4 / STRETCH * scene.stiffness)
+
+
+def test_a_folded_triangle_without_area():
+    x = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0, 1]])
+    bad = Surface(x, np.array([[0, 3, 1], [0, 1, 2]], dtype=np.int32))
+    scene = Scene(dim=3)
+    with pytest.raises(SceneError, match=r"cloth\.mesh: triangles 1 \(from 0\) have no area"):
+        shapes.cloth(scene, mesh=bad, mass_per_area=0.1)
+    assert scene.n_balls == 0
+
+
+MATERIAL = ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity")
+
+
+@pytest.mark.parametrize("new", MATERIAL)
+@pytest.mark.parametrize("old", ["stiffness", "bending_stiffness"])
+def test_a_material_and_springs_exclude_each_other(new, old):
+    with pytest.raises(SceneError, match=rf"cloth\.{new}: does not go with {old}"):
+        shapes.cloth(Scene(dim=3), **{new: 1.0, old: 1.0})
+
+
+def test_other_conflicts():
+    with pytest.raises(SceneError, match=r"cloth\.mass_per_area: does not go with mass"):
+        shapes.cloth(Scene(dim=3), mass=1.0, mass_per_area=1.0)
+    with pytest.raises(SceneError, match=r"cloth\.shear_stiffness: a mesh has none"):
+        shapes.cloth(Scene(dim=3), mesh=mesh_of((1, 1), 2), shear_stiffness=1.0)
+    scene = Scene(dim=3)
+    shapes.cloth(scene, mass=3.0, stretch_stiffness=10.0, resolution=(4, 4))
+    assert scene.mass.sum() == pytest.approx(3.0)

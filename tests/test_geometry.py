@@ -1,0 +1,82 @@
+"""Surfaces as OBJ and PLY files: what another reader finds in them."""
+
+import numpy as np
+import pytest
+
+from taichi_sim import Scene, SceneError, shapes
+from taichi_sim.frame import Frame
+from taichi_sim.mesh import Surface, read_surface, volume
+from taichi_sim.outputs import open_output
+from taichi_sim.outputs.geometry import surface_of
+from taichi_sim.shapes.balloon import _sphere
+
+
+def frame(scene):
+    return Frame(
+        0.0,
+        scene.position,
+        scene.velocity,
+        scene.radius,
+        triangles=scene.triangles,
+        skins=tuple(scene.skins),
+    )
+
+
+def written(folder, name, *frames):
+    output = open_output(folder / name)
+    with output:
+        for index, one in enumerate(frames):
+            assert not output.needs_image
+            output.write(index, one, None)
+            output.frames += 1
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+def test_a_block_and_a_skin(tmp_path, kind):
+    """The skin takes the place of the boxes below it, the block beside it has its own triangles."""
+    scene, ball = Scene(dim=3), _sphere(2)
+    shapes.jelly(scene, mesh=ball, spacing=0.4)
+    shapes.jelly(scene, (1, 2, 3), (3, 3, 3), position=(5, 0, 0))
+    written(tmp_path, f"x.{kind}", frame(scene), frame(scene))
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f"x_00000.{kind}", f"x_00001.{kind}"]
+    surface = read_surface(tmp_path / f"x_00001.{kind}")
+    assert len(surface.triangles) == len(ball.triangles) + 2 * 6 * 4
+    assert volume(surface) == pytest.approx(volume(ball) + 6.0, rel=1e-5)
+
+
+def test_loose_balls_are_points(tmp_path):
+    scene = Scene(dim=2)
+    scene.add_balls([[0.0, 1.0], [2.0, 3.0]], radius=[0.1, 0.2])
+    written(tmp_path, "x.ply", frame(scene))
+    head, _, body = (tmp_path / "x_00000.ply").read_bytes().partition(b"end_header\n")
+    assert b"element vertex 2" in head
+    assert b"property float radius" in head
+    assert np.frombuffer(body, "<f4").reshape(2, 4) == pytest.approx(np.array([[0, 1, 0, 0.1], [2, 3, 0, 0.2]]))
+    written(tmp_path, "x.obj", frame(scene))
+    assert (tmp_path / "x_00000.obj").read_text() == "v 0 1 0\nv 2 3 0\n"
+
+
+def test_only_vertices_that_are_used():
+    scene = Scene(dim=3)
+    scene.add_balls([[9.0, 9, 9]], radius=0.1)
+    shapes.cloth(scene, resolution=(3, 4))
+    vertices, triangles = surface_of(frame(scene))
+    assert len(vertices) == 12
+    assert triangles.max() == 11
+
+
+def test_a_folder_that_is_missing(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*make it first"):
+        open_output(tmp_path / "none" / "x.ply")
+
+
+def test_binary_gltf_comes_in(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    ball = _sphere(1)
+    trimesh.Trimesh(ball.vertices, ball.triangles, process=False).export(tmp_path / "ball.glb")
+    surface = read_surface(tmp_path / "ball.glb")
+    assert isinstance(surface, Surface)
+    assert volume(surface) == pytest.approx(volume(ball), rel=1e-6)
+    (tmp_path / "bad.glb").write_text("no")
+    with pytest.raises(SceneError, match="cannot be read as GLB"):
+        read_surface(tmp_path / "bad.glb")

@@ -1,0 +1,156 @@
+"""Skins: surfaces that follow balls. What is refused, that they are kept in files, where their vertices lie, and that they
+are drawn in place of the balls that they cover."""
+
+import numpy as np
+import pytest
+
+from taichi_sim import Frame, Scene, SceneError, Simulation
+from taichi_sim.render import Camera, Renderer
+from taichi_sim.render.content import Content
+from taichi_sim.scene_file import load_scene
+
+RED, GREEN = (0.9, 0.05, 0.05), (0.05, 0.8, 0.05)
+COLUMNS = ("corners", "weights", "triangles", "covers")
+SIZE = (160, 90)
+
+
+def tetrahedron(colour=None, covers=None):
+    """Four balls joined by springs, a small skin between them, and a loose ball."""
+    scene = Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], radius=0.2, colour=GREEN)
+    scene.add_balls([[3, 0, 0]], radius=0.1)
+    scene.add_springs([[0, 1], [0, 2], [0, 3]], stiffness=10.0)
+    scene.add_triangles([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    weights = np.full((4, 4), 0.1) + 0.6 * np.eye(4)
+    corners = np.tile(np.arange(4), (4, 1))
+    scene.add_skin(corners, weights, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], covers=covers, colour=colour)
+    return scene
+
+
+def frame_of(scene, position=None):
+    x = scene.position if position is None else position
+    return Frame(
+        time=0.0,
+        position=x,
+        velocity=np.zeros_like(x),
+        radius=scene.radius,
+        springs=scene.pairs,
+        sticks=scene.collides,
+        triangles=scene.triangles,
+        colour=scene.colour,
+        skins=tuple(scene.skins),
+    )
+
+
+@pytest.mark.parametrize(
+    ("corners", "weights", "triangles", "more", "message"),
+    [
+        ([[0, 9]], [[0.5, 0.5]], [[0, 0, 0]], {}, r"skins\[0\]\.corners\[0\]: \[0, 9\] .* a ball, from 0 to 1"),
+        ([0, 1], [0.5, 0.5], [[0, 0, 0]], {}, r"skins\[0\]\.corners: shape \(2,\) does not fit; it must be \(s, k\)"),
+        ([[0, 1]], [[0.5, 0.4]], [[0, 0, 0]], {}, r"skins\[0\]\.weights\[0\]: \[0.5, 0.4\] .* sum up to 1"),
+        ([[0, 1]], [[0.5, np.nan]], [[0, 0, 0]], {}, r"skins\[0\]\.weights\[0\]\[1\]: nan"),
+        ([[0, 1]], [[0.5, 0.5]] * 2, [[0, 0, 0]], {}, r"skins\[0\]\.weights: 2 rows do not fit; there must be 1"),
+        ([[0, 1]], [[0.5, 0.5]], [[0, 0, 1]], {}, r"skins\[0\]\.triangles\[0\]: .* a vertex of the skin, from 0 to 0"),
+        ([[0, 1]], [[0.5, 0.5]], [[0, 0, 0]], {"covers": [2]}, r"skins\[0\]\.covers\[0\]: 2 is not allowed"),
+        ([[0, 1]], [[0.5, 0.5]], [[0, 0, 0]], {"colour": (2, 0, 0)}, r"skins\[0\]\.colour\[0\]: 2"),
+    ],
+)
+def test_refused(corners, weights, triangles, more, message):
+    scene = Scene(dim=2)
+    scene.add_balls([[0, 0], [1, 0]], radius=0.1)
+    with pytest.raises(SceneError, match=message):
+        scene.add_skin(corners, weights, triangles, **more)
+    assert not scene.skins
+
+
+def same(a, b):
+    assert len(a) == len(b) == 1
+    assert all(np.array_equal(getattr(a[0], name), getattr(b[0], name)) for name in COLUMNS)
+    assert a[0].colour == b[0].colour
+
+
+@pytest.mark.parametrize(("colour", "covers"), [(None, None), (RED, [4])])
+def test_kept_in_scene_and_state_files(tmp_path, colour, covers):
+    scene = tetrahedron(colour, covers)
+    scene.save(tmp_path / "x.toml")
+    same(load_scene(tmp_path / "x.toml").skins, scene.skins)
+    with Simulation(scene) as sim:
+        sim.save(tmp_path / "x.npz")
+        assert sim.frame().skins == tuple(scene.skins)
+    with Simulation.restore(tmp_path / "x.npz") as again:
+        same(again.scene.skins, scene.skins)
+
+
+def test_a_skin_in_a_scene_file_counts_within_its_group(tmp_path):
+    text = """format = 1
+[[balls]]
+position = [[5.0, 5.0]]
+radius = 0.1
+[[balls]]
+name = "pair"
+position = [[0.0, 0.0], [1.0, 0.0]]
+radius = 0.1
+[[skins]]
+balls = "pair"
+corners = [[0, 1], [1, 0]]
+weights = [[0.5, 0.5], [1.0, 0.0]]
+triangles = [[0, 1, 1]]
+covers = [1]
+"""
+    (tmp_path / "x.toml").write_text(text)
+    skin = load_scene(tmp_path / "x.toml").skins[0]
+    assert skin.corners.tolist() == [[1, 2], [2, 1]]
+    assert skin.covers.tolist() == [2]
+    (tmp_path / "x.toml").write_text(text.replace("[[0, 1], [1, 0]]", "[[0, 1], [1, 7]]"))
+    with pytest.raises(SceneError, match=r"line 11: skins\[0\]\.corners\[1\]: \[1, 7\] is not allowed"):
+        load_scene(tmp_path / "x.toml")
+
+
+def test_what_is_drawn():
+    """The skin in place of balls, springs and triangles; where its vertices are."""
+    scene = tetrahedron()
+    content = Content.of(frame_of(scene), 1.0)
+    assert content.radius.tolist() == [0, 0, 0, 0, 0.1]
+    assert len(content.rods) == 0
+    assert (content.triangles >= 5).all()
+    x = np.random.default_rng(3).normal(size=(5, 3))
+    skin = scene.skins[0]
+    wanted = np.einsum("sk,skd->sd", skin.weights, x[skin.corners])
+    assert content.binding.apply(x) == pytest.approx(wanted, rel=1e-14)
+    assert content.colour[5:] == pytest.approx(np.tile(GREEN, (4, 1)))
+    assert Content.of(frame_of(tetrahedron(RED, [4])), 1.0).colour[5:] == pytest.approx(np.tile(RED, (4, 1)))
+    assert Content.of(frame_of(tetrahedron(RED, [4])), 1.0).radius[4] == 0
+
+
+def test_vertices_on_the_device_are_the_weighted_means():
+    scene = tetrahedron()
+    with Renderer(frame_of(scene), size=SIZE) as renderer:
+        x = scene.position + np.random.default_rng(4).normal(size=(5, 3))
+        renderer.render(frame_of(scene, x))
+        painter = renderer._painter
+        vertices = painter._buffers.ball.to_numpy()[5:9, :3] * painter._unit + painter._origin
+    skin = scene.skins[0]
+    assert vertices == pytest.approx(np.einsum("sk,skd->sd", skin.weights, x[skin.corners]), abs=1e-5)
+
+
+def test_in_pictures():
+    """A red skin half as wide as the green triangle that it stands for, in 3D and in 2D."""
+    for dim in (3, 2):
+        points = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])[:, :dim]
+        scene = Scene(dim=dim)
+        scene.add_balls(points, radius=0.1, colour=GREEN)
+        scene.add_triangles([[0, 1, 2]])
+        middle = 0.5 * np.eye(3) + 0.5 / 3
+        scene.add_skin(np.tile(np.arange(3), (3, 1)), middle, [[0, 1, 2]], colour=RED)
+        options = {"camera": Camera(eye=(0.0, 0.0, 10.0), target=(0.0, 0.0, 0.0), fov=30.0)} if dim == 3 else {}
+        with Renderer(frame_of(scene), size=SIZE, **options) as renderer:
+            image = renderer.render(frame_of(scene)).astype(int)
+        red = (image[:, :, 0] > 1.12 * image[:, :, 1]).sum()
+        green = (image[:, :, 1] > 1.12 * image[:, :, 0]).sum()
+        assert red > 100
+        assert green == 0
+        with Renderer(frame_of(scene), size=SIZE, **options) as renderer:
+            frame = frame_of(scene)
+            frame.skins = ()
+            image = renderer.render(frame).astype(int)
+        assert (image[:, :, 1] > 1.12 * image[:, :, 0]).sum() == pytest.approx(4 * red, rel=0.15)

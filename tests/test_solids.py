@@ -1,0 +1,275 @@
+"""What fills bodies: lattices with given moduli, meshes filled with boxes or tetrahedra, and their skins. No Taichi."""
+
+import itertools
+
+import numpy as np
+import pytest
+from statics import at_rest
+
+from taichi_sim import Scene, SceneError, shapes
+from taichi_sim.mesh import Surface, flaws, holes, volume
+from taichi_sim.scene_elements import cell_volumes
+from taichi_sim.shapes.balloon import _sphere
+from taichi_sim.solids import box_surface, connected, inside, skin_of_tetrahedra, springs_of
+
+CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
+
+
+def tube(rings=24, around=16, radius=0.35, thick=0.15):
+    """A closed ring of radius `radius`, `thick` half across: a mesh with a hole through it."""
+    u, v = (2 * np.pi * np.arange(n) / n for n in (rings, around))
+    u, v = (k.ravel() for k in np.meshgrid(u, v, indexing="ij"))
+    away = radius + thick * np.cos(v)
+    points = np.stack([away * np.cos(u), thick * np.sin(v), -away * np.sin(u)], axis=1)
+    here = np.arange(rings * around).reshape(rings, around)
+    next_u, next_v = np.roll(here, -1, axis=0), np.roll(here, -1, axis=1)
+    both = np.roll(next_u, -1, axis=1)
+    faces = [np.stack([k.ravel() for k in three], axis=1) for three in ((here, next_u, both), (here, both, next_v))]
+    surface = Surface(points, np.concatenate(faces).astype(np.int32))
+    return surface if volume(surface) > 0 else Surface(points, surface.triangles[:, ::-1])
+
+
+def block(dim, ratio, size, resolution, **more):
+    scene = Scene(dim=dim)
+    made = shapes.jelly(scene, size, resolution, young_modulus=1000.0, poisson_ratio=ratio, **more)
+    return scene, made
+
+
+def energy(scene, x):
+    length = np.linalg.norm(x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]], axis=1)
+    stored = 0.5 * float(scene.stiffness @ (length - scene.rest_length) ** 2)
+    if len(scene.cells):
+        grown = cell_volumes(x, scene.cells) / scene.rest_volume - 1
+        stored += 0.5 * float((scene.bulk_modulus * scene.rest_volume) @ grown**2)
+    return stored
+
+
+def strain_energy(dim, ratio, e):
+    """E = 1000: lambda tr(e)^2 / 2 + mu e:e per volume; in 2D Poisson's ratio is lambda / (lambda + 2 mu)."""
+    mu = 1000 / (2 * (1 + ratio))
+    lame = 2 * mu * ratio / (1 - (dim - 1) * ratio)
+    return 0.5 * lame * np.trace(e) ** 2 + mu * np.sum(e * e)
+
+
+@pytest.mark.parametrize(
+    ("dim", "ratio", "size", "resolution"),
+    [
+        (2, 1 / 3, (1, 1.5), (5, 9)),
+        (2, 0.6, (1, 1), (4, 4)),
+        (3, 1 / 4, (1, 1, 1), (4, 4, 4)),
+        (3, 1 / 4, (1, 1.1, 0.9), (3, 4, 3)),
+        (3, 0.45, (1, 1, 1), (3, 4, 3)),
+    ],
+)
+def test_a_block_has_its_moduli_at_any_resolution(dim, ratio, size, resolution):
+    scene, made = block(dim, ratio, size, resolution, density=30.0)
+    whole, small = float(np.prod(size)), 1e-6
+    assert scene.mass.sum() == pytest.approx(30 * whole)
+    assert scene.mass.min() == pytest.approx(30 * whole / np.prod(np.array(resolution) - 1) / 2**dim)
+    assert len(made.cells) == (0 if ratio < 0.34 else (2 if dim == 3 else 4) * np.prod(np.array(resolution) - 1))
+    generator = np.random.default_rng(1)
+    for _ in range(5):
+        e = generator.normal(size=(dim, dim))
+        e = small * (e + e.T)
+        want = strain_energy(dim, ratio, e) * whole
+        assert energy(scene, scene.position @ (np.eye(dim) + e)) == pytest.approx(want, rel=1e-4)
+
+
+def test_cells_are_of_positive_volume_and_share_the_block():
+    for dim in (2, 3):
+        scene, _ = block(dim, 0.45, (1.0,) * dim, (4,) * dim)
+        assert (cell_volumes(scene.position, scene.cells) > 0).all()
+        assert cell_volumes(scene.position, scene.cells) == pytest.approx(scene.rest_volume)
+        share = 1.5 if dim == 3 else 0.5
+        assert scene.rest_volume.sum() * share == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("dim", "length", "ratio"), [(2, 12, 1 / 3), (3, 10, 1 / 4), (3, 10, 0.4)])
+def test_a_bar_sags_as_a_slender_beam(dim, length, ratio):
+    """Under its own weight, clamped at one end: q L^4 / (8 E I) + q L^2 / (2 kappa G A), 8 (in 3D 6) boxes high, 1 wide."""
+    high = 8 if dim == 2 else 6
+    side = 1.0 / high
+    size, resolution = (float(length), 1.0, side)[:dim], (length * high + 1, high + 1, 2)[:dim]
+    scene, _ = block(dim, ratio, size, resolution, density=1.0)
+    scene.gravity[1] = -1e-5
+    scene.pinned[scene.position[:, 0] == 0] = True
+    x, _ = at_rest(scene, most=1e-6)
+    tip = scene.position[:, 0] > length - 1e-9
+    sag = (scene.position - x)[tip, 1].mean()
+    q, shear = 1e-5, 1000 / (2 * (1 + ratio))  # per width
+    kappa = 5 / 6 if dim == 2 else 10 * (1 + ratio) / (12 + 11 * ratio)
+    want = q * length**4 / (8 * 1000 / 12) + q * length**2 / (2 * kappa * shear)
+    assert sag == pytest.approx(want, rel=0.05)
+    assert sag < 0.01 * length
+
+
+def test_ratios_and_boxes_that_springs_cannot_have():
+    for dim, ratio, allowed in (
+        (3, 0.2, "0.25"),
+        (3, 0.5, "0.25.*less than 0.5"),
+        (2, 0.3, "0.3333"),
+        (2, 1.0, "less than 1"),
+    ):
+        with pytest.raises(SceneError, match=rf"jelly\.poisson_ratio: {ratio:g} .*{allowed}"):
+            block(dim, ratio, (1.0,) * dim, (4,) * dim)
+    with pytest.raises(SceneError, match=r"jelly\.resolution: gives boxes of 1 x 0.25 x 0.25 m"):
+        block(3, 0.25, (2, 1, 1), (3, 5, 5))
+
+
+def test_what_is_inside():
+    ball = _sphere(3)
+    turned = Surface(
+        ball.vertices,
+        np.where(np.arange(len(ball.triangles))[:, None] % 7 == 0, ball.triangles[:, ::-1], ball.triangles),
+    )
+    torn = Surface(ball.vertices, ball.triangles[ball.vertices[ball.triangles].mean(axis=1)[:, 1] < 0.97])
+    number, side = (21, 22, 23), 0.1
+    low = np.array([-1.05, -1.1, -1.15])
+    centre = low + side * (np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1) + 0.5)
+    away = np.linalg.norm(centre, axis=-1)
+    for surface in (ball, turned, Surface(ball.vertices, ball.triangles[:, ::-1])):
+        found = inside(surface, low, side, number)
+        assert found[away < 0.98].all()
+        assert not found[away > 1].any()
+    assert len(torn.triangles) < len(ball.triangles)
+    found = inside(torn, low, side, number)
+    assert found[away < 0.98].all()
+    assert not found[away > 1].any()
+    ring = inside(tube(), np.array([-0.6, -0.2, -0.6]), 0.05, (24, 8, 24))
+    assert not ring[11:13, :, 11:13].any()
+    assert ring.sum() * 0.05**3 == pytest.approx(volume(tube()), rel=0.05)
+
+
+def test_crumbs_go():
+    filled = np.zeros((6, 6, 6), dtype=bool)
+    filled[:5, :5, :5] = True
+    filled[5, 5, 5] = True
+    assert connected(filled).sum() == 125
+    filled[5, 5, :5] = True  # hangs on by an edge alone, but is large enough
+    assert connected(filled).sum() == 131
+    assert len(box_surface(connected(filled))) == 2 * (6 * 25 + 26)
+
+
+@pytest.mark.parametrize("surface", [tube(), _sphere(2)], ids=["ring", "sphere"])
+def test_a_mesh_filled_with_boxes(surface):
+    scene = Scene(dim=3)
+    made = shapes.jelly(
+        scene, mesh=surface, spacing=0.05 if len(surface.vertices) > 300 else 0.15, density=500.0, scale=2.0
+    )
+    assert scene.mass.sum() == pytest.approx(500 * 8 * volume(surface))
+    assert (cell_volumes(scene.position, scene.cells) > 0).all()
+    assert len(made.cells) == scene.rest_volume.size
+    assert not len(holes(made.triangles))
+    assert volume(Surface(scene.position, made.triangles)) == pytest.approx(8 * volume(surface), rel=0.08)
+    skin = scene.skins[0]
+    for x in (scene.position, scene.position @ np.array([[1, 0.2, 0], [0, 1.5, 0], [0.1, 0, 0.7]]) + [1, 2, 3]):
+        here = np.einsum("sk,ski->si", skin.weights, x[skin.corners])
+        want = 2 * surface.vertices
+        want = want if x is scene.position else want @ np.array([[1, 0.2, 0], [0, 1.5, 0], [0.1, 0, 0.7]]) + [1, 2, 3]
+        assert here == pytest.approx(want, abs=1e-12)
+    assert skin.covered(scene.n_balls).all()
+
+
+def five(number):
+    """A block of cubes of side 1, each cut in five, at random places near the lattice: irregular tetrahedra that tile."""
+    index = np.arange(int(np.prod(number))).reshape(number)
+    cells = []
+    for place in itertools.product(*(range(n - 1) for n in number)):
+        even = sum(place) % 2
+        middle = [c for c in itertools.product((0, 1), repeat=3) if sum(c) % 2 == even]
+        rest = [c for c in itertools.product((0, 1), repeat=3) if sum(c) % 2 != even]
+        near = [[c, *(m for m in middle if sum(abs(a - b) for a, b in zip(c, m)) == 1)] for c in rest]
+        cells += [[index[tuple(np.add(place, c))] for c in four] for four in (middle, *near)]
+    points = np.stack(np.unravel_index(np.arange(index.size), number), axis=1) + 0.0
+    points += np.random.default_rng(3).uniform(-0.1, 0.1, points.shape)
+    cells = np.array(cells)
+    turned = cell_volumes(points, cells) < 0
+    cells[turned] = cells[turned][:, [1, 0, 2, 3]]
+    return points, cells
+
+
+def test_springs_along_the_edges_of_tetrahedra():
+    points, cells = five((4, 4, 4))
+    body = springs_of(points, cells)
+    whole = cell_volumes(points, cells).sum()
+    assert body.volume.sum() == pytest.approx(whole)
+    assert not len(holes(body.triangles))
+    assert volume(Surface(points, body.triangles)) == pytest.approx(whole)
+    x, small, directions = points, 1e-6, np.random.default_rng(0).normal(size=(300, 3))
+    stored = []
+    for n in directions / np.linalg.norm(directions, axis=1)[:, None]:
+        change = (
+            np.linalg.norm((x[body.pairs[:, 1]] - x[body.pairs[:, 0]]) @ (np.eye(3) + small * np.outer(n, n)), axis=1)
+        ) - (np.linalg.norm(x[body.pairs[:, 1]] - x[body.pairs[:, 0]], axis=1))
+        stored.append(0.5 * body.stiffness @ change**2)
+    assert np.mean(stored) / (0.5 * small**2 * whole) == pytest.approx(3.0, rel=0.02)  # C11 = 3 mu
+    assert 2.5 < np.min(stored) / (0.5 * small**2 * whole) < np.max(stored) / (0.5 * small**2 * whole) < 3.5
+
+
+def test_a_skin_follows_tetrahedra():
+    points, cells = five((4, 4, 4))
+    vertices = np.random.default_rng(1).uniform(-0.2, 3.2, (200, 3))
+    corners, weights = skin_of_tetrahedra(points, cells, vertices)
+    assert np.einsum("sk,ski->si", weights, points[corners]) == pytest.approx(vertices, abs=1e-12)
+    within = (vertices > 0.2).all(axis=1) & (vertices < 2.8).all(axis=1)
+    assert weights[within].min() > -1e-9
+    assert weights.min() > -1.0
+
+
+# Meshes that cannot be filled ----------------------------------------------------------------------------------------
+
+
+def test_flaws_of_a_mesh():
+    ball = _sphere(1)
+    assert flaws(ball) == []
+    t = ball.triangles
+    torn = flaws(Surface(ball.vertices, t[1:]))
+    assert torn[0].startswith("3 edges have a triangle on one side only (")
+    i, j = sorted(t[0][:2])
+    assert f"{i}-{j} at " in torn[0]
+    turned = flaws(Surface(ball.vertices, np.concatenate([t[:1, ::-1], t[1:]])))
+    assert turned[0].startswith("3 edges lie between triangles that face opposite ways")
+    double = flaws(Surface(ball.vertices, np.concatenate([t, t[4:5]])))
+    assert double[0].startswith("3 edges have more than two triangles")
+    assert double[1] == "1 triangles are there more than once (4)"
+    thin = ball.vertices.copy()
+    thin[t[7, 0]] = 0.5 * (thin[t[7, 1]] + thin[t[7, 2]])
+    assert "1 triangles have next to no area (7)" in flaws(Surface(thin, t))
+
+
+REFUSED = [
+    (
+        {"mesh": Surface(CUBE, np.array([[0, 1, 2]], dtype=np.int32)), "fill": "tetrahedra"},
+        "cannot be filled .*0-1 at .*voxels",
+    ),
+    ({"mesh": _sphere(1), "size": (1, 1, 1)}, r"jelly\.size: is for a block"),
+    ({"mesh": _sphere(1), "stiffness": 1.0}, r"jelly\.stiffness: is for a block"),
+    ({"mesh": _sphere(1), "fill": "water"}, r"jelly\.fill: 'water' .*'voxels', 'tetrahedra'"),
+    ({"mesh": _sphere(1), "spacing": 9.0, "position": (0, 0)}, r"jelly\.position"),
+    ({"mesh": Surface(CUBE * 1e-3 + [0, 0, 0], np.array([[0, 1, 2]], dtype=np.int32))}, r"jelly\.spacing: .*no box"),
+    ({"mesh": _sphere(1), "spacing": 1e-6}, r"jelly\.spacing: 1e-06 .*GB of memory.*coarser"),
+    ({"resolution": (20000, 20000, 20000)}, r"jelly\.resolution: \(20000.* 8e\+12 balls .*GB of memory.*coarser"),
+    ({"spacing": 1.0}, r"jelly\.spacing: is for a mesh"),
+    ({"young_modulus": 1.0, "stiffness": 1.0}, r"jelly\.young_modulus: does not go with stiffness"),
+    ({"density": 1.0, "mass": 1.0}, r"jelly\.density: does not go with mass"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), REFUSED, ids=[message for _, message in REFUSED])
+def test_refused_and_the_scene_unchanged(arguments, message):
+    scene = Scene(dim=3)
+    with pytest.raises(SceneError, match=message):
+        shapes.jelly(scene, **arguments)
+    assert scene.n_balls == scene.n_springs == len(scene.cells) == 0
+
+
+@pytest.mark.slow
+def test_a_mesh_filled_with_tetrahedra():
+    pytest.importorskip("pytetwild")
+    ball, scene = _sphere(2), Scene(dim=3)
+    made = shapes.jelly(scene, mesh=ball, fill="tetrahedra", spacing=0.4, density=10.0)
+    assert scene.mass.sum() == pytest.approx(10 * volume(ball))
+    assert (cell_volumes(scene.position, scene.cells) > 0).all()
+    assert volume(Surface(scene.position, made.triangles)) == pytest.approx(volume(ball), rel=0.02)
+    skin = scene.skins[0]
+    assert np.einsum("sk,ski->si", skin.weights, scene.position[skin.corners]) == pytest.approx(ball.vertices, abs=1e-9)
