@@ -17,7 +17,6 @@ from taichi_sim.memory import available
 from taichi_sim.scene import Scene
 
 __all__ = [
-    "SURFACE_RADIUS",
     "Part",
     "Pins",
     "Shape",
@@ -28,7 +27,6 @@ __all__ = [
     "count",
     "counts",
     "exclusive",
-    "flag",
     "given_surface",
     "lattice_pairs",
     "lengths",
@@ -36,11 +34,14 @@ __all__ = [
     "named",
     "or_default",
     "stable_stiffness",
+    "surface_part",
 ]
 
 Pins = bool | Sequence[int] | Sequence[bool] | NDArray
 
-SURFACE_RADIUS = 0.25  # of the spacing, where triangles collide, which need no balls that leave no gap
+SURFACE_PART = (
+    5 / 9
+)  # of the usual radius, 0.45 of a spacing: triangles that collide need no balls without gaps between
 SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
 SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
 BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = (
@@ -84,6 +85,11 @@ class Part:
     surface_collision: bool = False
 
 
+def surface_part(shape: str, surface_collision: Any) -> float:
+    """The part of its usual radius that a ball has by default: 1, or less where triangles collide. Raises SceneError."""
+    return SURFACE_PART if checks.flags(f"{shape}.surface_collision", surface_collision, 1)[0] else 1.0
+
+
 @contextmanager
 def named(shape: str) -> Iterator[None]:
     """Let the scene's errors speak of the shape's arguments: `cloth.pinned[3]` in place of `balls.pinned[3]`."""
@@ -99,11 +105,6 @@ def counts(where: str, value: Any, n: int, low: int) -> tuple[int, ...]:
     if array.dtype.kind not in "iu" or array.shape != (n,) or (array < low).any():
         raise SceneError(f"{where}: {value!r} is not allowed; it must be {n} whole numbers of at least {low}")
     return tuple(int(k) for k in array)
-
-
-def flag(where: str, value: bool) -> bool:
-    """True or false. Raises SceneError."""
-    return bool(checks.flags(where, value, 1)[0])
 
 
 def count(where: str, value: Any, low: int) -> int:

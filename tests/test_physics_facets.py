@@ -100,13 +100,14 @@ def test_pairs_and_one_pass_as_by_brute_force(soup_run):
                     assert abs(thickness - p.thickness) < slack
                     assert np.abs(n @ p.normal) > 1 - 1e-3 or d < 1e-3
                     contacts += 1
-        if all(p.margin > slack for p in listed.values()) and len(listed):
-            after = ref.one_pass([p for p in listed.values() if p.contact], v, w, 0.0, H, 0.01)
+        met = [listed[name] for name, row in found.items() if row[-1] >= 0]  # single precision decides some otherwise
+        if min((p.distance for p in met), default=0.0) > (1e-6 if F64 else 3e-3):
+            after = ref.one_pass(met, v, w, 0.0, H, 0.01)
             sim.step()
             np.testing.assert_allclose(sim.velocity, after, atol=(1e-9 if F64 else 1e-3) * (1e-3 + np.abs(v).max()))
             passes += np.any(after != v)
     assert contacts > 300
-    assert passes > 4
+    assert passes > (4 if F64 else 2)
 
 
 # Momentum and energy ----------------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from taichi_sim import mesh as meshes
 from taichi_sim.errors import SceneError
 from taichi_sim.scene import Scene
 from taichi_sim.shape_parts import (
-    SURFACE_RADIUS,
     Part,
     Pins,
     Shape,
@@ -22,19 +21,18 @@ from taichi_sim.shape_parts import (
     build,
     counts,
     exclusive,
-    flag,
     given_surface,
     lattice_pairs,
     lengths,
     moved,
     or_default,
     stable_stiffness,
+    surface_part,
 )
 
 __all__ = ["cloth"]
 
 CLOTH_DENSITY = 0.2  # kg/m^2, a cotton sheet
-BALL_RADIUS, SHELL_RADIUS = 0.45, 0.4  # of the spacing of a sheet, of the mean edge of a mesh
 SHEAR_SHARE = 0.25  # of a cloth's stiffness, in its diagonals
 BENDING_SHARE = 0.05  # of a cloth's stiffness, between balls two apart or across an edge
 STRETCH_STIFFNESS = 100.0  # N/m: 2 % at the top of a cotton sheet that hangs 1 m
@@ -87,7 +85,7 @@ def cloth(
         shear_stiffness: N/m; a fifth of it by default. A mesh has none of its own: a third of it.
         bending_rigidity: N m, moment per width and curvature; 1e-5.
         damping: N s/m of each spring; in a material of the sheet, shared out as the stretch stiffness is.
-        radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; with surface_collision 0.25.
+        radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
         surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
     """
     if scene.dim != 3:
@@ -104,17 +102,16 @@ def cloth(
     grid: Any
     if mesh is None:
         grid = _grid(size, resolution, any(value is not None for value in woven.values()))
-        surface, spacing, area = grid[0], float(grid[2].min()), float(grid[3].prod())
+        surface, spacing, area = grid[0], 0.45 * float(grid[2].min()), float(grid[3].prod())
     elif size is not None or resolution is not None:
         raise SceneError("cloth.mesh: takes the place of size and resolution; give one or the other")
     else:
         grid, surface = None, given_surface("cloth", mesh)
-        spacing, area = _mean_edge(surface), meshes.surface_area(surface)
+        spacing, area = 0.4 * _mean_edge(surface), meshes.surface_area(surface)
     area = area * factor**2
     total = or_default("cloth.mass", mass, CLOTH_DENSITY * area)
-    solid = flag("cloth.surface_collision", surface_collision)
-    share = SURFACE_RADIUS if solid else BALL_RADIUS if mesh is None else SHELL_RADIUS
-    ball_radius = or_default("cloth.radius", radius, share * spacing * factor)
+    thinner = surface_part("cloth", surface_collision)
+    ball_radius = or_default("cloth.radius", radius, thinner * spacing * factor)
     drag = at_least_0("cloth.damping", damping)
     strength, bends = 0.0, None
     masses: float | NDArray = total
@@ -135,7 +132,7 @@ def cloth(
         if drag is not None:
             drag = drag / cotton.stretch * np.concatenate([k for _, k in parts.springs])
     points = moved("cloth", surface.vertices, position, rotation, factor)
-    part = Part(masses, ball_radius, pinned, material, colour, self_collision, solid)
+    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
     return build(scene, "cloth", points, kinds, surface.triangles, part, strength, drag, bends=bends)
 
 

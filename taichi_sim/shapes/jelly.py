@@ -14,7 +14,6 @@ from taichi_sim.scene import Scene
 from taichi_sim.shape_parts import (
     SAFE_MARGIN,
     SAFE_STEP,
-    SURFACE_RADIUS,
     Part,
     Pins,
     Shape,
@@ -24,20 +23,19 @@ from taichi_sim.shape_parts import (
     build,
     counts,
     exclusive,
-    flag,
     given_surface,
     lattice_pairs,
     lengths,
     moved,
     or_default,
     stable_stiffness,
+    surface_part,
 )
 
 __all__ = ["jelly"]
 
 JELLY_DENSITY = {2: 100.0, 3: 1000.0}  # kg/m^2 (a slab of 0.1 m) and kg/m^3: water
 WOBBLE = 40 * 10.0  # m/s^2: waves run at the root of that times the height
-BALL_RADIUS = 0.45  # of the smallest spacing
 MESH_RATIO = 0.4  # Poisson's, of a filled mesh
 BOXES = 16  # along the longest side of a mesh
 FILLS = ("voxels", "tetrahedra")
@@ -92,7 +90,7 @@ def jelly(
         fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
             the package pytetwild, which takes half a minute, closed meshes alone and, each time, other points.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
-        radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh and with surface_collision.
+        radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
     """
     elastic = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
@@ -102,8 +100,8 @@ def jelly(
     if fill not in FILLS:
         raise SceneError(f"jelly.fill: {fill!r} is not allowed; it must be one of {', '.join(map(repr, FILLS))}")
     drag = at_least_0("jelly.damping", damping)
-    solid = flag("jelly.surface_collision", surface_collision)
-    if solid and scene.dim == 2:
+    thinner = surface_part("jelly", surface_collision)
+    if surface_collision and scene.dim == 2:
         raise SceneError("jelly.surface_collision: needs a scene with dim = 3")
     if mesh is None:
         if spacing is not None:
@@ -114,12 +112,12 @@ def jelly(
             total = or_default("jelly.mass", mass, _density(scene.dim) * float(np.prod(block[0] * factor)))
             strength = at_least_0("jelly.stiffness", stiffness, soft)
             points = moved("jelly", points, position, rotation, factor)
-            reach = or_default("jelly.radius", radius, finest * (SURFACE_RADIUS / BALL_RADIUS if solid else 1.0))
-            part = Part(total, reach, pinned, material, colour, self_collision, solid)
+            ball_radius = or_default("jelly.radius", radius, thinner * finest)
+            part = Part(total, ball_radius, pinned, material, colour, self_collision, surface_collision)
             return build(scene, "jelly", points, kinds, triangles, part, strength, drag)
         body, extent, default_radius = _solid_block(block, factor)
-        default_radius *= SURFACE_RADIUS / BALL_RADIUS if solid else 1.0
         volume, skin = float(np.prod(extent)), None
+        default_radius *= thinner
     else:
         if scene.dim != 3:
             raise SceneError("jelly.mesh: fills closed surfaces, in a scene with dim = 3")
@@ -147,9 +145,8 @@ def jelly(
     if bulk > 0:
         cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume)
     points = moved("jelly", body.points, position, rotation, 1.0)
-    part = Part(
-        masses, or_default("jelly.radius", radius, default_radius), pinned, material, colour, self_collision, solid
-    )
+    ball_radius = or_default("jelly.radius", radius, default_radius)
+    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
     shape = build(scene, "jelly", points, kinds, body.triangles, part, 0.0, drag, cells=cells)
     if skin is not None:
         scene.add_skin(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)
@@ -185,7 +182,7 @@ def _springs(block: tuple, factor: float, mass: float | None) -> tuple:
     triangles = np.zeros((0, 3), dtype=np.int64)
     if dim == 3:
         triangles = solids.box_surface(np.ones([n - 1 for n in number], dtype=bool))
-    finest = BALL_RADIUS * float(spacing.min()) * factor
+    finest = 0.45 * float(spacing.min()) * factor
     return points, kinds, min(soft, stable_stiffness(kinds, len(points), total)), triangles, finest
 
 
@@ -209,7 +206,7 @@ def _solid_block(block: tuple, factor: float) -> tuple[solids.Solid, NDArray[np.
     extent, number = block[0] * factor, block[1]
     spacing = extent / (np.array(number) - 1)
     filled = np.ones([n - 1 for n in number], dtype=bool)
-    return solids.lattice("jelly", filled, spacing), extent, BALL_RADIUS * float(spacing.min())
+    return solids.lattice("jelly", filled, spacing), extent, 0.45 * float(spacing.min())
 
 
 def _wobbly(body: solids.Solid, masses: NDArray, height: float, unit: tuple[float, float]) -> float:
