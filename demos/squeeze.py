@@ -1,9 +1,9 @@
 """A ring of jelly, a mesh filled with it, is pressed flat by a piston until some is inside out, and springs back."""
 
 import numpy as np
+from taichi_sim.demos.shell import LARGE, SMALL, ring
 
 import taichi_sim as ts
-from taichi_sim.demos.shell import LARGE, SMALL, ring
 
 
 def scene():
