@@ -86,13 +86,14 @@ def resolve(
     eye: vec3,
     look: View,
     width: ti.i32,
+    height: ti.i32,
 ):
     """Shade every pixel: each distinct primitive among its samples once, weighted by its samples.
 
     Rows of look: direction to the lamp and the spacing of the ground's grid, direction of the fill, zenith, horizon.
     Where the scene is transparent, samples of background and ground have neither colour nor share in alpha.
     """
-    for pixel in image:
+    for pixel in range(width * height):
         px, py = ti.cast(pixel % width, ti.f32) + ti.f32(0.5), ti.cast(pixel // width, ti.f32) + ti.f32(0.5)
         ray = pixel_ray(view, px, py)
         open_share = ti.f32(1.0)
@@ -129,7 +130,7 @@ def occlude(
     height: ti.i32,
 ):
     """Share of the sky that each pixel sees among what lies within `reach`, from the depths about it; then smoothed."""
-    for pixel in scene.open_raw:
+    for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         key = keys[pixel * scene.samples]
         identity = ti.cast(key, ti.i32)
@@ -158,7 +159,7 @@ def occlude(
                         near = ti.max(1 - d / (2 * reach), ti.f32(0.0))
                         blocked += ti.max(v.dot(n) / d - ti.f32(0.08), ti.f32(0.0)) * near
         scene.open_raw[pixel] = ti.max(1 - blocked * ti.f32(3.0 / TAPS), ti.f32(0.12))
-    for pixel in scene.openness:
+    for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         w = closeness(keys[pixel * scene.samples])
         total, weights = ti.f32(0.0), ti.f32(0.0)
@@ -218,7 +219,7 @@ def finish(
     out: ti.types.ndarray(ti.i32, 1),
 ):
     """Linear colour to packed sRGB bytes (red lowest, alpha highest), with half a step of fixed noise against bands."""
-    for pixel in image:
+    for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         c = image[pixel]
         if ti.static(edges):

@@ -22,6 +22,7 @@ from taichi_sim.rates import spring_from_rates
 from taichi_sim.scene import Scene
 
 if TYPE_CHECKING:
+    from taichi_sim.forces.pointer import Pointer
     from taichi_sim.integrators import Integrator
     from taichi_sim.scene_file import load_scene
     from taichi_sim.simulation import Simulation
@@ -36,6 +37,7 @@ __all__ = [
     "Frame",
     "Integrator",
     "Mesh",
+    "Pointer",
     "Scene",
     "SceneError",
     "Simulation",
@@ -49,6 +51,7 @@ __all__ = [
 
 _LAZY = {
     "Integrator": "taichi_sim.integrators",
+    "Pointer": "taichi_sim.forces.pointer",
     "Simulation": "taichi_sim.simulation",
     "load_scene": "taichi_sim.scene_file",
 }

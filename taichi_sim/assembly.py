@@ -99,6 +99,7 @@ class Assembly:
         self.integrator.fit(scene)
         springs = self._springs(scene, cpu, small, h)
         self.forces = TotalForce(self.model, self.fields, springs, forces)
+        self.forces.allocate(self.state, self.fields)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
         self.state.serial = self.fused

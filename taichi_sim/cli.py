@@ -1,8 +1,9 @@
 """The taichi-sim command. It imports nothing heavy before it knows what to do."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -145,17 +146,17 @@ def view(
     threads: Threads = None,
     quiet: Quiet = False,
 ) -> None:
-    """Show SCENE live: space pauses, s steps, r resets, p saves a picture, esc quits."""
+    """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
     with _plain_errors():
         from taichi_sim.outputs.window import require_display, show
 
         require_display()
         job = _Job(scene, fps=fps, duration=duration, size=size)
-        options: dict[str, Any] = {"arch": arch, "dt": dt, "tolerance": tolerance, "integrator": integrator}
-        options |= {"precision": precision, "threads": threads}
-        fps, size_px, style = (job.output[key] for key in ("fps", "size", "style"))
-        style.pop("transparent", None)
-        show(lambda: job.simulation(**options), fps=fps, size=size_px, until=duration, style=style)
+        options: dict[str, Any] = {"dt": dt, "tolerance": tolerance, "integrator": integrator}
+        options |= {"arch": arch, "precision": precision, "threads": threads}
+        output = {key: job.output[key] for key in ("fps", "size", "style")}
+        output["style"].pop("transparent", None)
+        show(partial(job.simulation, **options), **output, until=duration, say=_quiet if quiet else typer.echo)
 
 
 @main.command()
@@ -328,14 +329,13 @@ class _Job:
         style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}
         self.output: dict[str, Any] = chosen | {"style": style}
 
-    def simulation(self, *, dt: str | None, tolerance: float | None, integrator: str | None, **process: Any) -> Any:
-        """The Simulation, with the command line's options over the scene's own."""
-        options = {"dt": step(dt), "tolerance": tolerance, "integrator": integrator, **process}
-        given = {key: value for key, value in options.items() if value is not None}
+    def simulation(self, forces: Sequence[Any] = (), *, dt: str | None, **options: Any) -> Any:
+        """The Simulation, with the command line's options over the scene's own; one that a file makes takes no forces."""
+        given = {key: value for key, value in {"dt": step(dt), **options}.items() if value is not None}
         if self.scene is not None:
             from taichi_sim.simulation import Simulation
 
-            return Simulation(self.scene, **given)
+            return Simulation(self.scene, forces=forces, **given)
         from taichi_sim import backend
         from taichi_sim.scene_source import open_simulation
 

@@ -138,6 +138,11 @@ class Fields:
             field[None] = 0  # a tree that no kernel has touched must not be destroyed
         self.free()
 
+    @property
+    def built(self) -> bool:
+        """Whether the fields may be used: built, and not freed."""
+        return self._tree is not None
+
     def free(self) -> None:
         """Give the memory back. The fields must not be used after that."""
         if self._tree is not None:

@@ -20,6 +20,7 @@ ONCE = (
     "geometry",
     "mesh",
     "moment",
+    "orbit",
     "outputs",
     "readme",
     "render",
@@ -34,6 +35,7 @@ ONCE = (
     "surfaces",
     "tune",
     "waves",
+    "window",
 )
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}
 # Long ones that tell most in double precision, or the same in both: in single precision `make test-slow` runs them.
@@ -95,6 +97,7 @@ TWINS = (
     "test_physics_swept.py::test_a_bullet_leaves_the_stick_that_it_hit[2d]",
     "test_physics_swept.py::test_a_bullet_that_bounces_off_a_collider_meets_what_lies_behind[beside_one_that_moves]",
     "test_physics_swept.py::test_bullets_of_ten_radii_a_step_hit[2d]",
+    "test_pointer.py::test_a_cloth_of_any_mass_hangs_from_the_hand[implicit_euler",
     "test_validation_limits.py::test_no_advised_step_blows_up[rk4",
 )
 

@@ -1,5 +1,9 @@
 """Cameras that move: where they are at a time, how smoothly, what is refused, and that files keep them."""
 
+import re
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +13,11 @@ from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.tracker import Tracker
 from taichi_sim.scene_file import load_scene
 from taichi_sim.scene_source import checked_output
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ASPECT = 16 / 9
 
@@ -248,3 +257,25 @@ def test_bad_files(tmp_path, old, new, message):
     (tmp_path / "x.toml").write_text(TEXT.replace(old, new) if old != '"pair"\n' else TEXT[:-7] + new)
     with pytest.raises(SceneError, match=message):
         load_scene(tmp_path / "x.toml")
+
+
+def test_the_examples_of_the_docs():
+    text = (Path(__file__).parent.parent / "docs" / "pictures.md").read_text()
+    for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL):
+        camera = tomllib.loads(block)["output"]["camera"]
+        CameraPath.of({key: 0 if key == "follow" else value for key, value in camera.items()}, 3, 1)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_camera_that_is_put_elsewhere_stays_there(dim):
+    frames = [frame_at(k / 10, np.array([[0, 0, 0], [1.0 + k, 0, 0]])[:, :dim], dim=dim) for k in range(3)]
+    with Renderer(frames[0], size=(64, 48), camera={"follow": 1}) as renderer:
+        renderer.render(frames[0])
+        first = renderer.camera
+        renderer.render(frames[1])
+        assert renderer.camera != first
+        image = renderer.render(frames[1])
+        renderer.camera = first
+        assert not np.array_equal(renderer.render(frames[1]), image)
+        renderer.render(frames[2])
+        assert renderer.camera == first

@@ -205,6 +205,11 @@ REFUSED = [
     (("run", "ball.toml", "--size", "0x10"), "--size: '0x10' is not allowed; each side must be from 16 to 8192"),
     (("run", "ball.toml", "--resume"), "--overwrite, --resume, --codec and --transparent need --out"),
     (
+        ("run", "ball.toml", "-o", "x.mp4", "--transparent"),
+        "transparent: x.mp4 holds no transparency; write PNG frames",
+    ),
+    (("run", "ball.toml", "-o", "x.gif", "--resume"), "x.gif: only videos and folders of PNG frames can be resumed"),
+    (
         ("run", "ball.toml", "-o", "x.avi"),
         "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.npz, x.ply, x.obj or folder/",
     ),

@@ -380,12 +380,3 @@ def test_an_output_of_the_users_own():
 
     export(FakeSimulation(), Heights(), fps=10, duration=0.5)
     assert heights == [0, 1, 2, 3, 4]
-
-
-def test_a_picture_stands_upright_in_the_window():
-    from taichi_sim.outputs.window import _upright
-
-    image = np.zeros((2, 3, 3), dtype=np.uint8)
-    image[0, 2] = 255  # top right
-    assert _upright(image).shape == (3, 2, 3)
-    assert _upright(image)[2, 1].tolist() == [1, 1, 1]

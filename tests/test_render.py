@@ -7,8 +7,8 @@ import pytest
 
 from taichi_sim import Box, Scene, Sphere, backend
 from taichi_sim.frame import Frame, Placed
+from taichi_sim.model import components
 from taichi_sim.render import Camera, Renderer
-from taichi_sim.render.palette import components
 from taichi_sim.render.tiles import tile_lists
 
 SIZE = (160, 90)
@@ -166,7 +166,7 @@ def test_the_area_of_a_disc():
     left = image[:, : SIZE[0] // 2, 0].astype(float) / 255
     linear = np.where(left <= 0.04045, left / 12.92, ((left + 0.055) / 1.055) ** 2.4)
     painter = Renderer2D(frame, SIZE)
-    scale = painter._scale
+    scale = painter.camera.scale
     painter.close()
     body = np.pi * (0.7 * scale) ** 2
     dark = np.clip(1.0 - linear, 0, 1)

@@ -106,6 +106,22 @@ def test_resuming_when_all_frames_are_there(tmp_path):
     assert len(pictures(tmp_path / "x.mp4")) == 30
 
 
+@pytest.mark.parametrize("frames", [6, 42])
+def test_resuming_with_another_duration_gives_what_is_asked_for(tmp_path, frames):
+    cut_off(tmp_path)
+    make(tmp_path, "x.mp4", duration=frames / 60, resume=True)
+    assert len(pictures(tmp_path / "x.mp4")) == frames
+
+
+def test_a_run_that_is_cut_off_again_keeps_all_frames(tmp_path):
+    cut_off(tmp_path)
+    out = open_output(tmp_path / "x.mp4", resume=True)
+    with pytest.raises(KeyboardInterrupt):
+        export(FakeSimulation(5, KeyboardInterrupt()), out, duration=0.5, size=SIZE)
+    assert out.frames == 13
+    assert open_output(tmp_path / "x.mp4", resume=True)._kept == 13
+
+
 def test_without_resume_a_video_starts_anew(tmp_path):
     cut_off(tmp_path)
     open_output(tmp_path / "x.mp4").discard()

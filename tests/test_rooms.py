@@ -41,6 +41,7 @@ LEVELS = (
     ("scene", "frame"),
     ("scene_elements", "materials"),
     ("colliders",),
+    ("level_set",),
     ("mesh", "motion", "skins", "tables", "camera_path"),
     ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),

@@ -335,7 +335,7 @@ def test_bad_array_files(tmp_path, table, message):
 
 def test_bad_meshes(tmp_path):
     (tmp_path / "points.obj").write_text("v 0 0 0\n")
-    for mesh, message in (("points.obj", "has no faces"), ("none.obj", "is not there"), ("a.gltf", "must be a file")):
+    for mesh, message in (("points.obj", "has no faces"), ("none.obj", "is not there"), ("a.stp", "must be a file")):
         with pytest.raises(SceneError, match=rf"line 4: cloth\[0\]\.mesh: .*{message}"):
             load(tmp_path, f'format = 1\ndim = 3\n[[cloth]]\nmesh = "{mesh}"\n')
 

@@ -14,6 +14,9 @@ A force of your own is a small class with one function; it may read any field of
 
     Simulation(scene, forces=[Drag(0.1)])
 
+It may have `allocate(model, state, fields)`, called before the simulation's fields exist, to declare fields of its own: see
+`Fields` and, for an example, `Pointer`.
+
 `verlet` asks for it at predicted velocities, where springs are not strongly damped: drag is then of order 2, and stable while
 h c / m < 1.
 """
@@ -31,6 +34,7 @@ from taichi_sim.forces.gas import Gases
 from taichi_sim.forces.springs import Springs
 from taichi_sim.forces.wind import Wind
 from taichi_sim.model import Model
+from taichi_sim.state import State
 
 __all__ = ["TotalForce"]
 
@@ -63,6 +67,12 @@ class TotalForce:
         self.damped = springs is not None and springs.damped
         if self.damped:
             self.jump = fields.vectors(model.n, model.dim)
+
+    def allocate(self, state: State, fields: Fields) -> None:
+        """Let the user's forces declare fields."""
+        for force in self.extra:
+            if hasattr(force, "allocate"):
+                force.allocate(self.model, state, fields)
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""

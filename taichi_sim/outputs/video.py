@@ -1,6 +1,7 @@
 """MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
 from fractions import Fraction
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -65,12 +66,14 @@ class Video(Output):
         self._part = PartFile(path)
         if resume:
             self._part.sweep()
-        self._kept = self.frames = self._journal.frames  # by an earlier run
+        self._kept = self._journal.frames  # by an earlier run
         self._container: Any = None
         self._stream: Any = None
 
     def wants(self, index: int) -> bool:
         """Whether the frame is not kept already."""
+        if index < self._kept:
+            self.frames = index + 1
         return index >= self._kept
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
@@ -122,7 +125,8 @@ class Video(Output):
         context.colorspace = context.color_primaries = context.color_trc = BT709
         context.color_range = LIMITED
         self._stream = stream
-        for index, picture in enumerate(self._journal.pictures() if self._kept else ()):
+        kept_and_asked_for = islice(self._journal.pictures(), self.frames) if self._kept else ()
+        for index, picture in enumerate(kept_and_asked_for):
             fresh = av.VideoFrame.from_ndarray(picture.to_ndarray(), format="yuv420p")
             fresh.colorspace, fresh.color_range = BT709, LIMITED
             self._encode(fresh, index)
@@ -143,3 +147,4 @@ class Video(Output):
         self._container = self._stream = None
         self._part.discard()
         self._journal.close()
+        self.frames = self._journal.frames

@@ -14,6 +14,7 @@ __all__ = [
     "FOV",
     "Bounds",
     "Camera",
+    "Flat",
     "ground_planes",
     "near_boxes",
     "robust_bounds",
@@ -74,6 +75,14 @@ class Camera:
             high = ((local[:, :2] + radius[:, None]) / depth).max(axis=0)
             target = target + ((low + high) / 2 * distance * 0.7) @ axes[:2]
         return cls(_triple(target + back * distance), _triple(target), fov=fov)
+
+
+@dataclass(frozen=True, slots=True)
+class Flat:
+    """A view of a 2D scene: low (m) the lower left corner of the picture, scale px per metre."""
+
+    low: tuple[float, float]
+    scale: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -198,7 +198,8 @@ def finished(image: Any, alpha: Any, edges: bool, width: int, height: int, out: 
     """The picture (height, width, 3) from linear colours, or with alpha (height, width, 4); out: (pixels,) to work in."""
     transparent = alpha is not None
     resolve.finish(image, alpha if transparent else image, transparent, edges, width, height, out)
-    return np.ascontiguousarray(out.view(np.uint8).reshape(height, width, 4)[:, :, : 4 if transparent else 3])
+    shown = out[: width * height].view(np.uint8).reshape(height, width, 4)
+    return np.ascontiguousarray(shown[:, :, : 4 if transparent else 3])
 
 
 def _place(builder: Any, field: Any, count: int) -> Any:

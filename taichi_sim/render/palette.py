@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.frame import Frame
+from taichi_sim.model import components
 
-__all__ = ["PALETTE", "background_colours", "body_colours", "components", "to_linear"]
+__all__ = ["PALETTE", "background_colours", "body_colours", "to_linear"]
 
 PALETTE = np.array(  # sRGB: coral, amber, teal, blue, cream, rose, sea green, slate blue
     [
@@ -41,23 +42,6 @@ def background_colours(given: Any, top: Any, bottom: Any) -> tuple[NDArray, NDAr
         raise ValueError(f"background: one sRGB colour or a pair (top, bottom) is allowed, not shape {colours.shape}")
     top, bottom = (colours, colours) if colours.ndim == 1 else colours
     return to_linear(top), to_linear(bottom)
-
-
-def components(count: int, edges: NDArray) -> NDArray[np.int64]:
-    """For each of `count` balls the lowest index that edges (m, 2) connect it to. Hooking and pointer jumping."""
-    label = np.arange(count)
-    a, b = edges[:, 0].astype(np.int64), edges[:, 1].astype(np.int64)
-    while len(a):
-        low, high = np.minimum(label[a], label[b]), np.maximum(label[a], label[b])
-        apart = low != high
-        a, b = a[apart], b[apart]
-        np.minimum.at(label, high[apart], low[apart])
-        while True:
-            above = label[label]
-            if np.array_equal(above, label):
-                break
-            label = above
-    return label
 
 
 def body_colours(frame: Frame) -> NDArray[np.float64]:

@@ -58,11 +58,20 @@ class Renderer:
 
             self._painter = Renderer2D(frame, self.size, background, *look, camera)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame of the same scene."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame of the same scene. In 3D it may be `coarse` times less wide and high, and so much quicker."""
         if self._painter is None:
             raise RuntimeError("this renderer is closed")
-        return self._painter.render(frame)
+        return self._painter.render(frame, coarse)
+
+    @property
+    def camera(self) -> Any:
+        """Where pictures are seen from: a Camera in 3D, a Flat in 2D. Once replaced, it stays, whatever a CameraPath says."""
+        return self._painter.camera
+
+    @camera.setter
+    def camera(self, camera: Any) -> None:
+        self._painter.look(camera)
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn, for later ones to look as if it had been."""

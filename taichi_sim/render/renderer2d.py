@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim.camera_path import CameraPath
 from taichi_sim.frame import Frame
 from taichi_sim.kernels import paint2d
-from taichi_sim.render.camera import Bounds, near_boxes, robust_bounds
+from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import finished
@@ -44,7 +44,8 @@ class Renderer2D:
     ) -> None:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
-        self._low, self._scale, self._extent = _view(frame, size)
+        low, scale, self._extent = _view(frame, size)
+        self.camera = Flat((float(low[0]), float(low[1])), scale)
         self._follower = self._place(frame, camera)
         self._top, bottom = background_colours(background, TOP, BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
@@ -60,8 +61,8 @@ class Renderer2D:
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top; quick enough never to be coarse."""
         self._prepare(frame)
         self.skip(frame)
         width, height = self.size
@@ -100,7 +101,12 @@ class Renderer2D:
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
         if self._follower is not None:
-            self._low = self._begin + self._follower.at(frame) - self._follower.begin
+            low = self._begin + self._follower.at(frame) - self._follower.begin
+            self.camera = Flat((float(low[0]), float(low[1])), self.camera.scale)
+
+    def look(self, camera: Flat) -> None:
+        """Look there from now on, whatever a CameraPath says."""
+        self.camera, self._follower = camera, None
 
     def _place(self, frame: Frame, camera: Any) -> Follower | None:
         """Move the view to where a CameraPath, or the keys of one, wants it."""
@@ -108,12 +114,12 @@ class Renderer2D:
         if path is None:
             return None
         follower = None if path.follow is None else Follower(path.follow, frame)
-        middle = self._low + np.array(self.size) / 2 / self._scale
-        if path.width is not None:
-            self._scale = self.size[0] / path.width
-        if path.centre is not None or follower is not None:
-            middle = np.array(path.centre) if path.centre is not None else follower.begin  # type: ignore[union-attr]
-        self._low = self._begin = middle - np.array(self.size) / 2 / self._scale
+        half = np.array(self.size) / 2
+        middle = self.camera.low + half / self.camera.scale if follower is None else follower.begin
+        middle = middle if path.centre is None else np.array(path.centre)
+        scale = self.camera.scale if path.width is None else self.size[0] / path.width
+        self._begin = middle - half / scale
+        self.camera = Flat((float(self._begin[0]), float(self._begin[1])), scale)
         return follower
 
     def close(self) -> None:
@@ -170,7 +176,9 @@ class Renderer2D:
         content = self._content
         assert content is not None
         n = len(frame.position)
-        p = (np.concatenate([frame.position, content.binding.apply(frame.position)]) - self._low) * self._scale
+        p = (
+            np.concatenate([frame.position, content.binding.apply(frame.position)]) - self.camera.low
+        ) * self.camera.scale
         p[:, 1] = self.size[1] - p[:, 1]
         t, o, m = len(content.triangles), len(self._outline), len(self._rods)
         shape = np.zeros((t + o + m + len(self._discs), 8), dtype=np.float32)
@@ -181,7 +189,7 @@ class Renderer2D:
         ends = np.concatenate([self._outline, content.rod_ends[self._rods]])
         stick = content.rod_stick[self._rods]
         thinnest = np.where(stick, THINNEST["stick"], THINNEST["spring"])
-        thick = np.maximum(content.rod_radius[self._rods] * self._scale, thinnest)
+        thick = np.maximum(content.rod_radius[self._rods] * self.camera.scale, thinnest)
         thick = np.concatenate([np.full(o, THINNEST["outline"]), thick])[:, None]
         rods = slice(t, t + o + m)
         a, b = p[ends[:, 0]], p[ends[:, 1]]
@@ -189,7 +197,7 @@ class Renderer2D:
         shape[t : t + o, 5] = 1.0  # blunt
         low[rods], high[rods] = np.minimum(a, b) - thick - 1, np.maximum(a, b) + thick + 1
         discs = slice(t + o + m, None)
-        r = np.maximum(content.radius[self._discs] * self._scale, THINNEST["disc"])[:, None]
+        r = np.maximum(content.radius[self._discs] * self.camera.scale, THINNEST["disc"])[:, None]
         centre = p[self._discs]
         shape[discs, :2], shape[discs, 2:3] = centre, r
         if len(frame.pinned) == n:
@@ -233,9 +241,9 @@ class Renderer2D:
         rows = np.zeros((len(frame.colliders), 8), dtype=np.float32)
         for row, placed in zip(rows, frame.colliders):
             shape, along = placed.collider, placed.rotation[:, 0]
-            x, y = (placed.centre - self._low) * self._scale
+            x, y = (placed.centre - self.camera.low) * self.camera.scale
             row[:4] = x, self.size[1] - y, along[0], -along[1]
-            row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self._scale
+            row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self.camera.scale
         return rows
 
     def _walls(self, frame: Frame) -> NDArray[np.float32]:
@@ -243,7 +251,7 @@ class Renderer2D:
         if frame.walls.size == 0:
             return np.zeros((0, 3), dtype=np.float32)
         normal, offset = frame.walls[:, :2], frame.walls[:, 2]
-        constant = (normal @ self._low - offset) * self._scale + normal[:, 1] * self.size[1]
+        constant = (normal @ self.camera.low - offset) * self.camera.scale + normal[:, 1] * self.size[1]
         return np.column_stack([normal[:, 0], -normal[:, 1], constant]).astype(np.float32)
 
 

@@ -44,7 +44,7 @@ class Renderer3D:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._table = Colouring.table()
-        self._tracker = Tracker(frame, camera, size[0] / size[1])
+        self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
         self.camera = self._tracker.first
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
@@ -57,10 +57,14 @@ class Renderer3D:
         self._canvas: Canvas | None = None
         self._prepare(frame)
 
-    def render(self, frame: Frame) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top."""
+    def look(self, camera: Camera) -> None:
+        """Look from there from now on, whatever a CameraPath says."""
+        self.camera, self._tracker = camera, None
+
+    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top."""
         self._prepare(frame)
-        self.camera = self._tracker.at(frame)
+        self._aim(frame)
         assert self._content is not None
         assert self._buffers is not None
         assert self._canvas is not None
@@ -70,8 +74,8 @@ class Renderer3D:
         self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
         if self._colouring is not None:
             self._buffers.paint(self._colouring.values(frame), self._table)
-        width, height = self.size
-        view = self._view()
+        width, height = (max(1, side // coarse) for side in self.size)
+        view = self._view(width, height)
         self._spare(view)
         planes = ground_planes(frame)
         planes[:, 3] = (planes[:, 3] - planes[:, :3] @ self._origin) / self._unit
@@ -99,13 +103,18 @@ class Renderer3D:
             _vec(eye),
             self._look_matrix(),
             width,
+            height,
         )
         return self._canvas.finish(width, height)
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
-        self.camera = self._tracker.at(frame)
+        self._aim(frame)
         self._widen(frame)
+
+    def _aim(self, frame: Frame) -> None:
+        if self._tracker is not None:
+            self.camera = self._tracker.at(frame)
 
     def close(self) -> None:
         """Free the fields."""
@@ -140,8 +149,7 @@ class Renderer3D:
         look[0, 3] = self._spacing / self._unit
         return _mat(look)
 
-    def _view(self) -> NDArray[np.float32]:
-        width, height = self.size
+    def _view(self, width: int, height: int) -> NDArray[np.float32]:
         eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
         focal = height / 2 / math.tan(math.radians(self.camera.fov) / 2)
         return view_matrix(self.camera.axes(), eye, focal, (width / 2, height / 2))
