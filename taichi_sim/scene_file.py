@@ -1,8 +1,8 @@
 """Scene files: TOML to Scene. `save_scene` (the way back) lies in scene_save.py and is offered here too.
 
-Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope, wheel, pile,
-truss, net, balloon, tower), springs, walls, colliders, triangles, skins. Springs that name no group therefore count all balls in
-this order.
+Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
+wheel, pile, truss, net, balloon, tower), springs, attachments, cells, bending, gases, moving pins, wind, walls, colliders,
+triangles, skins. Springs that name no group therefore count all balls in this order.
 """
 
 import difflib

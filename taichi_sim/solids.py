@@ -32,7 +32,9 @@ __all__ = [
 CELL_DIAGONALS = (
     0.25  # their part of mu, along the sides where it is largest: a cubic lattice then has k, 0.6 k, 0.15 k
 )
-ENVELOPE = 0.1  # of the spacing, how far tetrahedra may leave a surface: nearer ones are thin and many, and the skin hides it
+ENVELOPE = (
+    0.1  # of the spacing, how far tetrahedra may leave a surface: nearer ones are thin and many, and the skin hides it
+)
 NEAR = 32  # tetrahedra that are looked at for each vertex of a skin
 CROSSING: dict[
     int, tuple[tuple[tuple[int, ...], ...], ...]
