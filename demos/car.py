@@ -12,7 +12,7 @@ def scene():
     scene.output = {"fps": 60, "duration": 6, "size": (1280, 720)}
     scene.settings = {"spin": False}  # the balls of a tyre do not turn on their own
     scene.add_material("rubber", friction=0.9)
-    along = np.arange(-1.0, 16.0, 0.2)
+    along = np.arange(-1.0, 34.0, 0.2)
     height = -0.22 * along + 0.07 * np.sin(2.6 * along) * np.clip(along / 4 - 0.5, 0, 1) - 0.06
     road = scene.add_balls(np.stack([along, height], axis=1), radius=0.02, pinned=True, material="rubber")
     scene.add_springs(np.stack([road[:-1], road[1:]], axis=1), stiffness=1.0, collides=True)
@@ -25,12 +25,13 @@ def scene():
         hubs.append(wheel.balls[0])
     body = scene.add_balls(
         [[-0.25, 0.68], [0.65, 0.5], [1.55, 0.3], [-0.2, 0.95], [0.3, 1.15], [1.0, 1.0], [1.5, 0.6]],
-        radius=0.06, mass=1.5, body=scene.new_body(), colour=(0.85, 0.25, 0.2),
+        radius=0.06, mass=1.5, body=scene.new_body(), collides_with=[], colour=(0.85, 0.25, 0.2),
     )  # fmt: skip
     pairs = [(i, j) for i in range(7) for j in range(i)]
     scene.add_springs(body[np.array(pairs)], stiffness=8000, damping=20)
     for hub, struts in zip(hubs, ((0, 1, 3), (1, 2, 6))):
         scene.attach([hub] * 3, body[list(struts)], stiffness=2500, damping=30)
+    scene.output["camera"] = {"follow": body.tolist(), "width": 8.0}
     scene.velocity[~scene.pinned] = (2.0, -0.44)
     return scene
 

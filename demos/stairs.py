@@ -6,10 +6,9 @@ import taichi_sim as ts
 from taichi_sim.level_set import level_set
 
 STEPS, RISE, TREAD = 7, 0.3, 0.75
-CAMERA = {"eye": (5.5, 3.6, 7.0), "target": (2.3, 1.1, 0)}
 
 
-def cow(p):
+def body(p):
     """Negative inside: ellipsoids, as (centre, half axes), that melt into each other."""
     parts = [
         ((0, 0.55, 0), (0.45, 0.26, 0.24)),
@@ -23,16 +22,16 @@ def cow(p):
 
 def scene():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    scene.output = {"fps": 60, "duration": 5, "size": (1280, 720), "camera": CAMERA}
+    scene.output = {"fps": 60, "duration": 4, "size": (1280, 720)}
     scene.add_material("jelly", restitution=0.1, friction=0.5)
     scene.add_wall((0, 1, 0), material="jelly")
     for k in range(STEPS):
         top, first = RISE * (STEPS - k), 0.0 if k else 1.0  # the landing is longer
         place, size = (TREAD * (k + 0.5) - first / 2, top / 2, 0), (TREAD + first, top, 2.4)
         scene.add_collider(ts.Box(place, size, material="jelly", colour=(0.8, 0.78, 0.74)))
-    ts.shapes.jelly(
+    cow = ts.shapes.jelly(
         scene,
-        mesh=level_set(cow, (-0.7, -0.2, -0.5), (1.0, 1.3, 0.5), 0.04),
+        mesh=level_set(body, (-0.7, -0.2, -0.5), (1.0, 1.3, 0.5), 0.04),
         density=300,
         young_modulus=4e4,
         poisson_ratio=0.4,
@@ -42,6 +41,7 @@ def scene():
         rotation=(0, 0, -18),
         colour=(0.95, 0.85, 0.8),
     )
+    scene.output["camera"] = {"azimuth": 32, "elevation": 20, "distance": 6.5, "follow": cow.balls.tolist()}
     scene.velocity[:] = (2.2, 0, 0.1)
     return scene
 

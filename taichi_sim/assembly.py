@@ -11,6 +11,7 @@ from taichi_sim.backend import Backend
 from taichi_sim.companion import Companion
 from taichi_sim.contacts.colliders import TICKS, Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
+from taichi_sim.contacts.facets import Facets, far_sighted
 from taichi_sim.contacts.grid import SKIN, Grid
 from taichi_sim.contacts.pairs import GAP, Pairs
 from taichi_sim.contacts.solver import ContactSolver
@@ -46,10 +47,11 @@ SPARE = 1.5  # room made, in units of what was found too much
 
 
 class Room(NamedTuple):
-    """Entries that contacts are known to need: links of pairs, rows of sticks."""
+    """Entries that contacts are known to need: links of pairs, rows of sticks and of surfaces."""
 
     pairs: int = 0
     sticks: int = 0
+    facets: int = 0
 
 
 USUAL = Room()
@@ -133,20 +135,22 @@ class Assembly:
     def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactSolver:
         on = settings.contacts != "off" and bool(np.any(~scene.pinned))
         sticks = on and bool(np.any(scene.collides)) and scene.n_balls > 2
-        pairs = on and (sticks or may_collide(scene))
+        facets = on and bool(np.any(scene.solid)) and scene.n_balls > 3
+        pairs = on and (sticks or facets or may_collide(scene))
         walled = on and bool(scene.walls or scene.colliders)
         if pairs or walled:
             self.model.add_contact_fields()
         # fields, so that another step compiles nothing anew
         self.threshold = self.fields.reals(np.array([_slowest_bounce(scene, h)])) if pairs or walled else None
-        # sticks look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
-        skin = 0.0 if sticks or type(settings.integrator) not in BUILT_IN else SKIN
+        # these look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
+        skin = 0.0 if sticks or facets or type(settings.integrator) not in BUILT_IN else SKIN
         pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0))
         warm = self.model.has_gravity or pulls or bool(self.forces.extra) or bool(scene.moving_pins)
         # only what rests is soft, and that takes gravity: a rigid contact is exact for two balls
         soft = self.model.has_gravity and pairs and settings.integrator.relaxes and settings.contacts != "sum"
         most = self._spare_bytes() // PAIR_BYTES
-        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
+        least, far = far_sighted(scene) if facets else (0.0, False)
+        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most, least, far) if pairs else None
         pair_part = Pairs(self.model, self.fields, grid, warm, soft, self.room.pairs) if grid is not None else None
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
         wall_part = (
@@ -154,6 +158,9 @@ class Assembly:
         )
         stick_part = (
             Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
+        )
+        facet_part = (
+            Facets(self.model, self.fields, pair_part, self.room.facets) if facets and pair_part is not None else None
         )
         rule = self._rule(scene, settings, cpu, warm)
         # they may do work
@@ -165,6 +172,7 @@ class Assembly:
             wall_part,
             pair_part,
             stick_part,
+            facet_part,
             threshold=self.threshold,
             h=h,
             passes=settings.passes(scene, rule),

@@ -300,12 +300,23 @@ def bench(names: Annotated[list[str] | None, typer.Argument(metavar="[NAME ...]"
 
 
 @main.command(name="demos")
-def list_demos() -> None:
-    """List the built-in scenes, one line each."""
+def list_demos(
+    everything: Annotated[bool, typer.Option("--all", help="Make videos of those that have none yet.")] = False,
+    out: Annotated[str, typer.Option("--out", "-o", metavar="FOLDER", help="Where to, with --all.")] = "demos_out",
+    size: Size = None,
+    fps: Fps = None,
+    duration: Duration = None,
+    quiet: Quiet = False,
+) -> None:
+    """List the built-in scenes, one line each, or make videos of them."""
     with _plain_errors():
         from taichi_sim.scene_source import built_in, demos
 
         known = demos()
+        if everything:
+            from taichi_sim.outputs.gallery import render_all
+
+            raise typer.Exit(render_all(list(known), out, size=size, fps=fps, duration=duration, quiet=quiet))
         width = max(map(len, known), default=0)
         for name, file in known.items():
             typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())

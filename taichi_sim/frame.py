@@ -39,8 +39,9 @@ def _empty(*shape: int, dtype: type = np.float64) -> NDArray:
 
 
 class Contacts(NamedTuple):
-    """The contacts of one moment: balls that overlap a stick, and balls at most 1e-5 of their radii from another ball, a wall
-    or a collider (at rest they may lie just on the surface). Two pinned balls, and a pinned one at a wall, are no contact."""
+    """The contacts of one moment: balls that overlap a stick, surfaces that overlap, and balls at most 1e-5 of their radii from
+    another ball, a wall or a collider (at rest they may lie just on the surface). Two pinned balls, and a pinned one at a wall,
+    are no contact."""
 
     number: int
     penetration: float  # m, the largest overlap

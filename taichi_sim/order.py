@@ -17,7 +17,7 @@ def spatial_order(scene: Scene) -> NDArray[np.int64] | None:
     order of their balls, which a mesh or a lattice has good already: scenes with springs, or with anything else that names
     balls, are left alone.
     """
-    if scene.n_balls < FROM or scene.n_springs or scene.has_elements() or scene.moving_pins:
+    if scene.n_balls < FROM or scene.n_springs or scene.has_elements() or scene.moving_pins or scene.solid.any():
         return None
     width = 2.0 * float(np.median(scene.radius))
     cells = np.floor(scene.position / width)

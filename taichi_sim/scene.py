@@ -20,6 +20,9 @@ from taichi_sim.tables import Table
 __all__ = ["Material", "Scene", "Wall", "bounciest", "used_materials"]
 
 
+NEWER = {"break_strain": np.inf, "collides": False}  # columns that files of older versions may lack
+
+
 class Scene(Elements):
     """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
@@ -63,7 +66,7 @@ class Scene(Elements):
             collides=np.zeros(0, dtype=bool),
             break_strain=np.zeros(0),
         )
-        self._triangles = Table(triangles=np.zeros((0, 3), dtype=np.int32))
+        self._triangles = Table(triangles=np.zeros((0, 3), dtype=np.int32), collides=np.zeros(0, dtype=bool))
         self._bodies = 0
         self._begin_elements(dim)
 
@@ -96,6 +99,9 @@ class Scene(Elements):
     collides = property(lambda self: self._springs["collides"], doc="(m,) bool; True: a stick that balls bounce off")
     break_strain = property(lambda self: self._springs["break_strain"], doc="(m,) strain at which it tears; inf: never")
     triangles = property(lambda self: self._triangles["triangles"], doc="(t, 3) balls, counter-clockwise from outside")
+    solid = property(
+        lambda self: self._triangles["collides"], doc="(t,) bool; True: triangles that nothing goes through"
+    )
 
     # What can be added ---------------------------------------------------------------------------------------------
 
@@ -263,10 +269,18 @@ class Scene(Elements):
         self.colliders.append(replace(collider, group=group, mask=mask))
         return len(self.colliders) - 1
 
-    def add_triangles(self, triangles: ArrayLike) -> None:
-        """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface."""
+    def add_triangles(self, triangles: ArrayLike, collides: bool | Sequence[bool] | NDArray = False) -> None:
+        """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface.
+
+        collides: True, in 3D, makes a surface, as thick as its balls, that no ball and no other such triangle goes through.
+        """
         t = checks.indices("triangles", triangles, self.n_balls, width=3)
-        self._triangles.append(len(t), triangles=t)
+        solid = checks.flags("triangles.collides", collides, len(t))
+        if solid.any() and self.dim != 3:
+            raise SceneError("triangles.collides: needs a scene with dim = 3; in 2D use springs that collide")
+        for k in np.flatnonzero(solid & np.any(t == np.roll(t, 1, axis=1), axis=1)):
+            raise SceneError(f"triangles[{k}]: {t[k].tolist()} may not collide; it must be three different balls")
+        self._triangles.append(len(t), triangles=t, collides=solid)
 
     def add_skin(
         self,
@@ -299,9 +313,7 @@ class Scene(Elements):
     ) -> None:
         """Put balls (k,) that were added before, a shape's for instance, into other collision groups."""
         index = checks.indices("balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
-        member, mask = self._groups("balls", group, collides_with)
-        self.group[index] = member
-        self.mask[index] = mask
+        self.group[index], self.mask[index] = self._groups("balls", group, collides_with)
 
     def has_groups(self) -> bool:
         """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
@@ -328,10 +340,11 @@ class Scene(Elements):
         """Add what `to_arrays` gave, without checks."""
         for name, table in self._tables().items():
             columns = {key: arrays[f"{name}.{key}"] for key in table.names if f"{name}.{key}" in arrays}
-            if name == "springs" and "break_strain" not in columns:  # of an older version
-                columns["break_strain"] = np.full(len(columns["pairs"]), np.inf)
-            if set(columns) == set(table.names):
-                table.append(len(next(iter(columns.values()))), **columns)
+            if columns:  # an older version had fewer tables and columns
+                rows = len(next(iter(columns.values())))
+                table.append(
+                    rows, **{key: np.full(rows, new) for key, new in NEWER.items() if key in table.names} | columns
+                )
         self.skins += skins_from(arrays)
 
     def _tables(self) -> dict[str, Table]:

@@ -103,7 +103,8 @@ class _Reader:
         for index, table in enumerate(model.triangles):
             with self._at("triangles", index):
                 arguments = self._with_file(("triangles", index), table, ("triangles",))
-                scene.add_triangles(self._members(scene, "triangles.triangles", arguments, 3))
+                arguments["triangles"] = self._members(scene, "triangles.triangles", arguments, 3)
+                scene.add_triangles(**arguments)
         for index, table in enumerate(model.skins):
             with self._at("skins", index):
                 arguments = self._with_file(("skins", index), table, ("corners", "weights", "triangles"))

@@ -74,7 +74,8 @@ def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
     }
     tables["colliders"] = [_collider(collider.given, store, k) for k, collider in enumerate(scene.colliders)]
     if len(scene.triangles):
-        tables["triangles"] = [store.table("triangles_", {"triangles": scene.triangles})]
+        columns = {"triangles": scene.triangles, "collides": _one(scene.solid)}
+        tables["triangles"] = [store.table("triangles_", columns)]
     tables["skins"] = [_skin(skin, store, k) for k, skin in enumerate(scene.skins)]
     return document | {name: rows for name, rows in tables.items() if rows}
 

@@ -49,6 +49,9 @@ SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink i
 FILLED = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
 MOST_SUBSTEPS = 8
 MANY = 1000  # balls, fewer of which can afford two passes
+SURFACE_PASSES = (
+    10  # what folds lies in several layers, each ball in many contacts; finding these takes far longer than a pass
+)
 UNEQUAL = 10.0  # ratio of masses from which one Gauss-Seidel pass is not enough
 
 
@@ -108,17 +111,19 @@ class Settings:
 
     def passes(self, scene: Scene, rule: str) -> int:
         """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where they
-        differ tenfold in mass: a light ball under a heavy one trembles with 1; up to 4 more for balls that bounce well. With
-        split masses 4 for small scenes to 8 for those whose piles can be high, and up to 12 more where balls bounce well: what
-        has not converged then takes energy for good."""
+        differ tenfold in mass: a light ball under a heavy one trembles with 1; 10 where surfaces collide; up to 4 more for balls
+        that bounce well. With split masses 4 for small scenes to 8 for those whose piles can be high, and up to 12 more where
+        balls bounce well: what has not converged then takes energy for good."""
         if self.contact_passes != "auto":
             return int(self.contact_passes)
+        surfaces = SURFACE_PASSES if scene.solid.any() else 0
         if rule == "gauss_seidel":
             mass = scene.mass[~scene.pinned]
             few = 1 if len(mass) > MANY and mass.max() <= UNEQUAL * mass.min() else 2
+            few = max(few, surfaces)
             return few + round(4 * max(0.0, 2.0 * bounciest(scene) - 1.0))
         more = round(12 * max(0.0, 2.0 * bounciest(scene) - 1.0))
-        return int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8)) + more
+        return max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8))) + more
 
     def time_step(self, scene: Scene, safe: Stability) -> tuple[float, int]:
         """dt [s] and the number of substeps, with "auto" resolved."""

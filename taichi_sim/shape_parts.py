@@ -34,10 +34,14 @@ __all__ = [
     "named",
     "or_default",
     "stable_stiffness",
+    "surface_part",
 ]
 
 Pins = bool | Sequence[int] | Sequence[bool] | NDArray
 
+SURFACE_PART = (
+    5 / 9
+)  # of the usual radius, 0.45 of a spacing: triangles that collide need no balls without gaps between
 SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
 SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
 BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = 800, 130, 250, 400  # at most, while built and made to run
@@ -73,6 +77,12 @@ class Part:
     material: str
     colour: Sequence[float] | None
     self_collision: bool
+    surface_collision: bool = False
+
+
+def surface_part(shape: str, surface_collision: Any) -> float:
+    """The part of its usual radius that a ball has by default: 1, or less where triangles collide. Raises SceneError."""
+    return SURFACE_PART if checks.flags(f"{shape}.surface_collision", surface_collision, 1)[0] else 1.0
 
 
 @contextmanager
@@ -255,7 +265,7 @@ def build(
             rest_length=rest,
         )
         faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
-        scene.add_triangles(faces)
+        scene.add_triangles(faces, collides=part.surface_collision)
         if bends is not None and len(bends[0]):
             scene.add_bending(balls[bends[0]], weights=bends[1], stiffness=bends[2])
         if cells is None or not len(cells[0]):

@@ -14,6 +14,7 @@ from taichi_sim.assembly import Assembly, compensates
 from taichi_sim.cautions import cautions
 from taichi_sim.collider_checks import check_colliders
 from taichi_sim.controlled import Controlled, StepError, check_digits
+from taichi_sim.crossings import crossings
 from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
@@ -191,8 +192,12 @@ class Simulation:
         return diagnostics.contacts(parts.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches())
 
     def penetration(self) -> float:
-        """Largest overlap of a ball with a wall, a collider, a stick or another ball [m]; 0 where contacts are off."""
+        """Largest overlap of a ball with a wall, a collider, a stick or another ball, or of surfaces [m]; 0 with contacts off."""
         return self.contacts().penetration
+
+    def crossings(self) -> int:
+        """How often an edge of the triangles pierces one of them, all of the scene's taken together; 0 in 2D. A look in NumPy."""
+        return len(crossings(self.position, self.scene.triangles)) if self.scene.dim == 3 else 0
 
     def frame(self) -> Frame:
         """The present moment as NumPy arrays."""

@@ -18,10 +18,12 @@ def check_box(sim):
     assert sim.energy().kinetic < 1e-4 * sim.energy().gravity
 
 
+# minutes each; `taichi-sim demos --all` renders them
+LONG = ("flag", "million", "net", "sphere", "tower", "wind")
 CHECKS = {"box": check_box}  # scene files hold no code
 
 
-@pytest.mark.parametrize("name", DEMOS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in DEMOS])
 def test_demo_ends_as_its_check_says(name):
     scene = open_scene(DEMOS[name])
     assert scene is not None, "a demo defines scene(), so that its output and settings are known"

@@ -302,3 +302,26 @@ def test_shadows_of_what_rests_do_not_flicker_while_something_moves():
     changed = np.abs(seen[1] - seen[0]).sum(axis=2) > 0
     assert changed.any()
     assert not changed[:, : SIZE[0] // 2 - 8].any()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_what_tears_is_drawn_without_new_fields(dim):
+    """Fewer springs and triangles fit where more were; new fields would compile all kernels again."""
+    x = np.random.default_rng(0).uniform(-1, 1, (12, dim))
+    springs = np.array([[0, 1], [1, 2], [2, 3], [3, 4]], dtype=np.int32)
+    triangles = np.array([[5, 6, 7], [6, 7, 8], [9, 10, 11]], dtype=np.int32)
+
+    def frame(m: int, t: int) -> Frame:
+        rods = {"springs": springs[:m], "sticks": np.zeros(m, dtype=bool), "strain": np.zeros(m)}
+        return Frame(0.0, x, 0 * x, np.full(12, 0.1), triangles=triangles[:t], **rods)
+
+    with Renderer(frame(4, 3), size=SIZE) as renderer:
+        whole = renderer.render(frame(4, 3))
+        painter = renderer._painter
+        fields = painter._tree if dim == 2 else painter._buffers
+        torn = renderer.render(frame(2, 1))
+        assert fields is (painter._tree if dim == 2 else painter._buffers)
+        assert not np.array_equal(torn, whole)
+        assert np.array_equal(renderer.render(frame(4, 3)), whole)
+    with Renderer(frame(2, 1), size=SIZE) as renderer:
+        assert np.array_equal(renderer.render(frame(2, 1)), torn)

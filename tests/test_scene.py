@@ -17,6 +17,12 @@ def pair(**changes) -> Scene:
     return scene
 
 
+def three() -> Scene:
+    scene = Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0]], radius=0.1)
+    return scene
+
+
 def springs(**changes) -> Scene:
     scene = pair()
     scene.add_springs(**({"pairs": [[0, 1]], "stiffness": 1.0} | changes))
@@ -97,6 +103,9 @@ REFUSED = [
     (lambda: Scene(dim=2).add_material("a", friction=-1), "friction: -1"),
     (lambda: Scene(dim=2).add_material(""), "material: ''"),
     (lambda: pair().add_triangles([[0, 1, 2]]), r"triangles\[0\]: \[0, 1, 2\]"),
+    (lambda: pair().add_triangles([[0, 1, 1]], collides=True), r"triangles\.collides: .*dim = 3"),
+    (lambda: three().add_triangles([[0, 1, 2], [0, 1, 1]], collides=True), r"triangles\[1\]: \[0, 1, 1\] .*different"),
+    (lambda: three().add_triangles([[0, 1, 2]], collides=[True, False]), r"triangles\.collides: .*list of 1"),
 ]
 
 

@@ -55,6 +55,7 @@ COLUMNS = [
     "rest_length",
     "collides",
     "triangles",
+    "solid",
 ]
 
 
@@ -187,6 +188,8 @@ def rich_scene(dim: int) -> Scene:
     scene.add_springs([[0, 1], [2, 3]], stiffness=[1.0, 2.0], collides=[True, False], rest_length=0.7)
     shapes.jelly(scene, pinned=[0])
     shapes.rope(scene, [0.0] * dim, [1.0] * dim, 5)
+    if dim == 3:
+        shapes.cloth(scene, resolution=(3, 3), surface_collision=True)
     return scene
 
 

@@ -220,8 +220,22 @@ def test_self_collision():
     assert (scene.body == 0).all()
 
 
+def test_surface_collision():
+    scene = Scene(dim=3)
+    sheet = shapes.cloth(scene, resolution=(5, 5))
+    solid = shapes.cloth(scene, resolution=(5, 5), surface_collision=True)
+    block = shapes.jelly(scene, size=(0.4, 0.4, 0.4), resolution=(5, 5, 5), surface_collision=True)
+    thick = shapes.cloth(scene, resolution=(5, 5), surface_collision=True, radius=0.1)
+    assert not scene.solid[: len(sheet.triangles)].any()
+    assert scene.solid[len(sheet.triangles) :].all()
+    radius = [float(scene.radius[part.balls[0]]) for part in (sheet, solid, block, thick)]
+    np.testing.assert_allclose(radius, [0.45 * 0.25, 0.25 * 0.25, 0.25 * 0.1, 0.1])
+
+
 REFUSED = [
     (2, lambda s: shapes.cloth(s), "dim = 3"),
+    (3, lambda s: shapes.cloth(s, surface_collision=1), r"cloth\.surface_collision: 1"),
+    (2, lambda s: shapes.jelly(s, surface_collision=True), r"jelly\.surface_collision: .*dim = 3"),
     (3, lambda s: shapes.cloth(s, (1, 1, 1)), r"cloth\.size: .* 2 lengths"),
     (3, lambda s: shapes.cloth(s, (1, -1)), r"cloth\.size\[1\]: -1.0"),
     (3, lambda s: shapes.cloth(s, resolution=(1, 4)), r"cloth\.resolution: .*at least 2"),

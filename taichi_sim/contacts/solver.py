@@ -9,11 +9,12 @@ one sees, which needs half the passes.
 import numpy as np
 import taichi as ti
 
+from taichi_sim.contacts.facets import Facets
 from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, sweeps, swept, taming
+from taichi_sim.kernels import contact_law, facets, sweeps, swept, taming
 from taichi_sim.model import Model
 from taichi_sim.scene import bounciest
 from taichi_sim.state import State
@@ -32,7 +33,7 @@ class ContactSolver:
     """The contacts of a scene.
 
     Args:
-        walls, pairs, sticks: the kinds of contact that the scene has, or None.
+        walls, pairs, sticks, facets: the kinds of contact that the scene has, or None.
         threshold: field (1) [m/s], approach speed below which nothing bounces. h: seconds per substep.
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
@@ -48,6 +49,7 @@ class ContactSolver:
         walls: Walls | None,
         pairs: Pairs | None,
         sticks: Sticks | None,
+        facets: Facets | None,
         *,
         threshold: ti.Field,
         h: float,
@@ -60,9 +62,10 @@ class ContactSolver:
         tames: bool,
     ) -> None:
         self.model, self.state, self.n = model, state, model.n
-        self.walls, self.pairs, self.sticks = walls, pairs, sticks
+        self.walls, self.pairs, self.sticks, self.facets = walls, pairs, sticks, facets
         self.searched = [part for part in (pairs, sticks) if part is not None]
-        self.parts = [part for part in (walls, pairs, sticks) if part is not None]
+        self.parts = [part for part in (walls, pairs, sticks, facets) if part is not None]
+        self.rows = [part for part in (sticks, facets) if part is not None]  # of more than two balls
         self.active = bool(self.parts)
         self.threshold, self.push_out, self.relaxation = threshold, PUSH_OUT, RELAXATION
         if passes < FEW:  # one pass changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
@@ -73,14 +76,15 @@ class ContactSolver:
         self.fastest_push = FASTEST_PUSH
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
+        self.has_facets, self.has_rows = facets is not None, bool(self.rows)
         self.has_colliders = walls is not None and walls.has_colliders
         self.spins = model.spins
         # by their directions, not only their number; friction pushes sideways as well
         self.by_tensor = self.active and self.split and not model.has_friction
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
         self.tangential = 1.0 / (1.0 + model.turning)
-        self.sums = self.has_sticks or not self.in_turn  # some impulses are accumulated before they are applied
-        self.has_offset = self.active and (not self.soft or self.has_sticks or self.has_walls)
+        self.sums = self.has_rows or not self.in_turn  # some impulses are accumulated before they are applied
+        self.has_offset = self.active and (not self.soft or self.has_rows or self.has_walls)
         # pairs that touch each ball, whoever lists them, are counted for
         self.counts = self.split or (walls is not None and walls.crowds)
         if self.active:
@@ -150,14 +154,23 @@ class ContactSolver:
 
     @ti.func
     def refresh(self, ball: ti.template()):
+        """After a move: cut ways short that lead through something, then find the contacts at the present positions."""
+        self._find(ball, True)
+
+    @ti.func
+    def _find(self, ball: ti.template(), moved: ti.template()):
         """Find the contacts at the present positions, and how each ball splits its mass between them."""
         if ti.static(self.has_colliders):
             self.walls.colliders.advance()
         if ti.static(self.has_grid):
             swept.stop(self, ball)
+            if ti.static(self.has_facets and moved):
+                facets.limit(self.facets, self, ball)
             self.pairs.grid.build(ball)
         for part in ti.static(self.searched):
             part.detect(ball)
+        if ti.static(self.has_facets):
+            facets.detect(self.facets, self, ball)
         if ti.static(self.has_grid):
             if ti.static(self.warm or self.counts):
                 for i in range(self.n):
@@ -171,7 +184,12 @@ class ContactSolver:
                 self.walls.measure(ball, i, crowded)
         if ti.static(self.active and self.sums):
             for i in range(self.n):
-                self.lightness[i] = self._parts_of(ball, i) * self.model.inverse_mass[i]
+                T, count = self._shares(ball, i)
+                self.lightness[i] = (
+                    contact_law.share(T, count, not self.model.has_friction) * self.model.inverse_mass[i]
+                )
+                if ti.static(self.has_facets):
+                    self.facets.split(T, count, i)
 
     @ti.func
     def _clear(self, i):
@@ -186,9 +204,10 @@ class ContactSolver:
                 self.carry_turn[i] = sweeps.zero_turn(self)
 
     @ti.func
-    def _parts_of(self, ball: ti.template(), i):
-        """Into how many parts ball i splits its mass: by all that is accumulated, with "gauss_seidel" only sticks."""
-        count = 0
+    def _shares(self, ball: ti.template(), i):
+        """What decides into how many parts ball i splits its mass: the sums of n n^T and of 1 over all that is accumulated, with
+        "gauss_seidel" only sticks and surfaces, whose weights count."""
+        count = 0.0 * self.model.inverse_mass[i]
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         if ti.static(self.has_grid and self.split):
             count = self.count[i]
@@ -202,7 +221,11 @@ class ContactSolver:
             t, c = self.sticks.shares(ball, i)
             T += t
             count += c
-        return contact_law.share(T, count, not self.model.has_friction)
+        if ti.static(self.has_facets and self.rule != "sum"):
+            t, c = self.facets.shares(i)
+            T += t
+            count += c
+        return T, count
 
     @ti.func
     def prime(self, ball: ti.template()):
@@ -211,7 +234,7 @@ class ContactSolver:
             self.walls.colliders.rewind()
         if ti.static(self.has_grid):
             self.pairs.grid.expire()
-        self.refresh(ball)
+        self._find(ball, False)
 
     @ti.func
     def solve(self, ball: ti.template(), time, passes: ti.template(), impacts: ti.template()):
@@ -253,8 +276,8 @@ class ContactSolver:
     @ti.func
     def _begin(self, ball: ti.template(), impacts: ti.template()):
         """Note the velocities that target speeds depend on, and apply what contacts hold from before."""
-        if ti.static(self.has_sticks):
-            self.sticks.begin_rows(ball, self, impacts)
+        for part in ti.static(self.rows):
+            part.begin_rows(ball, self, impacts)
         for i in range(self.n):
             self.before[i] = ball[i].v
             if ti.static(self.tames and self.spins):
@@ -288,17 +311,21 @@ class ContactSolver:
 
     @ti.func
     def _pass(self, ball: ti.template(), time, stage: ti.template()):
-        """One pass over all contacts: pairs, then walls; sticks are always accumulated from old velocities."""
-        sticks = ti.static(self.has_sticks and stage != sweeps.RELAX)  # that one is for soft contacts
+        """One pass over all contacts: pairs, then walls; sticks and surfaces are always accumulated from old velocities."""
+        rows = ti.static(self.has_rows and stage != sweeps.RELAX)  # that one is for soft contacts
         closes = ti.static(self.has_grid and self.warm and stage in (sweeps.LAST, sweeps.RELAX))
-        if ti.static(sticks):
-            self.sticks.solve_rows(ball, self, time)
+        if ti.static(rows):
+            for part in ti.static(self.rows):
+                part.solve_rows(ball, self, time)
         if ti.static(self.sums):
             for i in range(self.n):
                 p = ti.Vector.zero(float, self.model.dim)
                 t = sweeps.zero_turn(self)
-                if ti.static(sticks):
-                    p, t = self.sticks.gather(ball, self, i)
+                if ti.static(rows):
+                    for part in ti.static(self.rows):
+                        push, twist = part.gather(ball, self, i)
+                        p += push
+                        t += twist
                 if ti.static(closes):  # no pair holds these
                     self.carry[i] = self.carry[i] + self.model.inverse_mass[i] * p
                     if ti.static(self.spins):
@@ -340,8 +367,8 @@ class ContactSolver:
         if ti.static(self.has_offset):
             for i in range(self.n):
                 d = ti.Vector.zero(float, self.model.dim)
-                if ti.static(self.has_sticks):
-                    d += self.sticks.offset(ball, self, i, h)
+                for part in ti.static(self.rows):
+                    d += part.offset(ball, self, i, h)
                 self.offset[i] = d
             if ti.static(self.has_grid and not self.soft):
                 sweeps.sweep(self, ball, h, sweeps.OFFSET)

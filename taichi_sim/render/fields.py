@@ -11,7 +11,7 @@ from taichi_sim.kernels import follow, raster, resolve, shade
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
-__all__ = ["Buffers", "Canvas", "finished"]
+__all__ = ["Buffers", "Canvas", "finished", "padded"]
 
 SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 
@@ -54,11 +54,15 @@ class Buffers:
 
     def holds(self, content: Content) -> bool:
         """Whether this content fits and draws the same kinds of things."""
-        return self.capacity == _sizes(content) and self.has_spheres == bool(np.any(content.radius > 0))
+        sizes = _sizes(content)
+        fits = all(0 < now <= room or now == room for now, room in zip(sizes[1:3], self.capacity[1:3]))
+        same = (sizes[0], *sizes[3:]) == (self.capacity[0], *self.capacity[3:])
+        return fits and same and self.has_spheres == bool(np.any(content.radius > 0))
 
     def load(self, content: Content, colour: NDArray, unit: float) -> None:
         """Take over what does not change from frame to frame; colour linear."""
         n = self.vertices
+        _, self.rods, self.triangles = _sizes(content)[:3]  # fewer than there is room for, where springs tore
         self.bodies = content.bodies
         if n == 0:
             return
@@ -68,8 +72,8 @@ class Buffers:
         self._radius = (content.radius / unit).astype(np.float32)
         self.squares = float(np.square(self._radius, dtype=np.float64).sum())
         if self.has_rods:
-            self.rod.from_numpy(content.rod_ends)
-            self.rod_radius.from_numpy((content.rod_radius / unit).astype(np.float32))
+            self.rod.from_numpy(padded(content.rod_ends, self.capacity[1]))
+            self.rod_radius.from_numpy(padded((content.rod_radius / unit).astype(np.float32), self.capacity[1]))
         if self.has_triangles:
             self._corners = content.triangles
             if self.bodies is not None:
@@ -79,8 +83,8 @@ class Buffers:
             order = np.argsort(corners, kind="stable")
             start = np.zeros(n + 1, dtype=np.int32)
             start[1:] = np.cumsum(np.bincount(corners, minlength=n))
-            self.corner.from_numpy(self._corners)
-            self.incident.from_numpy((order // 3).astype(np.int32))
+            self.corner.from_numpy(padded(self._corners, self.capacity[2]))
+            self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * self.capacity[2]))
             self.start.from_numpy(start)
         if self.has_skins:
             self.bound_start.from_numpy(content.binding.start)
@@ -98,12 +102,12 @@ class Buffers:
             self._upload[n : self.vertices, :3] = placed - origin
             if self.bodies.hollow.any():
                 self._corners[len(self._corners) - len(self.bodies.triangles) :] = self.bodies.seen(placed, eye) + n
-                self.corner.from_numpy(self._corners)
+                self.corner.from_numpy(padded(self._corners, self.capacity[2]))
         self._upload[:, :3] *= 1.0 / unit
         self._upload[: self.balls, 3] = self._radius
         self._send()
         if self.has_rods and strain is not None:
-            self.rod_strain.from_numpy(strain.astype(np.float32))
+            self.rod_strain.from_numpy(padded(strain.astype(np.float32), self.capacity[1]))
 
     def paint(self, values: NDArray, table: NDArray[np.float32]) -> None:
         """Colour balls and the surfaces on them by values (n,) from 0 to 1 along a table of linear colours (k, 3)."""
@@ -200,6 +204,13 @@ def finished(image: Any, alpha: Any, edges: bool, width: int, height: int, out: 
     resolve.finish(image, alpha if transparent else image, transparent, edges, width, height, out)
     shown = out[: width * height].view(np.uint8).reshape(height, width, 4)
     return np.ascontiguousarray(shown[:, :, : 4 if transparent else 3])
+
+
+def padded(values: NDArray, rows: int) -> NDArray:
+    """The values and zeros after them, so many rows in all."""
+    if len(values) == rows:
+        return values
+    return np.concatenate([values, np.zeros((rows - len(values), *values.shape[1:]), dtype=values.dtype)])
 
 
 def _place(builder: Any, field: Any, count: int) -> Any:

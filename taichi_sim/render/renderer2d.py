@@ -13,7 +13,7 @@ from taichi_sim.kernels import paint2d
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
-from taichi_sim.render.fields import finished
+from taichi_sim.render.fields import finished, padded
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 from taichi_sim.render.tracker import Follower
@@ -70,8 +70,8 @@ class Renderer2D:
         tile = 8 if len(shape) > CROWD else 16
         entry, start = tile_lists(low, high, self.size, tile)
         if len(shape):
-            self._shape.from_numpy(shape)
-            self._colour.from_numpy(self._colours(frame))
+            self._shape.from_numpy(padded(shape, self._capacity[0]))
+            self._colour.from_numpy(padded(self._colours(frame), self._capacity[0]))
         walls = self._walls(frame)[: 0 if self._transparent else None]
         if len(walls):
             self._wall.from_numpy(walls)
@@ -139,11 +139,11 @@ class Renderer2D:
         self._rods = np.argsort(content.rod_stick, kind="stable")  # springs below sticks
         self._outline = _outline(content.triangles)
         counts = (len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
-        if self._capacity != (sum(counts), *fixed):
+        if self._capacity[0] < sum(counts) or self._capacity[1:] != fixed:  # springs that tear leave room
             self._allocate(sum(counts), *fixed)
         kind = np.repeat([paint2d.TRIANGLE, paint2d.ROD, paint2d.ROD, paint2d.DISC], counts).astype(np.int32)
         if len(kind):
-            self._kind.from_numpy(kind)
+            self._kind.from_numpy(padded(kind, self._capacity[0]))
         if frame.colliders:
             tints = [p.collider.colour for p in frame.colliders]
             linear = [np.full(3, -1.0) if tint is None else to_linear(np.array(tint)) for tint in tints]

@@ -57,10 +57,6 @@ class Renderer3D:
         self._canvas: Canvas | None = None
         self._prepare(frame)
 
-    def look(self, camera: Camera) -> None:
-        """Look from there from now on, whatever a CameraPath says."""
-        self.camera, self._tracker = camera, None
-
     def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
         """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top."""
         self._prepare(frame)
@@ -111,6 +107,10 @@ class Renderer3D:
         """Take note of a frame that is not drawn."""
         self._aim(frame)
         self._widen(frame)
+
+    def look(self, camera: Camera) -> None:
+        """Look from there from now on, whatever a CameraPath says."""
+        self.camera, self._tracker = camera, None
 
     def _aim(self, frame: Frame) -> None:
         if self._tracker is not None:

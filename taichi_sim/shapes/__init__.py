@@ -6,7 +6,8 @@
 Every length is in m, every mass is that of the whole shape in kg, every stiffness in N/m, damping in N s/m along a
 spring, angles in degrees. `position`, `rotation` and `scale` move the finished shape: scaled about its origin, turned
 about the x, y and z axis in this order (2D: one angle), then shifted; scale changes no given mass. Balls of one shape
-do not collide with each other unless `self_collision` is True. A wrong argument is a SceneError that names it; the
+do not collide with each other unless `self_collision` is True; with `surface_collision` nothing goes through the triangles of a
+cloth or a jelly, its own ones included. A wrong argument is a SceneError that names it; the
 scene is then unchanged.
 
 Defaults. A stiffness that is not given follows from the mass and the resolution so that the bound which holds for

@@ -29,6 +29,7 @@ from taichi_sim.shape_parts import (
     moved,
     or_default,
     stable_stiffness,
+    surface_part,
 )
 
 __all__ = ["jelly"]
@@ -63,6 +64,7 @@ def jelly(
     scale: float = 1.0,
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
+    surface_collision: bool = False,
 ) -> Shape:
     """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D; or a filled mesh.
 
@@ -88,7 +90,8 @@ def jelly(
         fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
             the package pytetwild, which takes closed meshes alone and, each time, other points.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
-        radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh.
+        radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
+        surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
     """
     elastic = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
     exclusive("jelly", elastic, {"stiffness": stiffness})
@@ -97,6 +100,9 @@ def jelly(
     if fill not in FILLS:
         raise SceneError(f"jelly.fill: {fill!r} is not allowed; it must be one of {', '.join(map(repr, FILLS))}")
     drag = at_least_0("jelly.damping", damping)
+    thinner = surface_part("jelly", surface_collision)
+    if surface_collision and scene.dim == 2:
+        raise SceneError("jelly.surface_collision: needs a scene with dim = 3")
     if mesh is None:
         if spacing is not None:
             raise SceneError("jelly.spacing: is for a mesh; a block has a resolution")
@@ -106,10 +112,12 @@ def jelly(
             total = or_default("jelly.mass", mass, _density(scene.dim) * float(np.prod(block[0] * factor)))
             strength = at_least_0("jelly.stiffness", stiffness, soft)
             points = moved("jelly", points, position, rotation, factor)
-            part = Part(total, or_default("jelly.radius", radius, finest), pinned, material, colour, self_collision)
+            ball_radius = or_default("jelly.radius", radius, thinner * finest)
+            part = Part(total, ball_radius, pinned, material, colour, self_collision, surface_collision)
             return build(scene, "jelly", points, kinds, triangles, part, strength, drag)
         body, extent, default_radius = _solid_block(block, factor)
         volume, skin = float(np.prod(extent)), None
+        default_radius *= thinner
     else:
         if scene.dim != 3:
             raise SceneError("jelly.mesh: fills closed surfaces, in a scene with dim = 3")
@@ -137,7 +145,8 @@ def jelly(
     if bulk > 0:
         cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume)
     points = moved("jelly", body.points, position, rotation, 1.0)
-    part = Part(masses, or_default("jelly.radius", radius, default_radius), pinned, material, colour, self_collision)
+    ball_radius = or_default("jelly.radius", radius, default_radius)
+    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
     shape = build(scene, "jelly", points, kinds, body.triangles, part, 0.0, drag, cells=cells)
     if skin is not None:
         scene.add_skin(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)

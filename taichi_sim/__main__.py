@@ -1,0 +1,5 @@
+"""`python -m taichi_sim`: the taichi-sim command."""
+
+from taichi_sim.cli import main
+
+main()

@@ -1,0 +1,47 @@
+"""Edges that pierce triangles, counted by cells and by brute force."""
+
+import numpy as np
+
+from taichi_sim.crossings import crossings, edges_of
+
+
+def pierces(p, q, a, b, c):
+    """Whether the segment p q meets the triangle a b c inside of both: by solving for where the line meets the plane."""
+    matrix = np.stack([q - p, a - b, a - c], axis=1)
+    if abs(np.linalg.det(matrix)) < 1e-12:
+        return False
+    t, u, v = np.linalg.solve(matrix, a - p)
+    return 0 < t < 1 and u > 0 and v > 0 and u + v < 1
+
+
+def test_random_triangles_as_by_brute_force():
+    rng = np.random.default_rng(0)
+    total = 0
+    for size in (0.1, 0.5, 2.0):
+        x = rng.uniform(-1, 1, (60, 1, 3)) + rng.uniform(-size, size, (60, 3, 3)) * 10.0 ** -rng.uniform(
+            0, 1, (60, 1, 1)
+        )
+        x = x.reshape(-1, 3) + 5.0
+        t = np.concatenate([np.arange(180).reshape(-1, 3), rng.permutation(180)[:6].reshape(-1, 3)])
+        edges = edges_of(t)
+        expected = {
+            (e, f)
+            for e, (i, j) in enumerate(edges)
+            for f, three in enumerate(t)
+            if not {i, j} & set(three) and pierces(x[i], x[j], *x[three])
+        }
+        found = crossings(x, t)
+        assert len(found) == len({*map(tuple, found)})
+        assert {*map(tuple, found)} == expected
+        total += len(expected)
+    assert total > 100
+
+
+def test_what_shares_a_ball_or_only_touches_is_no_crossing():
+    x = np.array(
+        [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0.2, 1, 0.2], [0.2, -1, 0.2], [0.2, 0, 0.2], [3, 3, 3]], dtype=float
+    )
+    assert len(crossings(x, [[0, 1, 2], [3, 4, 6]])) == 2  # an edge of either goes through the other
+    assert len(crossings(x, [[0, 1, 2], [3, 5, 6]])) == 0  # it ends on the triangle
+    assert len(crossings(x, [[0, 1, 2], [0, 3, 4]])) == 1  # the edge from 3 to 4
+    assert len(crossings(x, np.zeros((0, 3)))) == 0

@@ -1,0 +1,300 @@
+"""Triangles that collide: found as by brute force, solved as by hand, and never gone through."""
+
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import reference_facets as ref
+from physics_bits import digest
+from physics_support import F64, PRECISION, simulate
+
+import taichi_sim as ts
+
+H = 1e-3
+ROUNDING = 1e-12 if F64 else 2e-5
+
+
+# Against brute force ----------------------------------------------------------------------------------------------------
+
+BALLS, LOOSE, TRIANGLES = 26, 6, 14
+
+
+def soup():
+    """Random triangles that share balls, and loose balls among them, all of one body so that only surfaces count."""
+    rng = np.random.default_rng(3)
+    scene = ts.Scene(dim=3)
+    n = BALLS + LOOSE
+    x = rng.uniform(0.0, 1.0, (n, 3))
+    radius = rng.uniform(0.03, 0.1, n)
+    balls = scene.add_balls(
+        x, radius=radius, mass=10 ** rng.uniform(-2, 2, n), pinned=rng.uniform(size=n) < 0.1, body=1
+    )
+    t = np.array([[i, i + 1, i + 2] for i in range(0, TRIANGLES)] + [[k, k + 1, k + 2] for k in (17, 20, 23)])
+    scene.add_triangles(balls[t], collides=True)
+    scene.add_springs([[0, 5], [3, 18], [4, 9]], stiffness=0.0)
+    return scene
+
+
+def rows(sim):
+    """The listed pairs as (balls, weights, normal, distance, thickness or -1)."""
+    facets = sim._parts.contacts.facets
+    used = int(facets.used[0])
+    row = facets.row
+    member, weight = (f.to_numpy()[: 4 * used].reshape(-1, 4) for f in (facets.member, facets.weight))
+    columns = (row.normal.to_numpy(), row.distance.to_numpy(), row.thickness.to_numpy())
+    return list(zip(map(tuple, member.tolist()), weight, *columns))
+
+
+def key(edge, balls):
+    """A name for a pair that does not depend on the order of its sides, nor within them."""
+    cut = 2 if edge else 1
+    sides = tuple(sorted(balls[:cut])), tuple(sorted(balls[cut:]))
+    return tuple(sorted(sides)) if edge else sides
+
+
+@pytest.fixture(scope="module", params=["fused", pytest.param("parallel", marks=pytest.mark.slow)])
+def soup_run(request):
+    scene = soup()
+    settings = {"dt": H, "integrator": "symplectic_euler", "contacts": "jacobi", "contact_passes": 1}
+    with simulate(scene, ("ordered", request.param), **settings) as sim:
+        yield sim
+
+
+def draw(rng, scene):
+    """Positions in a random box, flat in some of them, and velocities of some metres a second."""
+    n = scene.n_balls
+    x = rng.uniform(0.0, 1.0, (n, 3)) * rng.choice([0.1, 0.4, 1.0], 3) + rng.uniform(-2, 2, 3)
+    v = rng.normal(size=(n, 3)) * rng.choice([0.0, 1.0, 30.0])
+    v[scene.pinned] = 0.0
+    return (a.astype(np.float64 if F64 else np.float32).astype(np.float64) for a in (x, v))
+
+
+def test_pairs_and_one_pass_as_by_brute_force(soup_run):
+    sim, scene = soup_run, soup_run.scene
+    rng = np.random.default_rng(1)
+    w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+    slack = 1e-9 if F64 else 3e-5
+    contacts = passes = 0
+    for _ in range(24):
+        x, v = draw(rng, scene)
+        sim.resume(x, v, 0.0)
+        sim.contacts()  # finds them
+        listed = ref.pairs(x, v, scene.radius, scene.triangles, scene.pairs, H, scene.position)
+        listed = {key(p.edge, p.balls): p for p in listed if w[list(p.balls)].any()}
+        kinds = sim._parts.contacts.facets.row.kind.to_numpy()
+        found = {}
+        for c, (balls, *row) in enumerate(rows(sim)):
+            assert key(kinds[c] > 0, balls) not in found, "a pair is listed twice"
+            found[key(kinds[c] > 0, balls)] = row
+        for name in listed.keys() ^ found.keys():
+            assert name in listed, f"{name} is listed, and not near"
+            assert listed[name].margin < slack, f"{name} is missing: {listed[name]}"
+        for name, (_, n, d, thickness) in found.items():
+            p = listed[name]
+            assert abs(d - p.distance) < slack
+            if p.margin > slack:
+                assert (thickness >= 0) == p.contact
+                if p.contact:
+                    assert abs(thickness - p.thickness) < slack
+                    assert np.abs(n @ p.normal) > 1 - 1e-3 or d < 1e-3
+                    contacts += 1
+        met = [listed[name] for name, row in found.items() if row[-1] >= 0]  # single precision decides some otherwise
+        if min((p.distance for p in met), default=0.0) > (1e-6 if F64 else 3e-3):
+            after = ref.one_pass(met, v, w, 0.0, H, 0.01)
+            sim.step()
+            np.testing.assert_allclose(sim.velocity, after, atol=(1e-9 if F64 else 1e-3) * (1e-3 + np.abs(v).max()))
+            passes += np.any(after != v)
+    assert contacts > 300
+    assert passes > (4 if F64 else 2)
+
+
+# Momentum and energy ----------------------------------------------------------------------------------------------------
+
+PLACES, EACH = 150, 8
+
+
+def clusters(friction):
+    """Clusters far apart: two triangles that share an edge, one by itself, a loose ball; overlapping, of any masses."""
+    rng = np.random.default_rng(5)
+    scene = ts.Scene(dim=3)
+    for k in range(6):
+        rough = {"friction": rng.choice([0.3, 1.5]), "viscous_friction": rng.choice([0.0, 300.0])} if friction else {}
+        scene.add_material(f"m{k}", restitution=(0.0, 0.3, 1.0)[k % 3] if friction else 0.0, **rough)
+    at = np.stack(np.unravel_index(np.arange(PLACES), (6, 5, 5)), axis=1) * 1.0
+    for k in range(PLACES):
+        mass = 10 ** rng.uniform(-3, 3, EACH) if k % 3 else 1.0
+        balls = scene.add_balls(
+            np.repeat(at[k : k + 1], EACH, axis=0),
+            radius=rng.uniform(0.01, 0.05, EACH),
+            mass=mass,
+            pinned=[k % EACH] if k % 2 else False,
+            material=f"m{k % 6}",
+        )
+        scene.add_triangles(balls[[[0, 1, 2], [2, 1, 3], [4, 5, 6]]], collides=True)
+    return scene, np.repeat(at, EACH, axis=0)
+
+
+SMOOTH = pytest.param(False, id="smooth-gauss_seidel", marks=pytest.mark.slow)
+
+
+@pytest.fixture(scope="module", params=[pytest.param(True, id="rough-jacobi"), SMOOTH])
+def cluster_run(request):
+    scene, at = clusters(request.param)
+    contacts = "jacobi" if request.param else "gauss_seidel"
+    settings = {"dt": H, "integrator": "symplectic_euler", "contacts": contacts, "contact_passes": 1}
+    with simulate(scene, **settings) as sim:
+        yield sim, at
+
+
+def test_a_pass_keeps_momentum_and_never_adds_energy(cluster_run):
+    """Any masses, pins, restitutions, frictions and spins, of triangles, edges and balls on top of each other."""
+    sim, at = cluster_run
+    scene, rng = sim.scene, np.random.default_rng(2)
+    free = np.where(scene.pinned, 0.0, scene.mass)
+    spins = bool(sim._parts.model.spins)
+    loose = ~np.any(scene.pinned.reshape(PLACES, EACH), axis=1)
+
+    def total(values):
+        return values.reshape(PLACES, EACH, *values.shape[1:]).sum(axis=1)
+
+    def energy():
+        return total(0.5 * free * (np.sum(sim.velocity**2, axis=1) + 0.4 * np.sum(sim.surface_speed**2, axis=1)))
+
+    met = 0
+    for _ in range(40):
+        x = at + rng.uniform(0.0, 0.15, at.shape)
+        v = (rng.normal(size=at.shape) - 20.0 * (x - at - 0.075)) * ~scene.pinned[:, None]
+        turn = rng.normal(size=at.shape) * ~scene.pinned[:, None] if spins else None
+        sim.resume(x, v, 0.0, surface_speed=turn)
+        before, v = energy(), sim.velocity
+        p = total(free[:, None] * v)
+        sim.step()
+        assert np.max((energy() - before) / before) < (1e-13 if F64 else 1e-5)
+        scale = total(free * np.linalg.norm(v, axis=1))[:, None]
+        assert np.max((np.abs(total(free[:, None] * sim.velocity) - p) / scale)[loose]) < (1e-14 if F64 else 1e-6)
+        met += np.count_nonzero(total(np.abs(sim.velocity - v).sum(axis=1)))
+        if not spins:  # without friction all acts along the normals, between the closest points
+            arm = total(free[:, None] * np.cross(x - at, sim.velocity - v))
+            assert np.max((np.abs(arm) / (0.15 * scale))[loose]) < (1e-13 if F64 else 1e-5)
+    assert met > 0.9 * 40 * PLACES
+
+
+# Nothing goes through ---------------------------------------------------------------------------------------------------
+
+N, STEPS = 14, 300
+
+
+def rim(n):
+    """The balls on the four sides of a sheet of n x n."""
+    i, j = np.divmod(np.arange(n * n), n)
+    return np.flatnonzero((i % (n - 1) == 0) | (j % (n - 1) == 0))
+
+
+def folded(x, layers, gap, rng):
+    """A flat sheet of 1 m in x, z folded like an accordion along x: so many layers, a gap [m] apart."""
+    r = gap / 2
+    straight = (1.0 - (layers - 1) * np.pi * r) / layers
+    s, out = x[:, 0], np.zeros_like(x)
+    k, rest = np.divmod(s, straight + np.pi * r)
+    turn = np.maximum(0.0, rest - straight) / r
+    side = np.where(k % 2 == 0, 1.0, -1.0)
+    flat = np.where(k % 2 == 0, np.minimum(rest, straight), straight - np.minimum(rest, straight))
+    out[:, 0] = flat + side * r * np.sin(turn)
+    out[:, 1] = 2 * r * k + r * (1 - np.cos(turn))
+    out[:, 2] = x[:, 2]
+    return out + rng.normal(0.0, 1e-4, x.shape)
+
+
+def hall():
+    """Far from each other: balls as small as a quarter of the spacing thrown at a sheet whose rim is pinned, a folded sheet that
+    falls on the floor, and two sheets that fly through each other's places."""
+    rng = np.random.default_rng(9)
+    scene = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0))
+    scene.add_material("cotton", friction=0.3)
+    scene.add_material("rubber", restitution=0.6, friction=0.2)
+    sheet = {"size": (1.0, 1.0), "resolution": (N, N), "surface_collision": True}
+    net = ts.shapes.cloth(scene, **sheet, pinned=rim(N), stiffness=200.0, mass=0.2)
+    number = 40
+    x = rng.uniform(0.15, 0.85, (number, 3)) * [1, 0, 1] + [0, 0.06, 0] + rng.uniform(0, 0.3, (number, 1)) * [0, 1, 0]
+    v = rng.normal(size=(number, 3)) - [0.0, 10.0, 0.0]
+    v[::4] *= 4.0
+    shot = scene.add_balls(x, radius=0.25 / (N - 1), velocity=v, mass=1e-3, material="rubber")
+    fold = ts.shapes.cloth(scene, **sheet, material="cotton")
+    shift = np.array([5.0, -0.8, 0.0])
+    scene.position[fold.balls] = shift + folded(scene.position[fold.balls], 3, 0.08, rng)
+    scene.add_wall((0, 1, 0), offset=-1.0, material="cotton")
+    one = ts.shapes.cloth(scene, **sheet, position=(10.0, 0.3, 0.0))
+    two = ts.shapes.cloth(scene, **sheet, position=(10.06, 0.5, 0.03), rotation=(4.0, 20.0, 3.0))
+    scene.velocity[one.balls] = [0.0, 3.5, 0.0]
+    scene.velocity[two.balls] = [0.0, -1.5, 0.0]
+    return scene, net, shot
+
+
+def beneath(x, corners):
+    """Whether points x (k, 3) lie outside of the room between a sheet (t, 3, 3) and the plane of its flat rim, y = 0, below which
+    they are: the solid angle that both together fill is 0."""
+    lid = corners * [1.0, 0.0, 1.0]
+    turns = np.zeros(len(x))
+    for part, sign in ((corners, 1.0), (lid, -1.0)):
+        a, b, c = np.moveaxis(part[None] - x[:, None, None], 2, 0)
+        la, lb, lc = (np.linalg.norm(r, axis=2) for r in (a, b, c))
+        dot = [np.sum(p * q, axis=2) for p, q in ((a, b), (b, c), (c, a))]
+        volume = np.sum(a * np.cross(b, c), axis=2)
+        angle = 2 * np.arctan2(volume, la * lb * lc + dot[0] * lc + dot[1] * la + dot[2] * lb)
+        turns += sign * angle.sum(axis=1) / (4 * np.pi)
+    over = np.all((x[:, ::2] > 0.0) & (x[:, ::2] < 1.0), axis=1)  # others have left the sheet by its side
+    return over & (x[:, 1] < 0.0) & (np.abs(turns) < 0.5)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """The hall with a look at it every 20 steps: names of the parts; crossings, balls that got through, and the lowest ball at
+    each look; and the last state."""
+    scene, net, shot = hall()
+    looks = []
+    with simulate(scene, dt=H) as sim:
+        for _ in range(STEPS // 20):
+            sim.step(20)
+            x = sim.position
+            through = int(beneath(x[shot], x[net.triangles]).sum())
+            looks.append((sim.crossings(), through, x[shot, 1].min()))
+        return sim.kernels(), np.array(looks), sim.position, sim.velocity
+
+
+def test_nothing_goes_through(flight):
+    names, looks, _, v = flight
+    assert "facets" in names
+    assert np.all(looks[:, 0] == 0), "edges pierce triangles"
+    assert np.all(looks[:, 1] == 0), "balls went through"
+    assert looks[:, 2].min() < -0.02  # and the sheet was hit
+    assert np.linalg.norm(v, axis=1).max() < 45.0
+
+
+def test_the_look_from_beneath_sees_what_it_looks_for():
+    _, net, _ = hall()
+    x = np.stack([*np.meshgrid(np.linspace(0, 1, N), [0.0], np.linspace(0, 1, N), indexing="ij")], axis=-1).reshape(
+        -1, 3
+    )
+    x[:, 1] -= 2.0 * x[:, 0] * (1 - x[:, 0]) * x[:, 2] * (1 - x[:, 2])
+    at = np.array([[0.4, -0.05, 0.6], [0.4, -0.3, 0.6], [0.4, 0.1, 0.6], [1.4, -0.3, 0.6]])
+    assert beneath(at, x[net.triangles]).tolist() == [False, True, False, False]
+
+
+@pytest.mark.slow
+def test_both_drivers_and_any_number_of_threads_have_the_same_bits(flight):
+    def run(threads):
+        command = [sys.executable, __file__, PRECISION, str(threads)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()[-1]
+
+    _, _, x, v = flight
+    expected = hashlib.sha256(x.tobytes() + v.tobytes()).hexdigest()
+    assert run(1) == expected
+    assert run(2) == expected
+
+
+if __name__ == "__main__":
+    print(digest(hall()[0], STEPS, sys.argv[1], threads=int(sys.argv[2]), driver="parallel"))
