@@ -125,7 +125,11 @@ def run(
                     typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
             raise
         if not quiet:
-            typer.echo("\n".join([*summary.lines(), *([] if out is None else [f"written      {out}"])]))
+            typer.echo(
+                "\n".join(
+                    [*summary.lines(), *([] if out is None else [f"written      {getattr(target, 'pattern', out)}"])]
+                )
+            )
 
 
 @main.command()

@@ -44,12 +44,7 @@ SURFACE_PART = (
 )  # of the usual radius, 0.45 of a spacing: triangles that collide need no balls without gaps between
 SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
 SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
-BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = (
-    800,
-    130,
-    250,
-    400,
-)  # at most, while it is built and made to run, measured
+BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = 800, 130, 250, 400  # at most, while built and made to run
 DAMPING_RATIO = 0.1  # of critical, for the pair of balls at each spring
 
 

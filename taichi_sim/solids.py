@@ -32,6 +32,9 @@ __all__ = [
 CELL_DIAGONALS = (
     0.25  # their part of mu, along the sides where it is largest: a cubic lattice then has k, 0.6 k, 0.15 k
 )
+ENVELOPE = (
+    0.1  # of the spacing, how far tetrahedra may leave a surface: nearer ones are thin and many, and the skin hides it
+)
 NEAR = 32  # tetrahedra that are looked at for each vertex of a skin
 CROSSING: dict[
     int, tuple[tuple[tuple[int, ...], ...], ...]
@@ -242,8 +245,11 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
         raise SceneError(
             f'{where}.fill: tetrahedra need one more package: pip install "taichi-sim[mesh]"; or use fill = "voxels"'
         ) from None
+    across = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
     try:
-        points, cells = pytetwild.tetrahedralize(surface.vertices, surface.triangles, edge_length_abs=edge)
+        points, cells = pytetwild.tetrahedralize(
+            surface.vertices, surface.triangles, edge_length_abs=edge, epsilon=ENVELOPE * edge / across
+        )
     except Exception as error:  # foreign code may raise anything
         raise SceneError(f'{where}.mesh: cannot be filled with tetrahedra: {error}; use fill = "voxels"') from error
     points, cells = np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)

@@ -352,7 +352,11 @@ def test_names_that_cannot_be_written(tmp_path):
     (tmp_path / "full" / "a.txt").write_text("")
     (tmp_path / "file").write_text("")
     for name, error, message in (
-        ("x.avi", ValueError, r"'\.avi' is not allowed; use x\.mp4, x\.webm, x\.gif, x\.npz or folder/"),
+        (
+            "x.avi",
+            ValueError,
+            r"'\.avi' is not allowed; use x\.mp4, x\.webm, x\.gif, x\.npz, x\.ply, x\.obj or folder/",
+        ),
         ("none/x.mp4", FileNotFoundError, "there is no folder"),
         ("none/frames", FileNotFoundError, "there is no folder"),
         ("full", FileExistsError, "not empty; use --overwrite"),

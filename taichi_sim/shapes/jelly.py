@@ -88,7 +88,7 @@ def jelly(
         poisson_ratio: from that of springs, 1/4 (in 2D 1/3), the default, to less than 1/2 (in 2D 1): cells keep the volume.
             0.4 for a mesh.
         fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
-            the package pytetwild, which takes half a minute, closed meshes alone and, each time, other points.
+            the package pytetwild, which takes closed meshes alone and, each time, other points.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
         radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
@@ -138,7 +138,7 @@ def jelly(
     least = 1 / (scene.dim + 1)
     ratio = poisson_ratio if poisson_ratio is not None else least if mesh is None else MESH_RATIO
     unit = solids.moduli("jelly", scene.dim, 1.0, ratio)
-    modulus = or_default("jelly.young_modulus", young_modulus, _wobbly(body, masses, float(extent[1]), unit))
+    modulus = or_default("jelly.young_modulus", young_modulus, _wobbly(body, masses, float(extent[1]), unit, fill))
     mu, bulk = modulus * unit[0], modulus * unit[1]
     kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
     cells = None
@@ -209,17 +209,16 @@ def _solid_block(block: tuple, factor: float) -> tuple[solids.Solid, NDArray[np.
     return solids.lattice("jelly", filled, spacing), extent, 0.45 * float(spacing.min())
 
 
-def _wobbly(body: solids.Solid, masses: NDArray, height: float, unit: tuple[float, float]) -> float:
+def _wobbly(body: solids.Solid, masses: NDArray, height: float, unit: tuple[float, float], fill: str) -> float:
     """The default of Young's modulus: waves at sqrt(40 g height), and never above what is stable at 1 ms with a margin.
 
-    unit: mu and lambda - mu for a modulus of 1.
+    unit: mu and lambda - mu for a modulus of 1. Of tetrahedra a few small ones would make all of it soft: no bound for them.
     """
     mu, bulk = unit
-    density = float(masses.sum() / body.volume.sum())
-    return min(
-        WOBBLE * height * density / (3 * mu + bulk),
-        4 / (SAFE_MARGIN * SAFE_STEP**2 * solids.largest_rate(body, masses, mu, bulk)),
-    )
+    soft = WOBBLE * height * float(masses.sum() / body.volume.sum()) / (3 * mu + bulk)
+    if fill == "tetrahedra":
+        return soft
+    return min(soft, 4 / (SAFE_MARGIN * SAFE_STEP**2 * solids.largest_rate(body, masses, mu, bulk)))
 
 
 # Meshes ------------------------------------------------------------------------------------------------------------

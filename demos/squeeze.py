@@ -1,0 +1,37 @@
+"""A ring of jelly, a mesh filled with it, is pressed flat by a piston until some is inside out, and springs back."""
+
+import numpy as np
+from taichi_sim.demos.shell import LARGE, SMALL, ring
+
+import taichi_sim as ts
+
+
+def scene():
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.output = {"fps": 60, "duration": 4, "size": (1280, 720)}
+    scene.add_material("rubber", friction=0.5)
+    scene.add_wall((0, 1, 0), material="rubber")
+    ts.shapes.jelly(
+        scene,
+        mesh=ring(),
+        spacing=0.1,
+        young_modulus=1e5,
+        density=400,
+        damping=1.0,
+        radius=0.02,
+        material="rubber",
+        position=(0, LARGE + SMALL + 0.03, 0),
+        colour=(0.9, 0.3, 0.35),
+    )
+    top, flat = 2 * (LARGE + SMALL) + 0.35, 0.25
+    path = [(0.0, top), (0.2, top), (1.4, flat), (1.6, flat), (2.2, 3.0), (9.0, 3.0)]
+    scene.add_collider(
+        ts.Box((0, top, 0), (2.4, 0.4, 1.2), path=[(time, (0, y, 0)) for time, y in path], colour=(0.45, 0.5, 0.55))
+    )
+    return scene
+
+
+def check(sim):
+    assert sim.inverted() == 0
+    sides = np.sort(np.ptp(sim.position, axis=0))
+    np.testing.assert_allclose(sides, [2 * SMALL, 2 * (LARGE + SMALL), 2 * (LARGE + SMALL)], atol=0.3)  # a ring again
