@@ -101,13 +101,16 @@ def test_pairs_and_one_pass_as_by_brute_force(soup_run):
                     assert np.abs(n @ p.normal) > 1 - 1e-3 or d < 1e-3
                     contacts += 1
         met = [listed[name] for name, row in found.items() if row[-1] >= 0]  # single precision decides some otherwise
-        if min((p.distance for p in met), default=0.0) > (1e-6 if F64 else 3e-3):
+        if min((p.distance for p in met), default=0.0) > 1e-6:
             after = ref.one_pass(met, v, w, 0.0, H, 0.01)
             sim.step()
-            np.testing.assert_allclose(sim.velocity, after, atol=(1e-9 if F64 else 1e-3) * (1e-3 + np.abs(v).max()))
+            off = np.abs(sim.velocity - after).max(axis=1) / (1e-3 + np.abs(v).max())
+            assert (
+                off.max() < 1e-8 if F64 else np.median(off) < 1e-3
+            )  # edges that cross have no normal in single precision
             passes += np.any(after != v)
     assert contacts > 300
-    assert passes > (4 if F64 else 2)
+    assert passes > 4
 
 
 # Momentum and energy ----------------------------------------------------------------------------------------------------
