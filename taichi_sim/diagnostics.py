@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.colliders import Collider
+from taichi_sim.errors import SceneError
 from taichi_sim.frame import Contacts
 from taichi_sim.scene import Scene
 from taichi_sim.scene_elements import cell_volumes
@@ -14,6 +15,7 @@ from taichi_sim.scene_elements import cell_volumes
 __all__ = [
     "Energy",
     "angular_momentum",
+    "check_tearing",
     "collider_depth",
     "contacts",
     "cut",
@@ -88,6 +90,19 @@ def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
     pairs = np.sort(torn.astype(np.int64), axis=1)
     gone = np.isin(sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1])
     return np.asarray(gone.any(axis=1))
+
+
+def check_tearing(scene: Scene) -> None:
+    """Raise SceneError where a side of a triangle that collides could tear: what is left would still collide."""
+    tears = np.isfinite(scene.break_strain)
+    if tears.any() and scene.solid.any():
+        both = np.flatnonzero(cut(scene.triangles[scene.solid], scene.pairs[tears], scene.n_balls))
+        if len(both):
+            number = int(np.flatnonzero(scene.solid)[both[0]])
+            raise SceneError(
+                f"springs.break_strain: a side of triangle {number}, which collides, could tear; leave break_strain or"
+                " collides (surface_collision) out"
+            )
 
 
 def inverted(scene: Scene, x: Floats) -> int:

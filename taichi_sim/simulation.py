@@ -70,6 +70,7 @@ class Simulation:
         s = self.settings
         self.backend = backend.start(s.arch, s.precision, s.threads)
         self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
+        diagnostics.check_tearing(scene)
         if s.tolerance is not None and np.isfinite(scene.break_strain).any():
             raise ValueError("tolerance: cannot be kept where springs tear; give dt, or leave break_strain out")
         if s.tolerance is not None:

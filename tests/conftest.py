@@ -43,6 +43,7 @@ ONCE_FILES = {f"test_{name}.py" for name in ONCE}
 # Long ones that tell most in double precision, or the same in both: in single precision `make test-slow` runs them.
 LONG = (
     "contact_energy",
+    "elements",
     "hard_cases",
     "order",
     "physics_article",
@@ -51,6 +52,7 @@ LONG = (
     "physics_contacts",
     "physics_drivers",
     "physics_facets",
+    "physics_materials",
     "physics_neighbours",
     "physics_stiff",
     "physics_swept",
@@ -64,9 +66,11 @@ LONG_FILES = {f"test_{name}.py" for name in LONG}
 LONG_ONCE = (
     "contact_report",
     "groups",
+    "interaction",
     "physics_arguments",
     "physics_piles",
     "physics_simulation",
+    "pointer",
     "state_file",
     "watch",
 )

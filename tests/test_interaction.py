@@ -194,6 +194,14 @@ def test_tolerance_and_tearing_exclude_each_other():
         ts.Simulation(strip(), tolerance=1e-2, precision=PRECISION)
 
 
+def test_what_collides_cannot_tear():
+    scene = ts.Scene(dim=3)
+    sheet = ts.shapes.cloth(scene, resolution=(3, 3), surface_collision=True)
+    scene.break_strain[sheet.springs[0]] = 0.5
+    with pytest.raises(ts.SceneError, match=r"springs.break_strain: a side of triangle \d+, which collides"):
+        ts.Simulation(scene, precision=PRECISION)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
