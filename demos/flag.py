@@ -1,4 +1,4 @@
-"""A flag in a storm tears off its pole, all but its upper corner."""
+"""A flag in a storm tears, thread by thread."""
 
 import numpy as np
 
