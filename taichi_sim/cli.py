@@ -126,9 +126,7 @@ def run(
             raise
         if not quiet:
             typer.echo(
-                "\n".join(
-                    [*summary.lines(), *([] if out is None else [f"written      {getattr(target, 'pattern', out)}"])]
-                )
+                "\n".join([*summary.lines(), *([f"written      {getattr(target, 'pattern', out)}"] if out else [])])
             )
 
 
