@@ -125,9 +125,7 @@ def run(
                     typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
             raise
         if not quiet:
-            typer.echo(
-                "\n".join([*summary.lines(), *([f"written      {getattr(target, 'pattern', out)}"] if out else [])])
-            )
+            typer.echo("\n".join([*summary.lines(), *([f"written      {target.pattern or out}"] if target else [])]))
 
 
 @main.command()
