@@ -125,11 +125,7 @@ def run(
                     typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
             raise
         if not quiet:
-            typer.echo(
-                "\n".join(
-                    [*summary.lines(), *([] if out is None else [f"written      {getattr(target, 'pattern', out)}"])]
-                )
-            )
+            typer.echo("\n".join([*summary.lines(), *([f"written      {target.pattern or out}"] if target else [])]))
 
 
 @main.command()

@@ -34,6 +34,7 @@ class Output:
     apart = False  # True: write may be called in a thread of its own, while the simulation goes on and `wants` is asked
     alpha = False  # whether it takes pictures with alpha
     resumable = False  # whether a run that was cut off can be gone on with
+    pattern = ""  # of the names that it writes, where they are not the one it was given
     frames = 0  # how many it holds so far; `export` counts
 
     def wants(self, index: int) -> bool:

@@ -32,7 +32,7 @@ class Geometry(Output):
             raise FileNotFoundError(f"{self.path}: there is no folder {str(folder)!r}; make it first")
         if not access(folder, W_OK):
             raise PermissionError(f"{self.path}: cannot be written: no rights for the folder {str(folder)!r}")
-        self.pattern = str(self.path.with_name(f"{self.path.stem}_*{self.path.suffix}"))  # of the names written
+        self.pattern = str(self.path.with_name(f"{self.path.stem}_*{self.path.suffix}"))
         self._ply = self.path.suffix.lower() == ".ply"
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
