@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-__all__ = ["INTERRUPTED", "TERMINATED", "insistent_signals", "leave"]
+__all__ = ["INTERRUPTED", "TERMINATED", "heard", "insistent_signals", "leave"]
 
 INTERRUPTED, TERMINATED = 130, 143  # exit status: 128 + SIGINT, 128 + SIGTERM
 AGAIN = 2.0  # s; long enough for a half-written file to be removed
@@ -47,6 +47,12 @@ def insistent_signals() -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def heard() -> None:
+    """Ctrl-C was taken as an end like others: it does not come again, so that what is open can be closed in peace."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def leave(status: int) -> NoReturn:

@@ -13,6 +13,7 @@ import numpy as np
 from taichi_sim.errors import BackendError
 from taichi_sim.files import replacing
 from taichi_sim.forces.pointer import MOST, RATE, Pointer
+from taichi_sim.interrupts import heard
 from taichi_sim.outputs import overlay
 from taichi_sim.outputs.base import Image
 from taichi_sim.outputs.orbit import pick, view_of
@@ -89,8 +90,8 @@ def show(
             window = _Window(simulation, pointer, renderer, fps, until, say)
             try:
                 window.run()
-            except KeyboardInterrupt:  # as good an end as the close button: a window has nothing to finish
-                pass
+            except KeyboardInterrupt:  # as good an end as the close button
+                heard()
             finally:
                 window.close()
     finally:
