@@ -24,6 +24,7 @@ CLEAR, SWEEPS = (
 )  # of what is kept: how far past its plane a ball is led; times that all its planes are gone through
 SAFE = 0.99  # of a radius: what moves no further cannot meet what was not listed
 BORDER, NOT_OWNED = -1, -2  # what lies beyond an edge: no other triangle, or hits on the edge belong to the other one
+LEVER = 0.1  # of a distance: what moves nearer to a pin than that part would be thrown as many times faster
 INSIDE = 1e-4  # of an edge: nearer to its end, the hit is one of the ball there
 
 
@@ -184,11 +185,12 @@ def settle(facets: ti.template(), solver: ti.template(), ball: ti.template(), p,
         if ti.static(job == LIMIT):
             hold_apart(facets, ball, b, n, kind)
         else:
-            u = 0.0 * d
+            u, give = 0.0 * d, 0.0 * d
             thick, upper, lower, nearest = 0.0 * d, 0.0 * d, 0.0 * d, facets.spacing[b[0]]
             for k in ti.static(range(4)):
                 radius = facets.model.radius[b[k]]
                 u += g[k] * n.dot(ball[b[k]].v)
+                give += ti.select(ti.abs(g[k]) > LEVER, facets.model.inverse_mass[b[k]], 0.0 * d)
                 on_top = k == 0 or (k == 1 and kind > 0)
                 upper = ti.max(upper, ti.select(on_top, radius, 0.0))
                 lower = ti.max(lower, ti.select(on_top, 0.0, radius))
@@ -206,7 +208,8 @@ def settle(facets: ti.template(), solver: ti.template(), ball: ti.template(), p,
                 else:
                     if joined(facets, b, kind):
                         thick = ti.min(thick, nearest)
-                    contact = whole and d < ti.max(LISTED * thick, thick + way)
+                    # between points that pins hold nothing can be pushed, or only by a long lever
+                    contact = whole and give > 0.0 and d < ti.max(LISTED * thick, thick + way)
                     facets.row[at].owner = p
                     facets.row[at].place = place
                     facets.row[at].kind = kind
@@ -303,7 +306,7 @@ def lead_past(facets: ti.template(), solver: ti.template(), ball: ti.template())
                     change += ti.max(0.0, facets.row[c].up - height) * n
                 else:
                     change -= ti.max(0.0, height - facets.row[c].down) * n
-        if change.dot(change) > 0.0:
+        if change.dot(change) > 0.0 and facets.model.inverse_mass[i] > 0.0:  # a pin stays where it is
             solver.state.shift(i, change)
 
 

@@ -336,11 +336,10 @@ def _slowest_bounce(scene: Scene, h: float) -> float:
 
 def spins(scene: Scene, settings: Settings) -> bool:
     """Whether balls turn: "auto" where Coulomb friction can make them and some are loose. Those of cloth and jelly, which
-    springs join at their centres, would only roll under it like casters."""
+    springs, cells and the like join at their centres, would only roll under it like casters."""
     if settings.contacts == "off" or settings.spin is False:
         return False
-    loose = ~scene.pinned
-    loose[scene.pairs] = False
+    loose = ~scene.pinned & ~scene.joined()
     return settings.spin is True or (bool(loose.any()) and any(m.friction > 0 for m in used_materials(scene)))
 
 

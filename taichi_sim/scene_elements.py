@@ -78,6 +78,13 @@ class Elements:
         """Whether forces besides gravity, springs and contacts act."""
         return bool(self._cells.rows or self._bends.rows or self.wind is not None or self.gases)
 
+    def joined(self: Any) -> NDArray[np.bool_]:
+        """Which balls (n,) belong to a spring, a cell, a bending element or the skin of a gas."""
+        joined = np.zeros(self.n_balls, dtype=bool)
+        for balls in (self.pairs, self.cells, self.bends, *(gas.triangles for gas in self.gases)):
+            joined[balls] = True
+        return joined
+
     def add_cells(
         self: Any, corners: ArrayLike, *, bulk_modulus: ArrayLike, rest_volume: ArrayLike | None = None
     ) -> NDArray[np.int32]:
@@ -250,12 +257,15 @@ class Elements:
         for k, one in enumerate(path):
             key = dict(keyframe(f"{where}.path[{k}]", one))
             by = checks.vector(f"{where}.path[{k}].position", key.get("position", np.zeros(self.dim)), self.dim)
-            if k == 0 and (np.any(by != 0) or np.any(np.asarray(key.get("rotation", 0.0)) != 0)):
+            time = checks.number(f"{where}.path[{k}].time", key["time"])
+            if k == 0 and (
+                np.any(by != 0) or (key.get("rotation") is not None and np.any(np.asarray(key["rotation"]) != 0))
+            ):
                 raise SceneError(
                     f"{where}.path[0]: begins at {by.tolist()} from where the balls are, and they would jump; it must begin at 0"
                 )
             turned = {} if key.get("rotation") is None else {"rotation": np.asarray(key["rotation"]).tolist()}
-            result.append({"time": key["time"], "position": by.tolist(), **turned})
+            result.append({"time": time, "position": by.tolist(), **turned})
         return result
 
     def attach(

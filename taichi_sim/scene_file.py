@@ -226,7 +226,8 @@ class _Reader:
         arguments = _given(table)
         name, prefix = arguments.pop("file", None), arguments.pop("prefix", "")
         if name is not None:
-            known = [key for key in type(table).model_fields if key not in ("file", "prefix", "name", "balls")]
+            own = ("file", "prefix", "name") if place[0] == "moving_pins" else ("file", "prefix", "name", "balls")
+            known = [key for key in type(table).model_fields if key not in own]
             for key, array in _arrays(self.file.parent / name, prefix).items():
                 if key not in known:
                     raise SceneError(f"file: {name!r} holds the array {prefix + key!r}; {_one_of(key, known)}")

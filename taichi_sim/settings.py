@@ -144,8 +144,7 @@ class Settings:
         """ "auto": as many as loose balls need to lie on each other firmly, should they pile up as wide as they start."""
         if self.substeps != "auto":
             return int(self.substeps)
-        loose = (scene.body == 0) & ~scene.pinned
-        loose[scene.pairs] = False
+        loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
         g = float(np.linalg.norm(scene.gravity))
         if self.contacts == "off" or np.count_nonzero(loose) < 2 or g == 0.0:
             return 1

@@ -317,8 +317,8 @@ class Simulation:
     ) -> None:
         """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
 
-        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. torn: (m,) springs. The
-        impulses that contacts held are found anew in the first steps: a pile that rests goes on resting, but not with the
+        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. torn: (m,) springs; none by default.
+        The impulses that contacts held are found anew in the first steps: a pile that rests goes on resting, but not with the
         same bits.
         """
         n, dim = self.scene.n_balls, self.scene.dim
@@ -326,8 +326,8 @@ class Simulation:
         if n:
             x, v = checks.vectors("position", position, n, dim), checks.vectors("velocity", velocity, n, dim)
             self._write(x, v, low, moved=True)
-            if torn is not None and self._parts.tearing is not None:
-                self._parts.tearing.tear(torn)
+            if self._parts.tearing is not None:
+                self._parts.tearing.tear(np.zeros(self.scene.n_springs, dtype=bool) if torn is None else torn)
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
 

@@ -5,6 +5,10 @@ with the bulk modulus lambda - mu what a larger ratio asks for. See physics.md, 
 """
 
 import itertools
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -247,9 +251,10 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
         ) from None
     across = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
     try:
-        points, cells = pytetwild.tetrahedralize(
-            surface.vertices, surface.triangles, edge_length_abs=edge, epsilon=ENVELOPE * edge / across
-        )
+        with _elsewhere():
+            points, cells = pytetwild.tetrahedralize(
+                surface.vertices, surface.triangles, edge_length_abs=edge, epsilon=ENVELOPE * edge / across
+            )
     except Exception as error:  # foreign code may raise anything
         raise SceneError(f'{where}.mesh: cannot be filled with tetrahedra: {error}; use fill = "voxels"') from error
     points, cells = np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
@@ -259,6 +264,18 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
     points, compact = points[used], new.reshape(-1, 4).astype(np.int32)
     turned = cell_volumes(points, compact) < 0
     return points, np.where(turned[:, None], compact[:, [1, 0, 2, 3]], compact).astype(np.int64)
+
+
+@contextmanager
+def _elsewhere() -> Iterator[None]:
+    """In a folder that vanishes: fTetWild leaves a file __tracked_surface.stl where it runs."""
+    before = os.getcwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            yield
+        finally:
+            os.chdir(before)
 
 
 def largest_rate(body: Solid, masses: NDArray, mu: float, bulk: float) -> float:

@@ -111,9 +111,9 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     stretched: there it gains, by h omega^2 a second, at any step, and the bound only holds for the motion along springs.
     """
     rates = element_rates(scene)
-    if (scene.n_springs == 0 and rates.elastic == 0.0) or scene.pinned.all():
+    if (scene.n_springs == 0 and not any(rates)) or scene.pinned.all():
         return Stability(np.inf, np.inf, None, None, "no spring moves a ball: every step is stable")
-    if integrator in ANY_STEP and rates.elastic == 0.0:
+    if integrator in ANY_STEP and not any(rates):
         return Stability(np.inf, np.inf, None, None, f"{integrator} is stable at any step; only its error grows")
     if integrator in ANY_STEP or not np.any(scene.stiffness + scene.damping > 0):
         return _of_elements(integrator, rates)
@@ -143,10 +143,11 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
 
 
 def present_limit(scene: Scene, integrator: str, position: Floats) -> tuple[float, int]:
-    """The largest safe step [s] of a method that has one, at `position` (n, dim) [m], and the spring that sets it."""
+    """The largest safe step [s] of a method that has one, at `position` (n, dim) [m], and the spring that sets it, or -1 where
+    springs do not."""
     k, c = scene.stiffness, scene.damping
     if not len(k) or integrator in ANY_STEP:
-        return _of_elements(integrator, element_rates(scene)).dt_any_shape, 0
+        return _of_elements(integrator, element_rates(scene)).dt_any_shape, -1
     return _step(scene, k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position), element_rates(scene))
 
 

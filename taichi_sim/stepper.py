@@ -241,7 +241,7 @@ class Stepper:
         if growth is None or "growth" in self._warned:
             return
         limited = 0.0 < self.safe.dt_any_shape < np.inf
-        limit, spring = self._present() if limited else (np.inf, None)
+        limit, spring = self._present() if limited else (np.inf, -1)
         if not growth.sure and self.h <= limit:
             look = self.parts.gauge.look()
             if steps and look.speed * self.h > self.size and not self._works(steps, growth):
@@ -254,7 +254,7 @@ class Stepper:
             self.watch.begin(self.parts.gauge.look())
             return
         if limited:
-            cure = f"; in this shape spring {spring} limits {self.method} to {limit:.6g} s, {self.h:.6g} s is used"
+            cure = f"; in this shape {_limiting(spring)} {self.method} to {limit:.6g} s, {self.h:.6g} s is used"
         else:
             cure = f"; {self.h:.6g} s is used: take shorter steps" + (
                 ", or more contact_passes" if self.parts.contacts.active else ""
@@ -293,7 +293,7 @@ class Stepper:
         if self.h > limit:
             self._warn(
                 "bound",
-                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape spring {spring} limits"
+                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape {_limiting(spring)}"
                 f" {self.method} to {limit:.6g} s",
             )
 
@@ -324,3 +324,7 @@ class Stepper:
 
 def _from_to(growth: Growth) -> str:
     return f"from {growth.before:.4g} J to {growth.after:.4g} J"
+
+
+def _limiting(spring: int) -> str:
+    return f"spring {spring} limits" if spring >= 0 else "cells, bending and gas limit"

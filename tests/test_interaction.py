@@ -1,5 +1,6 @@
 """Pins that move along paths, springs that tear, attachments; in both drivers, saved and restored."""
 
+import json
 import warnings
 
 import numpy as np
@@ -146,6 +147,27 @@ def test_torn_springs_are_saved(tmp_path):
         np.testing.assert_array_equal(again.position, end)
 
 
+def test_a_spring_without_length_is_held_where_others_tear():
+    scene = strip()
+    scene.add_balls([[0.0, 0.0]], radius=0.01)
+    scene.attach([3], [0], stiffness=1000.0, damping=1.0)
+    assert scene.rest_length[-1] == 0.0
+    with simulate(scene, dt=1e-3, contacts="off") as sim:
+        sim.run(1.0)
+        assert sim.torn.tolist() == [False, True, False]
+
+
+def test_a_state_without_torn_springs_is_whole():
+    """Reports and the window begin one simulation again and again."""
+    with simulate(strip(), dt=1e-3, contacts="off") as sim:
+        sim.run(1.0)
+        assert sim.torn.any()
+        sim.resume(sim.scene.position, sim.scene.velocity, 0.0)
+        assert not sim.torn.any()
+        sim.step(150)
+        assert sim.position[1, 0] == pytest.approx(strip_middle(), rel=1e-5)
+
+
 def test_what_was_taken_back_is_whole_again():
     """The watch halves a step at which energy grew: what tore in the chunk that is repeated has not torn."""
     with simulate(strip(), dt=1e-3, contacts="off") as sim:
@@ -266,6 +288,18 @@ def test_scene_files_name_groups_and_members(tmp_path):
     assert again.elements() == scene.elements()
     for name, array in (scene.to_arrays() | scene.element_arrays()).items():
         np.testing.assert_array_equal(array, (again.to_arrays() | again.element_arrays())[name], err_msg=name)
+
+
+def test_many_moving_pins_come_back_from_a_file(tmp_path):
+    scene = ts.Scene(dim=3)
+    sheet = ts.shapes.cloth(scene, resolution=(21, 21))
+    times = np.arange(3)
+    scene.add_moving_pins(sheet.balls[:250], path=[(t, (0.0, 0.0, 0.1 * t), None) for t in times])
+    scene.save(tmp_path / "scene.toml")
+    again = ts.load_scene(tmp_path / "scene.toml")
+    np.testing.assert_array_equal(again.moving_pins[0].balls, scene.moving_pins[0].balls)
+    assert again.elements() == scene.elements()
+    assert json.loads(json.dumps(scene.elements())) == scene.elements()  # as a state file keeps them
 
 
 @pytest.mark.parametrize(

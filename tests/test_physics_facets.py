@@ -184,6 +184,22 @@ def test_a_pass_keeps_momentum_and_never_adds_energy(cluster_run):
     assert met > 0.9 * 40 * PLACES
 
 
+def test_what_pins_hold_throws_nothing():
+    """A pin beside the edge between two others, or led onto it: the third corner can do nothing about it."""
+    for z in (0.0, 5e-4):
+        for velocity in (None, (0.0, -1.0, 0.0)):
+            scene = ts.Scene(dim=3)
+            scene.add_balls([[0, 0, 0], [1, 0, 0], [0.5, 0, 1], [0.5, 0.15, z]], radius=0.1, pinned=[0, 1, 3])
+            scene.add_triangles([[0, 2, 1]], collides=True)
+            scene.add_springs([[0, 2], [1, 2]], stiffness=10.0, damping=0.1)
+            if velocity is not None:
+                scene.add_moving_pins([3], velocity=velocity)
+            with simulate(scene, dt=H) as sim:
+                sim.step(100)
+                assert np.abs(sim.velocity[2]).max() < 2.0
+                assert np.array_equal(sim.position[:2], scene.position[:2])
+
+
 # Nothing goes through ---------------------------------------------------------------------------------------------------
 
 N, STEPS = 14, 300
@@ -263,6 +279,8 @@ def flight():
             x = sim.position
             through = int(beneath(x[shot], x[net.triangles]).sum())
             looks.append((sim.crossings(), through, x[shot, 1].min()))
+        pinned = scene.pinned
+        assert np.abs(sim.position[pinned] - scene.position[pinned]).max() < ROUNDING
         return sim.kernels(), np.array(looks), sim.position, sim.velocity
 
 

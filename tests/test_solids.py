@@ -264,8 +264,9 @@ def test_refused_and_the_scene_unchanged(arguments, message):
 
 
 @pytest.mark.slow
-def test_a_mesh_filled_with_tetrahedra():
+def test_a_mesh_filled_with_tetrahedra(tmp_path, monkeypatch):
     pytest.importorskip("pytetwild")
+    monkeypatch.chdir(tmp_path)
     ball, scene = _sphere(2), Scene(dim=3)
     made = shapes.jelly(scene, mesh=ball, fill="tetrahedra", spacing=0.4, density=10.0)
     assert scene.mass.sum() == pytest.approx(10 * volume(ball))
@@ -273,3 +274,4 @@ def test_a_mesh_filled_with_tetrahedra():
     assert volume(Surface(scene.position, made.triangles)) == pytest.approx(volume(ball), rel=0.02)
     skin = scene.skins[0]
     assert np.einsum("sk,ski->si", skin.weights, scene.position[skin.corners]) == pytest.approx(ball.vertices, abs=1e-9)
+    assert not list(tmp_path.iterdir())  # fTetWild writes a file where it runs

@@ -144,6 +144,29 @@ def test_check_of_scenes_without_springs_or_motion():
         assert "no spring moves a ball: every step is stable" in "\n".join(check.lines(sim))
 
 
+def test_check_of_scenes_whose_cells_limit_the_step():
+    scene = ts.Scene(dim=2)
+    b = scene.add_balls([[0, 0], [1, 0], [0, 1]], radius=0.1)
+    scene.add_cells([b], bulk_modulus=1e6)
+    with simulate(scene, contacts="off") as sim:
+        text = "\n".join(check.lines(sim))
+    assert "without that spring" not in text
+    assert "any step is stable" not in text
+    scene.add_springs([b[:2], b[1:]], stiffness=100.0, damping=1.0)
+    with simulate(scene, integrator="implicit_euler", contacts="off") as sim:
+        text = "\n".join(check.lines(sim))
+    assert "None" not in text
+    assert "cells, bending and gas: explicit forces, limit implicit_euler" in text
+
+
+def test_damping_of_bending_alone_limits_the_step():
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], radius=0.1, mass=1e-3)
+    scene.add_bending([[0, 1, 2, 3]], weights=[1, -1, -1, 1], stiffness=0.0, damping=10.0)
+    for method in ("verlet", "rk4", "implicit_euler"):
+        assert stability(scene, method).dt_any_shape < 1e-3
+
+
 def test_another_step_gives_the_bits_of_a_simulation_made_with_it():
     """What depends on the step (damping, the slowest bounce, soft contacts) is set anew. Nothing touches in the first steps:
     what contacts hold may outlast `resume`."""

@@ -59,7 +59,7 @@ class Facets:
         self.reach, self.part, self.ease = (fields.reals(n) for _ in range(3))
         self.extent = fields.reals(1)
         self.work, self.fast = fields.integers(2), fields.integers(1)
-        self.capacity = max(room, MINIMUM_CAPACITY, PER_BALL * n)
+        self.capacity = max(room, MINIMUM_CAPACITY, PER_BALL * len(np.unique(triangles)))
         before = fields.bytes
         real = fields.real
         columns = {

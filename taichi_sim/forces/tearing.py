@@ -25,7 +25,9 @@ class Tearing:
         self.springs, self.n, self.m = springs, model.n, scene.n_springs
         springs.tearing = self
         number = springs.number
-        limit = scene.rest_length * (1.0 + scene.break_strain)
+        tears = np.isfinite(scene.break_strain)
+        limit = np.full(self.m, np.inf)  # also of what has no length at rest
+        limit[tears] = scene.rest_length[tears] * (1.0 + scene.break_strain[tears])
         self._real = np.float64 if fields.real == ti.f64 else np.float32
         # a number that is larger than any length, but not infinite, which single precision would refuse
         stored = np.where(number < 0, np.inf, limit[number])

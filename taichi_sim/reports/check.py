@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from taichi_sim.element_rates import element_rates
 from taichi_sim.scene import Scene
 from taichi_sim.settings import SAFETY, part_of_bound
 from taichi_sim.simulation import Simulation
@@ -42,16 +43,22 @@ def lines(sim: Simulation) -> Iterator[str]:
     if not np.isfinite(limits.dt_any_shape):
         yield f"advice                {_advice(sim, limits, np.inf)}"
         return
-    longer = np.inf if limits.spring is None else without(scene, used, limits.spring)
-    yield f"without that spring   {_seconds(longer)}"
+    longer = np.inf
+    if limits.spring is not None:
+        longer = without(scene, used, limits.spring)
+        yield f"without that spring   {_seconds(longer)}"
     yield ""
+    elements = any(element_rates(scene))  # explicit in every method
     yield f"{'method':18} {'any shape':>11} {'this shape':>11} {'passes per simulated second':>28}"
-    for name in dict.fromkeys((used, *EXPLICIT)):
+    for name in dict.fromkeys((used, *EXPLICIT, *(ANY_STEP if elements else ()))):
         found = limits if name == used else stability(scene, name, sim.position)
         step = found.dt_any_shape
-        cost = f"{passes(scene, name) / step:.3g}" if 0 < step < np.inf else "-"
+        cost = f"{passes(scene, name) / step:.3g}" if 0 < step < np.inf and name not in ANY_STEP else "-"
         yield f"{name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
-    yield f"{', '.join(ANY_STEP)}: any step is stable, its error is another matter"
+    if elements:
+        yield f"{', '.join(ANY_STEP)}: no spring limits them, but cells, bending and gas do"
+    else:
+        yield f"{', '.join(ANY_STEP)}: any step is stable, its error is another matter"
     if sim.has_own_parts:
         yield "forces of one's own act explicitly in all of them; what step they need is not known here"
     yield ""
@@ -73,7 +80,7 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return "no spring limits the step; choose it by the accuracy you need"
     if safe == 0.0:
         return "take symplectic_euler or verlet: explicit Euler gains energy on an undamped spring whatever the step"
-    if longer > RARE * safe and scene.n_springs > 1:
+    if limits.spring is not None and longer > RARE * safe and scene.n_springs > 1:
         times = f"{longer / safe:.3g} times shorter"
         return f"spring {limits.spring} alone makes the step {times}; is its stiffness, or its ball's mass, meant?"
     if used != "verlet" and stability(scene, "verlet").dt_any_shape > RARE * safe:
@@ -87,6 +94,6 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return f'{why} above {good:.4g} s, and gain energy; take that, or dt = "auto"'
     if h > good * (1.0 + 1e-9):
         return f'dt is close to the bound of {safe:.4g} s; take {good:.4g} s, or dt = "auto"'
-    if passes(scene, used) / safe > MANY:
+    if passes(scene, used) / safe > MANY and not any(element_rates(scene)):
         return "if an error of a hundredth of the size will do, xpbd or implicit_euler may need fewer passes"
     return f"{used} at {h:.4g} s is safe in every shape"

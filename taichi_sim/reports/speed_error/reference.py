@@ -74,7 +74,7 @@ class Reference:
     @property
     def scale(self) -> float:
         """Largest kinetic and spring energy [J], which energies are compared with."""
-        return float(self.energy[:, :2].sum(axis=1).max(initial=0.0)) or 1.0
+        return float(np.abs(self.energy[:, :2]).sum(axis=1).max(initial=0.0)) or 1.0  # that of a gas may be negative
 
     @property
     def chaotic(self) -> bool:
