@@ -109,7 +109,7 @@ class Assembly:
         self.pins = Pins(self.model, self.state, self.fields) if scene.moving_pins else None
         self.tearing: Tearing | None = None
         if springs is not None and np.isfinite(scene.break_strain).any():
-            self.tearing = Tearing(self.model, springs, self.fields)
+            self.tearing = Tearing(self.model, springs, self.forces.elements, self.fields)
             self.state.followers.append(self.tearing)
         moves = self.colliders is not None and self.colliders.moves
         self.led = [part for part in (self.colliders if moves else None, self.pins) if part is not None]

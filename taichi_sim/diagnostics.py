@@ -57,20 +57,23 @@ def energy(
     r = x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]]
     stretch = np.linalg.norm(r, axis=1) - scene.rest_length
     strength = scene.stiffness if torn is None else np.where(torn, 0.0, scene.stiffness)
-    spring = 0.5 * float(np.sum(strength * stretch**2)) + _elements(scene, x)
+    pairs = scene.pairs[:0] if torn is None else scene.pairs[torn]
+    spring = 0.5 * float(np.sum(strength * stretch**2)) + _elements(scene, x, pairs)
     gravity = 0.0 - float(np.sum(m * (x @ scene.gravity)))
     return Energy(kinetic, spring, gravity, kinetic + spring + gravity)
 
 
-def _elements(scene: Scene, x: Floats) -> float:
-    """Energy of cells, bending and gas [J]; that of a gas is 0 at its first volume."""
+def _elements(scene: Scene, x: Floats, torn: NDArray) -> float:
+    """Energy of cells, bending and gas [J]; that of a gas is 0 at its first volume. torn: (k, 2) balls of torn springs."""
     total = 0.0
     if len(scene.cells):
         part = cell_volumes(x, scene.cells) / scene.rest_volume - 1.0
-        total += 0.5 * float(np.sum(scene.bulk_modulus * scene.rest_volume * part**2))
+        whole = ~cut(scene.cells, torn, scene.n_balls)
+        total += 0.5 * float(np.sum((scene.bulk_modulus * scene.rest_volume * part**2)[whole]))
     if len(scene.bends):
         curve = np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends] - x[scene.bends[:, :1]])
-        total += 0.5 * float(np.sum(scene.bend_stiffness * np.sum(curve**2, axis=1)))
+        whole = ~cut(scene.bends, torn, scene.n_balls)
+        total += 0.5 * float(np.sum((scene.bend_stiffness * np.sum(curve**2, axis=1))[whole]))
     for gas in scene.gases:
         now = enclosed(x, gas.triangles) / gas.volume
         inside = (gas.pressure + gas.outside) * gas.volume
@@ -85,16 +88,22 @@ def enclosed(x: Floats, triangles: NDArray) -> float:
 
 
 def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
-    """Which triangles (t, 3) of n balls have one of the pairs (k, 2) as a side."""
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
+    """Which triangles (t, 3), or elements (t, more), of n balls hold both balls of one of the pairs (k, 2)."""
+    k = triangles.shape[1]
+    sides = np.sort(triangles[:, [[a, b] for b in range(k) for a in range(b)]].astype(np.int64), axis=2)
     pairs = np.sort(torn.astype(np.int64), axis=1)
     gone = np.isin(sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1])
     return np.asarray(gone.any(axis=1))
 
 
 def check_tearing(scene: Scene) -> None:
-    """Raise SceneError where a side of a triangle that collides could tear: what is left would still collide."""
+    """Raise SceneError where a side of a triangle that collides, or holds a gas, could tear: what is left would still do so."""
     tears = np.isfinite(scene.break_strain)
+    for number, gas in enumerate(scene.gases):
+        if cut(gas.triangles, scene.pairs[tears], scene.n_balls).any():
+            raise SceneError(
+                f"springs.break_strain: the surface of gas {number} could tear, and a gas does not flow out"
+            )
     if tears.any() and scene.solid.any():
         both = np.flatnonzero(cut(scene.triangles[scene.solid], scene.pairs[tears], scene.n_balls))
         if len(both):

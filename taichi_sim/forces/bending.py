@@ -4,14 +4,14 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.fields import Fields
-from taichi_sim.forces.corners import corners
+from taichi_sim.forces.corners import Corners
 from taichi_sim.model import Model
 
 __all__ = ["Bending"]
 
 
 @ti.data_oriented
-class Bending:
+class Bending(Corners):
     """Forces -w_i sum_j w_j (k x_j + c v_j); the weights of an element sum to 0, so that places count from ball i."""
 
     name = "bending"
@@ -31,7 +31,7 @@ class Bending:
         if self.damped:
             columns["damping"] = real
             data["damping"] = np.tile(scene.bend_damping, 4)
-        self.start, self.row = corners(model, fields, others, bends.T.ravel(), columns, data)
+        self.gather(model, fields, others, bends.T.ravel(), columns, data)
 
     @ti.func
     def _curve(self, ball: ti.template(), i, row):
@@ -51,7 +51,8 @@ class Bending:
                     v = ball[i].v
                     change = row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
                     pull += row.damping * change
-                f -= row.own * pull
+                if self.holds(e):
+                    f -= row.own * pull
             impulse[i] = impulse[i] + h * f
 
     @ti.func
@@ -61,5 +62,6 @@ class Bending:
         for e in range(self.start[i], self.start[i + 1]):
             row = self.row[e]
             curve = self._curve(ball, i, row)
-            energy += 0.125 * ti.cast(row.stiffness, real) * ti.cast(curve.dot(curve), real)
+            if self.holds(e):
+                energy += 0.125 * ti.cast(row.stiffness, real) * ti.cast(curve.dot(curve), real)
         return energy

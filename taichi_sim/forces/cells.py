@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.fields import Fields
-from taichi_sim.forces.corners import corners
+from taichi_sim.forces.corners import Corners
 from taichi_sim.model import Model
 
 __all__ = ["Cells"]
@@ -14,7 +14,7 @@ TURNED = {2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 
 
 
 @ti.data_oriented
-class Cells:
+class Cells(Corners):
     """Forces -K (V / V0 - 1) dV/dx of the energy K V0 (V / V0 - 1)^2 / 2, V with its sign."""
 
     name = "cells"
@@ -32,7 +32,7 @@ class Cells:
             "pressure": np.tile(scene.bulk_modulus, len(turned)),
             "inverse": np.tile(1.0 / scene.rest_volume, len(turned)),
         }
-        self.start, self.row = corners(model, fields, others, cells.T.ravel(), columns, data)
+        self.gather(model, fields, others, cells.T.ravel(), columns, data)
 
     @ti.func
     def _volume(self, ball: ti.template(), i, row):
@@ -54,7 +54,8 @@ class Cells:
             for e in range(self.start[i], self.start[i + 1]):
                 row = self.row[e]
                 volume, g = self._volume(ball, i, row)
-                f -= row.pressure * (volume * row.inverse - 1.0) * g
+                if self.holds(e):
+                    f -= row.pressure * (volume * row.inverse - 1.0) * g
             impulse[i] = impulse[i] + h * f
 
     @ti.func
@@ -65,5 +66,6 @@ class Cells:
             row = self.row[e]
             volume, _ = self._volume(ball, i, row)
             part = ti.cast(volume * row.inverse - 1.0, real)
-            energy += self.share * 0.5 * ti.cast(row.pressure / row.inverse, real) * part * part
+            if self.holds(e):
+                energy += self.share * 0.5 * ti.cast(row.pressure / row.inverse, real) * part * part
         return energy

@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.fields import Fields
-from taichi_sim.forces.corners import corners
+from taichi_sim.forces.corners import Corners
 from taichi_sim.kernels.springs import GRAIN, PART
 from taichi_sim.model import Model
 
@@ -14,7 +14,7 @@ NONE = 1e-3  # of the first volume: a gas that is pressed together further press
 
 
 @ti.data_oriented
-class Gases:
+class Gases(Corners):
     """Forces p dV/dx with (p + outside) V = (pressure + outside) V0, for all gases of a scene.
 
     Volumes are summed in parts of fixed length: the same bits for any number of threads. A triangle's volume is counted from the
@@ -31,7 +31,7 @@ class Gases:
         t = np.concatenate([gas.triangles for gas in gases])
         gas = np.repeat(np.arange(self.count), [len(g.triangles) for g in gases])
         others = np.concatenate([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]])
-        self.start, self.row = corners(model, fields, others, t.T.ravel(), {"gas": ti.i32}, {"gas": np.tile(gas, 3)})
+        self.gather(model, fields, others, t.T.ravel(), {"gas": ti.i32}, {"gas": np.tile(gas, 3)})
         self.triangle = fields.table(
             {name: ti.i32 for name in "abc"}, len(t), {n: t[:, k] for k, n in enumerate("abc")}
         )

@@ -1,5 +1,6 @@
 """Tearing: springs that break for good where they are stretched too far."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,8 +8,10 @@ import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.fields import Fields
+from taichi_sim.forces.corners import Corners
 from taichi_sim.forces.springs import Springs
 from taichi_sim.model import Model
+from taichi_sim.scene import Scene
 
 __all__ = ["Tearing"]
 
@@ -17,10 +20,11 @@ __all__ = ["Tearing"]
 class Tearing:
     """Looks at all springs after each substep; those longer than `limit` [m] lose their stiffness and damping.
 
-    `torn` (as the springs are stored) marks them; `kept`: the same in the last state known to be good.
+    `torn` (as the springs are stored) marks them; `kept`: the same in the last state known to be good. An element, a triangle in
+    the wind among them, two of whose balls a torn spring joined, acts no more.
     """
 
-    def __init__(self, model: Model, springs: Springs, fields: Fields) -> None:
+    def __init__(self, model: Model, springs: Springs, elements: Sequence[Corners], fields: Fields) -> None:
         scene = model.scene
         self.springs, self.n, self.m = springs, model.n, scene.n_springs
         springs.tearing = self
@@ -34,6 +38,7 @@ class Tearing:
         self.limit = fields.reals(np.minimum(stored, 1e30))
         self.torn, self.kept = fields.integers(springs.padded), fields.integers(springs.padded)
         self.stiffness = np.where(number < 0, 0.0, scene.stiffness[number])
+        self.ties = [_Ties(scene, springs, force, fields) for force in elements]
 
     @ti.func
     def look(self, ball: ti.template()):
@@ -53,6 +58,8 @@ class Tearing:
         self.springs.spring[place].stiffness = 0.0
         if ti.static(self.springs.damped):
             self.springs.spring[place].damping = 0.0
+        for tie in ti.static(self.ties):
+            tie.sever(place)
 
     def keep(self) -> None:
         """Remember the present state as good."""
@@ -67,6 +74,8 @@ class Tearing:
         self.torn.from_numpy(torn)
         self.springs.spring.stiffness.from_numpy(np.where(torn > 0, 0.0, self.stiffness).astype(self._real))
         self.springs.set_damping(self.springs.given)
+        for tie in self.ties:
+            tie.set(torn > 0)
 
     def whole(self) -> NDArray[np.bool_]:
         """Which of the springs, as they are stored, are not torn."""
@@ -85,3 +94,38 @@ class Tearing:
         number = self.springs.number
         self._set(np.where(number < 0, 0, torn[number]).astype(np.int32))
         self.keep()
+
+
+@ti.data_oriented
+class _Ties:
+    """Which rows of a force hold both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
+
+    def __init__(self, scene: Scene, springs: Springs, force: Corners, fields: Fields) -> None:
+        self.force = force
+        n, pairs = scene.n_balls, np.sort(scene.pairs.astype(np.int64), axis=1)
+        joined, key = np.unique(pairs[:, 0] * n + pairs[:, 1], return_inverse=True)
+        members = np.sort(force.members.astype(np.int64), axis=1)
+        sides = [(a, b) for b in range(members.shape[1]) for a in range(b)]
+        codes = np.concatenate([members[:, a] * n + members[:, b] for a, b in sides])
+        found = np.minimum(np.searchsorted(joined, codes), len(joined) - 1)
+        same = np.flatnonzero(joined[found] == codes)
+        order = same[np.argsort(found[same], kind="stable")]
+        first = np.zeros(len(joined) + 1, dtype=np.int32)
+        np.cumsum(np.bincount(found[same], minlength=len(joined)), out=first[1:])
+        self._first, self._row = first, (order % len(members)).astype(np.int32)
+        self._key = np.where(springs.number < 0, 0, key.ravel()[springs.number])
+        self.key, self.first, self.row = fields.integers(self._key), fields.integers(first), fields.integers(self._row)
+
+    @ti.func
+    def sever(self, place):
+        """Spring `place` has torn."""
+        key = self.key[place]
+        for k in range(self.first[key], self.first[key + 1]):
+            self.force.gone[self.row[k]] = 1
+
+    def set(self, torn: NDArray[np.bool_]) -> None:
+        """Springs (as they are stored) that are torn, and no others."""
+        gone = np.zeros(len(self.force.members), dtype=np.int32)
+        for key in np.unique(self._key[torn]):
+            gone[self._row[self._first[key] : self._first[key + 1]]] = 1
+        self.force.gone.from_numpy(gone)

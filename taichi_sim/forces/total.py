@@ -61,6 +61,7 @@ class TotalForce:
         self.model, self.n = model, model.n
         elements = [kind(model, fields) for kind in _elements(model)]
         self.springs, self.extra = springs, [*elements, *extra]
+        self.elements = elements
         self.stores = [force for force in elements if force.elastic]  # energy, that the gauge counts
         self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(self.extra)
         self.impulse = fields.vectors(model.n if self.has_impulse else 0, model.dim)  # N s, summed from old values

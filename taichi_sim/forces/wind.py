@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.fields import Fields
-from taichi_sim.forces.corners import corners
+from taichi_sim.forces.corners import Corners
 from taichi_sim.model import Model
 
 __all__ = ["Wind", "gusts"]
@@ -15,7 +15,7 @@ SIDEWAYS = 0.5  # of the gusts, that blows across the wind
 
 
 @ti.data_oriented
-class Wind:
+class Wind(Corners):
     """On each triangle density / 2 (drag A |u_n| u_n + skin_friction A |u_t| u_t), u the air's velocity less the triangle's, a
     third of it on each corner.
 
@@ -36,7 +36,7 @@ class Wind:
         give = (model.inverse_mass_array * count)[t].sum(axis=1) / 9.0
         most = np.divide(MOST, give, out=np.zeros(len(t)), where=give > 0)
         others = np.concatenate([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]])
-        self.start, self.row = corners(model, fields, others, t.T.ravel(), {"most": real}, {"most": np.tile(most, 3)})
+        self.gather(model, fields, others, t.T.ravel(), {"most": real}, {"most": np.tile(most, 3)})
         speed = float(np.linalg.norm(wind.velocity))
         along, one, two = axes(np.array(wind.velocity))
         self.along, self.one, self.two = (ti.Vector(axis.tolist()) for axis in (along, one, two))
@@ -69,7 +69,7 @@ class Wind:
                 x, a, b = ball[i].x, ball[row.a].x, ball[row.b].x
                 area = 0.5 * (a - x).cross(b - x)
                 size = area.norm()
-                if size > 0.0:
+                if size > 0.0 and self.holds(e):
                     n = area / size
                     u = self.air((x + a + b) / 3.0, time) - (ball[i].v + ball[row.a].v + ball[row.b].v) / 3.0
                     across = u.dot(n)
