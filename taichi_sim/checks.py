@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.errors import SceneError
 
-__all__ = ["flags", "indices", "many", "number", "per_item", "vector", "vectors"]
+__all__ = ["flags", "indices", "many", "number", "per_item", "strains", "vector", "vectors"]
 
 
 def _place(where: str, bad: NDArray[np.bool_], values: NDArray) -> tuple[str, Any]:
@@ -77,6 +77,21 @@ def per_item(
         raise SceneError(f"{where}: shape {array.shape} does not fit; give one number or {n} of them")
     _bounds(where, array, low, high, positive)
     return np.broadcast_to(array, (n,)).astype(np.float64)
+
+
+def strains(where: str, value: ArrayLike | None, n: int) -> NDArray[np.float64]:
+    """Positive strains, one or one per item, infinite or None where nothing breaks, as an array of shape (n,). SceneError."""
+    if value is None:
+        return np.full(n, np.inf)
+    try:
+        given = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        given = np.zeros((0, 0))
+    if given.dtype.kind != "f":
+        return per_item(where, value, n, positive=True)
+    never = np.isposinf(given)
+    finite = per_item(where, np.where(never, 1.0, given), n, positive=True)
+    return np.where(np.broadcast_to(never, (n,)), np.inf, finite)
 
 
 def vectors(where: str, value: ArrayLike, n: int | None, dim: int) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim import checks
 from taichi_sim.colliders import Collider
 from taichi_sim.errors import SceneError
 from taichi_sim.frame import Contacts
@@ -98,6 +99,7 @@ def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
 
 def check_tearing(scene: Scene) -> None:
     """Raise SceneError where a side of a triangle that collides, or holds a gas, could tear: what is left would still do so."""
+    checks.strains("springs.break_strain", scene.break_strain, scene.n_springs)  # which may have been set by hand
     tears = np.isfinite(scene.break_strain)
     for number, gas in enumerate(scene.gases):
         if cut(gas.triangles, scene.pairs[tears], scene.n_balls).any():

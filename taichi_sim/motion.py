@@ -134,7 +134,7 @@ class Motion:
             time = checks.number(f"{place}.time", key["time"])
             if times and time <= times[-1]:
                 raise SceneError(
-                    f"{place}.time: {time:g} s is not allowed after {times[-1]:g} s: the collider would jump; times must rise"
+                    f"{place}.time: {time:g} s is not allowed after {times[-1]:g} s: it would jump; times must rise"
                 )
             times.append(time)
             own = key.get("position")
@@ -161,7 +161,7 @@ class Motion:
             size = 1.0 + float(np.abs(x).max())
             if np.abs(x[-1] - x[0]).max() > SAME * size or np.abs(matrices[-1] - matrices[0]).max() > SAME:
                 raise SceneError(
-                    f"{where}.path[{len(t) - 1}]: a path that repeats must end where it begins, or the collider would jump"
+                    f"{where}.path[{len(t) - 1}]: a path that repeats must end where it begins, or it would jump"
                 )
         turns = np.concatenate([turned_by / np.diff(t)[:, None], np.zeros((1, turned_by.shape[1]))])
         return cls(t, x, matrices, turns, np.zeros(dim), x[0], repeat)

@@ -221,7 +221,7 @@ class Scene(Elements):
             "damping": checks.per_item("springs.damping", damping, m, low=0),
             "rest_length": rest,
             "collides": checks.flags("springs.collides", collides, m),
-            "break_strain": self._break_strains(break_strain, m),
+            "break_strain": checks.strains("springs.break_strain", break_strain, m),
         }
         both = columns["collides"] & np.isfinite(columns["break_strain"])
         if both.any():
@@ -367,15 +367,6 @@ class Scene(Elements):
         if member == 0:
             raise SceneError(f"{where}.group: {group!r} is not allowed; it must be a name, or a list of names")
         return member, self.groups.bits(f"{where}.collides_with", collides_with)
-
-    @staticmethod
-    def _break_strains(value: Any, m: int) -> NDArray[np.float64]:
-        if value is None:
-            return np.full(m, np.inf)
-        given = np.asarray(value)
-        never = np.isposinf(given) if given.dtype.kind == "f" else np.zeros(given.shape, dtype=bool)
-        strain = checks.per_item("springs.break_strain", np.where(never, 1.0, given), m, positive=True)
-        return np.where(np.broadcast_to(never, (m,)), np.inf, strain)
 
     @staticmethod
     def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:

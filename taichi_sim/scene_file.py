@@ -307,10 +307,14 @@ def _wanted(path: _Path) -> str:
 
 def _unknown(path: _Path) -> str:
     """An unknown key's message: the closest of the keys that its table knows."""
-    from taichi_sim.scene_schema import TABLES, Document, Output, Simulation
+    from taichi_sim.scene_schema import TABLES, Document, Output, Simulation, Wind
 
     key = str(path[-1])
-    table = {"simulation": Simulation, "output": Output, **TABLES}.get(str(path[0])) if len(path) > 1 else Document
+    table = (
+        {"simulation": Simulation, "output": Output, "wind": Wind, **TABLES}.get(str(path[0]))
+        if len(path) > 1
+        else Document
+    )
     known = list(table.model_fields) if table is not None else []  # type: ignore[attr-defined]
     return f"is not a known key; {_one_of(key, known)}"
 

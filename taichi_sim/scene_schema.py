@@ -25,7 +25,7 @@ from pydantic_core import PydanticCustomError
 from taichi_sim import colliders, shapes
 from taichi_sim.scene import Scene
 
-__all__ = ["SHAPES", "TABLES", "Document", "Output", "Simulation"]
+__all__ = ["SHAPES", "TABLES", "Document", "Output", "Simulation", "Wind"]
 
 MOST_BODIES = 1_000_000
 
@@ -162,13 +162,15 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "skins": _optional(_arguments(Scene.add_skin, **_group, **_file), "corners", "weights", "triangles"),
 }
 
+Wind = _arguments(Scene.add_wind)
+
 _document: dict[str, Any] = {
     "format": (Literal[1], ...),
     "dim": (Literal[2, 3], 2),
     "gravity": (Any, None),
     "simulation": (Simulation, Field(default_factory=Simulation)),
     "output": (Output, Field(default_factory=Output)),
-    "wind": (_arguments(Scene.add_wind) | None, None),
+    "wind": (Wind | None, None),
     **{name: (tuple[model, ...], ()) for name, model in TABLES.items()},  # type: ignore[valid-type]
 }
 Document: type[BaseModel] = create_model("Document", __base__=Strict, **_document)

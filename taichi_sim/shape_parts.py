@@ -224,6 +224,7 @@ def build(
     stretched: NDArray | None = None,
     bends: tuple[NDArray, NDArray, NDArray] | None = None,
     cells: tuple[NDArray, NDArray, NDArray] | None = None,
+    break_strain: float | None = None,
 ) -> Shape:
     """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls.
 
@@ -263,6 +264,7 @@ def build(
             stiffness=strength,
             damping=DAMPING_RATIO * critical if damping is None else damping,
             rest_length=rest,
+            break_strain=break_strain,
         )
         faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
         scene.add_triangles(faces, collides=part.surface_collision)

@@ -249,15 +249,18 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
         raise SceneError(
             f'{where}.fill: tetrahedra need one more package: pip install "taichi-sim[mesh]"; or use fill = "voxels"'
         ) from None
-    across = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
+    size, low = float(np.ptp(surface.vertices, axis=0).max()), surface.vertices.min(axis=0)
+    unit = (surface.vertices - low) / size  # what is very small ends it without a word
+    edge = edge / size
+    across = float(np.linalg.norm(np.ptp(unit, axis=0)))
     try:
         with _elsewhere():
             points, cells = pytetwild.tetrahedralize(
-                surface.vertices, surface.triangles, edge_length_abs=edge, epsilon=ENVELOPE * edge / across
+                unit, surface.triangles, edge_length_abs=edge, epsilon=ENVELOPE * edge / across
             )
     except Exception as error:  # foreign code may raise anything
         raise SceneError(f'{where}.mesh: cannot be filled with tetrahedra: {error}; use fill = "voxels"') from error
-    points, cells = np.asarray(points, dtype=np.float64), np.asarray(cells, dtype=np.int64)
+    points, cells = np.asarray(points, dtype=np.float64) * size + low, np.asarray(cells, dtype=np.int64)
     if not len(cells):
         raise SceneError(f'{where}.mesh: no tetrahedron fits into it; use fill = "voxels", or a smaller spacing')
     used, new = np.unique(cells, return_inverse=True)

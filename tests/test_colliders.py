@@ -115,7 +115,7 @@ BAD = [
     (ts.Box(**FLAT, velocity=(1,)), "colliders[0].velocity: shape (1,) does not fit"),
     (ts.Box(**FLAT, repeat=True), "colliders[0].repeat: there is no path to repeat"),
     (ts.Box(**FLAT, path=[(0, (0, 0))]), "colliders[0].path: has one keyframe"),
-    (ts.Box(**FLAT, path=[(0, (0, 0)), (0, (1, 0))]), "path[1].time: 0 s is not allowed after 0 s: the collider would jump"),
+    (ts.Box(**FLAT, path=[(0, (0, 0)), (0, (1, 0))]), "path[1].time: 0 s is not allowed after 0 s: it would jump"),
     (ts.Box(**FLAT, path=[(0, (0, 0)), (1, (1, 0))], repeat=True), "path[1]: a path that repeats must end where it begins"),
     (ts.Box(**FLAT, path=[(0, (0, 0)), (1, (1, 0))], velocity=(1, 0)), "velocity: is given together with a path"),
     (ts.Box(**FLAT, path=[(0, (0, 0)), {"tim": 1}]), "colliders[0].path[1].tim: is not a known key"),

@@ -22,15 +22,21 @@ class Follower:
 
     def __init__(self, balls: NDArray[np.int32], frame: Frame) -> None:
         self._balls = balls
-        self.begin = self.place = self._goal = self._middle(frame)
-        self._speed = np.zeros_like(self.place)
+        self.begin = self._middle(frame)
+        self._begin_at(frame)
+
+    def _begin_at(self, frame: Frame) -> None:
+        self.place = self._goal = self._middle(frame)
         self._time = frame.time
+        self._speed = np.zeros_like(self.place)
         if len(frame.velocity):
-            self._speed = frame.velocity[balls].mean(axis=0)
+            self._speed = frame.velocity[self._balls].mean(axis=0)
 
     def at(self, frame: Frame) -> NDArray[np.float64]:
-        """Where it is at a frame (dim,) [m]; frames come in order of time."""
+        """Where it is at a frame (dim,) [m]; frames come in order of time, or all begins again."""
         elapsed = frame.time - self._time
+        if elapsed < 0:  # it was put back
+            self._begin_at(frame)
         if elapsed > 0:
             goal, w = self._middle(frame), FIRMNESS
             even = (goal - self._goal) / elapsed

@@ -63,6 +63,7 @@ def cloth(
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
     surface_collision: bool = False,
+    break_strain: float | None = None,
 ) -> Shape:
     """A sheet of cloth, or a shell from a surface mesh, in 3D.
 
@@ -86,6 +87,7 @@ def cloth(
         bending_rigidity: N m, moment per width and curvature; 1e-5.
         damping: N s/m of each spring; in a material of the sheet, shared out as the stretch stiffness is.
         radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
+        break_strain: of all springs, at which each tears for good, see Scene.add_springs; never by default.
         surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
     """
     if scene.dim != 3:
@@ -133,7 +135,9 @@ def cloth(
             drag = drag / cotton.stretch * np.concatenate([k for _, k in parts.springs])
     points = moved("cloth", surface.vertices, position, rotation, factor)
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
-    return build(scene, "cloth", points, kinds, surface.triangles, part, strength, drag, bends=bends)
+    return build(
+        scene, "cloth", points, kinds, surface.triangles, part, strength, drag, bends=bends, break_strain=break_strain
+    )
 
 
 def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) -> fabric.Fabric:

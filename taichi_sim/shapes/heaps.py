@@ -10,6 +10,7 @@ from taichi_sim.shape_parts import (
     Part,
     Pins,
     Shape,
+    affordable,
     at_least_0,
     build,
     count,
@@ -90,6 +91,7 @@ def tower(
     reach = or_default("tower.radius", radius, 0.45 * float((extent / (np.array(many) - 1)).min()))
     step = float(extent[1]) + 2 * reach + at_least_0("tower.gap", gap)
     low = np.zeros(dim) if position is None else checks.vectors("tower.position", position, 1, dim)[0]
+    affordable("tower.levels", levels, number * int(np.prod(many)), 13 * number * int(np.prod(many)))
     blocks = []
     for level in range(number):
         with named("tower"):

@@ -37,6 +37,7 @@ __all__ = ["jelly"]
 JELLY_DENSITY = {2: 100.0, 3: 1000.0}  # kg/m^2 (a slab of 0.1 m) and kg/m^3: water
 WOBBLE = 40 * 10.0  # m/s^2: waves run at the root of that times the height
 MESH_RATIO = 0.4  # Poisson's, of a filled mesh
+FLAT = 1e-6  # of its longest side: a mesh that is thinner is no body
 BOXES = 16  # along the longest side of a mesh
 FILLS = ("voxels", "tetrahedra")
 THIN = 0.25  # radius of a filled mesh's balls, of its spacing
@@ -128,9 +129,15 @@ def jelly(
         surface = meshes.Surface(surface.vertices * factor, surface.triangles)
         extent = np.ptp(surface.vertices, axis=0)
         step = or_default("jelly.spacing", spacing, float(extent.max()) / BOXES)
+        enclosed = abs(meshes.volume(surface))
+        if extent.min() <= FLAT * extent.max():
+            raise SceneError(
+                f"jelly.mesh: is flat, {extent.tolist()} m along the axes; it encloses nothing that could be filled"
+            )
+        if step > float(extent.max()):
+            raise SceneError(f"jelly.spacing: {step:.4g} is not allowed; the mesh is {float(extent.max()):.4g} m long")
         body, skin = (_voxels if fill == "voxels" else _tetrahedra)(surface, step)
         default_radius = THIN * step
-        enclosed = abs(meshes.volume(surface))
         volume = enclosed if not len(meshes.holes(surface.triangles)) else float(body.volume.sum())
     total = mass if mass is not None else volume * or_default("jelly.density", density, _density(scene.dim))
     total = or_default("jelly.mass", total, 1.0)
