@@ -37,6 +37,20 @@ def test_scene_file_is_the_same_scene(tmp_path):
     assert from_file.walls == made.walls
 
 
+def test_the_example_of_scene_files_loads(tmp_path):
+    docs = (Path(__file__).parent.parent / "docs" / "scenes.md").read_text()
+    (tmp_path / "scene.toml").write_text(re.findall(r"```toml\n(.*?)```", docs, re.DOTALL)[0])
+    scene = ts.load_scene(tmp_path / "scene.toml")
+    assert scene.wind is not None
+    assert len(scene.moving_pins[0].balls) == 5
+    gap = scene.position[scene.pairs[-1]]
+    assert np.linalg.norm(gap[1] - gap[0]) < 0.15  # the flag's corner and the weight's top
+    for table in re.findall(r"\[\[(\w+)\]\]", docs):
+        from taichi_sim.scene_schema import TABLES
+
+        assert table in TABLES
+
+
 def test_linked_files_exist():
     root = Path(__file__).parent.parent
     for target in re.findall(r"\]\(([^)#:]+)\)", README):
