@@ -9,6 +9,7 @@ from taichi_sim.stability import coarsest_spring, sinking_spring
 
 __all__ = ["cautions"]
 
+FASTEST = 4.0  # radii that a pin may move in a substep
 COARSE = 0.01  # of a radius: rounding of positions that shows
 
 
@@ -23,6 +24,9 @@ def cautions(scene: Scene, method: str, precision: str, h: float) -> Iterator[st
                 f"precision: the weight at spring {spring} stretches it by {stretch:.2g} m, and single precision tells positions"
                 f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin'
             )
+    yield from _of_pins(scene, h)
+    if scene.wind is not None and not len(scene.triangles):
+        yield "wind: acts on triangles, and this scene has none"
     sinking = sinking_spring(scene, h) if method == "xpbd" else None
     if sinking is not None:  # xpbd lets each spring give once in a step what it would alone
         spring, ball, depth = sinking
@@ -30,6 +34,20 @@ def cautions(scene: Scene, method: str, precision: str, h: float) -> Iterator[st
             f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by about {depth:.2g} m for want of"
             " passes; take shorter steps, implicit_euler or tr_bdf2"
         )
+
+
+def _of_pins(scene: Scene, h: float) -> Iterator[str]:
+    for k, pins in enumerate(scene.moving_pins):
+        centre = pins.motion.at(0.0)[0][0]
+        arm = float(np.linalg.norm(scene.position[pins.balls] - centre, axis=1).max())
+        speed, frame = pins.motion.fastest(arm)
+        radius = float(scene.radius[pins.balls].min())
+        if speed * h > FASTEST * radius:
+            leap = speed * h / radius
+            yield (
+                f"moving_pins[{k}].path[{frame}]: from there on balls are led at {speed:.3g} m/s, {leap:.3g} radii in a substep"
+                f" of {h:.3g} s: they may pass what they meet, and tear at their springs; give more time, or a smaller dt"
+            )
 
 
 def _of_places(scene: Scene) -> Iterator[str]:

@@ -254,6 +254,7 @@ class Elements:
     def _displacements(self: Any, where: str, path: Sequence[Any]) -> list[dict[str, Any]]:
         """The keyframes of a path as tables of plain values."""
         result = []
+        turns = any(keyframe(f"{where}.path[{k}]", one).get("rotation") is not None for k, one in enumerate(path))
         for k, one in enumerate(path):
             key = dict(keyframe(f"{where}.path[{k}]", one))
             by = checks.vector(f"{where}.path[{k}].position", key.get("position", np.zeros(self.dim)), self.dim)
@@ -264,7 +265,10 @@ class Elements:
                 raise SceneError(
                     f"{where}.path[0]: begins at {by.tolist()} from where the balls are, and they would jump; it must begin at 0"
                 )
-            turned = {} if key.get("rotation") is None else {"rotation": np.asarray(key["rotation"]).tolist()}
+            turn = key.get("rotation")
+            if turn is None and turns and k == 0:  # so that the next one is seen to turn from there
+                turn = 0.0 if self.dim == 2 else [0.0, 0.0, 0.0]
+            turned = {} if turn is None else {"rotation": np.asarray(turn).tolist()}
             result.append({"time": time, "position": by.tolist(), **turned})
         return result
 

@@ -269,6 +269,26 @@ def test_wrong_paths_are_named(arguments, words):
     assert not scene.moving_pins
 
 
+def test_a_pin_that_leaps_and_a_wind_on_nothing_are_warned_of():
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0]], radius=0.1)
+    scene.add_moving_pins([0], path=[(0, (0, 0, 0)), (1, (0, 0, 0)), (1.001, (3, 0, 0))])
+    scene.add_wind((1.0, 0.0, 0.0))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        ts.Simulation(scene, precision=PRECISION, dt=1e-3).close()
+    words = [str(warning.message) for warning in told]
+    assert any("moving_pins[0].path[1]: from there on balls are led at 3e+03 m/s, 30 radii" in word for word in words)
+    assert any(word == "wind: acts on triangles, and this scene has none" for word in words)
+
+
+def test_a_turn_by_half_or_more_is_refused_from_the_first_keyframe_on():
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0]], radius=0.1)
+    with pytest.raises(ts.SceneError, match=r"moving_pins\[0\].path\[1\].rotation.*less than half a turn"):
+        scene.add_moving_pins([0, 1], path=[(0, (0, 0, 0)), (1, (0, 0, 0), (0, 270, 0))])
+
+
 FILE = """
 format = 1
 dim = 3
