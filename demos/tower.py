@@ -4,14 +4,19 @@ import numpy as np
 
 import taichi_sim as ts
 
-SIDE, AROUND, LAYERS, REACH = 0.3, 10, 10, 0.58
+SIDE, AROUND, LAYERS, REACH = 0.3, 10, 10, 0.8
 COLOURS = ((0.86, 0.22, 0.32), (0.95, 0.62, 0.2), (0.25, 0.6, 0.45), (0.25, 0.42, 0.75))
 
 
 def scene():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
-    scene.settings = {"spin": False}  # the balls of a brick do not turn on their own
+    scene.settings = {
+        "spin": False,
+        "dt": 0.001,
+        "substeps": 2,
+        "contact_passes": 4,
+    }  # the balls of a brick do not turn
     scene.add_material("jelly", friction=0.7)
     scene.add_material("ice", friction=0.0)
     scene.add_wall((0, 1, 0), material="jelly")
@@ -33,13 +38,14 @@ def scene():
                 rotation=(0, np.degrees(turn), 0),
                 colour=COLOURS[(layer + k) % 4],
             )
-    place, velocity = (-3.5, 0.45, 1.4), (4.6, 0.0, -1.84)
-    scene.add_balls([place], velocity=velocity, radius=0.45, mass=400.0, material="ice", colour=(0.2, 0.2, 0.22))
+    place, velocity = (-3.5, 0.45, 1.4), (5.5, 0.0, -2.2)
+    scene.add_balls([place], velocity=velocity, radius=0.45, mass=700.0, material="ice", colour=(0.2, 0.2, 0.22))
     return scene
 
 
 def check(sim):
     bricks = sim.position[:-1].reshape(LAYERS * AROUND, 64, 3).mean(axis=1)
-    assert 10 < np.count_nonzero(bricks[:, 1] < 0.3) < 90  # some of the tower has come down
+    assert np.count_nonzero(bricks[:, 1] < 0.3) > 50  # most of the tower has come down
+    assert sim.energy().total < 20000  # of 35000 J at the start
     assert sim.position[-1, 0] > -1.5  # the ball has come to it
     assert sim.position[:, 1].min() > 0.0
