@@ -4,6 +4,7 @@ import ctypes
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -43,6 +44,11 @@ window.show(simulate, fps=30, size=(320, 240), say=lambda line: print(json.dumps
 """
 
 
+def _heed_interrupts() -> None:
+    """A shell's background job, which the tests may be, ignores SIGINT, and what it starts would too."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Display:
     """An Xvfb on a free display number; `close` ends it."""
 
@@ -75,7 +81,12 @@ class Window:
         self.log = folder / "log"
         with open(self.log, "w") as out, open(folder / "errors", "w") as errors:
             self.process = subprocess.Popen(
-                [sys.executable, *command], cwd=folder, env=display.environment, stdout=out, stderr=errors
+                [sys.executable, *command],
+                cwd=folder,
+                env=display.environment,
+                stdout=out,
+                stderr=errors,
+                preexec_fn=_heed_interrupts,
             )
         self.until(lambda: display.do("search", "--name", "taichi_sim").strip() or self.process.poll() is not None)
         assert self.process.poll() is None, self.errors
