@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from taichi_sim import memory
 from taichi_sim.backend import Backend
 from taichi_sim.companion import Companion
-from taichi_sim.contacts.colliders import TICKS, Colliders
+from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.contacts.facets import Facets, far_sighted
 from taichi_sim.contacts.grid import SKIN, Grid
@@ -28,6 +28,7 @@ from taichi_sim.gauge import Gauge
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
+from taichi_sim.motion import TICKS
 from taichi_sim.order import in_order, spatial_order
 from taichi_sim.pins import Pins
 from taichi_sim.scene import Scene, bounciest, used_materials

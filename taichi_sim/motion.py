@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
 
-__all__ = ["Motion", "keyframe", "turn_matrix", "turn_vector"]
+__all__ = ["TICKS", "Motion", "keyframe", "moments", "turn_matrix", "turn_vector"]
 
 Floats = NDArray[np.float64]
+TICKS = 256  # substeps for which motions are worked out at a time
 KEYS = ("time", "position", "rotation")
 ROUNDED = 1e-6  # a rotation matrix may be given with so few digits
 SAME = 1e-9  # of a scene: a repeated path that ends where it began
@@ -60,12 +61,7 @@ class Motion:
     def steps(self, time: float, h: float, steps: int) -> tuple[Floats, Floats, Floats, Floats]:
         """At `time` + 0, h, ..., steps h: positions and rotations, and the velocities (steps + 1, dim) [m/s] and angular
         velocities (steps + 1, 1 or 3) [1/s] that lead from each exactly to the next."""
-        first = round(time / h)
-        t = h * np.arange(
-            first, first + steps + 2, dtype=np.float64
-        )  # the same to the last bit, wherever a run is divided
-        if abs(first * h - time) > 1e-9 * time:  # no whole number of steps since 0
-            t = time + h * np.arange(steps + 2, dtype=np.float64)
+        t = moments(time, h, steps + 1)
         x, turn = self.at(t)
         return x[:-1], turn[:-1], self._velocities(t, x, turn), turn_vector(turn[1:] @ turn[:-1].swapaxes(1, 2)) / h
 
@@ -165,6 +161,14 @@ class Motion:
                 )
         turns = np.concatenate([turned_by / np.diff(t)[:, None], np.zeros((1, turned_by.shape[1]))])
         return cls(t, x, matrices, turns, np.zeros(dim), x[0], repeat)
+
+
+def moments(time: float, h: float, steps: int) -> Floats:
+    """`time` + 0, h, ..., steps h [s], the same to the last bit wherever a run is divided."""
+    first = round(time / h)
+    if abs(first * h - time) > 1e-9 * time:  # no whole number of steps since 0
+        return time + h * np.arange(steps + 1, dtype=np.float64)
+    return h * np.arange(first, first + steps + 1, dtype=np.float64)
 
 
 def keyframe(where: str, given: Any) -> Mapping[str, Any]:

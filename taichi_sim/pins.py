@@ -5,11 +5,10 @@ import taichi as ti
 
 from taichi_sim.fields import Fields
 from taichi_sim.model import Model
+from taichi_sim.motion import TICKS, moments
 from taichi_sim.state import State
 
-__all__ = ["TICKS", "Pins"]
-
-TICKS = 256  # substeps for which motions are worked out at a time
+__all__ = ["Pins"]
 
 
 @ti.data_oriented
@@ -44,10 +43,7 @@ class Pins:
     def load(self, time: float, h: float, steps: int) -> None:
         """Work out the motion for `steps` substeps of h from `time` on, at most TICKS."""
         table = np.empty((steps + 1, self.count, self.width))
-        first = round(time / h)
-        t = h * np.arange(first, first + steps + 2, dtype=np.float64)  # the same bits wherever a run is divided
-        if abs(first * h - time) > 1e-9 * time:  # no whole number of steps since 0
-            t = time + h * np.arange(steps + 2, dtype=np.float64)
+        t = moments(time, h, steps + 1)
         for k, motion in enumerate(self.paths):
             x, turn = motion.at(t)
             rows = x[:-1], np.diff(x, axis=0) / h, turn[:-1], np.diff(turn, axis=0) / h

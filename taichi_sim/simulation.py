@@ -203,11 +203,12 @@ class Simulation:
     def frame(self) -> Frame:
         """The present moment as NumPy arrays."""
         scene, x, v = self.scene, self.position, self.velocity
-        whole, triangles = self._whole()
+        torn = self.torn
+        whole, triangles = self._whole(torn)
         return Moment(
             scene,
             self._spin(),
-            self.torn,
+            torn,
             time=self.time,
             position=x,
             velocity=v,
@@ -229,9 +230,9 @@ class Simulation:
         tearing = None if self._still else self._parts.tearing
         return None if tearing is None else tearing.springs_torn
 
-    def _whole(self) -> tuple[Any, NDArray]:
+    def _whole(self, torn: NDArray[np.bool_] | None) -> tuple[Any, NDArray]:
         """The springs that are whole, as an index, and the triangles none of whose sides has torn."""
-        torn, scene = self.torn, self.scene
+        scene = self.scene
         if torn is None or not torn.any():
             return slice(None), scene.triangles
         return ~torn, scene.triangles[~diagnostics.cut(scene.triangles, scene.pairs[torn], scene.n_balls)]

@@ -10,10 +10,9 @@ from taichi_sim.fields import Fields
 from taichi_sim.kernels import colliders as geometry
 from taichi_sim.kernels.groups import meets
 from taichi_sim.model import Model
+from taichi_sim.motion import TICKS
 
-__all__ = ["TICKS", "Colliders"]
-
-TICKS = 256  # substeps for which motions are worked out at a time
+__all__ = ["Colliders"]
 
 
 @ti.data_oriented
