@@ -11,7 +11,7 @@ from taichi_sim.backend import Backend
 from taichi_sim.companion import Companion
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
-from taichi_sim.contacts.facets import Facets, far_sighted
+from taichi_sim.contacts.facets import Facets
 from taichi_sim.contacts.grid import SKIN, Grid
 from taichi_sim.contacts.pairs import GAP, Pairs
 from taichi_sim.contacts.solver import ContactSolver
@@ -150,8 +150,7 @@ class Assembly:
         # only what rests is soft, and that takes gravity: a rigid contact is exact for two balls
         soft = self.model.has_gravity and pairs and settings.integrator.relaxes and settings.contacts != "sum"
         most = self._spare_bytes() // PAIR_BYTES
-        least, far = far_sighted(scene) if facets else (0.0, False)
-        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most, least, far) if pairs else None
+        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
         pair_part = Pairs(self.model, self.fields, grid, warm, soft, self.room.pairs) if grid is not None else None
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
         wall_part = (

@@ -75,7 +75,6 @@ def pairs(x, v, radius, triangles, joined, h, start):
         longest = max(np.linalg.norm(p - q) for p, q in ((a, b), (b, c), (c, a)))
         height = np.linalg.norm(np.cross(b - a, c - a)) / longest
         spacing[t] = np.minimum(spacing[t], SPACING * height)
-    around = (radius + LOOK * h * np.linalg.norm(v, axis=1))[:, None]
     found = []
 
     def note(edge, upper, lower, g, whole):
@@ -85,16 +84,13 @@ def pairs(x, v, radius, triangles, joined, h, start):
         u = float(r / d @ (g @ v[list(balls)]))
         thickness = float(np.abs(g) @ radius[list(balls)])
         way = LOOK * h * max(0.0, -u)
-        reach = max(radius[list(upper)].max() + radius[list(lower)].max(), thickness + way)
+        closing = float((v[list(lower)] @ r).max() - (v[list(upper)] @ r).min()) / d
+        reach = radius[list(upper)].max() + radius[list(lower)].max() + LOOK * h * max(0.0, closing)
         if d < reach:
             if any(tuple(sorted((i, j))) in joined for i in upper for j in lower):
                 thickness = min(thickness, spacing[list(balls)].min())
             touch = max(LISTED * thickness, thickness + way)
             margin = min(reach - d, abs(d - touch), 1e-3 * np.abs(np.abs(g[g != 0]) - (INSIDE if edge else 0)).min())
-            low, high = x - around, x + around  # what cannot come together within these boxes need not be listed
-            for one, other in ((upper, lower), (lower, upper)):
-                if np.any(low[list(one)].min(axis=0) > high[list(other)].max(axis=0)):
-                    margin = 0.0
             found.append(Pair(edge, tuple(map(int, balls)), g, r / d, d, thickness, bool(whole and d < touch), margin))
 
     for t in map(tuple, triangles):

@@ -11,16 +11,18 @@ from taichi_sim.kernels import contact_law, survey
 from taichi_sim.kernels import facets as loops
 from taichi_sim.kernels.direction import cross, lever
 from taichi_sim.kernels.sweeps import zero_turn
-from taichi_sim.model import Model
+from taichi_sim.model import Model, components
 from taichi_sim.scene import Scene
 
-__all__ = ["Facets", "far_sighted"]
+__all__ = ["Facets"]
 
 MINIMUM_CAPACITY, PER_BALL = 1 << 14, 16  # rows
 MOST = 1 << 28  # rows; each has four entries
 SPACING = (
     0.5  # of the smallest height of a ball's triangles: what springs join keeps that distance, where it is thicker
 )
+LEAF = 8  # patches
+MORTON = (1 << 20) - 1  # cells along the longest side of what is put in order
 FAR_APART = 1e12  # m, the same of a ball without triangles
 
 
@@ -55,10 +57,16 @@ class Facets:
             1 - np.isin(np.arange(n), triangles)
         )  # balls of a surface, being points of it, do not
         vector = ti.types.vector(3, fields.real)
-        self.box = fields.table({"low": vector, "high": vector}, n)
-        self.reach, self.part, self.ease = (fields.reals(n) for _ in range(3))
-        self.extent = fields.reals(1)
-        self.work, self.fast = fields.integers(2), fields.integers(1)
+        self.way = fields.vectors(n, 3)  # of a step at the speeds with which pairs were found [m]
+        walkers, self.patches = walking_order(scene, edges)
+        self.leaf, self.leaves = LEAF, 1 << (max(1, -(-self.patches // LEAF)) - 1).bit_length()
+        self.bunch = 1 << (self.leaves.bit_length() - 1) // 2
+        self.walker = fields.integers(walkers)
+        box = {"low": vector, "high": vector, "near": fields.real}
+        self.patch = fields.table({**box, "way": vector}, self.patches)
+        self.node = fields.table({**box, "slow": vector, "fast": vector}, 2 * self.leaves)
+        self.part, self.ease = fields.reals(n), fields.reals(n)
+        self.work, self.fast, self.hasty = fields.integers(3), fields.integers(1), fields.integers(n)
         self.capacity = max(room, MINIMUM_CAPACITY, PER_BALL * len(np.unique(triangles)))
         before = fields.bytes
         real = fields.real
@@ -87,7 +95,7 @@ class Facets:
     @ti.func
     def shares(self, i):
         """Sum of g^2 n n^T over the contacts of ball i, and of g^2."""
-        T, count = ti.Matrix.zero(float, 3, 3), 0.0 * self.reach[i]
+        T, count = ti.Matrix.zero(float, 3, 3), 0.0 * self.ease[i]
         for e in range(self.first[i], self.first[i] + self.number[i]):
             row, g = self.row[self.entry[e] // 4], self.weight[self.entry[e]]
             if row.thickness >= 0.0:
@@ -251,12 +259,20 @@ def patches(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     return t, beyond.reshape(3, -1).T, edges[order], bare[order]
 
 
-def far_sighted(scene: Scene) -> tuple[float, NDArray[np.bool_]]:
-    """Median length [m] of the longest edges of the triangles that collide, and which balls (n,) are theirs."""
-    t = scene.triangles[scene.solid]
-    x = scene.position[t]
-    edge = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
-    return float(np.median(edge)), np.isin(np.arange(scene.n_balls), t)
+def walking_order(scene: Scene, edges: NDArray) -> tuple[NDArray[np.int64], int]:
+    """All balls (n,), those that own edges (e, 2) first, and how many these are: surface by surface, on each along a curve that
+    stays near what it has passed (Morton order), so that those in a row share small boxes for as long as it holds together."""
+    n = scene.n_balls
+    owners = np.unique(edges[:, 0])
+    x = scene.position[owners]
+    low, size = x.min(axis=0), float(np.ptp(x, axis=0).max())
+    cell = ((x - low) * (MORTON / size if size > 0 else 0.0)).astype(np.int64)
+    code = np.zeros(len(owners), dtype=np.int64)
+    for bit in range(MORTON.bit_length()):
+        for a in range(3):
+            code |= (cell[:, a] >> bit & 1) << (3 * bit + a)
+    order = np.lexsort([code, components(n, edges)[owners]])
+    return np.concatenate([owners[order], np.setdiff1d(np.arange(n), owners)]), len(owners)
 
 
 def spacing(scene: Scene) -> NDArray[np.float64]:

@@ -1,7 +1,5 @@
 """Grid: the spatial hash of all balls, rebuilt where they are now."""
 
-from typing import Any
-
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
@@ -31,13 +29,10 @@ class Grid:
 
     Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
     its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
-    Nothing is looked for while cells hold more than `most` pairs. least: width of a cell at least [m] for balls that are `far`
-    sighted, (n,) bool, where most in a level are: they look further than others.
+    Nothing is looked for while cells hold more than `most` pairs.
     """
 
-    def __init__(
-        self, model: Model, fields: Fields, skin: float, gap: float, most: int, least: float = 0.0, far: Any = False
-    ) -> None:
+    def __init__(self, model: Model, fields: Fields, skin: float, gap: float, most: int) -> None:
         self.model = model
         self.n, self.dim = model.n, model.dim
         self.skin, self.enlarged = skin, 1.0 + skin + gap
@@ -46,9 +41,7 @@ class Grid:
         self.levels = len(self.bounds)
         level = np.searchsorted(self.bounds, model.scene.radius)
         held = np.bincount(level, minlength=self.levels)
-        wide = 2 * np.bincount(level, np.broadcast_to(far, level.shape), self.levels) > held
         self.widths = [2.0 * bound * self.enlarged * self.margin for bound in self.bounds]
-        self.widths = [max(width, least) if yes else width for width, yes in zip(self.widths, wide.tolist())]
         self.inverse_widths = [1.0 / width for width in self.widths]
         fewest = 64 if self.levels == 1 else LEAST_OF_LEVEL
         sizes = [max(fewest, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * n))))) for n in held.tolist()]

@@ -14,7 +14,7 @@ from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, facets, sweeps, swept, taming
+from taichi_sim.kernels import contact_law, surfaces, sweeps, swept, taming
 from taichi_sim.model import Model
 from taichi_sim.scene import bounciest
 from taichi_sim.state import State
@@ -165,12 +165,12 @@ class ContactSolver:
         if ti.static(self.has_grid):
             swept.stop(self, ball)
             if ti.static(self.has_facets and moved):
-                facets.limit(self.facets, self, ball)
+                surfaces.limit(self.facets, self, ball)
             self.pairs.grid.build(ball)
         for part in ti.static(self.searched):
             part.detect(ball)
         if ti.static(self.has_facets):
-            facets.detect(self.facets, self, ball)
+            surfaces.detect(self.facets, self, ball)
         if ti.static(self.has_grid):
             if ti.static(self.warm or self.counts):
                 for i in range(self.n):
