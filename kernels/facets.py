@@ -95,11 +95,8 @@ def stretch(facets: ti.template(), ball: ti.template(), i, job: ti.template()):
 
 @ti.func
 def near_boxes(low, high, other_low, other_high, reach):
-    """Whether two boxes come nearer than `reach` along every axis."""
-    near = True
-    for a in ti.static(range(3)):
-        near = near and low[a] - other_high[a] < reach and other_low[a] - high[a] < reach
-    return near
+    """Whether two boxes come nearer than `reach` along every axis. One comparison: three would often be guessed wrong."""
+    return ti.max(low - other_high, other_low - high).max() < reach
 
 
 @ti.func

@@ -1,9 +1,9 @@
 """Which pairs of surfaces are looked at: patches whose boxes come near each other.
 
 The patch of a ball is what it owns: the triangles whose first ball it is, and the edges. Patches lie in a tree of boxes whose
-shape is fixed, as what is one surface stays together: node k has the children 2 k and 2 k + 1, and each leaf has LEAF patches. What
-is near depends on how patches move relative to each other, so that a cloth that falls as a whole sees no more of itself than one
-at rest.
+shape is fixed, as what is one surface stays together: node k has the children 2 k and 2 k + 1, and each leaf the same number of
+patches. What is near depends on how patches move relative to each other, so that a cloth that falls as a whole sees no more of
+itself than one at rest.
 """
 
 import taichi as ti
@@ -90,7 +90,7 @@ def walk(facets: ti.template(), solver: ti.template(), ball: ti.template(), walk
         node = facets.node[k]
         reach = near + node.near
         if ti.static(job == DETECT):
-            reach += LOOK * ti.max(way - node.slow, node.fast - way).norm()
+            reach += LOOK * ti.max(way - node.slow, node.fast - way, 0.0).norm()
         meets = near_boxes(low, high, node.low, node.high, reach)
         if meets and k < facets.leaves:
             k *= 2
