@@ -94,6 +94,16 @@ def strains(where: str, value: ArrayLike | None, n: int) -> NDArray[np.float64]:
     return np.where(np.broadcast_to(never, (n,)), np.inf, finite)
 
 
+def strained(strain: NDArray[np.float64], rest_length: NDArray[np.float64]) -> None:
+    """Raise SceneError where a spring without a rest length should tear at a finite strain (m,)."""
+    none = np.isfinite(strain) & (rest_length == 0.0)
+    if none.any():
+        raise SceneError(
+            f"springs.break_strain[{int(np.argmax(none))}]: this spring has rest length 0, so it has no strain; give it a rest"
+            " length, or leave break_strain out"
+        )
+
+
 def vectors(where: str, value: ArrayLike, n: int | None, dim: int) -> NDArray[np.float64]:
     """Finite vectors as an array of shape (n, dim). n None: as many as given; else one vector serves all. SceneError."""
     array = _array(where, value, f"a list of {dim}-vectors")

@@ -11,7 +11,7 @@ import typer
 from taichi_sim import __version__
 from taichi_sim.errors import BackendError, UnstableError
 from taichi_sim.interrupts import INTERRUPTED, TERMINATED, insistent_signals, leave
-from taichi_sim.options import pixels, positive, step
+from taichi_sim.options import pixels, positive, step, takes_only
 
 __all__ = ["main"]
 
@@ -215,10 +215,8 @@ def report(
     if hard_cases:
         if scene is not None:
             _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
-        for option in context.command.params:
-            if option.name not in ("hard_cases", "scene") and _given(context, option.name):
-                _fail(f"report: --hard-cases takes no other option, but {option.opts[0]} was given", BAD_INPUT)
         with _plain_errors():
+            takes_only(context, ("hard_cases", "scene"), "report: --hard-cases takes no other option")
             from taichi_sim.reports import hard_cases as cases
 
             good = cases.main()
@@ -297,6 +295,7 @@ def bench(names: Annotated[list[str] | None, typer.Argument(metavar="[NAME ...]"
 
 @main.command(name="demos")
 def list_demos(
+    context: typer.Context,
     everything: Annotated[bool, typer.Option("--all", help="Make videos of those that have none yet.")] = False,
     out: Annotated[str, typer.Option("--out", "-o", metavar="FOLDER", help="Where to, with --all.")] = "demos_out",
     size: Size = None,
@@ -313,6 +312,7 @@ def list_demos(
             from taichi_sim.outputs.gallery import render_all
 
             raise typer.Exit(render_all(list(known), out, size=size, fps=fps, duration=duration, quiet=quiet))
+        takes_only(context, ("quiet",), "demos: options are for --all")
         width = max(map(len, known), default=0)
         for name, file in known.items():
             typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())
@@ -352,12 +352,6 @@ class _Job:
         if given:
             backend.start(**given)
         return open_simulation(self.file)
-
-
-def _given(context: typer.Context, name: str | None) -> bool:
-    """Whether an option stands on the command line."""
-    source = None if name is None else context.get_parameter_source(name)
-    return source is not None and source.name == "COMMANDLINE"
 
 
 def _quiet(line: str) -> None:

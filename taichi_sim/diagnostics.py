@@ -100,6 +100,7 @@ def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
 def check_tearing(scene: Scene) -> None:
     """Raise SceneError where a side of a triangle that collides, or holds a gas, could tear: what is left would still do so."""
     checks.strains("springs.break_strain", scene.break_strain, scene.n_springs)  # which may have been set by hand
+    checks.strained(scene.break_strain, scene.rest_length)
     tears = np.isfinite(scene.break_strain)
     for number, gas in enumerate(scene.gases):
         if cut(gas.triangles, scene.pairs[tears], scene.n_balls).any():

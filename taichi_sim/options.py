@@ -1,8 +1,19 @@
 """What options of the command line mean."""
 
+from collections.abc import Iterable
 from typing import Literal
 
-__all__ = ["pixels", "positive", "step"]
+import typer
+
+__all__ = ["pixels", "positive", "step", "takes_only"]
+
+
+def takes_only(context: typer.Context, names: Iterable[str], why: str) -> None:
+    """Raise ValueError, which begins with `why`, where an option other than those named stands on the command line."""
+    for option in context.command.params:
+        source = None if option.name is None or option.name in names else context.get_parameter_source(option.name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise ValueError(f"{why}, but {option.opts[0]} was given")
 
 
 def positive(option: str, value: float | None) -> float | None:

@@ -226,6 +226,7 @@ class Scene(Elements):
         both = columns["collides"] & np.isfinite(columns["break_strain"])
         if both.any():
             raise SceneError(f"springs.break_strain[{int(np.argmax(both))}]: a stick, which collides, cannot tear")
+        checks.strained(columns["break_strain"], columns["rest_length"])
         first = self.n_springs
         self._springs.append(m, **columns)
         return np.arange(first, first + m, dtype=np.int32)

@@ -220,6 +220,7 @@ REFUSED = [
     (("report", "ball.toml", "--hard-cases"), "--hard-cases takes no scene"),
     (("report", "--hard-cases", "--methods", "verlet"), "--hard-cases takes no other option, but --methods was given"),
     (("report", "--hard-cases", "-o", "r"), "--hard-cases takes no other option, but --out was given"),
+    (("demos", "--size", "640x360"), "demos: options are for --all, but --size was given"),
     (("report", "ball.toml", "--methods", "verlet,magic"), "--methods: 'magic' is not allowed; it must be of verlet,"),
     (("report", "ball.toml", "--dts", "1e-3,"), "--dts: '1e-3,' is not allowed"),
     (("report", "ball.toml", "--dts", "1,2", "--duration", "1"), "--dts: 2 is not allowed; the longest is 0.125"),

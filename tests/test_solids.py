@@ -1,6 +1,7 @@
 """What fills bodies: lattices with given moduli, meshes filled with boxes or tetrahedra, and their skins. No Taichi."""
 
 import itertools
+import warnings
 
 import numpy as np
 import pytest
@@ -263,6 +264,20 @@ def test_refused_and_the_scene_unchanged(arguments, message):
     with pytest.raises(SceneError, match=message):
         shapes.jelly(scene, **arguments)
     assert scene.n_balls == scene.n_springs == len(scene.cells) == 0
+
+
+def test_a_mesh_with_a_hole_is_filled_with_boxes_and_reported():
+    ball = _sphere(2)
+    whole, scene = Scene(dim=3), Scene(dim=3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        shapes.jelly(whole, mesh=ball, spacing=0.3)
+    with pytest.warns(
+        UserWarning, match=r"jelly\.mesh: 3 edges have a triangle on one side only \(.*look at the"
+    ) as told:
+        shapes.jelly(scene, mesh=Surface(ball.vertices, ball.triangles[1:]), spacing=0.3)
+    assert told[0].filename == __file__
+    assert scene.n_balls == whole.n_balls
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Jelly: a block, or a closed mesh that is filled."""
 
+import warnings
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any
@@ -244,6 +245,14 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tuple[N
     if not filled.any():
         raise SceneError(
             f"jelly.spacing: {step:.4g} is not allowed; no box of that size fits into the mesh; give a smaller one"
+        )
+    wrong = meshes.flaws(surface)
+    if wrong:
+        part = float(filled.sum()) * step**3
+        warnings.warn(
+            f"jelly.mesh: {'; '.join(wrong)}. What is inside, {part:.4g} m^3, was decided by a majority of rays: look at the"
+            " result, or mend the mesh",
+            stacklevel=3,
         )
     body = solids.lattice("jelly", filled, np.full(3, step))
     return body._replace(points=body.points + low), solids.skin_of_boxes(filled, (surface.vertices - low) / step)
