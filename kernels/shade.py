@@ -219,6 +219,9 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
             if flat.dot(ray) > 0:
                 smooth = -smooth
             n = smooth / ti.max(smooth.norm(), ti.f32(1e-30))
+            # w is that of a sample beside the pixel's centre: in its own shadow, where pixels are large
+            if total > ti.f32(1e-20):
+                p = (a * wa + b * wb + c * wc) / total
             colour = (scene.colour[k[0]] * wa + scene.colour[k[1]] * wb + scene.colour[k[2]] * wc) / total
             if flat.dot(ray) > 0:
                 colour *= ti.f32(0.82)

@@ -325,3 +325,21 @@ def test_what_tears_is_drawn_without_new_fields(dim):
         assert np.array_equal(renderer.render(frame(4, 3)), whole)
     with Renderer(frame(2, 1), size=SIZE) as renderer:
         assert np.array_equal(renderer.render(frame(2, 1)), torn)
+
+
+def test_a_small_picture_has_the_light_of_a_large_one():
+    """A wavy sheet does not lie in its own shadow where pixels are larger than its folds are deep."""
+    n = 81
+    u, v = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij")
+    x = np.stack([1.6 * u, v, 0.08 * np.sin(7 * u + 2 * v) - 3.0 * v], axis=-1).reshape(-1, 3)
+    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    triangles = np.concatenate([np.stack([i, i + n, i + 1], 1), np.stack([i + 1, i + n, i + n + 1], 1)])
+    frame = Frame(0.0, x, 0 * x, np.zeros(n * n), triangles=triangles.astype(np.int32))
+    seen = []
+    for factor in (1, 4):
+        with Renderer(frame, size=(SIZE[0] * factor, SIZE[1] * factor), camera=FRONT) as renderer:
+            large = linear(renderer.render(frame)).reshape(SIZE[1], factor, SIZE[0], factor, 3)
+            seen.append(large.mean(axis=(1, 3)))
+    inside = np.abs(seen[0] - seen[1]).max(axis=2)[30:60, 50:110]
+    assert seen[1][30:60, 50:110].std() > 0.02  # it is wavy
+    assert np.mean(inside > 0.05) < 0.1  # where a pixel holds a fold; 0.8 with such shadows
