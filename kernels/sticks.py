@@ -1,12 +1,12 @@
 """Contacts between balls and sticks: found by walking the grid along each stick, kept as rows with up to three balls.
 
-A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie together by stick; each ball has a sorted list
-of the rows it takes part in, so that sums come out the same whatever the threads did.
+A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie together by stick.
 """
 
 import taichi as ti
 
 from .direction import unit
+from .entries import list_entries
 from .grid import FINE, bucket_of, cell_of, clip, inverse_cell, largest, run, same_row, table
 from .groups import balls_meet
 from .pairs import FULL
@@ -134,7 +134,7 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
 
 @ti.func
 def detect(sticks: ti.template(), ball: ti.template()):
-    """Rows of all sticks, then for each ball the sorted list of its entries 3 row + (0: ball, 1, 2: end)."""
+    """Rows of all sticks, then for each ball the list of its places in them."""
     sticks.used[0] = 0
     for s in range(ti.select(sticks.grid.work[0] > 0, sticks.m, 0)):  # none where the grid gave up
         found = walk(sticks, ball, s, 0, False)
@@ -146,49 +146,7 @@ def detect(sticks: ti.template(), ball: ti.template()):
                 walk(sticks, ball, s, first, True)
             else:
                 ti.atomic_max(sticks.overflow[0], first + found)
-    for i in range(sticks.model.n):
-        sticks.number[i] = 0
-    for c in range(ti.min(sticks.used[0], sticks.capacity)):
-        for which in ti.static(range(3)):
-            sticks.number[member(sticks, 3 * c + which)] += 1
-    sticks.entries[0] = 0
-    for i in range(sticks.model.n):
-        sticks.first[i] = ti.atomic_add(sticks.entries[0], sticks.number[i])
-        sticks.number[i] = 0
-    for c in range(ti.min(sticks.used[0], sticks.capacity)):
-        for which in ti.static(range(3)):
-            i = member(sticks, 3 * c + which)
-            sticks.entry[sticks.first[i] + ti.atomic_add(sticks.number[i], 1)] = 3 * c + which
-    for i in range(sticks.model.n):
-        sort_entries(sticks, sticks.first[i], sticks.first[i] + sticks.number[i])
-
-
-@ti.func
-def member(sticks: ti.template(), entry):
-    """The ball of an entry."""
-    row = sticks.row[entry // 3]
-    which = entry % 3
-    return ti.select(which == 0, row.ball, ti.select(which == 1, sticks.one[row.stick], sticks.two[row.stick]))
-
-
-@ti.func
-def sort_entries(sticks: ti.template(), first, last):
-    """Insertion sort by stick, then by place in that stick's rows."""
-    for a in range(first + 1, last):
-        value = sticks.entry[a]
-        stick = sticks.row[value // 3].stick
-        b = a - 1
-        while b >= first and after(sticks, sticks.entry[b], stick, value):
-            sticks.entry[b + 1] = sticks.entry[b]
-            b -= 1
-        sticks.entry[b + 1] = value
-
-
-@ti.func
-def after(sticks: ti.template(), entry, stick, value):
-    """Whether `entry` comes after the entry `value` of `stick`."""
-    mine = sticks.row[entry // 3].stick
-    return mine > stick or (mine == stick and entry > value)
+    list_entries(sticks)
 
 
 @ti.func

@@ -1,10 +1,8 @@
-"""Contacts of surfaces in a step: the lists of all pairs that are near, and how far balls may move before any of them meet.
-
-Each ball has a sorted list of the places that it takes in pairs, so that sums come out the same whatever the threads did.
-"""
+"""Contacts of surfaces in a step: the list of all pairs that are near, and how far balls may move before any of them meet."""
 
 import taichi as ti
 
+from .entries import list_entries
 from .facets import DETECT, LIMIT, hold_apart, planes
 from .patches import fit, walk
 
@@ -17,51 +15,18 @@ SAFE = 0.99  # of a radius: what moves no further from where it was expected can
 
 @ti.func
 def detect(facets: ti.template(), solver: ti.template(), ball: ti.template()):
-    """Rows of all patches, then for each ball the sorted list of its entries 4 row + place."""
+    """Rows of all patches, then for each ball the list of its places in them."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         facets.work[1] = ti.select(facets.grid.work[0] > 0, facets.model.n, 0)  # none where the grid gave up
-        facets.used[0], facets.entries[0] = 0, 0
+        facets.used[0] = 0
         facets.work[2] = ti.select(facets.work[1] > 0, facets.leaves, 0)
     for i in range(facets.model.n):
         facets.way[i] = ball[i].v / solver.rate[0]
     fit(facets, ball, DETECT)
     for k in range(facets.work[1]):
         walk(facets, solver, ball, k, False, DETECT)
-    for i in range(facets.model.n):
-        facets.number[i] = 0
-    for c in range(ti.min(facets.used[0], facets.capacity)):
-        for k in range(4):
-            facets.number[facets.member[4 * c + k]] += 1
-    for i in range(facets.model.n):
-        facets.first[i] = ti.atomic_add(facets.entries[0], facets.number[i])
-        facets.number[i] = 0
-    for c in range(ti.min(facets.used[0], facets.capacity)):
-        for k in range(4):
-            i = facets.member[4 * c + k]
-            facets.entry[facets.first[i] + ti.atomic_add(facets.number[i], 1)] = 4 * c + k
-    for i in range(facets.model.n):
-        sort_entries(facets, facets.first[i], facets.first[i] + facets.number[i])
-
-
-@ti.func
-def sort_entries(facets: ti.template(), first, last):
-    """Insertion sort by owner, then by place among what the owner listed: rows lie wherever threads put them."""
-    for a in range(first + 1, last):
-        value = facets.entry[a]
-        owner, place = facets.row[value // 4].owner, facets.row[value // 4].place
-        b = a - 1
-        while b >= first and after(facets, facets.entry[b], owner, place):
-            facets.entry[b + 1] = facets.entry[b]
-            b -= 1
-        facets.entry[b + 1] = value
-
-
-@ti.func
-def after(facets: ti.template(), entry, owner, place):
-    """Whether the row of `entry` comes after the one at that place of that owner."""
-    row = facets.row[entry // 4]
-    return row.owner > owner or (row.owner == owner and row.place > place)
+    list_entries(facets)
 
 
 @ti.func

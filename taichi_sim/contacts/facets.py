@@ -38,6 +38,7 @@ class Facets:
     """
 
     what = "surfaces that touch"
+    places = 4
     most = MOST
 
     def __init__(self, model: Model, fields: Fields, pairs: Pairs, room: int = 0) -> None:
@@ -91,6 +92,17 @@ class Facets:
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
         return ["facets"]
+
+    @ti.func
+    def ball_of(self, entry):
+        """The ball of an entry, see kernels.entries."""
+        return self.member[entry]
+
+    @ti.func
+    def comes_after(self, entry, other):
+        """Whether an entry comes after another: by owner of the row, then by place among what the owner listed."""
+        a, b = self.row[entry // 4], self.row[other // 4]
+        return a.owner > b.owner or (a.owner == b.owner and a.place > b.place)
 
     @ti.func
     def shares(self, i):

@@ -24,6 +24,7 @@ class Sticks:
     needed."""
 
     what = "balls that touch sticks"
+    places = 3
     most = MOST
 
     def __init__(self, model: Model, fields: Fields, pairs: Pairs, room: int = 0) -> None:
@@ -53,6 +54,19 @@ class Sticks:
     def detect(self, ball: ti.template()):
         """Find all touching ball-stick pairs; the grid is built already."""
         loops.detect(self, ball)
+
+    @ti.func
+    def ball_of(self, entry):
+        """The ball of an entry, see kernels.entries: of its row the ball, or an end of the stick."""
+        row = self.row[entry // 3]
+        which = entry % 3
+        return ti.select(which == 0, row.ball, ti.select(which == 1, self.one[row.stick], self.two[row.stick]))
+
+    @ti.func
+    def comes_after(self, entry, other):
+        """Whether an entry comes after another: by stick, then by place in that stick's rows."""
+        a, b = self.row[entry // 3].stick, self.row[other // 3].stick
+        return a > b or (a == b and entry > other)
 
     @ti.func
     def shares(self, ball: ti.template(), i):
