@@ -107,32 +107,42 @@ def jelly_report(quick: bool) -> Report:
 
 
 def video_report(quick: bool) -> Report:
-    """A cloth of 256 x 256 balls that falls and folds, end to end into an MP4 of 300 frames, 1280 x 720."""
+    """A cloth of 256 x 256 balls that falls and folds on the floor, end to end into an MP4 of 300 frames, 1280 x 720."""
     from taichi_sim.outputs import open_output
     from taichi_sim.outputs.run import export
     from taichi_sim.simulation import Simulation
 
     n, frames, size = (24, 6, (320, 180)) if quick else (256, 300, (1280, 720))
-    scene = Scene(dim=3, gravity=(0, -10, 0))
-    side = 1.2
-    shapes.cloth(
-        scene, size=(side, side), resolution=(n, n), mass=0.3, stiffness=1000, bending_stiffness=5, damping=0.04,
-        pinned=[0, n * (n - 1)], position=(-side / 2, side, 0), rotation=(30, 0, 0), colour=(0.2, 0.45, 0.71),
-    )  # fmt: skip
-    scene.add_wall((0, 1, 0), offset=-0.3)
     report = Report(f"video: {n} x {n} cloth, {frames} frames, {size[0]} x {size[1]}, MP4", ratios=False, samples=1)
-    simulation = Simulation(scene, arch="cpu", precision="f32")
-    with tempfile.TemporaryDirectory() as folder:
-        output = open_output(str(Path(folder, "cloth.mp4")), fps=FPS)
-        summary = export(simulation, output, fps=FPS, duration=frames / FPS, size=size)
-    simulation.close()
-    report.rows = [("a frame, compiling included", [summary.wall / frames], 0.0)]
-    report.goals["a frame, compiling included"] = "< 333 ms"
-    own = (summary.simulating + summary.drawing) / summary.wall
-    report.notes.append(
-        f"{frames / summary.wall:.2f} frames/s; simulation {summary.simulating:.1f} s, pictures {summary.drawing:.1f} s, writing"
-        f" {summary.writing:.1f} s: {100 * own:.0f} % simulation and pictures, goals 3 frames/s and 90 %"
-    )
+    for collides, name in ((False, "a frame, compiling included"), (True, "the same, where its balls collide")):
+        scene = Scene(dim=3, gravity=(0, -10, 0))
+        scene.add_material("cloth", friction=0.4)
+        shapes.cloth(
+            scene,
+            size=(1.2, 1.2),
+            resolution=(n, n),
+            mass=0.3,
+            material="cloth",
+            position=(-0.6, 1.2, -0.6),
+            rotation=(60, 0, 0),
+            colour=(0.2, 0.45, 0.71),
+            self_collision=collides,
+        )
+        scene.add_wall((0, 1, 0), material="cloth")
+        start = time.perf_counter()
+        simulation = Simulation(scene, arch="cpu", precision="f32")
+        with tempfile.TemporaryDirectory() as folder:
+            output = open_output(str(Path(folder, "cloth.mp4")), fps=FPS)
+            summary = export(simulation, output, fps=FPS, duration=frames / FPS, size=size)
+        simulation.close()
+        wall = time.perf_counter() - start
+        report.rows.append((name, [wall / frames], 0.0))
+        own = (summary.simulating + summary.drawing) / summary.wall
+        report.notes.append(
+            f"{name}: {frames / wall:.2f} frames/s; simulation {summary.simulating:.1f} s, pictures {summary.drawing:.1f} s,"
+            f" writing {summary.writing:.1f} s: {100 * own:.0f} % simulation and pictures"
+        )
+    report.goals[report.rows[0][0]] = "333 ms, 90 %"
     return report
 
 
