@@ -74,14 +74,14 @@ def _largest(kinds: list[_Kind], root: Floats, dim: int) -> float:
         rows += np.bincount(kind.corners.ravel(), each.ravel(), len(root))
     alike = all(kind.gradient.shape[2] == 1 for kind in kinds)  # in all directions: one of them tells
     p = np.random.default_rng(0).normal(size=(len(root), 1 if alike else dim))
-    value = 0.0
+    value, bound = 0.0, float(rows.max())
     for _ in range(ROUNDS):
         p /= np.linalg.norm(p)
         p = sum(_product(kind, p * root[:, None]) for kind in kinds) * root[:, None]
         value = float(np.linalg.norm(p))
-        if value == 0.0:
+        if value == 0.0 or MARGIN * value >= bound:  # it only grows
             break
-    return float(min(MARGIN * value, rows.max()))
+    return min(MARGIN * value, bound)
 
 
 def _product(kind: _Kind, p: Floats) -> Floats:

@@ -112,7 +112,8 @@ class Simulation:
     # Moving on -----------------------------------------------------------------------------------------------------
 
     def step(self, n: int = 1) -> None:
-        """Advance by n steps of dt. step(0) only compiles. Raises UnstableError, leaving the last good state."""
+        """Advance by n steps of dt. step(0) only compiles; on several threads the step itself compiles with the first. Raises
+        UnstableError, leaving the last good state."""
         if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
             raise ValueError(f"step: {n!r} is not allowed; it must be a whole number, 0 or more")
         if self._still:
