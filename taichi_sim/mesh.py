@@ -138,8 +138,9 @@ def holes(triangles: NDArray) -> NDArray[np.int32]:
     return unique[(count != 2) | (forward != 1)].astype(np.int32)
 
 
-def flaws(surface: Surface) -> list[str]:
-    """What keeps a mesh from having an inside, one phrase for each kind, with the first few places [m]; none: it is whole."""
+def flaws(surface: Surface, *, closed: bool = True) -> list[str]:
+    """What keeps a mesh from having an inside, one phrase for each kind, with the first few places [m]; none: it is whole.
+    Not `closed`: what keeps it from being a sheet, which may have a border and two sides that look alike."""
     t, x = surface.triangles, surface.vertices
     if not len(t):
         return ["it has no triangle"]
@@ -157,9 +158,9 @@ def flaws(surface: Surface) -> list[str]:
         )
 
     found = (
-        (count == 1, at_edges, "edges have a triangle on one side only"),
+        ((count == 1) & closed, at_edges, "edges have a triangle on one side only"),
         (count > 2, at_edges, "edges have more than two triangles"),
-        ((count == 2) & (forward != 1), at_edges, "edges lie between triangles that face opposite ways"),
+        ((count == 2) & (forward != 1) & closed, at_edges, "edges lie between triangles that face opposite ways"),
         (
             np.isin(np.arange(len(t)), first[times > 1]),
             lambda which: _faces(which),

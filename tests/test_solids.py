@@ -236,6 +236,9 @@ def test_flaws_of_a_mesh():
     thin = ball.vertices.copy()
     thin[t[7, 0]] = 0.5 * (thin[t[7, 1]] + thin[t[7, 2]])
     assert "1 triangles have next to no area (7)" in flaws(Surface(thin, t))
+    assert flaws(Surface(ball.vertices, t[1:]), closed=False) == []
+    assert flaws(Surface(ball.vertices, np.concatenate([t[:1, ::-1], t[1:]])), closed=False) == []
+    assert flaws(Surface(ball.vertices, np.concatenate([t, t[4:5]])), closed=False) == double
 
 
 REFUSED = [
@@ -264,6 +267,16 @@ def test_refused_and_the_scene_unchanged(arguments, message):
     with pytest.raises(SceneError, match=message):
         shapes.jelly(scene, **arguments)
     assert scene.n_balls == scene.n_springs == len(scene.cells) == 0
+
+
+def test_cloth_of_a_mesh_that_is_no_sheet_is_reported():
+    three = Surface(CUBE, np.array([[0, 1, 2], [0, 1, 4], [0, 1, 6]], dtype=np.int32))
+    with pytest.warns(UserWarning, match=r"cloth\.mesh: 1 edges have more than two triangles \(0-1 at .*mend") as told:
+        shapes.cloth(Scene(dim=3), mesh=three)
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        shapes.cloth(Scene(dim=3), mesh=Surface(CUBE, three.triangles[:2]))
 
 
 def test_a_mesh_with_a_hole_is_filled_with_boxes_and_reported():

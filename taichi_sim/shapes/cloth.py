@@ -1,5 +1,6 @@
 """Cloth: a flat sheet, or a shell from a surface mesh."""
 
+import warnings
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any
@@ -109,6 +110,11 @@ def cloth(
         raise SceneError("cloth.mesh: takes the place of size and resolution; give one or the other")
     else:
         grid, surface = None, given_surface("cloth", mesh)
+        if wrong := meshes.flaws(surface, closed=False):
+            warnings.warn(
+                f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters",
+                stacklevel=2,
+            )
         spacing, area = 0.4 * _mean_edge(surface), meshes.surface_area(surface)
     area = area * factor**2
     total = or_default("cloth.mass", mass, CLOTH_DENSITY * area)
