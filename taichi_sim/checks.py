@@ -11,6 +11,9 @@ from taichi_sim.errors import SceneError
 __all__ = ["flags", "indices", "many", "number", "per_item", "strains", "vector", "vectors"]
 
 
+MOST = 1e30  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
+
+
 def _place(where: str, bad: NDArray[np.bool_], values: NDArray) -> tuple[str, Any]:
     """Name and value of the first bad item: `mass[3]` for one of many, `mass` for a lone number."""
     if values.ndim == 0:
@@ -28,6 +31,7 @@ def _array(where: str, value: ArrayLike, what: str) -> NDArray[np.float64]:
     except (TypeError, ValueError):
         raise SceneError(f"{where}: {_short(value)} is not {what}") from None
     _require(where, array, np.isfinite(array), "a finite number")
+    _require(where, array, np.abs(array) <= MOST, f"at most {MOST:g} in magnitude")
     return array
 
 
