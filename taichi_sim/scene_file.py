@@ -38,8 +38,14 @@ __all__ = ["load_scene", "save_scene"]
 
 _Path = tuple[str | int, ...]
 _KEY = re.compile(r"^(?:\w+(?:\[\d+\])?\.|material '.*?': )?(?P<key>\w[\w\[\].]*): (?P<what>.*)$", re.DOTALL)
-_ALLOWED = re.compile(r"^(?:Input|List|Tuple|Value) should (?:be|have) (?:a valid )?")
-_PLAIN = {"integer": "a whole number", "boolean": "true or false", "string": "a text", "tuple": "a list"}
+_ALLOWED = re.compile(r"^(?:Input|List|Tuple|Value) should (?:be|have) (?:a valid |an instance of )?")
+_PLAIN = {
+    "integer": "a whole number",
+    "boolean": "true or false",
+    "string": "a text",
+    "tuple": "a list",
+    "Sequence": "a list",
+}
 
 
 def load_scene(path: str | os.PathLike[str]) -> Scene:
@@ -277,7 +283,8 @@ class _Reader:
         if first["type"] == "missing":
             missing = (*path, *first["loc"][len(path) : len(path) + 1])
             raise self._error(missing, f"is missing; {_wanted(missing)}")
-        same = [_allowed(p["msg"]) for p in problems if _known(self.document, p["loc"]) == path]
+        here = [p for p in problems if _known(self.document, p["loc"]) == path]
+        same = [("a list, each " if _of_items(p["loc"], path) else "") + _allowed(p["msg"]) for p in here]
         raise self._error(path, self._refusal(path, same))
 
     def _refusal(self, path: _Path, allowed: list[str]) -> str:
@@ -299,6 +306,11 @@ def _allowed(message: str) -> str:
     if words in _PLAIN:
         return _PLAIN[words]
     return f"a {words}" if words in ("number", "dictionary") else words
+
+
+def _of_items(location: Sequence[str | int], path: _Path) -> bool:
+    """Whether an error of pydantic at `path` is about the items of a list that the value might be."""
+    return any(isinstance(part, int) for part in location[len(path) :])
 
 
 def _wanted(path: _Path) -> str:

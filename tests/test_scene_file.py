@@ -245,6 +245,8 @@ BAD = [
     ("mass = 1.0", "mass = '1'", 16, "balls[0].mass: '1' is not a number"),
     ("mass = 1.0", "mass = true", 16, "balls[0].mass: True is not a number"),
     ("radius = 0.05", "radius = 0.0", 17, "balls[0].radius: 0.0 is not allowed; it must be greater than 0"),
+    ("mass = 1.0", "collides_with = 1", 16, "balls[0].collides_with: 1 is not allowed; it must be a text or a list"),
+    ("mass = 1.0", "collides_with = [1]", 16, "[1] is not allowed; it must be a text or a list, each a text"),
     ("radius = 0.05\n", "", 10, "balls[0].radius: is missing"),
     ("pinned = [0]", "pinned = [2]", 18, "balls[0].pinned[0]: 2 is not allowed; it must name a ball, from 0 to 1"),
     ('material = "rubber"', 'material = "steel"', 19, "balls[0].material: 'steel' is not a material"),
