@@ -9,7 +9,11 @@ SIDE, NUMBER, RADIUS, SLACK = 2.8, 65, 0.035, 1.15
 
 def scene():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    scene.output = {"fps": 60, "duration": 4, "size": (1280, 720)}
+    near = (
+        {"time": 0.2, "eye": (4.4, 4.3, 7.2), "target": (0, 1.5, 0)},
+        {"time": 1.2, "eye": (2.7, 3.0, 4.4), "target": (0, 1.3, 0)},
+    )
+    scene.output = {"fps": 60, "duration": 4, "size": (1280, 720), "camera": {"path": near}}
     scene.add_material("rubber", restitution=0.2, friction=0.3)
     knots = np.stack(np.meshgrid(np.arange(NUMBER), np.arange(NUMBER), indexing="ij"), axis=-1).reshape(-1, 2)
     edge = np.any((knots == 0) | (knots == NUMBER - 1), axis=1)

@@ -10,7 +10,8 @@ COLOURS = ((0.86, 0.22, 0.32), (0.95, 0.62, 0.2), (0.25, 0.6, 0.45), (0.25, 0.42
 
 def scene():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
+    view = {"azimuth": 20, "elevation": 20, "distance": 10, "target": (0.4, 1.4, 0.3)}  # room for what falls
+    scene.output = {"fps": 60, "duration": 5, "size": (1280, 720), "camera": view}
     scene.settings = {
         "spin": False,
         "dt": 0.001,
@@ -32,7 +33,7 @@ def scene():
                 resolution=(4, 4, 4),
                 mass=10.0,
                 stiffness=12000.0,
-                damping=6.0,
+                damping=20.0,
                 material="jelly",
                 position=place,
                 rotation=(0, np.degrees(turn), 0),
