@@ -20,6 +20,15 @@ def has_patch(facets: ti.template(), i):
 
 
 @ti.func
+def hasty(facets: ti.template(), p):
+    """Whether some ball of patch p is not where it was expected."""
+    yes = facets.hasty[p] == 1
+    for e in range(facets.edge_start[p], facets.edge_start[p + 1]):
+        yes = yes or facets.hasty[facets.edge[e].two] == 1
+    return yes
+
+
+@ti.func
 def bounds(facets: ti.template(), ball: ti.template(), i, job: ti.template()):
     """The box around ball i with its patch, and the distance [m] within which it concerns what approaches it as fast as the ball
     itself: the largest radius, and what its other balls may approach faster."""
@@ -76,15 +85,21 @@ def join(facets: ti.template(), k):
 
 
 @ti.func
-def walk(facets: ti.template(), solver: ti.template(), ball: ti.template(), walker, whole, job: ti.template()):
-    """Look at all patches near that of one ball. walker: a slot, or the number of patches on, a ball without one. Of two patches
-    the first one lists their pairs and starts at its own leaf; whole: this one looks at all others, as they may not."""
+def walk(
+    facets: ti.template(), solver: ti.template(), ball: ti.template(), walker, some: ti.template(), job: ti.template()
+):
+    """Look at all patches near that of one ball. walker: a slot; from the number of patches on, a ball without one, which is not
+    in the tree and so looks for itself. Of two patches the first one lists their pairs and starts at its own leaf. some: only
+    pairs with something hasty; a hasty patch then looks at all others, as they may not."""
     p = facets.walker[walker]
     low, high, near = bounds(facets, ball, p, job)
     way = facets.way[p]
     found = 0
+    own = False
+    if ti.static(some):
+        own = hasty(facets, p)
     k = 1
-    if walker < facets.patches and not whole:
+    if walker < facets.patches and not own:
         k = facets.leaves + walker // facets.leaf
     while k > 0:
         node = facets.node[k]
@@ -98,12 +113,15 @@ def walk(facets: ti.template(), solver: ti.template(), ball: ti.template(), walk
             if meets:
                 first = (k - facets.leaves) * facets.leaf
                 for slot in range(first, ti.min(first + facets.leaf, facets.patches)):
-                    if slot > walker or (slot != walker and (whole or walker >= facets.patches)):
+                    if slot > walker or (slot != walker and (own or walker >= facets.patches)):
                         patch = facets.patch[slot]
                         around = near + patch.near
                         if ti.static(job == DETECT):
                             around += LOOK * (way - patch.way).norm()
-                        if near_boxes(low, high, patch.low, patch.high, around):
+                        looks = near_boxes(low, high, patch.low, patch.high, around)
+                        if ti.static(some):
+                            looks = looks and (own or hasty(facets, facets.walker[slot]))
+                        if looks:
                             found = meet(facets, solver, ball, p, low, high, slot, around, found, job)
             k += 1
             while k % 2 == 0:

@@ -4,7 +4,7 @@ import taichi as ti
 
 from .entries import list_entries
 from .facets import DETECT, LIMIT, hold_apart, planes
-from .patches import fit, walk
+from .patches import fit, hasty, walk
 
 CLEAR, SWEEPS = (
     0.02,
@@ -62,7 +62,7 @@ def limit(facets: ti.template(), solver: ti.template(), ball: ti.template()):
             facets.fast[0] = 0
         fit(facets, ball, LIMIT)
         for k in range(facets.work[1]):
-            if ti.static(everything) or hasty(facets, facets.walker[k]):
+            if ti.static(everything) or k >= facets.patches or hasty(facets, facets.walker[k]):
                 walk(facets, solver, ball, k, ti.static(not everything), LIMIT)
     cut_short(facets, solver, ball)
 
@@ -74,15 +74,6 @@ def cut_short(facets: ti.template(), solver: ti.template(), ball: ti.template())
         if facets.part[i] < 1.0:
             solver.state.shift(i, (1.0 - facets.part[i]) * (facets.grid.origin[i] - ball[i].x))
             facets.part[i] = 1.0
-
-
-@ti.func
-def hasty(facets: ti.template(), p):
-    """Whether some ball of patch p is not where it was expected."""
-    yes = facets.hasty[p] == 1
-    for e in range(facets.edge_start[p], facets.edge_start[p + 1]):
-        yes = yes or facets.hasty[facets.edge[e].two] == 1
-    return yes
 
 
 @ti.func

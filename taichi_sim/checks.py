@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.errors import SceneError
 
-__all__ = ["flags", "indices", "many", "number", "per_item", "strains", "vector", "vectors"]
+__all__ = ["flags", "indices", "many", "number", "per_item", "short", "strained", "strains", "vector", "vectors"]
 
 
 MOST = 1e30  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
@@ -29,13 +29,14 @@ def _array(where: str, value: ArrayLike, what: str) -> NDArray[np.float64]:
             raise ValueError
         array = array.astype(np.float64)
     except (TypeError, ValueError):
-        raise SceneError(f"{where}: {_short(value)} is not {what}") from None
+        raise SceneError(f"{where}: {short(value)} is not {what}") from None
     _require(where, array, np.isfinite(array), "a finite number")
     _require(where, array, np.abs(array) <= MOST, f"at most {MOST:g} in magnitude")
     return array
 
 
-def _short(value: object) -> str:
+def short(value: object) -> str:
+    """A value as text, cut off where that is long."""
     text = repr(value.tolist() if isinstance(value, np.ndarray) else value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -61,7 +62,7 @@ def number(
     """One finite number within its bounds, as a float. Raises SceneError."""
     array = _array(where, value, "a number")
     if array.ndim != 0:
-        raise SceneError(f"{where}: {_short(value)} is not one number")
+        raise SceneError(f"{where}: {short(value)} is not one number")
     _bounds(where, array, low, high, positive)
     return float(array)
 
@@ -147,11 +148,11 @@ def indices(
     try:
         array = np.asarray(value)
     except ValueError:
-        raise SceneError(f"{where}: {_short(value)} is not a list of integers") from None
+        raise SceneError(f"{where}: {short(value)} is not a list of integers") from None
     if array.size == 0:
         return np.zeros((0,) if width is None else (0, width), dtype=np.int32)
     if array.dtype.kind not in "iu":
-        raise SceneError(f"{where}: {_short(value)} is not a list of integers")
+        raise SceneError(f"{where}: {short(value)} is not a list of integers")
     if array.ndim != (1 if width is None else 2) or (width is not None and array.shape[1] != width):
         raise SceneError(f"{where}: shape {array.shape} does not fit; it must be (k{f', {width}' if width else ','})")
     allowed = f"a {what}, from 0 to {limit - 1}" if limit else f"a {what}, but there is none"
@@ -169,5 +170,5 @@ def flags(where: str, value: bool | Sequence[bool] | NDArray, n: int) -> NDArray
     except ValueError:  # rows of different lengths
         array = np.zeros(0)
     if array.dtype != np.bool_ or array.shape not in ((), (n,)):
-        raise SceneError(f"{where}: {_short(value)} does not fit; give true, false or a list of {n} of them")
+        raise SceneError(f"{where}: {short(value)} does not fit; give true, false or a list of {n} of them")
     return np.broadcast_to(array, (n,)).copy()

@@ -368,6 +368,8 @@ def _plain_errors() -> Iterator[None]:
             yield
     except UnstableError as error:
         _fail(str(error), UNSTABLE)
+    except BrokenPipeError:  # whoever read has gone: click ends quietly
+        raise
     except (ValueError, BackendError, OSError, ArithmeticError) as error:  # SceneError is a ValueError
         if isinstance(error, OSError) and error.filename is not None:  # as the system gave it
             _fail(f"{error.filename}: {error.strerror}", BAD_INPUT)

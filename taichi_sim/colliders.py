@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
 from taichi_sim.groups import EVERY, ONLY
-from taichi_sim.mesh import Surface, holes, mesh_distance, read_surface, volume
+from taichi_sim.mesh import Surface, by_hand, holes, mesh_distance, read_surface, volume
 from taichi_sim.motion import Motion, keyframe, turn_matrix
 
 __all__ = ["BOX", "MESH", "ROUND", "SHAPES", "Box", "Capsule", "Collider", "Mesh", "Sphere", "build", "shape_of"]
@@ -228,12 +228,7 @@ def _surface(shape: Mesh, dim: int, where: str) -> Surface:
         except SceneError as problem:
             raise SceneError(f"{where}.{problem}") from None
     else:
-        if not isinstance(shape.mesh, (list, tuple)) or len(shape.mesh) != 2:
-            raise SceneError(f"{where}.mesh: {shape.mesh!r} is not allowed; it must be a file or (vertices, triangles)")
-        vertices = checks.vectors(f"{where}.mesh: vertices", shape.mesh[0], None, 3)
-        surface = Surface(
-            vertices, checks.indices(f"{where}.mesh: triangles", shape.mesh[1], len(vertices), 3, "vertex")
-        )
+        surface = by_hand(f"{where}.mesh", shape.mesh)
         name = "the mesh"
     open_edges = holes(surface.triangles)
     if len(open_edges) or not len(surface.triangles):

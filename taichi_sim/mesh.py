@@ -7,11 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim import checks
 from taichi_sim.errors import SceneError
 
 __all__ = [
     "SUFFIXES",
     "Surface",
+    "by_hand",
     "flaws",
     "hinge_pairs",
     "hinges",
@@ -89,6 +91,16 @@ def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
     flat = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
     used, compact = np.unique(triangles[~flat], return_inverse=True)
     return Surface(vertices[used], compact.reshape(-1, 3).astype(np.int32))
+
+
+def by_hand(where: str, mesh: Any) -> Surface:
+    """A mesh that was given as two arrays, checked. Raises SceneError, which begins with `where`."""
+    if not isinstance(mesh, (list, tuple)) or len(mesh) != 2:
+        raise SceneError(
+            f"{where}: {checks.short(mesh)} is not allowed; it must be a file {' '.join(SUFFIXES)} or (vertices, triangles)"
+        )
+    vertices = checks.vectors(f"{where}: vertices", mesh[0], None, 3)
+    return Surface(vertices, checks.indices(f"{where}: triangles", mesh[1], len(vertices), 3, "vertex"))
 
 
 def unique_edges(triangles: NDArray) -> NDArray[np.int32]:

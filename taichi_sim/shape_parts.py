@@ -135,14 +135,13 @@ def exclusive(shape: str, one: dict[str, Any], other: dict[str, Any]) -> None:
 
 def given_surface(shape: str, mesh: Any) -> meshes.Surface:
     """The surface that an argument `mesh` names, or is. Raises SceneError."""
-    if isinstance(mesh, meshes.Surface):
-        return mesh
     if isinstance(mesh, (str, PathLike)):
         with named(f"{shape}.mesh"):
             return meshes.read_surface(mesh)
-    raise SceneError(
-        f"{shape}.mesh: {mesh!r} is not allowed; it must be the name of a file {' '.join(meshes.SUFFIXES)}"
-    )
+    surface = meshes.by_hand(f"{shape}.mesh", mesh)
+    if not len(surface.triangles):
+        raise SceneError(f"{shape}.mesh: has no triangle")
+    return surface
 
 
 def affordable(where: str, value: Any, balls: int, springs: int, cells: int = 0, bends: int = 0) -> None:

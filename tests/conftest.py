@@ -56,6 +56,7 @@ LONG = (
     "physics_neighbours",
     "physics_stiff",
     "physics_swept",
+    "physics_thrown",
     "physics_walls",
     "stability",
     "tolerance",

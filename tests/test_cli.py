@@ -97,6 +97,21 @@ def test_demos_are_listed_with_one_line_each(tmp_path):
         assert built_in(file), f"{file} says nothing about itself in its first line"
 
 
+@pytest.mark.parametrize("arguments", [("demos",), ("check", "cloth")])
+def test_who_stops_reading_gets_no_error(tmp_path, arguments):
+    """As `taichi-sim demos | head -1`."""
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "taichi_sim", *arguments], stdout=write, stderr=subprocess.PIPE, cwd=tmp_path
+        )
+    finally:
+        os.close(write)
+    assert done.stderr == b""
+    assert done.returncode == 1
+
+
 def test_run_writes_arrays_and_a_summary(folder):
     done = command(folder, "run", "ball.toml", "-o", "ball.npz")
     assert (done.returncode, done.stderr) == (0, "")

@@ -232,6 +232,37 @@ def test_surface_collision():
     np.testing.assert_allclose(radius, [0.45 * 0.25, 0.25 * 0.25, 0.25 * 0.1, 0.1])
 
 
+@pytest.mark.parametrize("make", [shapes.cloth, shapes.jelly], ids=["cloth", "jelly"])
+@pytest.mark.parametrize(
+    ("x", "t", "message"),
+    [
+        (TETRAHEDRON.vertices, [[0, 1, 4]], r"mesh: triangles\[0\]: \[0, 1, 4\] .* a vertex, from 0 to 3"),
+        (TETRAHEDRON.vertices, [[0, 1, -1]], r"mesh: triangles\[0\]: .* a vertex"),
+        (TETRAHEDRON.vertices, [[0.0, 1.0, 2.0]], r"mesh: triangles: .* is not a list of integers"),
+        (TETRAHEDRON.vertices, [], r"mesh: has no triangle"),
+        (TETRAHEDRON.vertices * np.nan, TETRAHEDRON.triangles, r"mesh: vertices\[0\].*finite"),
+        (TETRAHEDRON.vertices[:, :2], TETRAHEDRON.triangles, r"mesh: vertices: "),
+    ],
+)
+def test_a_mesh_by_hand_is_checked(make, x, t, message):
+    for mesh in (Surface(np.asarray(x), np.asarray(t)), (x, t)):
+        scene = Scene(dim=3)
+        with pytest.raises(SceneError, match=f"{make.__name__}.{message}"):
+            make(scene, mesh=mesh)
+        assert scene.n_balls == 0
+
+
+def test_a_mesh_may_be_two_lists():
+    one, two = Scene(dim=3), Scene(dim=3)
+    shapes.cloth(one, mesh=TETRAHEDRON)
+    shapes.cloth(two, mesh=(TETRAHEDRON.vertices.tolist(), TETRAHEDRON.triangles.tolist()))
+    assert np.array_equal(one.position, two.position)
+    assert np.array_equal(one.pairs, two.pairs)
+    assert np.array_equal(one.triangles, two.triangles)
+    with pytest.raises(SceneError, match=r"cloth\.mesh: \(1, 2, 3\) .* a file .obj .* or \(vertices, triangles\)$"):
+        shapes.cloth(one, mesh=(1, 2, 3))
+
+
 REFUSED = [
     (2, lambda s: shapes.cloth(s), "dim = 3"),
     (3, lambda s: shapes.cloth(s, surface_collision=1), r"cloth\.surface_collision: 1"),

@@ -29,12 +29,17 @@ FAR_APART = 1e12  # m, the same of a ball without triangles
 @ti.data_oriented
 class Facets:
     """Contacts of balls and triangles, and of edges, with thickness: two things touch where they are as far apart as the radii
-    there, those of a triangle's balls weighted by how near they are. See kernels.facets. room: rows known to be needed.
+    there, those of a triangle's balls weighted by how near they are. See kernels.facets, and for how they are found
+    kernels.patches. room: rows known to be needed.
 
     `row` holds a pair: its normal and distance [m], `thickness` [m], the distance at touch, or -1 for what may not be gone
     through but does not push; target speed [m/s], and the impulse of this solve so far [N s]; `up` and `down` [m], see
     kernels.facets.planes. `member` and `weight` hold its four balls. `ease` [1/kg]: inverse mass of the part of a ball that each
     contact gets, see `split`.
+
+    `walker`: all balls, the `patches` ones with a patch first, as they lie in the leaves of the tree; `patch` and `node`: its
+    boxes, how near others concern them [m], and how they move in a step [m]. `part` of its way that each ball may make, see
+    kernels.surfaces.limit; `hasty`: 1 where a ball is not where its `way` told.
     """
 
     what = "surfaces that touch"

@@ -6,7 +6,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import checks, fabric
 from taichi_sim import mesh as meshes
@@ -45,7 +45,7 @@ def cloth(
     scene: Scene,
     size: Sequence[float] | None = None,
     resolution: Sequence[int] | None = None,
-    mesh: "str | PathLike[str] | meshes.Surface | None" = None,
+    mesh: "str | PathLike[str] | tuple[ArrayLike, ArrayLike] | None" = None,
     *,
     mass: float | None = None,
     stiffness: float | None = None,
@@ -79,7 +79,7 @@ def cloth(
 
     Args:
         size: (x, z) m, (1, 1) by default; resolution: balls along x and z, at least 2, (32, 32) by default.
-        mesh: an OBJ, PLY, STL or GLB file, or a `taichi_sim.mesh.Surface`, in place of size and resolution.
+        mesh: an OBJ, PLY, STL or GLB file, or (vertices (v, 3) [m], triangles (t, 3)), in place of size and resolution.
         mass: kg, shared out equally (by area in a material); 0.2 kg per m^2 of the sheet by default.
         stiffness: N/m of each spring; bending_stiffness: N/m, a twentieth of it by default.
         mass_per_area: kg/m^2, in place of mass; 0.2.

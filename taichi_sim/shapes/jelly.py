@@ -6,7 +6,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import checks, solids
 from taichi_sim import mesh as meshes
@@ -48,7 +48,7 @@ def jelly(
     scene: Scene,
     size: Sequence[float] | None = None,
     resolution: Sequence[int] | None = None,
-    mesh: "str | PathLike[str] | meshes.Surface | None" = None,
+    mesh: "str | PathLike[str] | tuple[ArrayLike, ArrayLike] | None" = None,
     *,
     mass: float | None = None,
     stiffness: float | None = None,
@@ -80,10 +80,10 @@ def jelly(
 
     Args:
         size: m per axis, 0.4 by default; resolution: balls per axis, at least 2, 8 by default.
-        mesh: an OBJ, PLY, STL or GLB file of a closed surface, or a `taichi_sim.mesh.Surface`, in place of size and resolution.
+        mesh: an OBJ, PLY, STL or GLB file of a closed surface, or (vertices (v, 3) [m], triangles (t, 3)), in place of size and
+            resolution.
         mass: kg, shared out equally (by volume in a material); as heavy as water by default (in 2D a slab of 0.1 m).
-        stiffness: of an edge [N/m]. By default such that waves run at sqrt(40 g height), which wobbles like jelly,
-        and never
+        stiffness: of an edge [N/m]. By default such that waves run at sqrt(40 g height), which wobbles like jelly, and never
             above what is stable at 1 ms.
         density: kg/m^3, in 2D kg/m^2, in place of mass.
         young_modulus: Pa, in 2D N/m. By default as for stiffness.
