@@ -58,6 +58,8 @@ def ball_triangle(
                                 m = facets.grid.origin[beyond[k]] - at_triangle
                                 m -= m.dot(along) / along.dot(along) * along
                                 whole = r.dot(m) <= 0.0
+                if w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0:
+                    r = across(r, (xb - xa).cross(xc - xa), x - xa)
                 found = settle(facets, solver, ball, p, balls, g, r, 0, whole, place, job)
     return found
 
@@ -78,9 +80,21 @@ def edge_edge(facets: ti.template(), solver: ti.template(), ball: ti.template(),
             if ti.static(job == LIMIT) or r.dot(r) < near * near:
                 g = ti.Vector([1.0 - s, s, t - 1.0, -t])
                 inside = s > INSIDE and s < 1.0 - INSIDE and t > INSIDE and t < 1.0 - INSIDE
+                if inside:
+                    r = across(r, (xb - xa).cross(xd - xc), xa - xc)
                 bare = facets.edge[e].bare + 2 * facets.edge[f].bare
                 found = settle(facets, solver, ball, p, ti.Vector([a, b, c, d]), g, r, 4 + bare, inside, place, job)
     return found
+
+
+@ti.func
+def across(r, m, way):
+    """The distance r between two things, at right angles to both as m is; `way` leads from one to the other. The difference of
+    two points that nearly coincide has lost its direction, and planes at right angles to that would cut large triangles."""
+    out = r
+    if m.dot(m) > 0.0 and m.dot(way) != 0.0:
+        out = m.dot(way) / m.dot(m) * m
+    return out
 
 
 @ti.func

@@ -129,3 +129,27 @@ def test_what_comes_from_afar_at_its_own_speed():
             cell = np.minimum((x[shot][:, [0, 2]] * 11).astype(int), 10) @ [12, 1]
             near = np.stack([x[sheet.balls[cell + k], 1] for k in (0, 1, 12, 13)])
             assert np.all(x[shot, 1] > near.min(axis=0) - 1e-6), "a ball went through"
+
+
+def test_large_thin_sheets_thrown_onto_each_other():
+    """Two triangles each, a thousand radii long: single precision must not lose the direction between them."""
+    rng, layers = np.random.default_rng(0), 6
+    scene, throw = ts.Scene(dim=3), Throw()
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1]]) - 0.5
+    for _ in range(layers):
+        balls = scene.add_balls(square, radius=1e-3)
+        scene.add_triangles(balls[[[0, 2, 1], [1, 2, 3]]], collides=True)
+    with thrown(scene, throw) as sim:
+        for _ in range(60):
+            turn = rng.normal(size=layers) * rng.choice([1e-4, 1e-2, 0.1], layers)
+            c, s, o = np.cos(turn), np.sin(turn), np.zeros(layers)
+            axes = np.moveaxis(np.array([[c, o, s], [o, o, o], [-s, o, c]]), 2, 0)
+            x = np.einsum("lij,kj->lki", axes, square) + 1e-5 * rng.normal(size=(layers, 4, 3))
+            x[:, :, 1] += 5e-3 * np.arange(layers)[:, None]
+            sim.resume(x.reshape(-1, 3), np.zeros((4 * layers, 3)), 0.0)
+            assert sim.crossings() == 0
+            for _ in range(8):
+                way = rng.normal(size=(4 * layers, 3)) * rng.choice([1e-4, 1e-3, 1e-2, 0.05])
+                throw.by(way * [rng.choice([0.0, 0.1, 1.0]), 1.0, rng.choice([0.0, 0.1, 1.0])])
+                sim.step()
+                assert sim.crossings() == 0
