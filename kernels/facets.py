@@ -17,6 +17,7 @@ LISTED = 1.1  # of the distance at touch: contacts that nearly touch count as th
 KEEP = 0.1  # of a distance that is too short for the way of a step, and of the distance at touch where it is that short already
 BORDER, NOT_OWNED = -1, -2  # what lies beyond an edge: no other triangle, or hits on the edge belong to the other one
 LEVER = 0.1  # of a distance: what moves nearer to a pin than that part would be thrown as many times faster
+ASKEW = 1e-6  # squared sine of an angle: directions that are more alike do not tell what is at right angles to both
 INSIDE = 1e-4  # of an edge: nearer to its end, the hit is one of the ball there
 
 
@@ -59,7 +60,7 @@ def ball_triangle(
                                 m -= m.dot(along) / along.dot(along) * along
                                 whole = r.dot(m) <= 0.0
                 if w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0:
-                    r = across(r, (xb - xa).cross(xc - xa), x - xa)
+                    r = across(r, xb - xa, xc - xa, x - xa)
                 found = settle(facets, solver, ball, p, balls, g, r, 0, whole, place, job)
     return found
 
@@ -81,18 +82,20 @@ def edge_edge(facets: ti.template(), solver: ti.template(), ball: ti.template(),
                 g = ti.Vector([1.0 - s, s, t - 1.0, -t])
                 inside = s > INSIDE and s < 1.0 - INSIDE and t > INSIDE and t < 1.0 - INSIDE
                 if inside:
-                    r = across(r, (xb - xa).cross(xd - xc), xa - xc)
+                    r = across(r, xb - xa, xd - xc, xa - xc)
                 bare = facets.edge[e].bare + 2 * facets.edge[f].bare
                 found = settle(facets, solver, ball, p, ti.Vector([a, b, c, d]), g, r, 4 + bare, inside, place, job)
     return found
 
 
 @ti.func
-def across(r, m, way):
-    """The distance r between two things, at right angles to both as m is; `way` leads from one to the other. The difference of
-    two points that nearly coincide has lost its direction, and planes at right angles to that would cut large triangles."""
+def across(r, one, other, way):
+    """The distance r between two things, at right angles to two directions in them; `way` leads from one thing to the other. The
+    difference of two points that nearly coincide has lost its direction, and planes at right angles to that would cut large
+    triangles."""
     out = r
-    if m.dot(m) > 0.0 and m.dot(way) != 0.0:
+    m = one.cross(other)
+    if m.dot(m) > ASKEW * one.dot(one) * other.dot(other) and m.dot(way) != 0.0:
         out = m.dot(way) / m.dot(m) * m
     return out
 
