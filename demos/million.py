@@ -4,7 +4,7 @@ import numpy as np
 
 import taichi_sim as ts
 
-RADIUS, LAYER, SHEET = 0.01, (160, 10, 157), 81
+RADIUS, LAYER, SHEET = 0.01, (160, 10, 157), 101
 SPACING = 2.2 * RADIUS
 LONG, WIDE, HIGH = SPACING * LAYER[0], SPACING * LAYER[2], SPACING * LAYER[1]
 

@@ -11,7 +11,7 @@ from taichi_sim.errors import SceneError
 __all__ = ["flags", "indices", "many", "number", "per_item", "short", "strained", "strains", "vector", "vectors"]
 
 
-MOST = 1e30  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
+MOST = 1e50  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
 
 
 def _place(where: str, bad: NDArray[np.bool_], values: NDArray) -> tuple[str, Any]:
@@ -22,7 +22,7 @@ def _place(where: str, bad: NDArray[np.bool_], values: NDArray) -> tuple[str, An
     return where + "".join(f"[{i}]" for i in first), values[first].item()
 
 
-def _array(where: str, value: ArrayLike, what: str) -> NDArray[np.float64]:
+def _array(where: str, value: ArrayLike, what: str, most: float = MOST) -> NDArray[np.float64]:
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "iuf":
@@ -31,7 +31,7 @@ def _array(where: str, value: ArrayLike, what: str) -> NDArray[np.float64]:
     except (TypeError, ValueError):
         raise SceneError(f"{where}: {short(value)} is not {what}") from None
     _require(where, array, np.isfinite(array), "a finite number")
-    _require(where, array, np.abs(array) <= MOST, f"at most {MOST:g} in magnitude")
+    _require(where, array, np.abs(array) <= most, f"at most {most:g} in magnitude")
     return array
 
 
@@ -60,7 +60,7 @@ def number(
     where: str, value: Any, *, low: float | None = None, high: float | None = None, positive: bool = False
 ) -> float:
     """One finite number within its bounds, as a float. Raises SceneError."""
-    array = _array(where, value, "a number")
+    array = _array(where, value, "a number", MOST if high is None else max(MOST, high))
     if array.ndim != 0:
         raise SceneError(f"{where}: {short(value)} is not one number")
     _bounds(where, array, low, high, positive)

@@ -1,5 +1,6 @@
 """Settings: the arguments of Simulation, checked and with every "auto" that depends on the scene alone resolved."""
 
+import math
 from copy import copy
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -98,7 +99,7 @@ class Settings:
             if values[name] != "auto":
                 values[name] = _whole(name, values[name])
         if values["dt"] != "auto":
-            values["dt"] = checks.number("dt", values["dt"], positive=True)
+            values["dt"] = checks.number("dt", values["dt"], high=math.inf, positive=True)
             if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
                 raise ValueError(
                     f"dt: {values['dt']:g} is not allowed; it must be from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds"

@@ -1,5 +1,6 @@
 """Simulation: a scene in motion."""
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -267,7 +268,9 @@ class Simulation:
         if self.settings.tolerance is not None:
             raise ValueError("dt: the tolerance chooses the step of this simulation; make another one")
         parts, time = self._parts, self.time
-        settings = replace(self.settings, dt=dt if dt == "auto" else checks.number("dt", dt, positive=True))
+        settings = replace(
+            self.settings, dt=dt if dt == "auto" else checks.number("dt", dt, high=math.inf, positive=True)
+        )
         seconds, substeps = settings.time_step(self.scene, self._stability)
         h = seconds / substeps
         self._warn(h)

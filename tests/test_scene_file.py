@@ -221,7 +221,7 @@ BAD = [
     ("format = 1\n", "", None, "format: is missing"),
     ("format = 1", "format = 2", 1, "format: 2 is not allowed; it must be 1"),
     ("dim = 2", "dim = 4", 2, "dim: 4 is not allowed; it must be 2 or 3"),
-    ("[0.0, -10.0]", "[0.0, -1e300]", 3, "gravity[1]: -1e+300 is not allowed; it must be at most 1e+30 in magnitude"),
+    ("[0.0, -10.0]", "[0.0, -1e300]", 3, "gravity[1]: -1e+300 is not allowed; it must be at most 1e+50 in magnitude"),
     ("[0.0, -10.0]", "[0.0, nan]", 3, "gravity[1]: nan is not allowed; it must be a finite number"),
     ("[0.0, -10.0]", "[0.0, 1.0, 2.0]", 3, "gravity: shape"),
     ("dt = 0.001", "dt = 0", 5, "simulation.dt: 0 is not allowed; it must be greater than 0 or 'auto'"),

@@ -1,5 +1,6 @@
 """What the commands `report` and `tune` take: a scene and options, checked before anything runs."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,6 @@ def _words(option: str, text: str | None, allowed: tuple[str, ...]) -> tuple[str
 
 def _positive(option: str, value: Any) -> float:
     try:
-        return checks.number(option, float(value), positive=True)
+        return checks.number(option, float(value), high=math.inf, positive=True)
     except (TypeError, ValueError):
         raise ValueError(f"{option}: {value!r} is not allowed; it must be a number greater than 0") from None
