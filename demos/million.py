@@ -44,4 +44,4 @@ def check(sim):
     assert x.min() > -0.2 * RADIUS
     assert np.quantile(x[:, 0], 0.98) > 1.8 * LONG  # they have run to the other side
     assert sim.contacts().mean_relative_penetration < 0.02
-    assert sim.energy().total < len(x) * 0.004 * 10 * HIGH  # half of that at the start
+    assert sim.energy().total < 2 / 3 * len(x) * 0.004 * 10 * 2 * HIGH  # of that at the start
