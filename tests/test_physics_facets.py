@@ -191,7 +191,8 @@ def test_what_pins_hold_throws_nothing():
     """A pin beside the edge between two others, or led onto it: the third corner can do nothing about it."""
     scene, free = ts.Scene(dim=3), []
     for k, (z, led) in enumerate(((0.0, False), (0.0, True), (5e-4, False), (5e-4, True))):
-        place = np.array([[0, 0, 0], [1, 0, 0], [0.5, 0, 1], [0.5, 0.15, z]]) + [10.0 * k, 0, 0]
+        place = np.array([[0, 0, 0], [1, 0, 0], [0.5, 0, 1], [0.5, 0.15, z]])
+        place[:, 0] += 10.0 * k
         a, b, c, pin = scene.add_balls(place, radius=0.1, pinned=[0, 1, 3])
         scene.add_triangles([[a, c, b]], collides=True)
         scene.add_springs([[a, c], [b, c]], stiffness=10.0, damping=0.1)
