@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: help env demo test test-slow check bench clean
+.PHONY: help env demo test test-slow check bench referee clean
 
 help:
-	@echo "make env | demo | test | test-slow | check | bench | clean"
+	@echo "make env | demo | test | test-slow | check | bench | referee | clean"
 
 env: $(STAMP)
 
@@ -37,6 +37,13 @@ check: env
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+# random scenes, judged by what holds for any; ended and started again it goes on where it was: SCENES=2000 SEED=1
+SCENES ?= 2000
+SEED ?= 1
+referee: env
+	@mkdir -p out
+	$(BIN)/python -m tests.referee --scenes $(SCENES) --seed $(SEED) --shrink --json out/referee_$(SEED).json
 
 bench: env
 	$(BIN)/taichi-sim bench

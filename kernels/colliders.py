@@ -215,7 +215,7 @@ def near(colliders: ti.template(), k, x, reach):
 
 
 @ti.func
-def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since, limit, settled):
+def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since, limit, settled, floor):
     """First time within `limit` seconds at which ball i, on a parabola from x that begins `since` seconds into the step, meets
     collider k: the time, and whether it meets it (1), does not (0), or is not known beyond that time (-1).
 
@@ -258,7 +258,7 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
                     sunk = ti.max(0.0, -gap)
                 gap += sunk
                 if gap < SINK * r:
-                    gap += allowance(walls, i, k, n, settled)
+                    gap += allowance(walls, i, k, n, settled, floor)
                 u = n.dot(v + t * a - surface_velocity(colliders, k, at, since + t))
                 looks += 1
                 if behind:
@@ -303,10 +303,11 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
 
 
 @ti.func
-def allowance(walls: ti.template(), i, k, n, settled):
-    """How far [m] ball i may sink into collider k along n while it moves: a little where it rests on it."""
+def allowance(walls: ti.template(), i, k, n, settled, floor):
+    """How far [m] ball i may sink into collider k along n while it moves: a little where it rests on it. settled, floor: the
+    collider on which it came to rest within this step, and its normal there: other faces of it are met as any."""
     sink = SINK * walls.model.radius[i]
-    rests = settled == k
+    rests = settled == k and n.dot(floor) > 0.9
     if ti.static(walls.colliders.turns):
         if rests:  # what turns carries a ball around a bend within the step
             sink = BEND * walls.model.radius[i]
@@ -318,14 +319,14 @@ def allowance(walls: ti.template(), i, k, n, settled):
 
 
 @ti.func
-def first_collider(walls: ti.template(), i, x, v, a, since, limit, settled):
+def first_collider(walls: ti.template(), i, x, v, a, since, limit, settled, floor):
     """Earliest of all colliders that ball i meets: its number, -1 for none, -2 where the way is not known; and the time."""
     hit = -1
     time = limit
     if walls.model.inverse_mass[i] > 0.0:
         for k in range(walls.colliders.count):
             if walls.colliders.minds(walls.model, i, k):
-                found, t = meeting(walls, walls.colliders, i, k, x, v, a, since, time, settled)
+                found, t = meeting(walls, walls.colliders, i, k, x, v, a, since, time, settled, floor)
                 if found != 0 and t < time:
                     time = t
                     hit = ti.select(found == 1, k, -2)

@@ -63,12 +63,13 @@ def sliding_impulse_2d(model: ti.template(), u, mass, slide, bound, slip):
 
 
 @ti.func
-def presses(total, mass, threshold):
-    """Whether a contact that holds `total` [N s] has friction: more than rounding leaves where two bodies just part.
+def presses(total, mass, threshold, u):
+    """Whether a contact that holds `total` [N s] has friction: more than rounding leaves where two bodies just part. u: relative
+    velocity.
 
     Viscous friction does not fade with the normal impulse, so without this a rounded zero would switch it on or off.
     """
-    return total > 1e-4 * threshold * mass
+    return total > ti.max(1e-4 * threshold, 1e-6 * u.norm()) * mass
 
 
 @ti.func
@@ -78,11 +79,11 @@ def decayed(a):
 
 
 @ti.func
-def viscous_share(model: ti.template(), law, total, mass, threshold, time):
+def viscous_share(model: ti.template(), law, total, mass, threshold, u, time):
     """Part of the sliding speed that viscous friction takes in `time` seconds from a contact that holds `total` [N s]."""
     share = 0.0 * mass
     if ti.static(model.has_viscous):
-        if presses(total, mass, threshold):
+        if presses(total, mass, threshold, u):
             share = decayed(law.viscous_friction * time)
     return share
 

@@ -11,6 +11,7 @@ from .contact_law import decayed
 from .direction import cross, lever
 from .parabola import crossing
 
+AT_ONCE = 1.0 / 16.0  # of a step: a flight that is shorter ends in rest
 IMPACTS = 8  # per ball and step; a wedge that asks for more stops the ball for the rest of the step
 
 
@@ -35,14 +36,21 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
 
 
 @ti.func
-def bounce(walls: ti.template(), i, n, law, v, a, threshold, h):
-    """Velocity, from the surface, and acceleration of ball i after it met a surface with the normal n: reflected above the
-    threshold speed, else resting on it."""
+def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
+    """Velocity, from the surface, and acceleration of ball i after it met a surface with the normal n, and whether it rests:
+    reflected above the threshold speed, else resting on it for the `remaining` seconds of the step. Coulomb friction is bounded
+    by all of the normal impulse: that of the impact, and that which the acceleration into the surface adds while it rests."""
     u = n.dot(v)
+    press = ti.max(0.0, -n.dot(a))
+    rests = is_caught(law, u, press, threshold, h)
     j = -u
-    if -u > threshold:
+    if -u > threshold and not rests:
         j = -(1.0 + law.restitution) * u
     after = v + j * n
+    rest = a
+    if rests:
+        rest = a + press * n
+        j += press * remaining
     if ti.static(walls.model.has_friction):
         t = v - u * n
         share = 0.0 * u + 1.0
@@ -56,10 +64,14 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h):
             after -= change
             if ti.static(walls.model.spins):
                 walls.state.turn[i] = walls.state.turn[i] + walls.model.turning * cross(n, change)
-    rest = a
-    if -u <= threshold or law.restitution == 0.0:
-        rest = a - ti.min(0.0, n.dot(a)) * n
-    return after, rest
+    return after, rest, rests
+
+
+@ti.func
+def is_caught(law, u, press, threshold, h):
+    """Whether a ball that arrives with the normal speed u < 0 rests: it is slow, does not bounce, or what presses it into the
+    surface [m/s^2] would bring it back at once, so that the bounces to come add up to a small part of the step."""
+    return -u <= threshold or law.restitution == 0.0 or -2.0 * law.restitution * u < AT_ONCE * h * press
 
 
 @ti.func
@@ -72,16 +84,17 @@ def surface(walls: ti.template(), k, x, after):
 
 @ti.func
 def strike(walls: ti.template(), i, k, x, v, a, after, threshold, h):
-    """Velocity and acceleration of ball i after it met collider k `after` seconds into the step, and whether it rests on it."""
+    """Velocity and acceleration of ball i after it met collider k `after` seconds into the step, whether it rests on it, and
+    the normal there."""
     n, own = surface(walls, k, x, after)
     law = walls.law_with(i, walls.colliders.shape[k].surface)
     u = n.dot(v - own)
     speed, pull = v, a
-    rests = u >= -threshold or law.restitution == 0.0
+    rests = True  # what does not approach
     if u < 0.0:
-        speed, pull = bounce(walls, i, n, law, v - own, a, threshold, h)
+        speed, pull, rests = bounce(walls, i, n, law, v - own, a, threshold, h, h - after)
         speed += own
-    return speed, pull, rests
+    return speed, pull, rests, n
 
 
 @ti.func
@@ -128,12 +141,14 @@ def move(walls: ti.template(), i, x, v, a, h, threshold):
 @ti.func
 def move_among(walls: ti.template(), i, x, v, a, h, threshold):
     """`move` of a ball that may meet something."""
-    along, pull = press(walls, i, v, a)
+    along, pressed = press(walls, i, v, a)
+    pull = pressed
     remaining = h
     speed = along - 0.5 * h * pull
     shift = h * along
     touched = False
-    settled = -1  # the collider on which it came to rest within this step
+    settled = -1  # the collider on which it came to rest within this step, and the normal there
+    floor = 0.0 * v
     swift = False  # it may have to stop on its way at another ball (kernels.swept), so that must be straight
     if ti.static(walls.straight):
         swift = shift.dot(shift) > walls.model.radius[i] ** 2
@@ -143,7 +158,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
             hit, t = first_wall(walls, i, x + start, speed, pull, remaining)
             other = -1
             if ti.static(walls.has_colliders):
-                other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled)
+                other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled, floor)
             far = 0.0 * t
             if ti.static(walls.has_colliders):
                 if other >= 0:
@@ -161,18 +176,28 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                 speed += t * pull
                 if ti.static(walls.has_colliders):
                     if other >= 0:
-                        speed, pull, rests = strike(
+                        speed, pull, rests, n = strike(
                             walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
                         )
-                        settled = ti.select(rests, other, settled)
+                        if rests:
+                            settled = other
+                            floor = n
                         remaining -= t
                     else:
                         remaining = 0.0
                 touched = True
             elif hit >= 0:
                 shift = start + t * (speed + 0.5 * t * pull)
-                speed, pull = bounce(
-                    walls, i, walls.wall[hit].normal, walls.law(i, hit), speed + t * pull, pull, threshold, h
+                speed, pull, rests = bounce(
+                    walls,
+                    i,
+                    walls.wall[hit].normal,
+                    walls.law(i, hit),
+                    speed + t * pull,
+                    pull,
+                    threshold,
+                    h,
+                    remaining - t,
                 )
                 remaining -= t
                 touched = True
@@ -184,5 +209,5 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                 remaining = 0.0
     drift = v
     if touched:
-        drift = speed - 0.5 * h * a
+        drift = speed - 0.5 * h * pressed  # the load on what it rested on is still the next solve's to hold
     return shift, drift

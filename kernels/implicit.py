@@ -17,7 +17,7 @@ from .direction import unit
 
 # Numbers that steer the loops, in double precision.
 RESIDUAL, FORCE, SCALE, NOISE, RAISED, LEFT, MOVED, EARLIER, GAIN, RZ, TARGET, STEP, ROUNDS, TURNS, TRIES = range(15)
-PASSES, WORST, MISSES, SOLVED, LOAD, SIZE = range(15, 21)
+PASSES, WORST, MISSES, SOLVED, LOAD, SADDLE, GIVEN, TAKEN, KINETIC, SIZE = range(15, 25)
 
 
 @ti.func

@@ -13,6 +13,7 @@ ENDLESS = 2**31 - 1  # what `overflow` says where cells hold so many pairs that 
 FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
 
 
+GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
 NONE = -1e30  # as an aim: the contact neither pushes nor bounced
 ONE = 0x3F800000  # the bits of 1.0
 

@@ -7,16 +7,15 @@ one that does all in turn, also where each pair changes velocities at once (Gaus
 
 import taichi as ti
 
-from . import contact_law
+from . import contact_law, hits
 from .direction import cross, lever, unit
-from .pairs import NONE, forget, law_of, zero_slide
+from .pairs import GRAIN, NONE, forget, law_of, zero_slide
 
-GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
-
-# What a sweep does. MEASURE finds which pairs touch and sums what they hold from before; FIRST is the first pass of a solve,
-# NEXT a later one; BOUNCE one of those that follow where restitution is a matter of its own, see kernels.taming; LAST belongs
-# to the short solve at the end of a step, RELAX follows a move without one; OFFSET undoes overlap.
-MEASURE, FIRST, NEXT, BOUNCE, LAST, RELAX, OFFSET = range(7)
+# What a sweep does. MEASURE finds which pairs touch and sums what they hold from before; HIT is a round of impacts, see
+# kernels.hits; FIRST is the first pass of a solve, NEXT a later one; BOUNCE one of those that follow where restitution is a
+# matter of its own, see kernels.taming; LIMIT bounds what contacts keep of it; LAST belongs to the short solve at the end of a
+# step, RELAX follows a move without one; OFFSET undoes overlap.
+MEASURE, HIT, FIRST, NEXT, BOUNCE, LIMIT, LAST, RELAX, OFFSET = range(9)
 
 
 @ti.func
@@ -40,8 +39,20 @@ def sweep(solver: ti.template(), ball: ti.template(), time, stage: ti.template()
 def block(solver: ti.template(), ball: ti.template(), b, time, stage: ti.template()):
     """The balls of block b, in the order of the grid."""
     begin = b * solver.pairs.length[0]
-    for k in range(begin, ti.min(begin + solver.pairs.length[0], solver.n)):
-        row_of(solver, ball, solver.pairs.grid.order[k], time, stage)
+    end = ti.min(begin + solver.pairs.length[0], solver.n)
+    if ti.static(stage == MEASURE and solver.strikes):
+        fast = 0
+        for k in range(begin, end):
+            fast |= measure(solver, solver.pairs, ball, solver.pairs.grid.order[k])
+        solver.mark[b] = fast
+        solver.struck[b] = fast
+    elif ti.static(stage == LIMIT):
+        if solver.struck[b] > 0:
+            for k in range(begin, end):
+                hits.limit(solver, ball, solver.pairs.grid.order[k])
+    else:
+        for k in range(begin, end):
+            row_of(solver, ball, solver.pairs.grid.order[k], time, stage)
 
 
 @ti.func
@@ -65,8 +76,10 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
     """Normals and depths of the listed pairs of ball i that touch, or nearly; moves these to the front of its list.
 
     So the passes need not ask which touch: what touches changes little from step to step, but not from entry to entry.
-    Sums the changes of velocity that the impulses held from before make, and how many pairs touch each ball.
+    Sums the changes of velocity that the impulses held from before make, and how many pairs touch each ball. Returns whether
+    any closes fast.
     """
+    fast = 0
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
     begin = pairs.first[i]
     end = begin
@@ -81,6 +94,9 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             n, d = unit(r, i, j)
             pairs.row[end].normal = n
             pairs.row[end].depth = sum - d
+            if ti.static(solver.strikes):
+                if (ball[j].v - ball[i].v).dot(n) < -hits.ALERT * solver.threshold[0]:
+                    fast = 1
             if ti.static(not solver.split):
                 pairs.row[end].mass = 1.0 / (w + solver.model.inverse_mass[j])
             if ti.static(solver.spins):
@@ -112,6 +128,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             add(solver, solver.carry_turn, i, (solver.turning * w) * twist)
     if ti.static(solver.counts):
         add(solver, solver.count, i, end - begin)
+    return fast
 
 
 @ti.func
@@ -152,7 +169,8 @@ def tangent(n):
 
 @ti.func
 def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, time, stage: ti.template()):
-    """Each pair changes the velocities that the next one sees."""
+    """Each pair changes the velocities that the next one sees. Returns the largest change of a relative velocity [m/s]."""
+    most = ti.cast(0.0, float)
     v = ball[i].v
     w = solver.model.inverse_mass[i]
     turn = zero_turn(solver)
@@ -163,6 +181,7 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
         p = pair(solver, ball, i, j, c, v, turn, time, stage)
         v += w * p
         ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
+        most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
         if ti.static(solver.spins):
             t = solver.turning * torque(solver, c, p)
             turn += w * t
@@ -170,6 +189,7 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
     ball[i].v = v
     if ti.static(solver.spins):
         solver.state.turn[i] = turn
+    return most
 
 
 @ti.func
@@ -227,7 +247,10 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
         held = 0.0
     u = ball[j].v - v
     if ti.static(stage not in (NEXT, BOUNCE)):
-        prepare(solver, i, j, c, n, stage)
+        if ti.static(solver.strikes):
+            prepare_in_turn(solver, i, j, c, n, held, stage)
+        else:
+            prepare(solver, i, j, c, n, stage)
     total = normal(solver, c, u.dot(n), held, stage)
     solver.pairs.link[c].impulse = ti.max(0.0, total)
     p = (held - total) * n
@@ -239,7 +262,7 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
         law = law_of(solver.pairs, i, j)
         slip = 0.0 * mass
         if ti.static(stage not in (NEXT, BOUNCE)):
-            slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], time)
+            slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
         arm = 0.0 * mass
         if ti.static(solver.spins):
             arm = solver.pairs.row[c].arm
@@ -295,11 +318,39 @@ def prepare(solver: ti.template(), i, j, c, n, stage: ti.template()):
 
 
 @ti.func
+def prepare_in_turn(solver: ti.template(), i, j, c, n, held, stage: ti.template()):
+    """Mass and aim of a contact where impacts come first, see kernels.hits. What closes fast is left alone (mass 0) by the solve
+    that ends a step, whose one pass is for what rests; and by the others if it bounces at e = 1, or before it touches: they
+    would take its energy."""
+    depth = solver.pairs.row[c].depth
+    speed = (solver.before[j] - solver.before[i]).dot(n)
+    fast = speed + hits.load(solver, i, j, n) < -solver.threshold[0]
+    mass = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
+    if ti.static(stage != FIRST):
+        mass = ti.select(fast, 0.0, mass)
+    elif ti.static(solver.model.has_restitution):
+        e = law_of(solver.pairs, i, j).restitution
+        if fast and e > 0.0 and (e >= 1.0 or depth <= 0.0):
+            mass = 0.0
+    solver.pairs.row[c].mass = mass
+    if ti.static(stage == FIRST and solver.warm):
+        solver.pairs.row[c].target = held
+    if ti.static(stage == FIRST and solver.soft):
+        aim = ti.cast(NONE, float)
+        if depth > 0.0 and not fast:
+            aim = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push * solver.threshold[0])
+        solver.pairs.link[c].aim = aim
+
+
+@ti.func
 def normal(solver: ti.template(), c, u, held, stage: ti.template()):
     """New total normal impulse of the contact in row c."""
     mass = solver.pairs.row[c].mass
     target = 0.0 * u
-    if ti.static(solver.pairs.has_aim):
+    if ti.static(solver.strikes):
+        if ti.static(solver.soft):  # it may close the gap, but not go on
+            target = ti.min(0.0, solver.pairs.row[c].depth * solver.rate[0])
+    elif ti.static(solver.pairs.has_aim):
         target = solver.pairs.row[c].target
         if ti.static(solver.tames and stage in (FIRST, NEXT)):  # what touches is stopped first
             target = ti.select(solver.pairs.row[c].depth > 0.0, 0.0, target)

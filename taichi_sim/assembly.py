@@ -38,8 +38,8 @@ from taichi_sim.state import State
 __all__ = ["Assembly", "compensates"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
-MOST_BOUNCE = 0.5  # above that, only split masses are sure never to gain energy
-SLOWEST_BOUNCE = 0.01  # m/s
+UNEQUAL = 4.0  # times in mass: from here on passes converge slowly
+MOST_BOUNCE = 0.5  # above that, passes over many contacts could add energy
 FINE = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
 MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
@@ -81,6 +81,7 @@ class Assembly:
         try:
             self._assemble(scene, settings, backend, h, forces)
             self.fields.build()
+            self.integrator.set_step(h)
         except BaseException:
             self.fields.abandon()
             raise
@@ -114,10 +115,11 @@ class Assembly:
             self.state.followers.append(self.tearing)
         moves = self.colliders is not None and self.colliders.moves
         self.led = [part for part in (self.colliders if moves else None, self.pins) if part is not None]
+        self.integrator.pins = self.pins
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         self.companion: Companion | None = None
         if settings.tolerance is not None:
-            self.companion = Companion(self.state, self.integrator, self.fields, self.fused)
+            self.companion = Companion(self.state, self.integrator, self.contacts, self.fields, self.fused)
         self.drivers = Drivers(self.integrator, self.pins, self.tearing)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
@@ -149,9 +151,14 @@ class Assembly:
         warm = self.model.has_gravity or pulls or bool(self.forces.extra) or bool(scene.moving_pins)
         # only what rests is soft, and that takes gravity: a rigid contact is exact for two balls
         soft = self.model.has_gravity and pairs and settings.integrator.relaxes and settings.contacts != "sum"
+        rule = self._rule(settings, cpu)
+        mass = scene.mass[~scene.pinned]
+        unequal = rule == "gauss_seidel" and len(mass) > 0 and bool(mass.max() > UNEQUAL * mass.min())
         most = self._spare_bytes() // PAIR_BYTES
         grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
-        pair_part = Pairs(self.model, self.fields, grid, warm, soft, self.room.pairs) if grid is not None else None
+        pair_part = (
+            Pairs(self.model, self.fields, grid, warm, soft, unequal, self.room.pairs) if grid is not None else None
+        )
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
         wall_part = (
             Walls(self.model, self.state, self.fields, self.threshold, soft, pairs, self.colliders) if walled else None
@@ -162,7 +169,6 @@ class Assembly:
         facet_part = (
             Facets(self.model, self.fields, pair_part, self.room.facets) if facets and pair_part is not None else None
         )
-        rule = self._rule(scene, settings, cpu, warm)
         # they may do work
         pushed = (self.colliders is not None and self.colliders.moves) or bool(scene.moving_pins)
         return ContactSolver(
@@ -181,12 +187,13 @@ class Assembly:
             serial=self.fused,
             warm=warm,
             soft=soft,
-            tames=pairs and not pushed and may_gain(scene, rule, warm),
+            loaded=pulls or bool(self.forces.extra),
+            tames=pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets)),
         )
 
-    def _rule(self, scene: Scene, settings: Settings, cpu: bool, warm: bool) -> str:
+    def _rule(self, settings: Settings, cpu: bool) -> str:
         """A fixed order of pairs is what Gauss-Seidel is made of; atomics and GPUs take all at once. It needs half the passes,
-        but where nothing presses balls together, split masses keep more of the energy of what bounces well."""
+        and impacts one by one keep the energy of what bounces."""
         if settings.contacts != "auto":
             if settings.contacts == "gauss_seidel" and (self.atomic or not cpu):
                 why = "accumulate: 'atomic'" if self.atomic else "a GPU"
@@ -194,7 +201,7 @@ class Assembly:
                     f"contacts: 'gauss_seidel' changes velocities in a fixed order, which {why} does not have"
                 )
             return settings.contacts
-        return "gauss_seidel" if cpu and not self.atomic and (warm or bounciest(scene) <= MOST_BOUNCE) else "jacobi"
+        return "gauss_seidel" if cpu and not self.atomic else "jacobi"
 
     def names(self) -> list[str]:
         """What was compiled in."""
@@ -218,21 +225,25 @@ class Assembly:
                 part.load(time + first * h, h, now)
             self.drivers.run(now, h, time + first * h, self.fused)
 
-    def set_step(self, h: float, *, anew: bool = False) -> None:
+    def set_step(self, h: float, *, anew: bool = False, holds: bool = True) -> None:
         """Take substeps of h seconds from now on; nothing is compiled, and `prime` is due. What is fitted to a step is fitted
-        anew: damping that decays over half of one, the rate at which overlap is left, the impulses that contacts hold. The speed
+        anew: the stages of strong damping, the rate at which overlap is left, the impulses that contacts hold. The speed
         below which nothing bounces stays that of the step that the simulation began with, a law of the scene and not of the
-        method, unless it begins `anew`."""
+        method, unless it begins `anew`. holds: what contacts hold belongs to the step before."""
         if anew:
             scene, settings, backend, _, forces = self.arguments
             self.arguments = (scene, settings, backend, h, forces)
             if self.threshold is not None:
-                self.threshold.fill(_slowest_bounce(scene, h))
+                self.threshold[0] = _slowest_bounce(scene, h)
         if h == self.h:
             return
         if self.forces.springs is not None and self.integrator.implicit_damping:
             self.forces.springs.set_damping(self.integrator.damping(self.model, h))
-        self.contacts.set_step(h, h / self.h)
+        self.integrator.set_step(h)
+        if holds:
+            self.contacts.set_step(h, h / self.h)
+        elif self.contacts.active:
+            self.contacts.rate[0] = 1.0 / h
         self.h = h
 
     def survey(self) -> NDArray[np.float64]:
@@ -330,8 +341,9 @@ def _rounds(scene: Scene, backend: Backend) -> bool:
 
 
 def _slowest_bounce(scene: Scene, h: float) -> float:
-    """The approach speed below which nothing bounces, with substeps of h seconds [m/s]."""
-    return max(2.0 * float(np.linalg.norm(scene.gravity)) * h, SLOWEST_BOUNCE)
+    """The approach speed below which nothing bounces [m/s]: twice what gravity adds in a substep of h seconds; without gravity
+    everything does."""
+    return 2.0 * float(np.linalg.norm(scene.gravity)) * h
 
 
 def spins(scene: Scene, settings: Settings) -> bool:
@@ -343,9 +355,10 @@ def spins(scene: Scene, settings: Settings) -> bool:
     return settings.spin is True or (bool(loose.any()) and any(m.friction > 0 for m in used_materials(scene)))
 
 
-def may_gain(scene: Scene, rule: str, warm: bool) -> bool:
-    """Whether a contact solve could add energy: not where little bounces, nor with split masses from nothing."""
-    return bounciest(scene) > MOST_BOUNCE and (rule == "gauss_seidel" or (rule == "jacobi" and warm))
+def may_gain(scene: Scene, rule: str, warm: bool, rows: bool) -> bool:
+    """Whether a contact solve could add energy: not where little bounces, nor with split masses from nothing, nor where pairs
+    in turn bounce one by one; they do without rows, contacts of more than two balls."""
+    return bounciest(scene) > MOST_BOUNCE and (rows if rule == "gauss_seidel" else rule == "jacobi" and warm)
 
 
 def may_collide(scene: Scene) -> bool:

@@ -68,9 +68,14 @@ def _elements(scene: Scene, x: Floats, torn: NDArray) -> float:
     """Energy of cells, bending and gas [J]; that of a gas is 0 at its first volume. torn: (k, 2) balls of torn springs."""
     total = 0.0
     if len(scene.cells):
-        part = cell_volumes(x, scene.cells) / scene.rest_volume - 1.0
         whole = ~cut(scene.cells, torn, scene.n_balls)
-        total += 0.5 * float(np.sum((scene.bulk_modulus * scene.rest_volume * part**2)[whole]))
+        cells = np.where(scene.cells_together < 0, np.arange(len(scene.cells)), len(scene.cells) + scene.cells_together)
+        one = np.unique(cells, return_inverse=True)[1]
+        volume = np.bincount(one, cell_volumes(x, scene.cells) * whole)
+        rest = np.bincount(one, scene.rest_volume * whole)
+        strength = np.bincount(one, scene.bulk_modulus * scene.rest_volume * whole)
+        strain = np.divide(volume, rest, out=np.ones_like(rest), where=rest > 0) - 1.0
+        total += 0.5 * float(np.sum(strength * strain**2))
     if len(scene.bends):
         curve = np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends] - x[scene.bends[:, :1]])
         whole = ~cut(scene.bends, torn, scene.n_balls)

@@ -1,4 +1,4 @@
-"""How stiff cells, bending elements and gases are: lambda_max of M^-1 K and of M^-1 D, for the largest safe step."""
+"""How stiff cells, bending elements, gases and the wind are: lambda_max of M^-1 K and of M^-1 D, for the largest safe step."""
 
 from typing import NamedTuple
 
@@ -7,19 +7,21 @@ from numpy.typing import NDArray
 
 from taichi_sim.scene import Scene
 
-__all__ = ["Rates", "element_rates"]
+__all__ = ["Rates", "element_rates", "pushing_gas"]
 
 ROOM = 2.0  # times the stiffness at rest: cells that are stretched by a fifth in all directions
+PUSH = 0.001  # of the shortest side at a ball: what a gas may move it by in a step of xpbd; a hung balloon is then right to 1 %
 ROUNDS, MARGIN = 30, 1.1  # of power iteration, which after ten comes to nine tenths of what it seeks
 
 Floats = NDArray[np.float64]
 
 
 class Rates(NamedTuple):
-    """`elastic` [1/s^2] and `damping` [1/s]; 0 without such elements."""
+    """`elastic` [1/s^2] and `damping` [1/s], of which `drag` is the wind's part; 0 without such elements."""
 
     elastic: float
     damping: float
+    drag: float = 0.0
 
 
 class _Kind(NamedTuple):
@@ -31,8 +33,8 @@ class _Kind(NamedTuple):
     strength: Floats
 
 
-def element_rates(scene: Scene) -> Rates:
-    """Rates of all elements together.
+def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
+    """Rates of all elements together, or of all but gas.
 
     The energy of an element has the second derivative k g g^T. Its largest eigenvalue over all comes from power iteration, which
     errs below, with a margin, but is at most what Gershgorin's rows for M^-1/2 K M^-1/2 allow: max_i w_i^1/2 sum_e k |g_i| sum_j
@@ -46,7 +48,7 @@ def element_rates(scene: Scene) -> Rates:
     bends = scene.bend_weights[:, :, None]
     if len(scene.bends):
         kinds.append(_Kind(scene.bends, bends, scene.bend_stiffness))
-    for gas in scene.gases:
+    for gas in scene.gases if with_gas else ():
         x, t = scene.position, gas.triangles
         area = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) / 6.0
         balls = np.unique(t)
@@ -59,7 +61,43 @@ def element_rates(scene: Scene) -> Rates:
         press += float((gas.pressure * length / 6.0 * root).max()) * float(root.max())
     elastic = _largest(kinds, root, scene.dim) + press
     damping = _largest([_Kind(scene.bends, bends, scene.bend_damping)], root, scene.dim) if len(scene.bends) else 0.0
-    return Rates(elastic, damping)
+    drag = _drag(scene)
+    return Rates(elastic, damping + drag, drag)
+
+
+def _drag(scene: Scene) -> float:
+    """Of the wind [1/s]: the drag of a triangle changes with the speed u past it by density drag A u, and lambda is at most the
+    largest of that times D = sum over its corners w_j t_j / 9, t_j the triangles at ball j. u: of the strongest gust, and of the
+    fastest ball at the start."""
+    if scene.wind is None or not len(scene.triangles):
+        return 0.0
+    wind, t, x = scene.wind, scene.triangles, scene.position
+    w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+    give = (w * np.bincount(t.ravel(), minlength=scene.n_balls))[t].sum(axis=1) / 9.0
+    area = 0.5 * np.linalg.norm(np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]), axis=1)
+    speed = float(np.linalg.norm(wind.velocity)) * (1.0 + wind.gust)
+    speed += float(np.linalg.norm(scene.velocity, axis=1).max(initial=0.0))
+    return wind.density * max(wind.drag, wind.skin_friction) * speed * float((give * area).max())
+
+
+def pushing_gas(scene: Scene) -> float:
+    """The longest step [s] in which no gas, if nothing held it, would move a ball by more than PUSH of the shortest side there.
+
+    xpbd lets springs answer a gas once in a step: what they hold against it, h^2 p |dV/dx| / m, is an error of their lengths.
+    """
+    least = np.inf
+    for gas in scene.gases:
+        x, t = scene.position, gas.triangles
+        area = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) / 6.0
+        push = np.stack([np.bincount(t.ravel(), np.repeat(area[:, a], 3), scene.n_balls) for a in range(3)], axis=1)
+        edge = np.full(scene.n_balls, np.inf)
+        side = np.linalg.norm(x[np.roll(t, -1, axis=1)] - x[t], axis=2)
+        for one in (t, np.roll(t, -1, axis=1)):
+            np.minimum.at(edge, one.ravel(), side.ravel())
+        rate = np.where(scene.pinned, 0.0, gas.pressure * np.linalg.norm(push, axis=1) / (scene.mass * edge))
+        if rate.max() > 0.0:
+            least = min(least, float(np.sqrt(PUSH / rate.max())))
+    return least
 
 
 def _largest(kinds: list[_Kind], root: Floats, dim: int) -> float:

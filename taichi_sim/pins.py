@@ -64,6 +64,23 @@ class Pins:
                     self.row[r].turning[a, b] = table[r, 2 * d + d * d + a * d + b]
 
     @ti.func
+    def ahead(self, k):
+        """Velocity of the k-th pin in the next substep, in this one after `lead` [m/s]."""
+        row = self.row[self.tick[0] * self.count + self.pin[k].path]
+        return row.v + row.turning @ self.pin[k].arm
+
+    @ti.func
+    def face(self, both: ti.template()):
+        """Give pins the mean of their velocities in this substep and the next, or that in this one, after `lead`."""
+        for k in range(self.m):
+            pin = self.pin[k]
+            row = self.row[(self.tick[0] - 1) * self.count + pin.path]
+            v = row.v + row.turning @ pin.arm
+            if ti.static(both):
+                v = 0.5 * (v + self.ahead(k))
+            self.state.ball[pin.ball].v = v
+
+    @ti.func
     def lead(self, forth: ti.template()):
         """Set places and velocities for the present substep; forth: and go on to the next."""
         for k in range(self.m):

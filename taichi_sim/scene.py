@@ -20,7 +20,11 @@ from taichi_sim.tables import Table
 __all__ = ["Material", "Scene", "Wall", "bounciest", "used_materials"]
 
 
-NEWER = {"break_strain": np.inf, "collides": False}  # columns that files of older versions may lack
+NEWER = {
+    "break_strain": np.inf,
+    "collides": False,
+    "together": np.int32(-1),
+}  # columns that files of older versions may lack
 
 
 class Scene(Elements):

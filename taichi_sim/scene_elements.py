@@ -57,7 +57,10 @@ class Elements:
     def _begin_elements(self, dim: int) -> None:
         whole = np.int32
         self._cells = Table(
-            corners=np.zeros((0, dim + 1), dtype=whole), bulk_modulus=np.zeros(0), rest_volume=np.zeros(0)
+            corners=np.zeros((0, dim + 1), dtype=whole),
+            bulk_modulus=np.zeros(0),
+            rest_volume=np.zeros(0),
+            together=np.zeros(0, dtype=whole),
         )
         self._bends = Table(
             corners=np.zeros((0, 4), dtype=whole), weights=np.zeros((0, 4)), stiffness=np.zeros(0), damping=np.zeros(0)
@@ -69,6 +72,7 @@ class Elements:
     cells = property(lambda self: self._cells["corners"], doc="(c, dim + 1) balls of each cell")
     bulk_modulus = property(lambda self: self._cells["bulk_modulus"], doc="(c,) Pa, in 2D N/m")
     rest_volume = property(lambda self: self._cells["rest_volume"], doc="(c,) m^3, in 2D m^2; positive")
+    cells_together = property(lambda self: self._cells["together"], doc="(c,) a number that cells in one have, or -1")
     bends = property(lambda self: self._bends["corners"], doc="(b, 4) balls of each bending element")
     bend_weights = property(lambda self: self._bends["weights"], doc="(b, 4) sum 0 for each")
     bend_stiffness = property(lambda self: self._bends["stiffness"], doc="(b,) N/m")
@@ -86,7 +90,12 @@ class Elements:
         return joined
 
     def add_cells(
-        self: Any, corners: ArrayLike, *, bulk_modulus: ArrayLike, rest_volume: ArrayLike | None = None
+        self: Any,
+        corners: ArrayLike,
+        *,
+        bulk_modulus: ArrayLike,
+        rest_volume: ArrayLike | None = None,
+        together: ArrayLike | None = None,
     ) -> NDArray[np.int32]:
         """Add c cells that resist a change of volume and return their indices, shape (c,).
 
@@ -97,6 +106,8 @@ class Elements:
             corners: (c, dim + 1) balls, or one cell, in any order.
             bulk_modulus: Pa (in 2D N/m), >= 0; one or one per cell.
             rest_volume: V0 [m^3, in 2D m^2], positive; None: the present volume, whose orientation then counts as positive.
+            together: (c,) whole numbers: cells with the same one, from 0 on, resist a change of their volumes' sum alone, as one
+                of their mean modulus; -1 or None: each its own.
         """
         ij = checks.indices("cells.corners", checks.many(corners, 1), self.n_balls, width=self.dim + 1)
         c = len(ij)
@@ -119,8 +130,13 @@ class Elements:
             rest = np.abs(present)
         else:
             rest = checks.per_item("cells.rest_volume", rest_volume, c, positive=True)
+        shared = checks.per_item("cells.together", -1 if together is None else together, c, low=-1)
+        if np.any(shared != np.round(shared)):
+            raise SceneError(f"cells.together[{int(np.argmax(shared != np.round(shared)))}]: must be a whole number")
+        before = int(self.cells_together.max(initial=-1)) + 1
+        shared = np.where(shared < 0, -1, shared + before).astype(np.int32)
         first = self._cells.rows
-        self._cells.append(c, corners=ij, bulk_modulus=modulus, rest_volume=rest)
+        self._cells.append(c, corners=ij, bulk_modulus=modulus, rest_volume=rest, together=shared)
         return np.arange(first, first + c, dtype=np.int32)
 
     def add_bending(

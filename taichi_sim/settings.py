@@ -112,9 +112,9 @@ class Settings:
 
     def passes(self, scene: Scene, rule: str) -> int:
         """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where they
-        differ tenfold in mass: a light ball under a heavy one trembles with 1; 10 where surfaces collide; up to 4 more for balls
-        that bounce well. With split masses 4 for small scenes to 8 for those whose piles can be high, and up to 12 more where
-        balls bounce well: what has not converged then takes energy for good."""
+        differ tenfold in mass: a light ball under a heavy one trembles with 1; 10 where surfaces collide; with these or sticks
+        up to 4 more for balls that bounce well. With split masses 4 for small scenes to 8 for those whose piles can be high, and
+        up to 12 more where balls bounce well: what has not converged then takes energy for good."""
         if self.contact_passes != "auto":
             return int(self.contact_passes)
         surfaces = SURFACE_PASSES if scene.solid.any() else 0
@@ -122,7 +122,8 @@ class Settings:
             mass = scene.mass[~scene.pinned]
             few = 1 if len(mass) > MANY and mass.max() <= UNEQUAL * mass.min() else 2
             few = max(few, surfaces)
-            return few + round(4 * max(0.0, 2.0 * bounciest(scene) - 1.0))
+            rows = scene.solid.any() or scene.collides.any()  # else impacts are resolved one by one
+            return few + (round(4 * max(0.0, 2.0 * bounciest(scene) - 1.0)) if rows else 0)
         more = round(12 * max(0.0, 2.0 * bounciest(scene) - 1.0))
         return max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8))) + more
 

@@ -222,13 +222,13 @@ def build(
     *,
     stretched: NDArray | None = None,
     bends: tuple[NDArray, NDArray, NDArray] | None = None,
-    cells: tuple[NDArray, NDArray, NDArray] | None = None,
+    cells: tuple[NDArray, NDArray, NDArray, NDArray | None] | None = None,
     break_strain: float | None = None,
 ) -> Shape:
     """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls.
 
     stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
-    corners (c, dim + 1), bulk modulus (c,) [Pa] and volume at rest (c,).
+    corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`.
     """
     n = len(points)
     each = part.mass if isinstance(part.mass, np.ndarray) else part.mass / n
@@ -275,5 +275,5 @@ def build(
             balls,
             springs,
             faces,
-            scene.add_cells(balls[cells[0]], bulk_modulus=cells[1], rest_volume=cells[2]),
+            scene.add_cells(balls[cells[0]], bulk_modulus=cells[1], rest_volume=cells[2], together=cells[3]),
         )

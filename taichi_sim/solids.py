@@ -59,6 +59,7 @@ class Solid(NamedTuple):
     cell_volume: NDArray[np.float64]  # (c,) m^dim
     cell_share: float  # of the bulk modulus, in each cell: cells that cross share it
     triangles: NDArray[np.int64]  # (t, 3) the surface; none in 2D
+    together: NDArray[np.int64] | None = None  # (c,) cells with the same number act as one
 
 
 def moduli(where: str, dim: int, young_modulus: float, poisson_ratio: float) -> tuple[float, float]:
@@ -82,7 +83,8 @@ def lattice(where: str, filled: NDArray[np.bool_], spacing: NDArray[np.float64])
 
     Each box gives its sides and diagonals their share, so that what lies on the surface counts by its part of the boxes around.
     Two tetrahedra cross in each box, its even and its odd corners, which share its bulk modulus: the five or six that tile it
-    stiffen against bending several times as much. In 2D the four triangles of both diagonals do.
+    stiffen against bending several times as much. In 2D the four triangles of both diagonals do, together: what changes is the
+    volume of the box alone, since a triangle that keeps its own would not let it bend.
     """
     dim, a = filled.ndim, spacing
     number = tuple(n + 1 for n in filled.shape)
@@ -120,6 +122,7 @@ def lattice(where: str, filled: NDArray[np.bool_], spacing: NDArray[np.float64])
         np.full(len(cells), box / (3 if dim == 3 else 2)),
         1.5 if dim == 3 else 0.5,
         new[box_surface(filled)] if dim == 3 else np.zeros((0, 3), dtype=np.int64),
+        None if dim == 3 else np.tile(np.arange(len(first)), len(shapes)),
     )
 
 

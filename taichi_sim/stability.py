@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.element_rates import Rates, element_rates
+from taichi_sim.element_rates import Rates, element_rates, pushing_gas
 from taichi_sim.scene import Scene
 
 __all__ = [
@@ -106,13 +106,19 @@ def stability(scene: Scene, integrator: str, position: Floats | None = None) -> 
     bound, which takes seconds for a million balls, is not asked for, and dt_present is dt_any_shape.
 
     Verlet: h^2 lambda(K + 4 D / h) = 4 where damping is weak, see `predicts_damping`, else 2 / sqrt(lambda_K). Symplectic Euler:
-    h^2 lambda(K + 2 D / h) = 4. RK4: 2.61 / max(sqrt lambda_K, lambda_D).
+    h^2 lambda(K + 2 D / h) = 4. RK4: 2.61 / max(sqrt lambda_K, lambda_D), and what the
+    wind's force, which is capped beyond, allows.
     Explicit Euler: min over springs of c / k, and 2 / lambda_D; nothing is safe with an undamped spring, nor across one that is
     stretched: there it gains, by h omega^2 a second, at any step, and the bound only holds for the motion along springs.
     """
-    rates = element_rates(scene)
+    rates = element_rates(scene, not _solves_gas(scene, integrator))
     if (scene.n_springs == 0 and not any(rates)) or scene.pinned.all():
         return Stability(np.inf, np.inf, None, None, "no spring moves a ball: every step is stable")
+    pushed = pushing_gas(scene) if integrator == "xpbd" and _solves_gas(scene, integrator) else np.inf
+    if pushed < _without_springs(integrator, rates):
+        return Stability(
+            pushed, pushed, None, None, "gas: each step leaves the springs of its skin a part of what it pushes"
+        )
     if integrator in ANY_STEP and not any(rates):
         return Stability(np.inf, np.inf, None, None, f"{integrator} is stable at any step; only its error grows")
     if integrator in ANY_STEP or not np.any(scene.stiffness + scene.damping > 0):
@@ -147,7 +153,7 @@ def present_limit(scene: Scene, integrator: str, position: Floats) -> tuple[floa
     springs do not."""
     k, c = scene.stiffness, scene.damping
     if not len(k) or integrator in ANY_STEP:
-        return _of_elements(integrator, element_rates(scene)).dt_any_shape, -1
+        return stability(scene, integrator).dt_any_shape, -1
     return _step(scene, k, c, integrator, lambda k, c: present_eigenvalue(scene, k, c, position), element_rates(scene))
 
 
@@ -155,10 +161,15 @@ def without(scene: Scene, integrator: str, spring: int) -> float:
     """The bound for any shape if one spring were not there [s]."""
     k, c = scene.stiffness.copy(), scene.damping.copy()
     k[spring] = c[spring] = 0.0
-    rates = element_rates(scene)
+    rates = element_rates(scene, not _solves_gas(scene, integrator))
     if not np.any(k + c > 0):
         return _of_elements(integrator, rates).dt_any_shape
     return _step(scene, k, c, integrator, lambda k, c: largest_eigenvalue(scene, k + c), rates)[0]
+
+
+def _solves_gas(scene: Scene, integrator: str) -> bool:
+    """Whether a method treats gas together with springs, so that it does not limit the step."""
+    return integrator in ("xpbd", "implicit_euler") and scene.n_springs > 0
 
 
 def _of_elements(integrator: str, rates: Rates) -> Stability:
@@ -174,7 +185,7 @@ def _without_springs(integrator: str, rates: Rates) -> float:
     if integrator == "explicit_euler":
         return 0.0 if rates.elastic > 0.0 else _over(2.0, rates.damping)
     if integrator == "rk4":
-        return _over(2.61, max(float(np.sqrt(rates.elastic)), rates.damping))
+        return min(_over(2.61, max(float(np.sqrt(rates.elastic)), rates.damping)), _over(1.0, rates.drag))
     part = 0.5 if integrator == "tr_bdf2" else 1.0  # its two stages take explicit forces from old places
     return part * _quadratic(rates, 4.0)
 
@@ -221,8 +232,8 @@ def coarsest_spring(scene: Scene) -> tuple[int, float, float] | None:
 
 
 def predicts_damping(scene: Scene) -> bool:
-    """Whether `verlet` takes spring damping at predicted velocities, for which it is weak enough, and not in exponential halves,
-    which nothing limits and which cost a pass over the springs of their own."""
+    """Whether `verlet` takes spring damping at predicted velocities, for which it is weak enough, and not together with the
+    kick, see taichi_sim.damping, which nothing limits and which costs passes over the springs of its own."""
     return bool(np.any(scene.damping > 0)) and _is_gentle(scene, scene.stiffness, scene.damping)
 
 
@@ -247,7 +258,8 @@ def _step(scene: Scene, k: Floats, c: Floats, integrator: str, springs: Bound, r
     if integrator == "rk4":
         (lambda_k, spring_k), (lambda_d, spring_d) = bound(1.0, 0.0), bound(0.0, 1.0)
         elastic = np.sqrt(lambda_k) >= lambda_d
-        return _over(2.61, max(np.sqrt(lambda_k), lambda_d)), spring_k if elastic else spring_d
+        longest = min(_over(2.61, max(np.sqrt(lambda_k), lambda_d)), _over(1.0, rates.drag))
+        return longest, spring_k if elastic else spring_d
     if integrator == "explicit_euler":
         return (0.0, 0) if rates.elastic > 0.0 else _explicit(k, c, bound)
     value, spring = bound(1.0, 0.0)

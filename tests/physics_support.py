@@ -102,9 +102,9 @@ def transfer(method: str, omega: float, zeta: float, h: float) -> np.ndarray:
         kick = np.array([[1.0, 0.0], [-k * h, 1.0 - c * h]])
         return np.array([[1.0, h], [0.0, 1.0]]) @ kick
     if method == "verlet":
-        kick = np.array([[1.0, 0.0], [-k * h / 2, 1.0]])
-        damp = np.array([[1.0, 0.0], [0.0, np.exp(-c * h / 2)]])
-        return kick @ damp @ np.array([[1.0, h], [0.0, 1.0]]) @ damp @ kick
+        left = np.exp(-c * h / 2)
+        kick = np.array([[1.0, 0.0], [-k * (-np.expm1(-c * h / 2) / c if c else h / 2), left]])
+        return kick @ np.array([[1.0, h], [0.0, 1.0]]) @ kick
     a = h * np.array([[0.0, 1.0], [-k, -c]])
     return np.eye(2) + a @ (np.eye(2) + a @ (np.eye(2) + a @ (np.eye(2) + a / 4) / 3) / 2)
 

@@ -154,22 +154,24 @@ def acceleration(net: Network, x: Array, v: Array, damping: bool = True) -> Arra
     return net.w[:, None] * force + net.gravity * (net.w > 0)[:, None]
 
 
-def damping_kick(net: Network, x: Array, v: Array, tau: float) -> Array:
-    """Velocity change by exponential pair damping over tau with split masses, all pairs from the same v (section 5).
-
-    J = -u (1 - exp(-c D tau)) / D with D = w_i s_i + w_j s_j, s = number of damped springs at the ball; for a lone pair
-    this is the exact solution u exp(-c (w_i + w_j) tau) of the relative motion.
-    """
-    counts = np.bincount(net.pairs[net.c > 0].ravel(), minlength=len(x))
-    dv = np.zeros_like(v)
-    for (i, j), ce in zip(net.pairs, net.c):
-        d_e = net.w[i] * counts[i] + net.w[j] * counts[j]
-        if ce > 0 and d_e > 0:
-            n, _ = direction(x, i, j)
-            impulse = n @ (v[j] - v[i]) * np.expm1(-ce * d_e * tau) / d_e
-            dv[j] += net.w[j] * impulse * n
-            dv[i] -= net.w[i] * impulse * n
-    return dv
+def damped_kick(net: Network, x: Array, v: Array, tau: float) -> Array:
+    """v after tau of dv/dt = W (F - D v), x and F held, D the damping, exact: in eigenvectors of W^1/2 D W^1/2."""
+    n, dim = x.shape
+    root = np.repeat(np.sqrt(net.w), dim)
+    D = np.zeros((n * dim, n * dim))
+    for (i, j), c in zip(net.pairs, net.c):
+        e = np.zeros((n, dim))
+        e[i], e[j] = -direction(x, i, j)[0], direction(x, i, j)[0]
+        D += c * np.outer(e, e)
+    z, q = np.linalg.eigh(tau * D * np.outer(root, root))
+    moving = root > 0  # in y = v / root; what is pinned acts through D on the others
+    y = np.divide(v.ravel(), root, out=np.zeros(n * dim), where=moving)
+    held = np.where(moving, 0.0, v.ravel())
+    pull = np.divide(acceleration(net, x, v, damping=False).ravel(), root, out=np.zeros(n * dim), where=moving)
+    pull -= root * (D @ held)
+    part = np.where(z > 1e-9, -np.expm1(-z) / np.where(z > 1e-9, z, 1.0), 1.0)
+    after = q @ (np.exp(-z) * (q.T @ y) + tau * part * (q.T @ pull))
+    return np.where(moving, root * after, held).reshape(n, dim)
 
 
 def step_explicit_euler(net: Network, x: Array, v: Array, h: float) -> tuple[Array, Array]:
@@ -184,11 +186,9 @@ def step_symplectic_euler(net: Network, x: Array, v: Array, h: float) -> tuple[A
 
 
 def step_verlet(net: Network, x: Array, v: Array, h: float) -> tuple[Array, Array]:
-    """K(h/2) D(h/2) A(h) D(h/2) K(h/2): half kick, half damping, drift, half damping, half kick."""
-    v = v + h / 2 * acceleration(net, x, v, damping=False)
-    v = v + damping_kick(net, x, v, h / 2)
-    x = x + h * v
-    return x, v + damping_kick(net, x, v, h / 2) + h / 2 * acceleration(net, x, v, damping=False)
+    """B(h/2) A(h) B(h/2): half of the kick and the damping, exact, the drift, the other half."""
+    x = x + h * (v := damped_kick(net, x, v, h / 2))
+    return x, damped_kick(net, x, v, h / 2)
 
 
 def step_rk4(net: Network, x: Array, v: Array, h: float) -> tuple[Array, Array]:

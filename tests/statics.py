@@ -26,12 +26,18 @@ def forces(scene, x):
                 matrix[a, :, b] += k * wa * wb * np.eye(dim)
     if len(scene.cells):
         volume, gradient = cell_gradients(x, scene.cells)
-        push = scene.bulk_modulus * (volume / scene.rest_volume - 1)
-        np.add.at(force, scene.cells, -push[:, None, None] * gradient)
-        stiff = np.einsum("c,cki,clj->ckilj", scene.bulk_modulus / scene.rest_volume, gradient, gradient)
-        for k in range(dim + 1):
-            for m in range(dim + 1):
-                np.add.at(matrix, (scene.cells[:, k], slice(None), scene.cells[:, m]), stiff[:, k, :, m])
+        alone = scene.cells_together < 0
+        one = np.where(alone, np.arange(len(alone)), len(alone) + scene.cells_together)
+        for group in np.unique(one):
+            own = np.flatnonzero(one == group)
+            rest = scene.rest_volume[own].sum()
+            modulus = scene.bulk_modulus[own] @ scene.rest_volume[own] / rest
+            whole = np.zeros((n, dim))
+            np.add.at(whole, scene.cells[own], gradient[own])
+            at = np.unique(scene.cells[own])
+            force -= modulus * (volume[own].sum() / rest - 1) * whole
+            stiff = np.einsum("ki,lj->kilj", whole[at], whole[at]) * modulus / rest
+            matrix[at[:, None], :, at[None]] += stiff.transpose(0, 2, 1, 3)
     return force.ravel(), matrix.reshape(n * dim, n * dim)
 
 

@@ -99,7 +99,7 @@ def test_a_pile_comes_to_rest(dim):
         assert "contacts.gauss_seidel" in sim.kernels()
         top = sim.position[:, 1].mean()
         deepest = 0.0
-        for _ in range(40):
+        for _ in range(80):  # 10 s: a disc that came to roll on top does so for some seconds, and moves those under it
             sim.step(30)
             deepest = max(deepest, sim.penetration())
         assert deepest < 0.1 * R, f"{deepest / R:.3f} r"

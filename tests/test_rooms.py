@@ -28,7 +28,8 @@ LEVELS = (
     ("gauge",),
     ("contacts", "forces", "pins"),
     ("moment",),
-    ("diagnostics", "stability", "order", "watch", "crossings"),
+    ("slow_modes",),
+    ("damping", "diagnostics", "stability", "order", "watch", "crossings"),
     ("element_rates",),
     ("state",),
     ("model",),
@@ -68,6 +69,8 @@ NO_TAICHI = (
     "frame",
     "files",
     "stability",
+    "damping",
+    "slow_modes",
     "element_rates",
     "watch",
     "diagnostics",
@@ -161,7 +164,7 @@ def test_only_the_backend_starts_taichi():
 
 
 @pytest.mark.parametrize(
-    "path", [*FILES, *sorted((ROOT / "tests").glob("*.py"))], ids=lambda p: str(p.relative_to(ROOT))
+    "path", [*FILES, *sorted((ROOT / "tests").rglob("*.py"))], ids=lambda p: str(p.relative_to(ROOT))
 )
 def test_no_file_over_400_lines(path):
     assert len(path.read_text().splitlines()) <= 400

@@ -187,6 +187,8 @@ def rich_scene(dim: int) -> Scene:
     scene.add_balls([0.0] * dim, radius=0.1, velocity=[1.0] * dim)
     scene.add_springs([[0, 1], [2, 3]], stiffness=[1.0, 2.0], collides=[True, False], rest_length=0.7)
     shapes.jelly(scene, pinned=[0])
+    for side in (3, 4):
+        shapes.jelly(scene, resolution=(side,) * dim, poisson_ratio=0.45)  # in 2D its cells act together
     shapes.rope(scene, [0.0] * dim, [1.0] * dim, 5)
     if dim == 3:
         shapes.cloth(scene, resolution=(3, 3), surface_collision=True)

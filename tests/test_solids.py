@@ -85,10 +85,12 @@ def test_cells_are_of_positive_volume_and_share_the_block():
         assert scene.rest_volume.sum() * share == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("dim", "length", "ratio"), [(2, 12, 1 / 3), (3, 10, 1 / 4), (3, 10, 0.4)])
-def test_a_bar_sags_as_a_slender_beam(dim, length, ratio):
-    """Under its own weight, clamped at one end: q L^4 / (8 E I) + q L^2 / (2 kappa G A), 8 (in 3D 6) boxes high, 1 wide."""
-    high = 8 if dim == 2 else 6
+@pytest.mark.parametrize(
+    ("dim", "length", "ratio", "high"),
+    [(2, 12, 1 / 3, 8), (2, 9, 0.92, 8), (2, 9, 0.97, 4), (3, 10, 1 / 4, 6), (3, 10, 0.4, 6)],
+)
+def test_a_bar_sags_as_a_slender_beam(dim, length, ratio, high):
+    """Under its own weight, clamped at one end: q L^4 / (8 E I) + q L^2 / (2 kappa G A), a few boxes high, 1 wide."""
     side = 1.0 / high
     size, resolution = (float(length), 1.0, side)[:dim], (length * high + 1, high + 1, 2)[:dim]
     scene, _ = block(dim, ratio, size, resolution, density=1.0)
@@ -100,7 +102,7 @@ def test_a_bar_sags_as_a_slender_beam(dim, length, ratio):
     q, shear = 1e-5, 1000 / (2 * (1 + ratio))  # per width
     kappa = 5 / 6 if dim == 2 else 10 * (1 + ratio) / (12 + 11 * ratio)
     want = q * length**4 / (8 * 1000 / 12) + q * length**2 / (2 * kappa * shear)
-    assert sag == pytest.approx(want, rel=0.05)
+    assert sag == pytest.approx(want, rel=0.05 if high > 4 else 0.1)
     assert sag < 0.01 * length
 
 

@@ -1,7 +1,10 @@
 """tolerance: the step is chosen by its error, which is what was asked; with files, frames, drivers, contacts."""
 
+import warnings
+
 import numpy as np
 import pytest
+from calibration import KINDS, rows
 from physics_support import F64, PRECISION, error, simulate
 
 import taichi_sim as ts
@@ -29,9 +32,10 @@ def test_the_error_is_what_was_asked_for(method):
             sim.run(T)
             found = sim.error()
             got = abs(sim.position[1, 0] - exact_end()) / found.size
-            assert got < 1.5 * tolerance * T
-            assert got < 1.5 * found.estimate
-            assert found.estimate < 2.0 * tolerance * T
+            assert got < tolerance * T
+            assert got < found.estimate
+            assert found.estimate < tolerance * T
+            assert found.lost is None
             assert found.estimate > tolerance * T / 30
             assert found.tolerance == pytest.approx(tolerance)
             assert found.size == pytest.approx(1.12)
@@ -77,7 +81,65 @@ def test_it_ends_where_small_steps_end(swinging):
     with simulate(swinging, dt=5e-5) as sim:
         sim.run(T)
         apart = np.linalg.norm(sim.position - end, axis=1).max() / found.size
-    assert apart < 1.5 * TOLERANCE * T
+    assert apart < TOLERANCE * T
+
+
+def met(scene, x, v, seconds):
+    """Where two elastic balls without friction are after so many seconds, (2, dim): the exact law."""
+    r, u, reach = x[1] - x[0], v[1] - v[0], scene.radius.sum()
+    along = r @ u
+    at = (-along - np.sqrt(along**2 - (u @ u) * (r @ r - reach**2))) / (u @ u)
+    n = (r + at * u) / reach
+    w = 1.0 / scene.mass
+    j = 2.0 * (u @ n) / w.sum()
+    after = v + np.array([w[0] * j * n, -w[1] * j * n])
+    return x + at * v + (seconds - at) * after
+
+
+def test_balls_that_glance_end_where_they_should():
+    """Both solutions would notice the hit in the same instant, did they share any: their distance was 1e-14."""
+    scene = ts.Scene(dim=2)
+    scene.add_material("hard", restitution=1.0)
+    scene.add_balls([[0, 0], [0.9, 0.1]], radius=[0.12, 0.09], mass=[1.0, 0.6], material="hard")
+    tolerance = 1e-3
+    with simulate(scene, tolerance=tolerance) as sim:
+        for offset, speed in ((0.205, 3.1), (0.195, 1.7), (0.15, 4.3), (0.11, 2.3), (0.0, 6.1), (0.18, 1.2)):
+            x, v = np.array([[0.0, 0.0], [0.6, offset]]), np.array([[speed, 0.0], [0.1, 0.0]])
+            sim.resume(x, v, 0.0)
+            sim.run(T)
+            found = sim.error()
+            off = np.linalg.norm(sim.position - met(scene, x, v, T), axis=1).max() / found.size
+            assert found.lost is None
+            assert off < min(tolerance * T, found.estimate), (offset, speed)
+
+
+def hand(scene, **settings):
+    """What a held ball does whose hand moves between steps."""
+    pointer = ts.Pointer(rate=20.0)
+    with simulate(scene, forces=[pointer], **settings) as sim:
+        pointer.grab(1, target=(1.1, 0.5))
+        sim.run(0.2)
+        pointer.move((0.4, -1.0))
+        sim.run(0.3)
+        return sim.position, sim.error()
+
+
+def test_what_a_hand_did_before_is_not_repeated():
+    """With forces of one's own, steps go back no further than to where they were last asked for."""
+    scene = pair()
+    end, found = hand(scene, tolerance=1e-3)
+    exact, _ = hand(scene, dt=2e-5)
+    assert found.repeated > 0
+    assert np.linalg.norm(end - exact, axis=1).max() / found.size < 1e-3 * 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in KINDS if name != "jelly"])  # not kept there: see docs/physics.md
+def test_calibration(name):
+    """Of scenes drawn at random."""
+    for row in rows(name, 1, 4, 11):
+        assert row.lost is not None or row.error < 1.0 + row.known, row
+        assert row.said == (row.lost is not None)
 
 
 @pytest.mark.slow
@@ -90,11 +152,13 @@ def test_impacts_do_not_drive_the_step_to_nothing():
         scene.add_wall(normal, -0.3, material="rubber")
     with simulate(scene, tolerance=1e-3) as sim:
         start = sim.energy().total
-        sim.run(0.8)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            sim.run(0.8)
         found = sim.error()
-        assert found.rough_steps < 200
-        assert found.most <= 2**7 * 8
-        assert found.estimate < 1e-3 * 0.8 or found.rough_steps > 0
+        assert found.most <= 2**15
+        assert (found.lost is None) == (not said)
+        assert found.estimate < 1e-3 * 0.8 or found.lost is not None
         assert sim.energy().total < start
         assert sim.penetration() < 0.02
 
@@ -152,7 +216,11 @@ def test_an_error_above_what_was_asked_is_said():
         scene.add_wall(normal, offset, material="hard")
     with simulate(scene, tolerance=1e-4) as sim:
         with pytest.warns(
-            UserWarning, match=r"the error is .* more than the 0\.0001 a second that were asked: \d+ steps"
-        ):
+            UserWarning, match=r"the tolerance of 0\.0001 a second cannot be kept from t = .* s on"
+        ) as said:
             sim.run(1.0)
-        assert sim.error().estimate > 1e-4
+        found = sim.error()
+        assert len(said) == 1
+        assert 0.0 < found.lost < 1.0
+        assert found.estimate > 1e-4
+        assert sim.substeps <= 8 * found.least  # what is lost costs no more

@@ -21,11 +21,12 @@ LEAST, MOST = 0.04, 5.0  # omega h, between which the limit is sought
 
 
 def verlet_limit(zeta):
-    """Exponential halves delta = exp(-zeta y) give the trace 1 + delta^2 - y^2 delta and the determinant delta^2, so that the
-    first eigenvalue to leave the unit circle does it at -1, where y^2 = 4 cosh(zeta y): at 2 or later, or never."""
+    """Kick and damping together leave delta = exp(-zeta y) of the velocity and take y^2 (1 - delta) / (2 zeta y) of the place:
+    trace 1 + delta^2 - y^2 (1 - delta^2) / (2 zeta y), determinant delta^2, so that the first eigenvalue to leave the unit circle
+    does it at -1, where y tanh(zeta y) = 4 zeta: at 2 or later, or never."""
     y = np.linspace(2.0, MOST, 100_000)
-    beyond = y**2 > 4.0 * np.cosh(zeta * y)
-    return y[np.argmax(beyond)] if beyond.any() else np.inf
+    beyond = y * np.tanh(zeta * y) > 4.0 * zeta
+    return 2.0 if zeta == 0.0 else y[np.argmax(beyond)] if beyond.any() else np.inf
 
 
 EXACT = {

@@ -189,7 +189,7 @@ class Facets:
                 self.row[c].held = total
                 if ti.static(self.model.has_friction):
                     law = self.law(c)
-                    slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold[0], time)
+                    slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold[0], u, time)
                     if ti.static(solver.spins):
                         i = self.member[4 * c]
                         if row.kind == 0 and self.turns[i] == 1:

@@ -25,16 +25,20 @@ class Pairs:
 
     `link` holds the other ball and what the contact holds from step to step: its impulse [N s], with friction the impulse along
     the surface, and `aim` [m/s]: the speed with which it pushes out overlap, or minus the one with which it bounced, or NONE.
-    `row` holds what only one step needs: normal, depth [m], mass [kg], target speed [m/s]. warm: contacts start from the
-    impulses of the step before. soft: they are damped springs, see kernels.contact_law. room: links that are
-    known to be needed.
+    `row` holds what only one step needs: normal, depth [m], mass [kg], target speed [m/s], or, where impacts are resolved in
+    turn, the impulse held before the solve [N s]. warm: contacts start from the
+    impulses of the step before. soft: they are damped springs, see kernels.contact_law. unequal: masses differ much.
+    room: links that are known to be needed.
     """
 
     what = "pairs of balls within reach of each other"
 
-    def __init__(self, model: Model, fields: Fields, grid: Grid, warm: bool, soft: bool, room: int = 0) -> None:
+    def __init__(
+        self, model: Model, fields: Fields, grid: Grid, warm: bool, soft: bool, unequal: bool, room: int = 0
+    ) -> None:
         scene = model.scene
         self.model, self.grid, self.warm, self.soft = model, grid, warm, soft
+        self.unequal = unequal
         self.slop, self.gap = SLOP, GAP if soft else 0.0
         self.block = BLOCK
         self.room = BLOCK * PER_BALL[model.dim]
@@ -44,7 +48,7 @@ class Pairs:
         self.used, self.overflow = fields.integers(1), fields.integers(1)
         self.furthest, self.length, self.blocks = fields.integers(1), fields.integers(1), fields.integers(1)
         self.single = fields.real == ti.f32
-        self.has_aim = model.has_restitution or soft
+        self.has_aim = model.has_restitution or soft or warm
         vector = ti.types.vector(model.dim, fields.real)
         columns = {"other": ti.i32, "impulse": fields.real}
         if model.has_friction:
@@ -55,6 +59,8 @@ class Pairs:
         columns = {"normal": vector, "depth": fields.real, "mass": fields.real}
         if self.has_aim:
             columns["target"] = fields.real
+        if unequal:
+            columns["noted"] = fields.real  # impulse before the last pass, see kernels.settle
         if model.spins:
             columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
         self.row = fields.table(columns, self.capacity)

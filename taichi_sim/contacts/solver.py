@@ -10,11 +10,11 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.contacts.facets import Facets
-from taichi_sim.contacts.pairs import Pairs
+from taichi_sim.contacts.pairs import BLOCK, Pairs
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, surfaces, sweeps, swept, taming
+from taichi_sim.kernels import contact_law, hits, settle, sharing, surfaces, sweeps, swept, taming
 from taichi_sim.model import Model
 from taichi_sim.scene import bounciest
 from taichi_sim.state import State
@@ -38,7 +38,8 @@ class ContactSolver:
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
         which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
-        overlap is undone by offsets. tames: bouncing may not add kinetic energy, see kernels.taming.
+        overlap is undone by offsets. loaded: forces may press single balls against each other. tames: bouncing may not add
+        kinetic energy, see kernels.taming.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class ContactSolver:
         serial: bool,
         warm: bool,
         soft: bool,
+        loaded: bool,
         tames: bool,
     ) -> None:
         self.model, self.state, self.n = model, state, model.n
@@ -71,28 +73,39 @@ class ContactSolver:
         if passes < FEW:  # one pass changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
             self.relaxation = min(RELAXATION, 2.0 / (1.0 + bounciest(model.scene)))
         self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
-        self.warm, self.soft = warm, soft and pairs is not None
-        self.tames = tames
+        self.warm, self.soft, self.tames = warm, soft and pairs is not None, tames
         self.fastest_push = FASTEST_PUSH
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_facets, self.has_rows = facets is not None, bool(self.rows)
         self.has_colliders = walls is not None and walls.has_colliders
         self.spins = model.spins
+        self.strikes = self.in_turn and self.has_grid and not self.has_rows  # impacts one by one, see kernels.hits
+        self.bounces = self.strikes and model.has_restitution
+        self.loaded = loaded and self.bounces
+        self.accelerates = self.strikes and pairs is not None and pairs.unequal
+        self.among = walls is not None and walls.crowds  # walls take their turn in the impacts of pairs
         # by their directions, not only their number; friction pushes sideways as well
         self.by_tensor = self.active and self.split and not model.has_friction
         self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
         self.tangential = 1.0 / (1.0 + model.turning)
         self.sums = self.has_rows or not self.in_turn  # some impulses are accumulated before they are applied
         self.has_offset = self.active and (not self.soft or self.has_rows or self.has_walls)
-        # pairs that touch each ball, whoever lists them, are counted for
-        self.counts = self.split or (walls is not None and walls.crowds)
+        self.counts = self.split or self.among  # the pairs that touch each ball, whoever lists them
         if self.active:
             self.rate = fields.reals(np.array([1.0 / h]))
             self.before = fields.vectors(self.n, model.dim)  # velocities before a solve; displacements in a move
             if self.has_grid:  # see kernels.swept
                 self.fast, self.longest = fields.integers(4), fields.reals(1)
                 self.stop, self.sooner = fields.reals(self.n), fields.reals(self.n)  # the part of a step that is made
+            if self.strikes:
+                self.most_blocks = model.n // BLOCK + 2
+                self.mark, self.struck = fields.integers(2 * self.most_blocks), fields.integers(self.most_blocks)
+            if self.accelerates:  # see kernels.settle
+                self.island, self.way = fields.integers(self.n), fields.vectors(self.n, model.dim)
+                self.slope, self.bend, self.far = (fields.reals(self.n) for _ in range(3))
+            if self.loaded:
+                self.still, self.kicked = (fields.vectors(self.n, model.dim) for _ in range(2))
             if self.has_sticks:
                 self.thin = fields.reals(np.array([(THIN * float(np.min(model.scene.radius))) ** 2]))
             if self.has_offset:
@@ -181,10 +194,15 @@ class ContactSolver:
                 crowded = False
                 if ti.static(self.walls.crowds):
                     crowded = self.count[i] > 0
-                self.walls.measure(ball, i, crowded)
+                self.walls.measure(ball, self, i, crowded)
+            if ti.static(self.bounces and self.among):
+                hits.alert(self)
+        if ti.static(self.loaded):
+            for i in range(self.n):
+                self.still[i] = ball[i].v
         if ti.static(self.active and self.sums):
             for i in range(self.n):
-                T, count = self._shares(ball, i)
+                T, count = sharing.shares(self, ball, i)
                 self.lightness[i] = (
                     contact_law.share(T, count, not self.model.has_friction) * self.model.inverse_mass[i]
                 )
@@ -204,30 +222,6 @@ class ContactSolver:
                 self.carry_turn[i] = sweeps.zero_turn(self)
 
     @ti.func
-    def _shares(self, ball: ti.template(), i):
-        """What decides into how many parts ball i splits its mass: the sums of n n^T and of 1 over all that is accumulated, with
-        "gauss_seidel" only sticks and surfaces, whose weights count."""
-        count = 0.0 * self.model.inverse_mass[i]
-        T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
-        if ti.static(self.has_grid and self.split):
-            count = self.count[i]
-            if ti.static(self.by_tensor):
-                T = self.tensor[i]
-        if ti.static(self.has_walls and self.split):
-            t, c = self.walls.shares(ball, i)
-            T += t
-            count += c
-        if ti.static(self.has_sticks and self.rule != "sum"):
-            t, c = self.sticks.shares(ball, i)
-            T += t
-            count += c
-        if ti.static(self.has_facets and self.rule != "sum"):
-            t, c = self.facets.shares(i)
-            T += t
-            count += c
-        return T, count
-
-    @ti.func
     def prime(self, ball: ti.template()):
         """Find the contacts after positions were set from outside."""
         if ti.static(self.has_colliders):
@@ -241,6 +235,10 @@ class ContactSolver:
         """Change velocities so that nothing approaches; friction acts for `time` seconds. Without `impacts` only slow
         contacts are held, so that velocities reported at the end of a step are at rest where balls rest."""
         if ti.static(self.active):
+            if ti.static(self.loaded):
+                hits.note_kicks(self, ball)
+            if ti.static(self.bounces and impacts):
+                hits.all_rounds(self, ball, time)
             self._begin(ball, impacts)
             self._pass(ball, time, sweeps.FIRST if impacts else sweeps.LAST)
             if ti.static(self.serial):
@@ -249,6 +247,10 @@ class ContactSolver:
             else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
                 for _ in ti.static(range(1, passes)):
                     self._pass(ball, 0.0, sweeps.NEXT)
+            if ti.static(self.strikes and impacts):
+                settle.settle(self, ball)
+                if ti.static(self.warm):
+                    sweeps.sweep(self, ball, 0.0, sweeps.LIMIT)
             if ti.static(self.tames and impacts):
                 taming.stopped(self, ball)
                 if ti.static(self.serial):
@@ -270,6 +272,10 @@ class ContactSolver:
         if ti.static(self.soft):
             for i in range(self.n):
                 self.before[i] = ball[i].v
+                if ti.static(self.loaded):
+                    self.kicked[i] = ball[i].v - self.still[i]
+                if ti.static(self.has_walls):
+                    self.walls.begin(ball, self, i, False, False)
                 self._mark(ball, i)
             self._pass(ball, time, sweeps.RELAX)
 
@@ -283,7 +289,7 @@ class ContactSolver:
             if ti.static(self.tames and self.spins):
                 self.before_turn[i] = self.state.turn[i]
             if ti.static(self.has_walls):
-                self.walls.begin(ball, self, i, impacts)
+                self.walls.begin(ball, self, i, impacts, True)
             if ti.static(self.has_grid and self.warm):
                 self.state.kick(i, self.carry[i])
                 if ti.static(self.spins):
@@ -291,8 +297,8 @@ class ContactSolver:
                 if ti.static(not impacts):
                     self._mark(ball, i)
 
-    # After the solve that ends a step pairs hold other impulses, but nothing has moved: the next solve, which starts by
-    # applying what is held, needs no sweep for that if `carry` follows. Meanwhile it is the velocity without its own part.
+    # After the solve that ends a step pairs hold other impulses, but nothing has moved: the next solve, which starts with what
+    # is held, needs no sweep if `carry` follows. Meanwhile it is the velocity without its own part.
 
     @ti.func
     def _mark(self, ball: ti.template(), i):

@@ -108,7 +108,7 @@ class Sticks:
             self.row[c].held = total
             if ti.static(self.model.has_friction):
                 law = self.law(row)
-                slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold[0], time)
+                slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold[0], u, time)
                 if ti.static(solver.spins):
                     u -= lever(solver.state.turn[row.ball], n)
                     mass = 1.0 / (inverse + solver.turning * solver.lightness[row.ball])

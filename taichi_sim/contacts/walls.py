@@ -5,21 +5,23 @@ import taichi as ti
 
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import colliders as geometry
-from taichi_sim.kernels import contact_law, impact, survey
+from taichi_sim.kernels import contact_law, impact, survey, wall_hits, wall_slots
 from taichi_sim.kernels.direction import cross, lever
 from taichi_sim.kernels.groups import meets
+from taichi_sim.kernels.hits import ALERT
 from taichi_sim.kernels.sweeps import zero_turn
+from taichi_sim.kernels.wall_slots import FAR
 from taichi_sim.model import Model
 from taichi_sim.state import State
 
 __all__ = ["Walls"]
 
 TOUCH = 1e-5  # of the radius: a ball this close that hardly approaches rests on the wall
-OUT, RESTING, NEAR = range(3)
+# A wall is OUT of the solve for a ball that leaves it; one that ARRIVES fast is left to the move, with its exact time.
+OUT, RESTING, NEAR, ARRIVES = range(4)
+CROWDED, FAST = 1, 2  # a ball that touches others; one that arrives fast at a wall besides
 SLOP = 0.01  # of the radius: depth that position correction leaves
 SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
-FAR = 1e30  # m, the gap of a slot in which nothing is held
 # of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
 STEEP = 0.25
 
@@ -69,8 +71,10 @@ class Walls:
             columns |= {"key": ti.i32, "gap": fields.real, "normal": vector}
         if self.moves:
             columns["velocity"] = vector
-        self.contact = fields.table(columns, model.n * self.count)
         self.crowds = crowds
+        if crowds:
+            columns |= {"start": fields.real, "noted": fields.real}
+        self.contact = fields.table(columns, model.n * self.count)
         if crowds:
             self.crowded = fields.integers(model.n)
         if self.has_colliders:
@@ -160,105 +164,60 @@ class Walls:
         return impact.move(self, i, x, v, a, h, ti.max(self.threshold[0], 2.0 * change.norm()))
 
     @ti.func
-    def _reach(self, i, touch, crowded):
+    def reach_of(self, i, touch, crowded):
         """Gap [m] up to which ball i minds a wall. One among others may be pushed there by them in this very step."""
         return ti.select(crowded, ti.max(touch, self.model.radius[i]), touch)
 
     @ti.func
-    def _role(self, gap, u, touch, crowded):
-        """Part that a wall plays for a ball: OUT of the solve, RESTING in it, or NEAR."""
-        role = ti.select(ti.abs(u) <= self.threshold[0] or gap < -touch, RESTING, OUT)
+    def _role(self, gap, u, touch, crowded, arrives):
+        """Part that a wall plays for a ball with the normal speed u. arrives: whether it may ARRIVE: speed into the wall that
+        forces gave since contacts were last looked for is a load, which is held, and has friction, however large it is."""
+        role = ti.select(u > self.threshold[0], OUT, ti.select(arrives and u < -self.threshold[0], ARRIVES, RESTING))
+        if gap < -touch:
+            role = RESTING
         if crowded:
             role = ti.select(gap <= touch, RESTING, NEAR)
         return role
 
     @ti.func
-    def measure(self, ball: ti.template(), i, crowded):
+    def solved(self, c):
+        """Whether contact c is a row of the solve."""
+        return self.contact[c].active == RESTING or self.contact[c].active == NEAR
+
+    @ti.func
+    def measure(self, ball: ti.template(), solver: ti.template(), i, crowded):
         """Which walls ball i touches, or minds; one that it left holds no impulse. crowded: it touches other balls."""
         count = 0
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
+        fast = False
         room = FAR + 0.0 * self.model.radius[i]
         among = self.count
         if ti.static(self.has_colliders):
-            among = self._find(ball[i].x, i, crowded)
+            among = wall_slots.find(self, ball[i].x, i, crowded)
         for k in range(among):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
             touch = self.touch(ball[i].x, i, k)
             room = ti.min(room, gap)
-            if gap <= self._reach(i, touch, crowded):
+            if gap <= self.reach_of(i, touch, crowded):
                 count += 1
-                role = self._role(gap, self.normal(i, k).dot(self.relative(ball[i].v, i, k)), touch, crowded)
-                self.contact[c].active = role
-                if role != OUT:
+                u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
+                fast = fast or u < -ALERT * self.threshold[0]
+                self.contact[c].active = self._role(gap, u, touch, crowded, True)
+                if self.solved(c):
                     n = self.normal(i, k)
                     T += n.outer_product(n)
                     solving += 1
             else:
-                self._forget(c)
+                self.forget_one(c)
                 self.contact[c].active = 0
         self.touched[i] = count
         if ti.static(not self.has_colliders):
             self.room[i] = room
         self.share[i] = contact_law.share(T, solving, not self.model.has_friction)
         if ti.static(self.crowds):
-            self.crowded[i] = ti.select(crowded, 1, 0)
-
-    @ti.func
-    def _find(self, x, i, crowded):
-        """Fill the slots of ball i at x with the colliders that it minds: each where it was before, those that are new in a
-        free one; where there are too many, the nearest. Returns how many contacts there are to look at: none of the slots of a
-        ball that is and was far from all colliders, which are not even cleared."""
-        first = i * self.count + self.planes
-        ready = self.held[i] > 0
-        for c in range(first, ti.select(ready, first + self.slots, first)):
-            self.contact[c].gap = FAR
-        if self.model.inverse_mass[i] > 0.0:
-            r = self.model.radius[i]
-            for k in range(self.colliders.count):
-                reach = self._reach(i, self.tolerance(x, i, self.colliders.far(k)), crowded)
-                if self.colliders.minds(self.model, i, k) and geometry.near(self.colliders, k, x, r + reach):
-                    for face in range(self.faces):
-                        d, n, within = self.colliders.distance(k, face, x, 0.0)
-                        several = within and self.colliders.shape[k].kind == geometry.BOX
-                        if d - r <= reach and (face == 0 or several):
-                            for c in range(first, ti.select(ready, first, first + self.slots)):
-                                self.contact[c].gap = FAR
-                                self.contact[c].key = -1
-                            ready = True
-                            self._hold(first, k, k * self.faces + face, d - r, n, x - d * n)
-        held = 0
-        for c in range(first, ti.select(ready, first + self.slots, first)):
-            if self.contact[c].gap == FAR:
-                self.contact[c].key = -1
-            else:
-                held += 1
-        self.held[i] = held
-        return ti.select(ready, self.count, self.planes)
-
-    @ti.func
-    def _hold(self, first, k, key, gap, n, at):
-        """Note a contact at the point `at`: in the slot of its key, else in a free one, else in that of the widest gap."""
-        place = -1
-        for c in range(first, first + self.slots):
-            if self.contact[c].key == key:
-                place = c
-        if place < 0:
-            widest = gap
-            for c in range(first, first + self.slots):
-                free = self.contact[c].key < 0 and self.contact[c].gap == FAR
-                if self.contact[c].gap > widest or (free and (place < 0 or self.contact[place].key >= 0)):
-                    place = c
-                    widest = self.contact[c].gap
-            if place >= 0:
-                self._forget(place)
-        if place >= 0:
-            self.contact[place].key = key
-            self.contact[place].gap = gap
-            self.contact[place].normal = n
-            if ti.static(self.moves):
-                self.contact[place].velocity = geometry.surface_velocity(self.colliders, k, at, 0.0)
+            self.crowded[i] = ti.select(crowded, ti.select(fast, FAST, CROWDED), 0)
 
     @ti.func
     def _following(self, x, v, i, k, h):
@@ -281,38 +240,51 @@ class Walls:
         """Sum of n n^T over the walls that ball i touches, and their number."""
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         for k in range(ti.select(self.touched[i] > 0, self.count, 0)):
-            if self.contact[i * self.count + k].active != OUT:
+            if self.solved(i * self.count + k):
                 n = self.normal(i, k)
                 T += n.outer_product(n)
         return T, self.touched[i]
 
     @ti.func
-    def _forget(self, c):
+    def forget_one(self, c):
         """Contact c holds nothing from before."""
         self.contact[c].impulse = 0.0
         if ti.static(self.model.has_friction):
             self.contact[c].slide = ti.Vector.zero(float, self.model.dim)
 
     @ti.func
-    def begin(self, ball: ti.template(), solver: ti.template(), i, impacts: ti.template()):
-        """Apply what the walls of ball i hold from before. A ball that arrives fast at a wall is left to `move`."""
+    def begin(self, ball: ti.template(), solver: ti.template(), i, impacts: ti.template(), starts: ti.template()):
+        """Which walls of ball i the solve holds, with what target speed; where it `starts`, apply what they hold from before. A
+        ball that arrives fast at a wall is left to `move`."""
         v = ball[i].v
         crowded = False
         if ti.static(self.crowds):
-            crowded = self.crowded[i] == 1
+            crowded = self.crowded[i] > 0
         for k in range(ti.select(self.touched[i] > 0, self.count, 0)):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
             touch = self.touch(ball[i].x, i, k)
-            if gap <= self._reach(i, touch, crowded):
+            if gap <= self.reach_of(i, touch, crowded):
                 n = self.normal(i, k)
                 u = n.dot(self.relative(v, i, k))
-                self.contact[c].active = self._role(gap, u, touch, crowded)
+                arrives = self.contact[c].active == ARRIVES
+                self.contact[c].active = self._role(gap, u, touch, crowded, arrives)
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
-                if u > self.threshold[0] or (u < -self.threshold[0] and not crowded) or ti.static(not solver.warm):
-                    self._forget(c)
-                target = contact_law.target_speed(u, self.law(i, k).restitution, self.threshold[0], impacts)
-                if ti.static(self.crowds):
+                sinks = gap < -touch and u < -self.threshold[0] and not crowded
+                if u > self.threshold[0] or sinks or self.contact[c].active == ARRIVES or ti.static(not solver.warm):
+                    self.forget_one(c)
+                e = self.law(i, k).restitution
+                before = ti.select(crowded, u, ti.max(0.0, u))  # alone, what approaches is pressed
+                target = contact_law.target_speed(before, e, self.threshold[0], impacts)
+                if ti.static(solver.strikes and self.crowds):
+                    self.contact[c].start = self.contact[c].impulse
+                    if crowded:
+                        target = -ti.max(0.0, gap) * solver.rate[0]  # it may come to the wall, but not go on
+                        closing = -(u + wall_hits.load(self, solver, i, n))
+                        bounces = e > 0.0 and (e >= 1.0 or gap * solver.rate[0] > closing)
+                        if closing > self.threshold[0] and (bounces or ti.static(not impacts)):
+                            self.contact[c].active = OUT  # left to the move, else the solve takes its energy
+                elif ti.static(self.crowds):
                     if crowded and gap > touch:
                         # it may come to the wall, but not go on; what bounces there is left alone by the solve that ends a step
                         there = -gap * solver.rate[0]
@@ -325,10 +297,11 @@ class Walls:
                     if k >= self.planes and target == 0.0 and self.contact[c].active == RESTING:
                         target = self._following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
                 self.contact[c].target = target
-                p = self.contact[c].impulse * n
-                if ti.static(self.model.has_friction):
-                    p += self.contact[c].slide
-                solver.apply(i, p, -cross(n, p))
+                if ti.static(starts):
+                    p = self.contact[c].impulse * n
+                    if ti.static(self.model.has_friction):
+                        p += self.contact[c].slide
+                    solver.apply(i, p, -cross(n, p))
 
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i, time):
@@ -341,7 +314,7 @@ class Walls:
         for k in range(ti.select(self.touched[i] > 0 and w > 0.0, self.count, 0)):
             c = i * self.count + k
             contact = self.contact[c]
-            if contact.active != OUT:
+            if self.solved(c):
                 n = self.normal(i, k)
                 mass = 1.0 / (w * self.share[i])
                 if ti.static(solver.split):
@@ -354,8 +327,8 @@ class Walls:
                 self.contact[c].impulse = now
                 if ti.static(self.model.has_friction):
                     law = self.law(i, k)
-                    slip = contact_law.viscous_share(self.model, law, now, mass, self.threshold[0], time)
                     u = self.relative(v, i, k)
+                    slip = contact_law.viscous_share(self.model, law, now, mass, self.threshold[0], u, time)
                     if ti.static(solver.spins):
                         u -= lever(turn, n)
                         mass *= solver.tangential

@@ -1,4 +1,4 @@
-"""Bending: elements of four balls whose weighted sum of places is the curvature, linear and damped."""
+"""Bending: elements of four balls whose weighted sum of places is the curvature, linear, with a damping of its size."""
 
 import numpy as np
 import taichi as ti
@@ -12,7 +12,11 @@ __all__ = ["Bending"]
 
 @ti.data_oriented
 class Bending(Corners):
-    """Forces -w_i sum_j w_j (k x_j + c v_j); the weights of an element sum to 0, so that places count from ball i."""
+    """Forces -w_i (k b + c n n . db/dt), b = sum_j w_j x_j, n = b / |b|; weights sum to 0, so that places count from ball i.
+
+    Damped is the size of b, not its direction, which turns with the body: a sheet that is folded turns freely. The torque of an
+    element is b x n, which is 0. Where b is 0 nothing turns, and all of db/dt is damped.
+    """
 
     name = "bending"
     elastic = True
@@ -50,6 +54,10 @@ class Bending(Corners):
                 if ti.static(self.damped):
                     v = ball[i].v
                     change = row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
+                    bent = self._curve(ball, i, row)
+                    square = bent.dot(bent)
+                    if square > 0.0:
+                        change = bent.dot(change) / square * bent
                     pull += row.damping * change
                 if self.holds(e):
                     f -= row.own * pull

@@ -15,7 +15,11 @@ TURNED = {2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 
 
 @ti.data_oriented
 class Cells(Corners):
-    """Forces -K (V / V0 - 1) dV/dx of the energy K V0 (V / V0 - 1)^2 / 2, V with its sign."""
+    """Forces -K (V / V0 - 1) dV/dx of the energy K V0 (V / V0 - 1)^2 / 2, V with its sign.
+
+    Of cells that act together V and V0 are sums, K the mean (mean dilatation, Nagtegaal et al. 1974): `first` and `member`, the
+    rows of the first corners of a group's cells, `pressure` [Pa] of each group.
+    """
 
     name = "cells"
     elastic = True
@@ -32,7 +36,26 @@ class Cells(Corners):
             "pressure": np.tile(scene.bulk_modulus, len(turned)),
             "inverse": np.tile(1.0 / scene.rest_volume, len(turned)),
         }
-        self.gather(model, fields, others, cells.T.ravel(), columns, data)
+        own = cells.T.ravel()
+        self.shared = bool(np.any(scene.cells_together >= 0))
+        if self.shared:
+            number = len(cells)
+            alone = scene.cells_together < 0
+            _, one = np.unique(np.where(alone, np.arange(number), number + scene.cells_together), return_inverse=True)
+            one = one.ravel()
+            columns["group"] = ti.i32
+            data["group"] = np.tile(one, len(turned))
+            at = np.empty(len(own), dtype=np.int64)
+            at[np.argsort(own, kind="stable")] = np.arange(len(own))
+            self.groups = int(one.max()) + 1
+            self.member = fields.table(
+                {"row": ti.i32, "ball": ti.i32},
+                number,
+                {"row": at[:number][np.argsort(one, kind="stable")], "ball": cells[np.argsort(one, kind="stable"), 0]},
+            )
+            self.first = fields.integers(np.append(0, np.cumsum(np.bincount(one))))
+            self.pressure = fields.reals(self.groups)
+        self.gather(model, fields, others, own, columns, data)
 
     @ti.func
     def _volume(self, ball: ti.template(), i, row):
@@ -47,15 +70,40 @@ class Cells(Corners):
         return g.dot(ball[i].x - a), g
 
     @ti.func
+    def _together(self, ball: ti.template(), g):
+        """Strain of the volume of group g, and its modulus."""
+        volume, rest, strength = ti.cast(0.0, float), ti.cast(0.0, float), ti.cast(0.0, float)
+        for k in range(self.first[g], self.first[g + 1]):
+            member = self.member[k]
+            row = self.row[member.row]
+            if self.holds(member.row):
+                own, _ = self._volume(ball, member.ball, row)
+                volume += own
+                rest += 1.0 / row.inverse
+                strength += row.pressure / row.inverse
+        strain = ti.cast(0.0, float)
+        if rest > 0.0:
+            strain = (volume - rest) / rest
+            strength /= rest
+        return strain, strength
+
+    @ti.func
     def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
         """Each ball gathers from its cells."""
+        if ti.static(self.shared):
+            for g in range(self.groups):
+                strain, modulus = self._together(ball, g)
+                self.pressure[g] = modulus * strain
         for i in range(self.n):
             f = ti.Vector.zero(float, self.dim)
             for e in range(self.start[i], self.start[i + 1]):
                 row = self.row[e]
                 volume, g = self._volume(ball, i, row)
+                pressure = row.pressure * (volume * row.inverse - 1.0)
+                if ti.static(self.shared):
+                    pressure = self.pressure[row.group]
                 if self.holds(e):
-                    f -= row.pressure * (volume * row.inverse - 1.0) * g
+                    f -= pressure * g
             impulse[i] = impulse[i] + h * f
 
     @ti.func
@@ -65,7 +113,10 @@ class Cells(Corners):
         for e in range(self.start[i], self.start[i + 1]):
             row = self.row[e]
             volume, _ = self._volume(ball, i, row)
-            part = ti.cast(volume * row.inverse - 1.0, real)
+            strain, modulus = volume * row.inverse - 1.0, row.pressure
+            if ti.static(self.shared):
+                strain, modulus = self._together(ball, row.group)
+            part = ti.cast(strain, real)
             if self.holds(e):
-                energy += self.share * 0.5 * ti.cast(row.pressure / row.inverse, real) * part * part
+                energy += self.share * 0.5 * ti.cast(modulus / row.inverse, real) * part * part
         return energy

@@ -44,6 +44,7 @@ class Gases(Corners):
         columns = {"gas": ti.i32, "first": ti.i32, "last": ti.i32}
         self.part = fields.table(columns, self.parts, {name: table[:, k] for k, name in enumerate(columns)})
         self.volume, self.pressure = fields.reals(self.parts), fields.reals(self.count)
+        self.rate = fields.reals(self.count)  # -dp/dV [Pa/m^3]
         self.law = fields.table(
             {"home": ti.i32, "inside": real, "outside": real, "least": real},
             self.count,
@@ -67,8 +68,8 @@ class Gases(Corners):
         self.volume[c] = volume / 6.0
 
     @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        """Volumes, pressures, then each ball gathers from its triangles: a sixth of (b - x) x (c - x)."""
+    def press(self, ball: ti.template()):
+        """Volumes and pressures of all gases at the places ball.x (n)."""
         for k in range(self.parts * GRAIN):
             if k % GRAIN == 0:
                 self._measure(ball, k // GRAIN)
@@ -79,12 +80,24 @@ class Gases(Corners):
             for c in range(self.parts):
                 self.pressure[self.part[c].gas] = self.pressure[self.part[c].gas] + self.volume[c]
             for g in range(self.count):
-                law = self.law[g]
-                self.pressure[g] = law.inside / ti.max(self.pressure[g], law.least) - law.outside
+                law, volume = self.law[g], self.pressure[g]
+                full = ti.max(volume, law.least)
+                self.pressure[g] = law.inside / full - law.outside
+                self.rate[g] = ti.select(volume > law.least, law.inside / (full * full), 0.0 * full)
+
+    @ti.func
+    def force(self, ball: ti.template(), i):
+        """On ball i [N], at the pressures that `press` found: a sixth of (b - x) x (c - x) from each of its triangles."""
+        f = ti.Vector.zero(float, 3)
+        for e in range(self.start[i], self.start[i + 1]):
+            row = self.row[e]
+            x = ball[i].x
+            f += self.pressure[row.gas] / 6.0 * (ball[row.a].x - x).cross(ball[row.b].x - x)
+        return f
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        """Volumes, pressures, then each ball gathers from its triangles."""
+        self.press(ball)
         for i in range(self.n):
-            f = ti.Vector.zero(float, 3)
-            for e in range(self.start[i], self.start[i + 1]):
-                row = self.row[e]
-                x = ball[i].x
-                f += self.pressure[row.gas] / 6.0 * (ball[row.a].x - x).cross(ball[row.b].x - x)
-            impulse[i] = impulse[i] + h * f
+            impulse[i] = impulse[i] + h * self.force(ball, i)

@@ -12,28 +12,11 @@ from taichi_sim.kernels import lanes, rows
 from taichi_sim.kernels import springs as loops
 from taichi_sim.model import Model, incidence
 
-__all__ = ["Springs", "decay_damping"]
+__all__ = ["Springs"]
 
 BLOCKS = 32  # from here on half of them, one phase, keeps a desktop's threads busy; a fixed number, so that bits do not
 # depend on how many threads there are
 MINIMUM_BLOCK = 64  # balls
-
-
-def decay_damping(model: Model, tau: float) -> NDArray[np.float64]:
-    """Damping coefficients (m,) [N s/m] that let relative speeds decay exponentially over `tau` seconds, stable for any c.
-
-    A ball with s damped springs gives each of them the s-th part of its mass, so that with D = w_i s_i + w_j s_j the sum of
-    all pair impulses -(1 - exp(-c D tau)) u / D can never over-correct (physics: exponential pair halves with split masses).
-    Returned as an equivalent c: tau c' = (1 - exp(-c D tau)) / D.
-    """
-    scene = model.scene
-    c = scene.damping
-    damped = scene.pairs[c > 0]
-    count = np.bincount(damped.ravel(), minlength=model.n)
-    share = (model.inverse_mass_array * count)[scene.pairs].sum(axis=1)
-    rate = share * tau
-    softened = -np.expm1(-c * rate) / np.where(rate > 0, rate, 1.0)
-    return np.where(rate > 0, softened, c)
 
 
 @ti.data_oriented
@@ -41,7 +24,7 @@ class Springs:
     """The springs of a scene.
 
     Args:
-        damping: (m,) [N s/m] as the integrator wants it (explicit, or made stable by `decay_damping`).
+        damping: (m,) [N s/m] as the integrator wants it.
         order: "gather", "blocks", "rows", "waves" (fixed orders) or "atomic".
     """
 

@@ -61,6 +61,7 @@ class TotalForce:
         self.model, self.n = model, model.n
         elements = [kind(model, fields) for kind in _elements(model)]
         self.springs, self.extra = springs, [*elements, *extra]
+        self.external_forces = self.extra  # those that `external` sums
         self.elements = elements
         self.stores = [force for force in elements if force.elastic]  # energy, that the gauge counts
         self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(self.extra)
@@ -74,6 +75,12 @@ class TotalForce:
         for force in self.extra:
             if hasattr(force, "allocate"):
                 force.allocate(self.model, state, fields)
+
+    def take(self, kind: Any) -> Any:
+        """The scene's elements of a kind, or None; `external` leaves them to the method that asks."""
+        taken = next((force for force in self.elements if isinstance(force, kind)), None)
+        self.external_forces = [force for force in self.extra if force is not taken]
+        return taken
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
@@ -104,11 +111,11 @@ class TotalForce:
 
     @ti.func
     def external(self, ball: ti.template(), h, time):
-        """impulse = h times the user's forces alone; `external_change` adds gravity."""
-        if ti.static(bool(self.extra)):
+        """impulse = h times the user's forces and all elements that no method has taken; `external_change` adds gravity."""
+        if ti.static(bool(self.external_forces)):
             for i in range(self.n):
                 self.impulse[i] = ti.Vector.zero(float, self.model.dim)
-            for force in ti.static(self.extra):
+            for force in ti.static(self.external_forces):
                 force.accumulate(self.model, ball, self.impulse, h, time)
 
     @ti.func
@@ -119,7 +126,7 @@ class TotalForce:
         if ti.static(self.model.has_gravity):
             if w > 0.0:
                 dv += h * self.model.gravity[0]
-        if ti.static(bool(self.extra)):
+        if ti.static(bool(self.external_forces)):
             dv += w * self.impulse[i]
         return dv
 

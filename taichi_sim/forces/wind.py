@@ -20,7 +20,8 @@ class Wind(Corners):
     third of it on each corner.
 
     A coefficient c of u is never more than MOST / (h D), D = sum over corners w_j t_j / 9 with t_j the triangles at ball j: with
-    masses split so, a step can never reverse what it slows, however light the cloth.
+    masses split so, a step can never reverse what it slows, however light the cloth. What is held against the wind would then
+    feel less than it should: at the advised step, see element_rates, no coefficient is that large.
     """
 
     name = "wind"

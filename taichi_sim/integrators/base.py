@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from taichi_sim.contacts.solver import ContactSolver
 from taichi_sim.fields import Fields
-from taichi_sim.forces.springs import decay_damping
 from taichi_sim.forces.total import TotalForce
 from taichi_sim.model import Model
 from taichi_sim.scene import Scene
@@ -18,7 +17,8 @@ __all__ = ["Integrator", "Solver"]
 
 class Solver(NamedTuple):
     """How well an implicit method solved its stages since the simulation was made. `worst`: the largest part of the impulses of a
-    stage that was left over; `misses`: stages that left more than ten times the tolerance; `passes`: over all springs."""
+    stage that was left over, or of the kinetic energy that this gave it; `misses`: stages where it was more than ten times the
+    tolerance; `passes`: over all springs."""
 
     tolerance: float
     stages: int
@@ -32,11 +32,10 @@ class Integrator:
     """One method. `order`: of convergence of the phase-space error for smooth scenes.
 
     `relaxes`: its substep ends with a contact pass that takes back what soft contacts add to velocities when they push out
-    overlap; without it contacts are rigid. `implicit_damping`: spring damping acts in exponential halves that are stable for
-    any coefficient, else it is an explicit force. `each_once`: it goes through the springs itself, each once, see kernels.half;
-    `in_turn`: each sees what those before it changed. `hosted`: a substep has loops that end by what they find; `advance` runs
-    one from the host, kernel by kernel, because inside a kernel only the outermost loops run in parallel. `allocate` may add
-    fields of the method's own.
+    overlap; without it contacts are rigid. `implicit_damping`: what `damping` gives depends on the step. `each_once`: it goes
+    through the springs itself, each once, see kernels.half; `in_turn`: each sees what those before it changed. `hosted`: a
+    substep has loops that end by what they find; `advance` runs one from the host, kernel by kernel, because inside a kernel
+    only the outermost loops run in parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None.
     """
 
     name = ""
@@ -46,13 +45,17 @@ class Integrator:
     each_once = False
     in_turn = False
     hosted = False
+    pins: Any = None
 
     def fit(self, scene: Scene) -> None:
         """Choose what depends on the scene. Called first of all."""
 
     def damping(self, model: Model, h: float) -> NDArray:
         """Spring damping (m,) [N s/m] as this method wants it for substeps of h seconds."""
-        return decay_damping(model, 0.5 * h) if self.implicit_damping else model.scene.damping
+        return model.scene.damping
+
+    def set_step(self, h: float) -> None:
+        """Substeps have h seconds from now on; called once the fields are there, and for each new step. Damping is set too."""
 
     def bind(self, model: Model, state: State, forces: TotalForce, contacts: ContactSolver, fields: Fields) -> None:
         """Take the parts of a simulation. Called once, before the fields exist."""

@@ -1,4 +1,5 @@
-"""Free bodies: balls that springs join, none of them pinned. What a solver leaves of their momentum is given to them whole."""
+"""Free bodies: balls that springs or a gas join, none of them pinned. What a solver leaves of their momentum is given to them
+whole."""
 
 import numpy as np
 import taichi as ti
@@ -32,7 +33,10 @@ class FreeBodies:
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        label = components(scene.pairs, model.n)
+        skins = [
+            np.stack([np.full(g.triangles.size, g.triangles[0, 0]), g.triangles.ravel()], axis=1) for g in scene.gases
+        ]
+        label = components(np.concatenate([scene.pairs, *skins]), model.n)
         held = np.zeros(model.n, dtype=bool)
         held[label[scene.pinned]] = True
         single = np.bincount(label, minlength=model.n) == 1  # solved exactly anyway
@@ -52,11 +56,14 @@ class FreeBodies:
         self.sum = fields.doubles(max(1, self.parts) * self.dim)
         self.wide = self.sum.dtype
         self.shift = fields.vectors(max(1, self.bodies), self.dim)
+        body_of_ball = np.full(model.n, -1)
+        body_of_ball[member] = np.repeat(np.arange(len(body)), count)
+        self.body_of_ball = fields.integers(body_of_ball)
 
     @ti.func
-    def share(self, table: ti.template(), aim: ti.template()):
-        """Velocities table.v of each body += what gives it the momentum that the velocities `aim` (n) [m/s] have: they know
-        nothing of its springs, which give it none. A sum of their impulses would be off by the rounding of large numbers."""
+    def _collect(self, table: ti.template(), aim: ti.template(), part):
+        """shift = the momentum that each body has by the velocities `aim` (n), less `part` of what table.v gives it, over its
+        mass. A sum of its springs' impulses would be off by the rounding of large numbers."""
         for k in range(self.parts * GRAIN):
             if k % GRAIN == 0:
                 c = k // GRAIN
@@ -65,7 +72,7 @@ class FreeBodies:
                     i = self.member[e]
                     w = ti.cast(self.inverse_mass[i], self.wide)
                     for a in ti.static(range(self.dim)):
-                        total[a] += (ti.cast(aim[i][a], self.wide) - ti.cast(table[i].v[a], self.wide)) / w
+                        total[a] += (ti.cast(aim[i][a], self.wide) - part * ti.cast(table[i].v[a], self.wide)) / w
                 for a in ti.static(range(self.dim)):
                     self.sum[c * self.dim + a] = total[a]
         for k in range(self.bodies):
@@ -74,6 +81,26 @@ class FreeBodies:
                 for a in ti.static(range(self.dim)):
                     total[a] += self.sum[c * self.dim + a]
             self.shift[k] = ti.cast(total, float) / self.mass[k]
+
+    @ti.func
+    def share(self, table: ti.template(), aim: ti.template()):
+        """Velocities table.v of each body += what gives it the momentum that the velocities `aim` (n) [m/s] have: they know
+        nothing of its springs, which give it none."""
+        self._collect(table, aim, 1.0)
         for e in range(self.members):
             i = self.member[e]
             table[i].v = table[i].v + self.shift[self.body_of[e]]
+
+    @ti.func
+    def find_means(self, table: ti.template(), aim: ti.template()):
+        """The velocity of each body's centre of mass by `aim`, for `mean`; until the next `share`."""
+        self._collect(table, aim, 0.0)
+
+    @ti.func
+    def mean(self, i):
+        """Of the body of ball i; 0 where it is held."""
+        v = ti.Vector.zero(float, self.dim)
+        k = self.body_of_ball[i]
+        if k >= 0:
+            v = self.shift[k]
+        return v

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import taichi as ti
 
 from taichi_sim.fields import Fields
+from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator, Solver
 from taichi_sim.integrators.launched import Launched
 from taichi_sim.integrators.newton import StageSolver
@@ -18,8 +19,8 @@ class Implicit(Integrator):
     """A method of stages, each solved implicitly; springs and their damping are stable at any step.
 
     A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finish(h)`, which moves.
-    `part`: the length of a stage in steps. `opening`: how many of the `stages` run only in a
-    step after `prime`.
+    `part`: the length of a stage in steps. `takes_gas`: gas is solved for together with springs. `opening`: how many of the
+    `stages` run only in a step after `prime`.
     tolerance: of each solution, see StageSolver.
     """
 
@@ -28,6 +29,7 @@ class Implicit(Integrator):
     stages = 1
     opening = 0
     part = 1.0
+    takes_gas = False
     tolerance = 1e-3
     begin: Callable[..., None]
     end: Callable[..., None]
@@ -43,7 +45,8 @@ class Implicit(Integrator):
         """The solver and its fields."""
         self.fresh = fields.integers(1)
         self.has_springs = self.forces.springs is not None
-        self.solver = StageSolver(self.model, self.forces.springs, fields, self.stages, self.order, self.tolerance)
+        gases = self.forces.take(Gases) if self.takes_gas and self.has_springs else None
+        self.solver = StageSolver(self.model, self.forces.springs, gases, fields, self)
         self.launched = Launched(self.solver)
 
     def solver_report(self) -> Solver | None:

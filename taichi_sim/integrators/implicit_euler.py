@@ -13,11 +13,12 @@ class ImplicitEuler(Implicit):
 
     name, order = "implicit_euler", 1
     relaxes = True
+    takes_gas = True
     tolerance = 3e-2
 
     @ti.func
     def begin(self, stage, h, time):
-        """From the present places; gravity and the user's forces act on old values."""
+        """From the present places; gravity, the user's forces and all elements but gas act on old values."""
         self.forces.external(self.ball, h, time)
         for i in range(self.model.n):
             self.solver.base[i] = self.ball[i]

@@ -2,7 +2,8 @@
 
 import taichi as ti
 
-from taichi_sim.integrators.newton import StageSolver, control
+from taichi_sim.integrators.newton import StageSolver
+from taichi_sim.integrators.rounds import control
 
 __all__ = ["Launched"]
 

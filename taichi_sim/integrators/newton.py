@@ -1,5 +1,7 @@
 """StageSolver: an implicit stage on springs by Newton's method and conjugate gradients, with no matrix."""
 
+from typing import Any
+
 import numpy as np
 import taichi as ti
 
@@ -7,65 +9,36 @@ from taichi_sim.fields import Fields
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.components import FreeBodies
 from taichi_sim.integrators.patches import Patches
+from taichi_sim.integrators.rounds import control
+from taichi_sim.integrators.stage_gas import StageGas
 from taichi_sim.integrators.terms import Product, Residual
+from taichi_sim.integrators.verdicts import MOST_TRIES, Verdicts
 from taichi_sim.kernels import half, rows
 from taichi_sim.kernels import implicit as parts
 from taichi_sim.kernels.springs import GRAIN, PART
 from taichi_sim.model import Model, incidence, phase_type
 
-__all__ = ["StageSolver", "control"]
+__all__ = ["StageSolver"]
 
-MOST_ROUNDS = 100  # of Newton's method
-MOST_TURNS = 2000  # of conjugate gradients in a round
-MOST_TRIES = 8  # halvings of a change that went too far
 ROUNDING = 1e3  # of the potential, in units of the machine's
 FINEST = 8.0  # the same, of a solution
-DOUBT = 0.3  # of the impulses: a guess that leaves more is compared with none
-FORCING = 0.1  # part of the residual that a round leaves: more would be lost to what is not linear
-LOCAL = 0.05  # part of the local error that a solution may add
-SHRINKING = 0.5  # squared changes of two rounds; they do not in mere rounding
 CERTAIN = 4.0  # times the square of what rounding leaves of a residual
-MISSED = 10.0  # tolerances; a stage that leaves more counts as not solved
-
-
-def control(self, s, stage):
-    """A stage, from base. The one text of two programs: compiled for one thread, where every loop runs inside a kernel, and in
-    Python, where each line launches a kernel whose loops run in parallel."""
-    self.begin(stage)
-    self.linearise(s, 1.0)
-    if self.doubtful():
-        self.compare(s, 1.0)
-        if self.raised():
-            self.linearise(s, -1.0)
-    self.set_target()
-    while self.unsolved():
-        self.aim()
-        while self.searching():
-            self.turn()
-        self.evaluate(s, 1.0)
-        part = 1.0
-        while self.larger():
-            self.compare(s, part)
-            if self.raised():
-                part = 0.5 * part
-                self.evaluate(s, -part)
-    self.end(stage)
 
 
 @ti.data_oriented
-class StageSolver:
+class StageSolver(Verdicts):
     """Solves m (q - v) + s F(p + s v, v) = 0 for the velocities v, see kernels.implicit.
 
     Fields: `base` (n) with x the places p [m] and v [m/s]: the start, then the solution; `q` (n) [m/s]; `first` (n): the start.
-    `stages`: how many there are in a step; each starts with its change in the step before. Without springs v is q.
-    tolerance: of the residual, in units of the impulses of the springs, both divided by the block diagonal of the matrix; less
-    where the error of the method, of the given order, is less.
+    Without springs v is q. gases: those that act in the stage, or None.
+    method: an Implicit; each of its `stages` starts with its change in the step before. `tolerance`: of the residual, in units of
+    the impulses of the springs, both divided by the block diagonal of the matrix; less where the error of the method, of the
+    given order, is less.
     """
 
-    def __init__(
-        self, model: Model, springs: Springs | None, fields: Fields, stages: int, order: int, tolerance: float
-    ) -> None:
-        self.model, self.springs, self.order, self.tolerance = model, springs, order, tolerance
+    def __init__(self, model: Model, springs: Springs | None, gases: Any, fields: Fields, method: Any) -> None:
+        self.model, self.springs = model, springs
+        self.order, self.tolerance, stages = method.order, method.tolerance, method.stages
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.first = (fields.vectors(self.n, self.dim) for _ in range(2))
@@ -86,11 +59,15 @@ class StageSolver:
         self.start, self.own_spring = fields.integers(start), fields.integers(spring)
         self.patches = Patches(model, springs, self.row, fields)
         self.bodies = FreeBodies(model, fields)
+        self.gas = None if gases is None else StageGas(gases, fields)
+        self.inflated = gases is not None
         self.parts = -(-self.n // PART)
         self.one, self.two, self.three, self.four = (fields.doubles(self.parts) for _ in range(4))
         self.five = fields.doubles(self.parts)
+        self.given, self.taken, self.kinetic = (fields.doubles(self.parts) for _ in range(3))
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
-        self.rounding, self.least = ROUNDING * eps, max(tolerance**2, FINEST * eps)
+        self.rounding, self.finest = ROUNDING * eps, FINEST * eps
+        self.least = max(self.tolerance**2, self.finest)
         stiff = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness**2, 2), self.n)
         self.rough = fields.reals(eps * np.sqrt(stiff))  # N/m: what rounding of a place makes of the forces on a ball
 
@@ -105,6 +82,8 @@ class StageSolver:
             self.ahead[i].x = rows.pad(self.base[i].x + s * v, self.dim)
             self.ahead[i].v = rows.pad(v, self.dim)
         half.sums(self.residual, self.springs, s)
+        if ti.static(self.inflated):
+            self.gas.push(self.base, self.product.sum, s)
 
     @ti.func
     def linearise(self, s, step):
@@ -132,6 +111,7 @@ class StageSolver:
                         blur = s * self.rough[i] * ti.abs(self.base[i].x).max()
                         noise += ti.cast(blur * blur * inverse.trace(), self.wide)
                     self.block[i] = inverse
+                self._work(c)
                 self.one[c] = rr
                 self.two[c] = ff
                 self.three[c] = kinetic
@@ -151,6 +131,7 @@ class StageSolver:
             self.number[parts.FORCE] = ff
             self.number[parts.SCALE] = ti.max(ff, kinetic)
             self.number[parts.NOISE] = CERTAIN * noise
+            self._total_work()
             self.number[parts.PASSES] += 1.0
         if ti.static(self.patches.active):
             self.patches.factor()
@@ -168,6 +149,9 @@ class StageSolver:
                 for b in ti.static(range(self.dim)):
                     product = ti.cast(row.r[a], self.wide) * ti.cast(row.r[b], self.wide)
                     along[a, b] += ti.cast(row.along, self.wide) * product
+        if ti.static(self.inflated):
+            g = ti.cast(self.gas.gradient(i), self.wide)
+            along += g.outer_product(g)
         inverse = (along + across * ti.Matrix.identity(self.wide, self.dim)).inverse()
         return ti.cast(inverse, float)
 
@@ -183,13 +167,44 @@ class StageSolver:
                     r = rows.cut(self.product.sum[i], self.dim)
                     self.sum[i] = r
                     rr += ti.cast(r.dot(self.block[i] @ r), self.wide)
+                self._work(c)
                 self.one[c] = rr
                 self.two[c] = 0.0
         ti.loop_config(serialize=True)
         for _ in range(1):
             rr, _zero = self._total()
             self.number[parts.RESIDUAL] = rr
+            self._total_work()
             self.number[parts.PASSES] += 1.0
+
+    @ti.func
+    def _work(self, c):
+        """Of part c: what the residual gives in the frame of each free body, what the method takes, and kinetic energy [J]."""
+        given, taken = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+        kinetic = ti.cast(0.0, self.wide)
+        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+            w = self.model.inverse_mass[i]
+            if w > 0.0:
+                v = self.base[i].v
+                u, change = v - self.bodies.mean(i), v - self.first[i]
+                given -= ti.cast(self.sum[i].dot(u), self.wide)
+                taken += ti.cast(0.5 * change.dot(change) / w, self.wide)
+                kinetic += ti.cast(0.5 * u.dot(u) / w, self.wide)
+        self.given[c] = given
+        self.taken[c] = taken
+        self.kinetic[c] = kinetic
+
+    @ti.func
+    def _total_work(self):
+        given, taken = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+        kinetic = ti.cast(0.0, self.wide)
+        for c in range(self.parts):
+            given += self.given[c]
+            taken += self.taken[c]
+            kinetic += self.kinetic[c]
+        self.number[parts.GIVEN] = given
+        self.number[parts.TAKEN] = taken
+        self.number[parts.KINETIC] = kinetic
 
     @ti.func
     def _total(self):
@@ -207,14 +222,10 @@ class StageSolver:
         for i in range(self.n):
             self.first[i] = self.base[i].v
             self.dv[i] = self.last[stage * self.n + i]
+        self.bodies.find_means(self.base, self.q)
         self.number[parts.ROUNDS] = 0.0
         self.number[parts.TRIES] = 0.0
         self.number[parts.MOVED] = 1e300
-
-    @ti.func
-    def doubtful(self):
-        """Whether the guess leaves so much that none may be better."""
-        return ti.cast(self.number[parts.RESIDUAL] > DOUBT**2 * self.number[parts.SCALE], ti.i32)
 
     @ti.func
     def compare(self, s, part):
@@ -228,9 +239,14 @@ class StageSolver:
                     before += ti.cast(self._potential(i, s, part), self.wide)
                 self.one[c] = now
                 self.two[c] = before
+        if ti.static(self.inflated):
+            self.gas.compare(self.base, self.dv, s, part)
         ti.loop_config(serialize=True)
         for _ in range(1):
             now, before = self._total()
+            if ti.static(self.inflated):
+                now += self.gas.energy[0]
+                before += self.gas.energy[1]
             raised = now > before + self.rounding * ti.abs(before)
             self.number[parts.RAISED] = ti.select(raised, 1.0, 0.0)
             self.number[parts.TRIES] = ti.select(raised, self.number[parts.TRIES] + 1.0, MOST_TRIES)
@@ -249,22 +265,6 @@ class StageSolver:
             u = self.base[spring.other].v - part * self.dv[spring.other]
             phi += parts.potential(self.base[spring.other].x + s * u - x, u - v, spring, s, self.springs.damped)
         return phi
-
-    @ti.func
-    def raised(self):
-        """Whether it was raised."""
-        return ti.cast(self.number[parts.RAISED] > 0.0, ti.i32)
-
-    @ti.func
-    def unsolved(self):
-        """Whether another round is due: the first is, for a small residual may hide a slow mode. Then not where the residual is
-        small, nor where the last change was, nor where the residual may be rounding and changes do not shrink any more."""
-        target, turns = self.number[parts.TARGET], self.number[parts.TURNS] < MOST_TURNS
-        large = self.number[parts.RESIDUAL] > target and self.number[parts.MOVED] > target and turns
-        if self.number[parts.RESIDUAL] < self.number[parts.NOISE] and self.number[parts.ROUNDS] > 1.0:
-            large = large and self.number[parts.MOVED] < SHRINKING * self.number[parts.EARLIER]
-        first = self.number[parts.ROUNDS] == 0.0 and self.number[parts.RESIDUAL] > 0.0
-        return ti.cast(first or (large and self.number[parts.ROUNDS] < MOST_ROUNDS), ti.i32)
 
     @ti.func
     def aim(self):
@@ -291,17 +291,11 @@ class StageSolver:
         self.number[parts.TRIES] = 0.0
 
     @ti.func
-    def searching(self):
-        """Whether another turn is due: by what the last one gained, which sees the slow modes that the residual hides."""
-        goal = ti.max(FORCING**2 * self.number[parts.MOVED], 0.1 * self.number[parts.TARGET])
-        turns = self.number[parts.TURNS]
-        more = (self.number[parts.GAIN] > goal or turns < 2.0) and self.number[parts.RZ] > 0.0 and turns < MOST_TURNS
-        return ti.cast(more, ti.i32)
-
-    @ti.func
     def turn(self):
         """The best change along p; the next p conjugate to it."""
         half.sums(self.product, self.springs, 0.0)
+        if ti.static(self.inflated):
+            self.gas.multiply(self.product.p, self.product.sum)
         for k in range(self.parts * GRAIN):
             if k % GRAIN == 0:
                 c = k // GRAIN
@@ -317,6 +311,12 @@ class StageSolver:
         for _ in range(1):
             pr, py = self._total()
             step = ti.select(py > 0.0, pr / ti.select(py > 0.0, py, 1.0), 0.0)
+            if ti.static(
+                self.inflated
+            ):  # a direction of negative curvature ends the search; the first one still leads down
+                if py < 0.0 and self.number[parts.TURNS] == 0.0:
+                    step = -pr / py
+                self.number[parts.SADDLE] = ti.select(py > 0.0, 0.0, 1.0)
             self.number[parts.STEP] = step
             self.number[parts.GAIN] = step * pr  # dv A dv grows by that
             self.number[parts.MOVED] += step * pr
@@ -341,6 +341,8 @@ class StageSolver:
             rz, _zero = self._total()
             if ti.static(self.patches.active):
                 rz += self.patches.product()
+            if ti.static(self.inflated):
+                rz = ti.select(self.number[parts.SADDLE] > 0.0, 0.0 * rz, rz)
             before = self.number[parts.RZ]
             self.number[parts.STEP] = ti.select(before > 0.0, rz / ti.select(before > 0.0, before, 1.0), 0.0)
             self.number[parts.RZ] = rz
@@ -353,45 +355,11 @@ class StageSolver:
             self.product.p[i] = z + ti.cast(self.number[parts.STEP], float) * self.product.p[i]
 
     @ti.func
-    def set_target(self):
-        """How small the residual has to become, once it is known how far the change of the step before fits this one.
-
-        What is left then is the acceleration's change, of order h, so that this part of its `order`-th power is a part of the
-        local error of the method; where a step does not resolve the motion, the tolerance it is.
-        """
-        ff, rr = self.number[parts.FORCE], self.number[parts.RESIDUAL]
-        part = ti.cast(self.tolerance, self.wide)
-        if ff > 0.0:
-            part = ti.min(part, LOCAL * (rr / ff) ** (0.5 * self.order))
-        self.number[parts.TARGET] = self.number[parts.SCALE] * ti.max(self.least, part) ** 2
-
-    @ti.func
-    def larger(self):
-        """Whether the change may have gone too far, so that half of it is worth a try: it raised the residual. It did where it
-        raised the potential too. One of them alone may rise: the potential by damping, whose direction turns, the residual
-        where a stiff body turns."""
-        larger = self.number[parts.RESIDUAL] > self.number[parts.LEFT]
-        return ti.cast(larger and self.number[parts.TRIES] < MOST_TRIES, ti.i32)
-
-    @ti.func
     def end(self, stage):
         """Give free bodies the momentum that they should have; note the change of this stage, and how well it was solved."""
         self.bodies.share(self.base, self.q)
         for i in range(self.n):
             self.last[stage * self.n + i] = self.base[i].v - self.first[i]
-        self.number[parts.SOLVED] += 1.0
-        left, moved, scale = self.number[parts.RESIDUAL], self.number[parts.MOVED], self.number[parts.SCALE]
-        if moved > 0.0:
-            left = ti.min(left, moved)
-        if not left >= 0.0:  # the matrix was not positive definite
-            left = scale
-        noise = self.number[parts.NOISE]
-        if (
-            scale > noise or left > noise or self.number[parts.LOAD] > 0.0
-        ):  # else nothing acts, and all of it is rounding
-            left = ti.sqrt(left / scale)
-            self.number[parts.WORST] = ti.max(self.number[parts.WORST], left)
-            if left > MISSED * self.tolerance:
-                self.number[parts.MISSES] += 1.0
+        self.judge()
 
     solve = ti.func(control)

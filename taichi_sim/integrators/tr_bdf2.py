@@ -7,6 +7,7 @@ import taichi as ti
 
 from taichi_sim.fields import Fields
 from taichi_sim.integrators.implicit import Implicit
+from taichi_sim.integrators.pin_slopes import PinSlopes
 from taichi_sim.model import phase_type
 
 __all__ = ["TRBDF2"]
@@ -39,6 +40,10 @@ class TRBDF2(Implicit):
         self.slope, self.kick, self.pull, self.rest = (fields.vectors(n, dim) for _ in range(4))
         if self.forces.extra:
             self.here = fields.table(phase_type(dim, fields.real), n)
+        self.led = self.pins is not None and self.forces.damped
+        if self.led:
+            assert self.forces.springs is not None
+            self.corners = PinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
 
     def memory(self) -> list[Any]:
         """What springs did at the end of the step before."""
@@ -102,3 +107,5 @@ class TRBDF2(Implicit):
         for i in range(self.model.n):
             self.state.kick(i, self.rest[i])
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
+        if ti.static(self.led):
+            self.corners.renew(self.slope)

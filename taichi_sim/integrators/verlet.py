@@ -1,11 +1,14 @@
-"""Velocity Verlet, with spring damping at predicted velocities, or, where it is strong, in exponential halves about the drift."""
+"""Velocity Verlet, with spring damping at predicted velocities, or, where it is strong, together with the kick."""
 
 from typing import Any
 
 import taichi as ti
+from numpy.typing import NDArray
 
 from taichi_sim.fields import Fields
 from taichi_sim.integrators.base import Integrator
+from taichi_sim.integrators.damped_kick import DampedKick
+from taichi_sim.model import Model
 from taichi_sim.scene import Scene
 from taichi_sim.stability import predicts_damping
 
@@ -21,10 +24,12 @@ class Verlet(Integrator):
     the velocity in a; on the circle of stability its damping is real at -1 alone, so it is stable just where
     h^2 lambda(K + 4 D / h) < 4 (masses left out).
 
-    Strong damping: K(h/2) D(h/2) A(h) D(h/2) K(h/2), D the damping, stable for omega h < 2 at least, whatever the damping. D is
-    exact for a lone spring and second order there; in a network it splits masses between the damped springs of a ball, which
-    is formally first order with a small constant. Written in this order a step costs two passes over the springs, because
-    the second D and K read the same old values.
+    Strong damping: B(h/2) A(h) B(h/2), B the kick and the damping together, v' = W (F - D v) with F held, see
+    taichi_sim.damping: exact for lone springs, else of order 2 by stages, each a pass over the springs. Damping apart from the
+    kick would stop for good what creeps: exp(-h D) takes all that the kick gave. With R the part of a velocity that both halves
+    of a step leave, the velocities u between the places x obey H (u+ - u) / h + D (u+ + u) / 2 + K x = 0 with
+    H = (h D / 2) (1 + R) / (1 - R): leapfrog with a mass H, at least that of the balls where R >= (1 - h D / 2) / (1 + h D / 2),
+    as it is here. So it is stable for omega h < 2 at least, whatever the damping.
     """
 
     name, order = "verlet", 2
@@ -35,38 +40,136 @@ class Verlet(Integrator):
         self.predicts = predicts_damping(scene)
         self.implicit_damping = not self.predicts
 
+    def damping(self, model: Model, h: float) -> NDArray:
+        """Of networks, as far as stages are stable with it; that of lone springs acts by itself."""
+        return DampedKick.damping(model.scene, h) if self.implicit_damping else model.scene.damping
+
     def allocate(self, fields: Fields) -> None:
-        """`pull` [m/s^2]: what acted at the end of the step before, where damping, or a force of one's own, is predicted."""
+        """`pull` [m/s^2]: what acted at the end of the step before, where it depends on velocities."""
         self.predicts = self.predicts or (bool(self.forces.extra) and not self.forces.damped)
-        if self.predicts:
-            self.pull = fields.vectors(self.model.n, self.model.dim)
+        self.led = self.predicts and self.pins is not None
+        self.splits = self.forces.damped and not self.predicts
+        self.held = self.splits and bool(self.forces.extra)
+        self.pull = fields.vectors(self.model.n if self.predicts or self.held else 0, self.model.dim)
+        self.kick: Any = None
+        if self.splits:
+            self.kick = DampedKick(self.model, self.state, self.forces, fields)
+        self.network = self.splits and self.kick.network
+        self.hosted = self.network
+
+    def set_step(self, h: float) -> None:
+        """Stages of damping for substeps of h seconds."""
+        if self.splits:
+            self.kick.fit(h)
 
     def memory(self) -> list[Any]:
-        """What acted at the end of the step before: at the velocities predicted there, not those it came to."""
-        return [self.pull] if self.predicts else []
+        """What acted at the end of the step before: at the velocities that balls had then, not those they came to; and how strong
+        damping braked them."""
+        own = [self.pull] if self.predicts or self.held else []
+        return [*own, self.kick.brake] if self.network else own
 
     @ti.func
     def prime(self, h, time):
         """The forces and the contacts at the present positions."""
         if ti.static(self.predicts):
             self.forces.total(self.ball, h, time)
-            for i in range(self.model.n):
-                self.pull[i] = self.forces.change(i, h) / h
+        elif ti.static(self.network):
+            self.forces.elastic_and_jump(self.ball, h, 0.5 * h, time)
+            self.kick.prime(h)
         else:
             self.forces.elastic(self.ball, h, time)
+        if ti.static(self.predicts or self.held):
+            self._hold(h)
         self.contacts.prime(self.ball)
+
+    @ti.func
+    def _hold(self, h):
+        for i in range(self.model.n):
+            self.pull[i] = self.forces.change(i, h) / h
 
     @ti.func
     def substep(self, h, time):
         """Half kick, contacts, drift, half kick, contacts."""
         if ti.static(self.predicts):
-            self.predicted(h, time)
+            self._predicted(h, time)
+        elif ti.static(self.splits):
+            if ti.static(self.network):
+                self._open(h)
+                for j in range(1, self.kick.count[0]):
+                    self.kick.stage(0, j, h, self.pull, self.held)
+            self._move(h, time)
+            if ti.static(self.network):
+                for j in range(1, self.kick.count[1]):
+                    self.kick.stage(1, j, h, self.pull, False)
+            self._close(h)
         else:
-            self.split(h, time)
+            self._undamped(h, time)
+        self.contacts.solve(self.ball, 0.5 * h, 1, False)
+
+    def advance(self, h: float, time: float) -> None:
+        """The same from the host, where the number of stages is not known when loops are compiled."""
+        before, after = (int(count) for count in self.kick.counts)
+        self._launch_open(h)
+        for j in range(1, before):
+            self._launch_stage(0, j, h)
+        self._launch_move(h, time)
+        for j in range(1, after):
+            self._launch_stage(1, j, h)
+        self._launch_close(h)
+
+    @ti.kernel
+    def _launch_open(self, h: float):
+        self._open(h)
+
+    @ti.kernel
+    def _launch_stage(self, half: ti.template(), j: int, h: float):
+        self.kick.stage(half, j, h, self.pull, ti.static(self.held and half == 0))
+
+    @ti.kernel
+    def _launch_move(self, h: float, time: float):
+        self._move(h, time)
+
+    @ti.kernel
+    def _launch_close(self, h: float):
+        self._close(h)
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
 
     @ti.func
-    def predicted(self, h, time):
+    def _open(self, h):
+        """The first stage of the half before the drift."""
+        self.forces.springs.damp(self.ball, self.forces.jump, 0.5 * h)
+        self.kick.start(0, h, self.pull, self.held)
+
+    @ti.func
+    def _move(self, h, time):
+        """The end of the first half, contacts, drift, and the first stage of the second half."""
+        if ti.static(not self.network):
+            self.kick.undamped(h, self.pull, self.held)
+        self.kick.lone_springs(h, self.pull, self.held)
+        self.contacts.solve(self.ball, 0.5 * h, self.contacts.passes, True)
+        self.contacts.separate(self.ball, h)
+        for i in range(self.model.n):
+            a = self.forces.change(i, h) / h
+            shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, a, h, 0.0 * self.ball[i].v)
+            self.state.shift(i, shift)
+            self.ball[i].v = drift
+        self.contacts.refresh(self.ball)
+        if ti.static(self.network):
+            self.forces.elastic_and_jump(self.ball, h, 0.5 * h, time + h)
+            self.kick.start(1, h, self.pull, False)
+        else:
+            self.forces.elastic(self.ball, h, time + h)
+            self.kick.undamped(h, self.pull, False)
+
+    @ti.func
+    def _close(self, h):
+        """The end of the second half."""
+        self.kick.lone_springs(h, self.pull, False)
+        if ti.static(self.held):
+            self._hold(h)
+
+    @ti.func
+    def _predicted(self, h, time):
         """With the whole kick of old forces, half of it before the drift; then half of what the new ones differ by."""
         if ti.static(self.contacts.active):
             for i in range(self.model.n):
@@ -86,23 +189,23 @@ class Verlet(Integrator):
                 change = h * self.pull[i]
                 self.state.shift(i, h * (self.ball[i].v + 0.5 * change))
                 self.state.kick(i, change)
+        if ti.static(self.led):  # what acts here acts half in this step and half in the next
+            self.pins.face(True)
         self.forces.total(self.ball, h, time + h)
+        if ti.static(self.led):
+            self.pins.face(False)
         for i in range(self.model.n):
             a = self.forces.change(i, h) / h
             self.state.kick(i, 0.5 * h * (a - self.pull[i]))
             self.pull[i] = a
 
     @ti.func
-    def split(self, h, time):
-        """Damping by itself."""
-        first_half = ti.static(self.contacts.active or self.forces.damped)  # the kick needs a loop of its own
+    def _undamped(self, h, time):
+        """Without damping, and forces that depend on velocities."""
+        first_half = ti.static(self.contacts.active)  # the kick needs a loop of its own
         if ti.static(first_half):
             for i in range(self.model.n):
                 self.state.kick(i, 0.5 * self.forces.change(i, h))
-        if ti.static(self.forces.damped):
-            self.forces.springs.damp(self.ball, self.forces.jump, 0.5 * h)
-            for i in range(self.model.n):
-                self.state.kick(i, self.model.inverse_mass[i] * self.forces.jump[i])
         self.contacts.solve(self.ball, 0.5 * h, self.contacts.passes, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
@@ -114,9 +217,6 @@ class Verlet(Integrator):
             self.state.shift(i, shift)
             self.ball[i].v = drift
         self.contacts.refresh(self.ball)
-        self.forces.elastic_and_jump(self.ball, h, 0.5 * h, time + h)
+        self.forces.elastic(self.ball, h, time + h)
         for i in range(self.model.n):
-            dv = 0.5 * self.forces.change(i, h)
-            if ti.static(self.forces.damped):
-                dv += self.model.inverse_mass[i] * self.forces.jump[i]
-            self.state.kick(i, dv)
+            self.state.kick(i, 0.5 * self.forces.change(i, h))

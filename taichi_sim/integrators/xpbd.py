@@ -4,7 +4,9 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.fields import Fields
+from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator
+from taichi_sim.integrators.gas_pass import GasPass
 from taichi_sim.kernels import half, lanes
 from taichi_sim.kernels.direction import unit
 
@@ -35,6 +37,10 @@ class XPBD(Integrator):
         self.notes = self.contacts.has_walls
         if self.notes:
             self.start = fields.vectors(self.model.n, self.dim)
+        gases = self.forces.take(Gases) if self.active else None
+        self.inflated = gases is not None
+        if self.inflated:
+            self.gas = GasPass(gases, self.model, fields)
         self.at_once = self.active and self.springs.order == "atomic"
         self.in_waves = self.active and self.springs.order == "waves"
         if self.at_once:
@@ -102,6 +108,8 @@ class XPBD(Integrator):
             if ti.static(self.notes):
                 self.start[i] = self.ball[i].v
             self.state.kick(i, self.forces.external_change(i, h))
+        if ti.static(self.inflated):
+            self.gas.push(self.ball, self.state, h)
         if ti.static(self.at_once):
             half.sums(self, self.springs, h)
             for i in range(self.model.n):

@@ -63,7 +63,8 @@ class Summary:
             lines.append(
                 f"error        {e.estimate:.2g} of {e.size:.3g} m so far, {e.tolerance:g} a second asked;"
                 f" {e.least} to {e.most} substeps"
-                + (f"; {e.rough_steps} rough steps added up to {e.rough:.2g}" if e.rough_steps else "")
+                + (f", begun anew {e.repeated} times" if e.repeated else "")
+                + (f"; not kept from t = {e.lost:.4g} s on" if e.lost is not None else "")
             )
         if self.solver is not None:
             s = self.solver

@@ -3,11 +3,14 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
+from taichi_sim.damping import lone, stages
 from taichi_sim.element_rates import element_rates
 from taichi_sim.scene import Scene
 from taichi_sim.settings import SAFETY, part_of_bound
 from taichi_sim.simulation import Simulation
+from taichi_sim.slow_modes import slow_decays
 from taichi_sim.stability import ANY_STEP, Stability, predicts_damping, stability, without
 
 __all__ = ["lines"]
@@ -17,10 +20,36 @@ MANY = 20_000  # passes over the springs in a simulated second, from which a sti
 RARE = 2.0  # times longer step without the limiting spring, from which that one alone is to blame
 
 
-def passes(scene: Scene, integrator: str) -> int:
-    """How often a step of an explicit method goes through the springs."""
-    apart = bool(np.any(scene.damping > 0)) and not predicts_damping(scene)
-    return {"rk4": 4, "verlet": 2 if apart else 1}.get(integrator, 1)
+OFF = 0.05  # of a decay rate, from which it is spoken of
+SOON = 0.01  # of a cycle's motion, likewise, where springs damp less
+
+
+def passes(scene: Scene, integrator: str, h: float) -> int:
+    """How often a step of h seconds of an explicit method goes through the springs."""
+    if integrator == "verlet" and np.any((scene.damping > 0) & ~lone(scene)) and not predicts_damping(scene):
+        return sum(len(half) for half in stages(scene, 0.5 * h))
+    return 4 if integrator == "rk4" else 1
+
+
+def damping(scene: Scene, method: str, h: float, position: NDArray[np.float64]) -> Iterator[str]:
+    """What steps of h seconds make of the decay of the slowest motions, and the cure where it is wrong."""
+    decays = slow_decays(scene, method, h, position)
+    if not decays:
+        return
+    worst = max(decays, key=lambda mode: abs(mode.found - mode.exact) / max(mode.exact, SOON * mode.frequency))
+    of = f"of the slowest motions, {worst.frequency:.3g} Hz, {worst.exact:.3g} a second"
+    yield f"damping               {of}; this step gives {worst.found:.3g}"
+    if abs(worst.found - worst.exact) <= max(OFF * worst.exact, SOON * worst.frequency):
+        return
+    if method in ("implicit_euler", "xpbd"):
+        allowed = max(OFF * worst.exact, SOON * worst.frequency)
+        short = 2.0 * allowed / (2.0 * np.pi * worst.frequency) ** 2
+        what = f"{method} damps by omega^2 h / 2 of its own; take tr_bdf2, or steps of {short:.2g} s"
+    elif method == "verlet":
+        what = "stages for damping this strong have an end; take tr_bdf2, or less damping"
+    else:
+        what = "take shorter steps, verlet or tr_bdf2"
+    yield f"                      {what}"
 
 
 def lines(sim: Simulation) -> Iterator[str]:
@@ -40,6 +69,7 @@ def lines(sim: Simulation) -> Iterator[str]:
         if index is not None:
             yield f"limited by            {name} {index}"
     yield f"why                   {limits.reason}"
+    yield from damping(scene, used, h, sim.position)
     if not np.isfinite(limits.dt_any_shape):
         yield f"advice                {_advice(sim, limits, np.inf)}"
         return
@@ -53,10 +83,10 @@ def lines(sim: Simulation) -> Iterator[str]:
     for name in dict.fromkeys((used, *EXPLICIT, *(ANY_STEP if elements else ()))):
         found = limits if name == used else stability(scene, name, sim.position)
         step = found.dt_any_shape
-        cost = f"{passes(scene, name) / step:.3g}" if 0 < step < np.inf and name not in ANY_STEP else "-"
+        cost = f"{passes(scene, name, step) / step:.3g}" if 0 < step < np.inf and name not in ANY_STEP else "-"
         yield f"{name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
     if elements:
-        yield f"{', '.join(ANY_STEP)}: no spring limits them, but cells, bending and gas do"
+        yield f"{', '.join(ANY_STEP)}: no spring limits them, but cells and bending do, and gas all but implicit_euler"
     else:
         yield f"{', '.join(ANY_STEP)}: any step is stable, its error is another matter"
     if sim.has_own_parts:
@@ -94,6 +124,6 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return f'{why} above {good:.4g} s, and gain energy; take that, or dt = "auto"'
     if h > good * (1.0 + 1e-9):
         return f'dt is close to the bound of {safe:.4g} s; take {good:.4g} s, or dt = "auto"'
-    if passes(scene, used) / safe > MANY and not any(element_rates(scene)):
+    if passes(scene, used, safe) / safe > MANY and not any(element_rates(scene)):
         return "if an error of a hundredth of the size will do, xpbd or implicit_euler may need fewer passes"
     return f"{used} at {h:.4g} s is safe in every shape"

@@ -151,7 +151,7 @@ def jelly(
     kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
     cells = None
     if bulk > 0:
-        cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume)
+        cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume, body.together)
     points = moved("jelly", body.points, position, rotation, 1.0)
     ball_radius = or_default("jelly.radius", radius, default_radius)
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)

@@ -259,7 +259,7 @@ class Track:
     def _counted(self, trial: Trial) -> float:
         from taichi_sim.reports.check import passes
 
-        return float(passes(self.scene, trial.method) * trial.step.number * PARTS)
+        return float(passes(self.scene, trial.method, trial.step.seconds) * trial.step.number * PARTS)
 
 
 def _too_long(seconds: float, most: float) -> str:

@@ -1,0 +1,135 @@
+"""Gas within an implicit stage: its forces where the stage ends, what the matrix has of it, and its potential."""
+
+from typing import Any
+
+import taichi as ti
+
+from taichi_sim.fields import Fields
+from taichi_sim.kernels import rows
+from taichi_sim.kernels.springs import GRAIN
+
+__all__ = ["StageGas"]
+
+
+@ti.data_oriented
+class StageGas:
+    """Closed surfaces of gas in a StageSolver.
+
+    A gas adds U(V) = -C ln V + outside V, C = (pressure + outside) V0, to the potential of a stage, s p dV/dx to its residual and
+    s^2 d2U/dx2 = s^2 (C / V^2 dV/dx dV/dx^T - p d2V/dx2) to its matrix. The second part has negative directions, but with
+    it a surface in balance, springs against gas, turns freely, as it should. A ball's own block of d2V/dx2 is 0: moved alone, a
+    corner changes the volume linearly.
+
+    Fields: `here` (n), x the places [m] at which the rest was worked out; `change` (gases) [m^3]: of volumes along a product's p.
+    """
+
+    def __init__(self, gases: Any, fields: Fields) -> None:
+        self.gases, self.n = gases, gases.n
+        self.here = fields.table({"x": ti.types.vector(3, fields.real)}, self.n)
+        self.step, self.change = fields.reals(1), fields.reals(gases.count)
+        self.part = fields.doubles(gases.parts)
+        self.energy = fields.doubles(2)  # J, of gas: now, and with a part of the change taken back
+        self.wide = self.part.dtype
+
+    @ti.func
+    def push(self, base: ti.template(), total: ti.template(), s):
+        """total (n), in rows, += s times the forces at base.x + s base.v."""
+        self.step[0] = s
+        for i in range(self.n):
+            self.here[i].x = base[i].x + s * base[i].v
+        self.gases.press(self.here)
+        for i in range(self.n):
+            total[i] = total[i] + rows.pad(s * self.gases.force(self.here, i), 3)
+
+    @ti.func
+    def multiply(self, p: ti.template(), total: ti.template()):
+        """total (n) += the gas's part of the matrix times p (n), all in rows."""
+        for k in range(self.gases.parts * GRAIN):
+            if k % GRAIN == 0:
+                self._change(p, k // GRAIN)
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            for g in range(self.gases.count):
+                self.change[g] = 0.0
+            for c in range(self.gases.parts):
+                g = self.gases.part[c].gas
+                self.change[g] = self.change[g] + ti.cast(self.part[c], float)
+        for i in range(self.n):
+            f, s = ti.Vector.zero(float, 3), self.step[0]
+            x, q = self.here[i].x, rows.cut(p[i], 3)
+            for e in range(self.gases.start[i], self.gases.start[i + 1]):
+                row = self.gases.row[e]
+                a, b = self.here[row.a].x - x, self.here[row.b].x - x
+                turned = (rows.cut(p[row.a], 3) - q).cross(b) + a.cross(rows.cut(p[row.b], 3) - q)
+                f += (
+                    self.gases.rate[row.gas] * self.change[row.gas] * a.cross(b) - self.gases.pressure[row.gas] * turned
+                )
+            total[i] = total[i] + rows.pad(s * s / 6.0 * f, 3)
+
+    @ti.func
+    def _change(self, p: ti.template(), c):
+        """Of the volume of part c along p; from the gas's first ball, as volumes are."""
+        part = self.gases.part[c]
+        home = self.gases.law[part.gas].home
+        x, q = self.here[home].x, rows.cut(p[home], 3)
+        total = ti.cast(0.0, self.wide)
+        for k in range(part.first, part.last):
+            t = self.gases.triangle[k]
+            one, two, three = self.here[t.a].x - x, self.here[t.b].x - x, self.here[t.c].x - x
+            change = (rows.cut(p[t.a], 3) - q).dot(two.cross(three))
+            change += (rows.cut(p[t.b], 3) - q).dot(three.cross(one))
+            change += (rows.cut(p[t.c], 3) - q).dot(one.cross(two))
+            total += ti.cast(change, self.wide)
+        self.part[c] = total / 6.0
+
+    @ti.func
+    def gradient(self, i):
+        """g such that s^2 C / V^2 dV/dx dV/dx^T has the block g g^T at ball i."""
+        g = ti.Vector.zero(float, 3)
+        for e in range(self.gases.start[i], self.gases.start[i + 1]):
+            row = self.gases.row[e]
+            x = self.here[i].x
+            g += ti.sqrt(self.gases.rate[row.gas]) / 6.0 * (self.here[row.a].x - x).cross(self.here[row.b].x - x)
+        return self.step[0] * g
+
+    @ti.func
+    def compare(self, base: ti.template(), dv: ti.template(), s, part):
+        """The energies with `part` of dv taken back, then without; `here` is left as it was."""
+        for side in ti.static((1, 0)):
+            for i in range(self.n):
+                self.here[i].x = base[i].x + s * (base[i].v - ti.static(float(side)) * part * dv[i])
+            for k in range(self.gases.parts * GRAIN):
+                if k % GRAIN == 0:
+                    self._volume(k // GRAIN)
+            ti.loop_config(serialize=True)
+            for _ in range(1):
+                self.energy[side] = 0.0
+                c = 0
+                for g in range(self.gases.count):
+                    volume = ti.cast(0.0, self.wide)
+                    while c < self.gases.parts and self.gases.part[c].gas == g:
+                        volume += self.part[c]
+                        c += 1
+                    self.energy[side] = self.energy[side] + self._stored(g, volume)
+
+    @ti.func
+    def _volume(self, c):
+        """Of part c, in double precision: what a step changes of a volume may be little."""
+        part = self.gases.part[c]
+        x = ti.cast(self.here[self.gases.law[part.gas].home].x, self.wide)
+        total = ti.cast(0.0, self.wide)
+        for k in range(part.first, part.last):
+            t = self.gases.triangle[k]
+            one = ti.cast(self.here[t.a].x, self.wide) - x
+            two, three = ti.cast(self.here[t.b].x, self.wide) - x, ti.cast(self.here[t.c].x, self.wide) - x
+            total += one.dot(two.cross(three))
+        self.part[c] = total / 6.0
+
+    @ti.func
+    def _stored(self, g, volume):
+        """U of gas g [J], without a constant; below the least volume the force stays as it is there."""
+        law = self.gases.law[g]
+        inside, outside = ti.cast(law.inside, self.wide), ti.cast(law.outside, self.wide)
+        least = ti.cast(law.least, self.wide)
+        full = ti.max(volume, least)
+        return -inside * ti.log(full / least) + outside * full + (inside / least - outside) * (full - volume)

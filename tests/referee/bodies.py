@@ -1,0 +1,295 @@
+"""Random scenes of springs: sleds and jelly on the ground, chains, balloons, pendulums, sheets, led ends."""
+
+import numpy as np
+
+import taichi_sim as ts
+
+from .agreement import block, slowest
+from .bounces import log, up
+from .observe import Case
+from .scenes import components
+
+__all__ = ["BODIES", "METHODS"]
+
+Rng = np.random.Generator
+METHODS = ("verlet", "rk4", "symplectic_euler", "implicit_euler", "tr_bdf2", "xpbd", "explicit_euler")
+
+
+def ground(scene: ts.Scene, kind: str, material: str) -> None:
+    """Solid below y = 0."""
+    dim = scene.dim
+    centre, size = np.array([0.0, -1.0, 0.0])[:dim], np.array([16.0, 2.0, 4.0])[:dim]
+    if kind == "wall":
+        scene.add_wall(np.eye(dim)[1], 0.0, material)
+    elif kind == "box":
+        scene.add_collider(ts.Box(centre, size, material=material))
+    else:
+        scene.add_collider(ts.Mesh(block(size), position=centre, material=material, resolution=16))
+
+
+def _sleds(rng: Rng, n: int, method: str | None = None) -> list[Case]:
+    """Feet that carry a load on springs and slide."""
+    dim = int(rng.integers(2, 4))
+    kind = str(rng.choice(["wall", "box"] if dim == 2 else ["wall", "box", "mesh"]))
+    method = method or str(rng.choice(METHODS))
+    cases = []
+    for _ in range(n if kind != "mesh" else 4):
+        scene = ts.Scene(dim, up(dim, 10.0))
+        mu = float(rng.uniform(0.1, 0.8))
+        scene.add_material("m", friction=mu)
+        load, r, foot = float(log(rng, 0.5, 50.0)), 0.05, float(log(rng, 0.1, 3.0))
+        feet = 2 if dim == 2 else 3
+        x = np.zeros((feet + 1, dim))
+        angle = 2 * np.pi * np.arange(feet) / feet
+        x[:feet, 0] = 0.4 * np.cos(angle)
+        if dim == 3:
+            x[:feet, 2] = 0.4 * np.sin(angle)
+        x[:feet, 1], x[feet, 1] = r, 0.16
+        mass = np.full(feet + 1, foot)
+        mass[feet] = load * foot * feet
+        v = np.zeros(dim)
+        v[0] = 1.4 * mu * 10.0 * 0.3 + 0.5
+        balls = scene.add_balls(x, radius=r, mass=mass, velocity=v, material="m", body=scene.new_body())
+        pairs = [[i, j] for i in balls for j in balls if i < j]
+        # flat struts: so stiff that the load sinks in by a fiftieth of its height
+        k = 50.0 * 10.0 * mass.sum() / 0.11
+        scene.add_springs(pairs, stiffness=k, damping=0.4 * np.sqrt(k * foot))
+        ground(scene, kind, "m")
+        cases.append(Case(scene, {"integrator": method}, 0.3, 6))
+    return cases
+
+
+def _jelly_slides(rng: Rng, n: int) -> list[Case]:
+    """Jelly that lands along the ground."""
+    dim = 2 if rng.random() < 0.7 else 3
+    kind, fabric = str(rng.choice(["wall", "box"])), rng.random() < 0.5
+    method = str(rng.choice(["verlet", "verlet", "rk4", "symplectic_euler"]))
+    cases = []
+    for _ in range(n if dim == 2 else 3):
+        scene = ts.Scene(dim, up(dim, 10.0))
+        scene.add_material("m", friction=float(rng.uniform(0.1, 0.4)))
+        size = (0.4, 0.2, 0.3)[:dim]
+        made = {"young_modulus": 2e4, "poisson_ratio": 0.35, "damping": 2.0} if fabric else {}
+        # by its centre of mass, a touch above the ground
+        body = ts.shapes.jelly(scene, size, (5, 3, 3)[:dim], material="m", position=(0.0, 0.06, 0.0)[:dim], **made)
+        scene.velocity[body.balls, 0] = rng.uniform(8.0, 20.0)
+        scene.velocity[body.balls, 1] = -rng.uniform(0.5, 3.0)
+        ground(scene, kind, "m")
+        cases.append(Case(scene, {"integrator": method}, 0.15, 4))
+    return cases
+
+
+def _jelly_stays(rng: Rng, n: int) -> list[Case]:
+    """Jelly at rest on ground that is less steep than its friction holds."""
+    dim = 2
+    slope = float(rng.uniform(0.1, 0.4))
+    kind, method = str(rng.choice(["wall", "box"])), str(rng.choice(["verlet", "rk4", "implicit_euler"]))
+    cases = []
+    for _ in range(n):
+        scene = ts.Scene(dim, (10.0 * np.sin(slope), -10.0 * np.cos(slope)))
+        scene.add_material("m", friction=float(np.tan(slope) * rng.uniform(1.3, 2.5)))
+        made = {"young_modulus": float(log(rng, 5e3, 5e4)), "damping": 2.0} if rng.random() < 0.5 else {}
+        size, number = (0.4, float(rng.uniform(0.15, 0.25))), (5, 3)
+        radius = 0.45 * min(size[0] / 4, size[1] / 2)
+        ts.shapes.jelly(scene, size, number, material="m", radius=radius, position=(0.0, radius), **made)
+        ground(scene, kind, "m")
+        cases.append(Case(scene, {"integrator": method}, 1.0, 2))
+    return cases
+
+
+def _chains(rng: Rng, n: int) -> list[Case]:
+    """Chains of damped springs, a load at their ends, in their slowest mode."""
+    dim, method = int(rng.integers(2, 4)), str(rng.choice(["verlet", "verlet", "rk4", "tr_bdf2"]))
+    stiffness = float(log(rng, 1e3, 1e5))
+    drawn = []
+    for _ in range(n):
+        scene = ts.Scene(dim)
+        links = int(rng.integers(4, 20))
+        x = np.zeros((links + 1, dim))
+        x[:, 0] = 0.1 * np.arange(links + 1)
+        mass = np.ones(links + 1)
+        mass[-1] = log(rng, 1.0, 300.0)
+        balls = scene.add_balls(x, radius=0.01, mass=mass, pinned=[0], body=scene.new_body())
+        pairs = np.stack([balls[:-1], balls[1:]], axis=1)
+        critical = 2 * np.sqrt(stiffness * mass.sum() * links)  # about, of the whole
+        damping = min(float(log(rng, 3e-3, 0.5)) * critical, 0.3 * np.sqrt(stiffness) * (mass.sum() * links) ** 0.5)
+        scene.add_springs(pairs, stiffness=stiffness, damping=damping)
+        value, _, right = slowest(scene, components(scene)[0])
+        speed = right[scene.n_balls * dim :]
+        speed = np.real(speed / speed[np.argmax(np.abs(speed))])
+        scene.velocity[:] = 0.01 * abs(value) * speed.reshape(-1, dim)  # it moves by a tenth of a link
+        drawn.append((scene, -value.real))
+    longest = min(8.0, float(np.median([2.0 / decay for _, decay in drawn])))
+    return [Case(scene, {"integrator": method}, longest, 60) for scene, _ in drawn]
+
+
+def _balloons(rng: Rng, n: int) -> list[Case]:
+    """Balloons that turn freely."""
+    method = str(rng.choice(["implicit_euler", "xpbd", "verlet", "tr_bdf2"]))
+    cases = []
+    for _ in range(n):
+        scene = ts.Scene(3)
+        radius = float(rng.uniform(0.15, 0.4))
+        body = ts.shapes.balloon(
+            scene,
+            (0.0, 0.0, 0.0),
+            radius,
+            1,
+            stretch_stiffness=float(log(rng, 50, 300)),
+            damping=0.05,
+            ball_radius=0.02,
+        )
+        axis = rng.normal(size=3)
+        scene.velocity[body.balls] = np.cross(0.5 * axis / np.linalg.norm(axis), scene.position[body.balls])
+        cases.append(Case(scene, {"integrator": method}, 0.5, 4))
+    return cases
+
+
+def _hung_balloons(rng: Rng, n: int) -> list[Case]:
+    """Balloons pinned at the top that sag."""
+    method = str(rng.choice(["implicit_euler", "xpbd", "tr_bdf2"]))
+    cases = []
+    for _ in range(n):
+        scene = ts.Scene(3, (0.0, -10.0, 0.0))
+        body = ts.shapes.balloon(
+            scene,
+            (0.0, 0.0, 0.0),
+            float(rng.uniform(0.2, 0.4)),
+            1,
+            mass=float(log(rng, 3e-3, 0.1)),
+            damping=0.05,
+            ball_radius=0.02,
+        )
+        top = body.balls[np.argmax(scene.position[body.balls, 1])]
+        scene.pinned[top] = True
+        cases.append(Case(scene, {"integrator": method}, 0.2, 4))
+    return cases
+
+
+def _pendulums(rng: Rng, n: int) -> list[Case]:
+    """Very stiff pendulums and ropes, by an implicit method at long steps."""
+    dim = int(rng.integers(2, 4))
+    settings = {"integrator": "implicit_euler", "dt": 1.0 / float(rng.choice([60, 120, 240]))}
+    cases = []
+    for _ in range(n):
+        scene = ts.Scene(dim, up(dim, 10.0))
+        k, length = int(rng.choice([1, 1, 2, 5, 10])), float(rng.uniform(0.05, 0.5))
+        x = np.zeros((k + 1, dim))
+        x[:, 0] = length * np.arange(k + 1) / k
+        balls = scene.add_balls(
+            x, radius=0.01 * length, mass=float(log(rng, 0.1, 10)), pinned=[0], body=scene.new_body()
+        )
+        scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=float(log(rng, 1e5, 1e8)))
+        cases.append(Case(scene, settings, 2.0, 120))
+    return cases
+
+
+def _sheets(rng: Rng, n: int) -> list[Case]:
+    """Folded sheets with damping of bending that turn freely."""
+    cases = []
+    for _ in range(n):
+        scene = ts.Scene(3)
+        body = ts.shapes.cloth(
+            scene, (0.3, 0.3), (3, 3), mass_per_area=0.3, bending_rigidity=float(log(rng, 1e-5, 1e-3)), radius=0.005
+        )
+        x = scene.position[body.balls] - scene.position[body.balls].mean(axis=0)
+        fold = float(rng.uniform(0.5, 1.5))
+        x[:, 1] += np.sin(fold) * np.abs(x[:, 0])
+        x[:, 0] *= np.cos(fold)
+        x -= x.mean(axis=0)
+        scene.position[body.balls] = x
+        scene.bend_damping[:] = 10.0 ** rng.uniform(-3, -1)
+        axis = rng.normal(size=3)
+        scene.velocity[body.balls] = np.cross(2.0 * axis / np.linalg.norm(axis), x)
+        cases.append(Case(scene, {"integrator": "verlet"}, 0.5, 4))
+    return cases
+
+
+def _nets(rng: Rng, n: int) -> list[Case]:
+    """Cloth and ropes, damped by little or much, that hang, swing and feel wind; no contacts."""
+    method = str(rng.choice(["verlet", "tr_bdf2", "implicit_euler"]))
+    windy = rng.random() < 0.5
+    cases = []
+    for _ in range(n):
+        scene = ts.Scene(3, (0.0, -10.0, 0.0))
+        body = ts.shapes.cloth(
+            scene,
+            (0.6, 0.5),
+            (4, 4),
+            mass_per_area=float(log(rng, 0.1, 1.0)),
+            bending_rigidity=1e-4,
+            damping=0.0,
+            radius=0.01,
+        )
+        scene.damping[:] = float(log(rng, 1e-3, 1e2))
+        scene.bend_damping[:] = 1e-3
+        scene.pinned[body.balls[: int(rng.integers(1, 5))]] = True
+        if windy:
+            scene.add_wind((1.0, 0.5, 2.0))
+        cases.append(Case(scene, {"integrator": method, "contacts": "off", "dt": 2.0**-11, "substeps": 1}, 0.25, 4))
+    return cases
+
+
+def _led(rng: Rng, n: int) -> list[Case]:
+    """Chains of damped springs, one end led along a path with kinks at whole steps."""
+    dim, method = int(rng.integers(2, 4)), str(rng.choice(["verlet", "tr_bdf2"]))
+    dt = 2.0**-9
+    cases = []
+    for _ in range(n):
+        scene = ts.Scene(dim)
+        links = int(rng.integers(2, 6))
+        x = np.zeros((links + 1, dim))
+        x[:, 0] = 0.2 * np.arange(links + 1)
+        balls = scene.add_balls(x, radius=0.01, body=scene.new_body())
+        k = float(log(rng, 1e2, 2e3))
+        scene.add_springs(
+            np.stack([balls[:-1], balls[1:]], axis=1), stiffness=k, damping=float(rng.uniform(0.05, 0.2)) * np.sqrt(k)
+        )
+        path = [(0.0, np.zeros(dim))]
+        for step in (16, 40, 96):
+            path.append((step * dt, rng.uniform(-0.05, 0.05, dim)))
+        scene.add_moving_pins([0], path=[{"time": t, "position": p.tolist()} for t, p in path])
+        cases.append(Case(scene, {"integrator": method, "dt": dt, "substeps": 1, "contacts": "off"}, 128 * dt, 1))
+    return cases
+
+
+def _hanging(rng: Rng, n: int) -> list[Case]:
+    """A cloth that falls into the hands that hold it; a tolerance is asked for."""
+    scene = ts.Scene(3, (0.0, -10.0, 0.0))
+    k = int(rng.integers(6, 11))
+    sheet = ts.shapes.cloth(
+        scene, (1.0, 1.0), (k, k), stiffness=float(log(rng, 100, 1000)), damping=float(log(rng, 3e-3, 0.1))
+    )
+    scene.pinned[[sheet.balls[0], sheet.balls[k - 1]]] = True
+    tolerance = float(rng.choice([1e-3, 1e-4]))
+    return [Case(scene, {"integrator": "verlet", "tolerance": tolerance}, 0.5, 1, alone=True)]
+
+
+VIEWS = (
+    "mirror",
+    "quarter_turn",
+    "in_a_moving_frame",
+    "elsewhere",
+    "in_other_units",
+    "in_other_masses",
+    "renumbered",
+    "steps_in_other_groups",
+    "restored_goes_on",
+    "fused_is_parallel",
+    "methods_agree",
+    "default_step_is_near_a_small_one",
+)
+
+BODIES = {
+    "sled": (_sleds, ("friction_is_mu_while_sliding",), 30),
+    "jelly_slides": (_jelly_slides, ("friction_is_mu_while_sliding",), 24),
+    "jelly_stays": (_jelly_stays, ("stays_below_the_friction_angle", "friction_is_mu_while_sliding"), 24),
+    "chain": (_chains, ("decays_as_the_linear_network",), 30),
+    "balloon": (_balloons, ("angular_momentum_is_kept", "momentum_is_kept"), 12),
+    "hung_balloon": (_hung_balloons, ("methods_agree",), 10),
+    "pendulum": (_pendulums, ("energy_never_grows",), 40),
+    "folded_sheet": (_sheets, ("angular_momentum_is_kept", "momentum_is_kept"), 40),
+    "net": (_nets, VIEWS, 16),
+    "led_chain": (_led, ("order_is_kept", "methods_agree"), 40),
+    "hanging_cloth": (_hanging, ("tolerance_is_kept",), 1),
+}

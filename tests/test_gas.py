@@ -1,0 +1,76 @@
+"""Gas and the methods for stiff springs: both act at the places where a step ends."""
+
+import numpy as np
+import pytest
+from physics_support import F64, simulate
+from test_elements import elastic_forces
+
+import taichi_sim as ts
+from taichi_sim.integrators.implicit_euler import ImplicitEuler
+from taichi_sim.stability import stability
+
+STIFF = ("implicit_euler", "xpbd")
+
+
+def balloon(subdivisions: int, radius: float, **settings) -> ts.Scene:
+    scene = ts.Scene(dim=3)
+    ts.shapes.balloon(scene, (0, 0, 0), radius, subdivisions, **settings)
+    return scene
+
+
+@pytest.mark.parametrize("method", STIFF)
+def test_a_turning_balloon_keeps_its_angular_momentum(method):
+    """But for what the method itself takes: turning at W, implicit Euler leaves 1 / (1 + h^2 W^2) of it in a step. Gas that acts
+    at old places took 1 / (1 + 3 h^2 p R / (M R^2 / (4 pi R^2))), nine tenths of it in half a second."""
+    turn, scene = 4.0, balloon(1, 0.25, pressure=120.0, mass=0.06)
+    scene.velocity[:] = np.cross([0.0, turn, 0.0], scene.position)
+    with simulate(scene, integrator=method, contacts="off") as sim:
+        start, h = sim.angular_momentum()[1], sim.dt / sim.substeps
+        sim.run(0.5)
+        kept = sim.angular_momentum()[1] / start
+    own = (1.0 + (h * turn) ** 2) ** (-0.5 / h)
+    assert h > 2e-4
+    assert own - 0.003 < kept < 1.003
+
+
+@pytest.mark.parametrize("method", STIFF)
+def test_a_balloon_held_at_its_side_falls_as_by_verlet(method):
+    """A quarter of a turn about the ball that is held."""
+    lowest = {}
+    for name in ("verlet", method):
+        scene = balloon(1, 0.12, pressure=500.0, mass=0.004)
+        scene.gravity = np.array([0.0, -9.81, 0.0])
+        scene.pinned[np.argmax(scene.position[:, 0])] = True
+        with simulate(scene, integrator=name, contacts="off") as sim:
+            sim.run(0.2)
+            lowest[name] = float(sim.position[:, 1].mean())
+    assert lowest["verlet"] < -0.07
+    assert lowest[method] == pytest.approx(lowest["verlet"], rel=0.02)
+
+
+def test_a_step_of_implicit_euler_solves_its_equations_with_gas():
+    """m (v' - v) = h F(x'), springs and gas at the new places, h far beyond what explicit gas would bear; two gases in one."""
+    scene = balloon(0, 0.2, pressure=300.0, mass=0.002)
+    faces = scene.gases[0].triangles
+    scene.add_gas(faces, pressure=50.0, outside=1e4)
+    scene.damping[:] = 0.0  # no part of the energy
+    rng = np.random.default_rng(3)
+    scene.velocity[:] = rng.normal(size=scene.velocity.shape)
+    h = 10.0 * stability(scene, "verlet").dt_any_shape
+    v = scene.velocity.copy()
+    with simulate(scene, integrator=ImplicitEuler(1e-9 if F64 else 1e-4), dt=h, substeps=1, contacts="off") as sim:
+        sim.step()
+        x, change = sim.position, scene.mass[:, None] * (sim.velocity - v)
+        found = sim.solver()
+    force = elastic_forces(scene, x)
+    scale = np.abs(change).max()
+    assert scale > 0.1 * np.abs(scene.mass[:, None] * v).max()
+    np.testing.assert_allclose(change, h * force, atol=scale * (1e-5 if F64 else 1e-2))
+    assert found.misses == 0
+    assert found.passes < 400
+
+
+def test_gas_limits_the_methods_that_leave_it_where_it_was():
+    scene = balloon(1, 0.12, pressure=500.0, mass=0.004)
+    assert stability(scene, "implicit_euler").dt_any_shape == np.inf
+    assert stability(scene, "tr_bdf2").dt_any_shape < 2e-3

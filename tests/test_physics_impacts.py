@@ -1,0 +1,248 @@
+"""Impacts among others and under load: friction of what is pressed, energy of crowds, light balls under heavy ones."""
+
+import numpy as np
+import pytest
+from physics_support import F64, simulate, vector
+
+import taichi_sim as ts
+from taichi_sim.shapes import jelly
+
+G = 10.0
+
+# Friction of what forces press into a surface --------------------------------------------------------------------------
+
+LOADS = (0.5, 1.5, 2.7, 4.0, 12.0, 50.0)  # on two feet, in units of their weight
+MU, SPEED = 0.35, 2.5
+METHODS = ("verlet", "rk4", "symplectic_euler", "explicit_euler", "implicit_euler", "tr_bdf2", "xpbd")
+
+
+def slab():
+    """A floor as a mesh: its top is y = 0."""
+    at = np.array([[x, y, z] for x in (-20.0, 20.0) for y in (-2.0, 0.0) for z in (-20.0, 20.0)])
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return at, np.array([t for a, b, c, d in sides for t in ([a, b, c], [a, c, d])])
+
+
+def sledges(floor):
+    """Each two feet and a load above, joined by springs, which slide along x; one behind the other along z."""
+    scene = ts.Scene(dim=3, gravity=(0.0, -G, 0.0))
+    scene.add_material("rubber", friction=MU)
+    if floor == "wall":
+        scene.add_wall((0, 1, 0), 0.0, "rubber")
+    else:
+        box = ts.Box((0, -1, 0), (40, 2, 40), material="rubber")
+        scene.add_collider(box if floor == "box" else ts.Mesh(slab(), material="rubber"))
+    radius, stiffness = 0.04, 1.5e4
+    for i, load in enumerate(LOADS):
+        at = np.array([(-0.5, radius, i), (0.5, radius, i), (0.0, 0.3, i)])
+        ball = scene.add_balls(
+            at, radius=radius, mass=[1.0, 1.0, 2.0 * load], velocity=(SPEED, 0, 0), material="rubber"
+        )
+        pairs = [(ball[0], ball[1]), (ball[0], ball[2]), (ball[1], ball[2])]
+        scene.add_springs(pairs, stiffness=stiffness, damping=1.4 * np.sqrt(stiffness * load))
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("floor", "method"),
+    [
+        pytest.param(f, m, marks=[] if f == "wall" and m in ("verlet", "rk4") else [pytest.mark.slow])
+        for f in ("wall", "box", "mesh")
+        for m in METHODS
+        if f == "wall" or m in ("verlet", "implicit_euler")
+    ],
+)
+def test_what_springs_press_down_slides_with_mu_times_its_weight(floor, method):
+    """By the impulses of the whole fall: mu times what the floor gave upward, in each sledge within 1 %."""
+    scene = sledges(floor)
+    weight = scene.mass.reshape(-1, 3, 1)
+    step = {"dt": 2e-4} if method == "explicit_euler" else {}
+    with simulate(scene, integrator=method, **step) as sim:
+
+        def mean():
+            return (weight * sim.velocity.reshape(-1, 3, 3)).sum(axis=1) / weight.sum(axis=1)
+
+        sim.step(round(0.1 / sim.dt))
+        before, start = mean(), sim.time
+        sim.step(round(0.4 / sim.dt))
+        change, time = mean() - before, sim.time - start
+    upward = change[:, 1] + G * time
+    assert np.all(upward > 0.8 * G * time)
+    np.testing.assert_allclose(-change[:, 0], MU * upward, rtol=0.01)
+
+
+@pytest.mark.slow
+def test_a_jelly_stops_where_friction_holds_it():
+    """On a slope of 15 degrees with mu = .4 it stays; its balls meet the wall all the time, pressed by springs."""
+    slope = np.radians(15.0)
+    scene = ts.Scene(dim=2, gravity=(G * np.sin(slope), -G * np.cos(slope)))
+    scene.add_material("rubber", friction=0.4)
+    scene.add_wall((0, 1), 0.0, "rubber")
+    jelly(scene, (0.9, 0.5), (7, 5), position=(0, 0.04), material="rubber")
+    with simulate(scene) as sim:
+        sim.step(round(2.0 / sim.dt))
+        assert abs(np.average(sim.velocity[:, 0], weights=scene.mass)) < 0.05
+
+
+# Crowds -----------------------------------------------------------------------------------------------------------------
+
+
+def crowd(dim, n, filled, gravity, speed, seed):
+    """Elastic balls at random places in a box of walls, without friction."""
+    rng, radius = np.random.default_rng(seed), 0.04
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -gravity))
+    scene.add_material("steel", restitution=1.0)
+    side = (n * (np.pi * radius**2 if dim == 2 else 4 / 3 * np.pi * radius**3) / filled) ** (1 / dim)
+    for axis in range(dim):
+        scene.add_wall(np.eye(dim)[axis], 0.0, "steel")
+        scene.add_wall(-np.eye(dim)[axis], -side, "steel")
+    at = []
+    while len(at) < n:
+        x = rng.uniform(1.01 * radius, side - 1.01 * radius, dim)
+        if all(np.linalg.norm(x - y) > 2.02 * radius for y in at):
+            at.append(x)
+    v = rng.normal(size=(n, dim))
+    v *= speed / np.sqrt((v**2).sum(axis=1).mean())
+    scene.add_balls(at, radius=radius, velocity=v, material="steel")
+    return scene
+
+
+def energy(scene, sim):
+    """Kinetic and in all [J]."""
+    kinetic = 0.5 * float(scene.mass @ (sim.velocity**2).sum(axis=1))
+    return kinetic, kinetic - float(scene.mass @ (sim.position @ scene.gravity))
+
+
+@pytest.mark.parametrize(
+    ("dim", "n", "filled", "gravity", "speed", "method"),
+    [
+        (2, 60, 0.15, 10.0, 3.0, "verlet"),
+        pytest.param(2, 60, 0.15, 0.003, 1.0, "symplectic_euler", marks=pytest.mark.slow),
+        pytest.param(2, 150, 0.3, 5.0, 3.0, "verlet", marks=pytest.mark.slow),
+        pytest.param(2, 50, 0.05, 10.0, 3.0, "rk4", marks=pytest.mark.slow),
+        pytest.param(3, 80, 0.1, 10.0, 4.0, "verlet", marks=pytest.mark.slow),
+        pytest.param(3, 200, 0.2, 1.0, 1.0, "verlet", marks=pytest.mark.slow),
+    ],
+)
+def test_elastic_crowds_keep_their_energy(dim, n, filled, gravity, speed, method):
+    """99.5 % of what moves, in 2 s, whatever gravity."""
+    scene = crowd(dim, n, filled, gravity, speed, seed=7)
+    with simulate(scene, integrator=method) as sim:
+        kinetic, before = energy(scene, sim)
+        sim.step(round(2.0 / sim.dt))
+        assert abs(energy(scene, sim)[1] - before) < 5e-3 * kinetic
+
+
+# Light under heavy ------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_comes_back_where_nothing_bounces():
+    """e = 0: a heavy ball falls on a light one on the floor, or on two: no rebound above .02 of its speed, no gain."""
+    scene, radius, speed = ts.Scene(dim=2, gravity=(0.0, -G)), 0.06, 2.5
+    scene.add_wall((0, 1), 0.0)
+    columns = []
+    for k, (below, mass) in enumerate([(1, 1.0), (1, 3.0), (1, 12.0), (1, 50.0), (1, 100.0), (2, 1.0), (2, 8.0)]):
+        at = [(k, (2 * j + 1) * radius) for j in range(below)]
+        at.append((k, (2 * below + 1) * radius + 0.013))
+        ball = scene.add_balls(at, radius=radius, mass=[1.0] * below + [mass])
+        scene.velocity[ball[-1], 1] = -speed
+        columns.append(ball)
+    top = np.array([ball[-1] for ball in columns])
+    scale = 0.5 * scene.mass[top] * speed**2
+    with simulate(scene, dt=1e-3) as sim:
+
+        def each():
+            total = 0.5 * scene.mass * (sim.velocity**2).sum(axis=1) + G * scene.mass * sim.position[:, 1]
+            return np.array([total[ball].sum() for ball in columns])
+
+        fastest, gain, last = np.full(len(top), -np.inf), np.zeros(len(top)), each()
+        for _ in range(200):
+            sim.step(1)
+            now = each()
+            fastest = np.maximum(fastest, sim.velocity[top, 1])
+            gain, last = np.maximum(gain, (now - last) / scale), now
+        assert np.all(np.abs(sim.velocity[top]) < 0.05)
+    assert np.all(fastest < 0.02 * speed), fastest / speed
+    assert np.all(gain < 1e-3), gain
+
+
+def test_neighbours_take_nothing_from_a_bounce():
+    """Spheres that roll side by side into a wall, touching each other and the floor, come back like one alone: with e."""
+    e, speed, radius = 0.6, 1.7, 0.07
+    scene = ts.Scene(dim=3, gravity=(0.0, -G, 0.0))
+    scene.add_material("wood", restitution=e, friction=0.25)
+    scene.add_wall((0, 1, 0), 0.0, "wood")
+    scene.add_wall((-1, 0, 0), -1.0, "wood")
+    at = [(0.6, radius, 2 * radius * k) for k in range(3)] + [(0.6, radius, 1.0)]
+    scene.add_balls(at, radius=radius, velocity=(speed, 0, 0), material="wood")
+    with simulate(scene, dt=1e-3) as sim:
+        rolls = sim.velocity
+        while np.all(sim.velocity[:, 0] > 0.0):
+            assert sim.time < 1.0
+            rolls = sim.velocity
+            sim.step(1)
+        sim.step(2)
+        np.testing.assert_allclose(-sim.velocity[:, 0], e * rolls[:, 0], rtol=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("e", "mu"), [(0.0, 0.0), (0.5, 0.0), (0.6, 0.2)])
+def test_crowds_of_unequal_balls_do_not_fall_through_each_other(e, mu):
+    """Masses 1 to 100 and radii 1 to 3: no overlap above the radius of the smaller ball, little of it left at rest."""
+    rng, n, side = np.random.default_rng(11), 60, 1.2
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_material("mix", restitution=e, friction=mu)
+    for normal, offset in (((0, 1), 0.0), ((1, 0), 0.0), ((-1, 0), -side)):
+        scene.add_wall(normal, offset, "mix")
+    big = rng.random(n) < 0.5
+    radius, at = np.where(big, 0.09, 0.03), []
+    while len(at) < n:
+        x, own = np.array([rng.uniform(0.1, side - 0.1), rng.uniform(0.1, 4.0)]), radius[len(at)]
+        if all(np.linalg.norm(x - y) > 1.01 * (own + r) for y, r in zip(at, radius)):
+            at.append(x)
+    scene.add_balls(at, radius=radius, mass=np.where(big, 100.0, 1.0), material="mix")
+
+    def overlap(x):
+        apart = np.linalg.norm(x[:, None] - x[None], axis=2) + 9.0 * np.eye(n)
+        return np.max((radius[:, None] + radius - apart) / np.minimum(radius[:, None], radius))
+
+    with simulate(scene) as sim:
+        deepest = 0.0
+        while sim.time < 3.0:
+            sim.step(5)
+            deepest = max(deepest, overlap(sim.position))
+        assert deepest < 1.0
+        assert overlap(sim.position) < 0.15
+
+
+# Thresholds belong to the scene -----------------------------------------------------------------------------------------
+
+
+def test_without_gravity_everything_bounces():
+    """A ball at 3 mm/s comes back from a wall, and from a ball, at e times its speed: nothing makes it rest."""
+    scene, radius = ts.Scene(dim=2), 0.01
+    scene.add_material("glass", restitution=0.8)
+    scene.add_wall((1, 0), 0.0, "glass")
+    scene.add_balls([(radius + 1e-4, 0.0)], radius=radius, velocity=(-3e-3, 0.0), material="glass")
+    scene.add_balls([(1.0, 0.0), (1.0 + 2 * radius + 1e-4, 0.0)], radius=radius, material="glass")
+    scene.velocity[2, 0] = -3e-3
+    with simulate(scene, dt=1e-3) as sim:
+        sim.step(100)
+        v = sim.velocity[:, 0]
+    tolerance = 1e-9 if F64 else 1e-4
+    np.testing.assert_allclose(v, [2.4e-3, -2.7e-3, -0.3e-3], rtol=tolerance)
+
+
+def test_a_ball_in_a_hollow_box_meets_the_next_face_in_time():
+    """It slides along the floor of the box and comes back from the side without entering it."""
+    scene, radius, speed = ts.Scene(dim=2, gravity=(0.0, -G)), 0.05, 3.0
+    scene.add_material("ice", restitution=0.7)
+    scene.add_collider(ts.Box((0, 0.5), (2.0, 1.0), hollow=0.1, material="ice"))
+    scene.add_balls([(0.5 + 1e-3 * k, radius) for k in range(1)], radius=radius, velocity=(speed, 0.0), material="ice")
+    with simulate(scene, dt=2e-3) as sim:
+        furthest = 0.0
+        for _ in range(150):
+            sim.step(1)
+            furthest = max(furthest, float(sim.position[0, 0]))
+        assert furthest < 1.0 - radius + 0.01 * radius
+        np.testing.assert_allclose(sim.velocity[0, 0], -0.7 * speed, rtol=1e-6 if F64 else 1e-3)
