@@ -279,7 +279,9 @@ class Walls:
                 if ti.static(solver.strikes and self.crowds):
                     self.contact[c].start = self.contact[c].impulse
                     if crowded:
-                        target = -ti.max(0.0, gap) * solver.rate[0]  # it may come to the wall, but not go on
+                        # it may come to the wall, but not go on; one that rests stays: each move of a pile, however small,
+                        # would be the next one's impact
+                        target = ti.select(gap > touch, -gap * solver.rate[0], 0.0)
                         closing = -(u + wall_hits.load(self, solver, i, n))
                         bounces = e > 0.0 and (e >= 1.0 or gap * solver.rate[0] > closing)
                         if closing > self.threshold[0] and (bounces or ti.static(not impacts)):
