@@ -120,6 +120,9 @@ def one_ball(solver: ti.template(), ball: ti.template(), i, time):
                 strike(solver, i, j, c, p)
     if ti.static(solver.among):
         bounced |= wall_hits.bounce(solver.walls, ball, solver, i, time)
+    if ti.static(solver.accelerates):
+        if bounced > 0:
+            solver.hit[i] = 1
     return bounced
 
 
@@ -158,3 +161,5 @@ def alert(solver: ti.template()):
             if solver.walls.crowded[solver.pairs.grid.order[k]] > 1:
                 solver.mark[b] = 1
                 solver.struck[b] = 1
+                if ti.static(solver.accelerates):
+                    solver.hit[solver.pairs.grid.order[k]] = 1

@@ -5,8 +5,11 @@ leave of it goes on approaching, and comes back as overlap. So blocks in which s
 of their own.
 
 A light ball between heavy ones converges as slowly as the ratio of masses: each pass of the two contacts takes the same part of
-what is left. Along the change that a pass made, the kinetic energy is a parabola, so each island of balls that touch goes on
-along it to its least energy, as far as no contact would pull: an exact line search, which takes energy alone.
+what is left. What the passes lessen is the kinetic energy less the work of the target speeds: along the change that a pass made that is a
+parabola, so each island of balls that touch goes on along it to the least, as far as no contact would pull: an exact line search.
+
+These passes are rigid: a soft contact gives way to what it carries, which should be a load; to an impact of heavy balls it would
+give way by their speed.
 """
 
 import taichi as ti
@@ -59,19 +62,29 @@ def one_pass(solver: ti.template(), ball: ti.template()):
     for b in range(solver.pairs.blocks[0]):
         for k in range(b * solver.pairs.length[0], end_of(solver, b)):
             i = solver.pairs.grid.order[k]
-            begin = solver.pairs.first[i]
-            end = begin + solver.pairs.touching[i]
-            if ti.static(solver.accelerates):
-                for c in range(begin, end):
-                    solver.pairs.row[c].noted = solver.pairs.link[c].impulse
-            most = ti.max(most, sweeps.solve_in_turn(solver, ball, i, begin, end, 0.0, sweeps.NEXT))
-            if ti.static(solver.has_walls):
-                if ti.static(solver.among and solver.accelerates):
-                    wall_hits.note(solver.walls, i)
-                p, t = solver.walls.gather(ball, solver, i, 0.0)
-                solver.apply(i, p, t)
-                most = ti.max(most, solver.model.inverse_mass[i] * p.norm())
+            if is_struck(solver, i):
+                begin = solver.pairs.first[i]
+                end = begin + solver.pairs.touching[i]
+                if ti.static(solver.accelerates):
+                    for c in range(begin, end):
+                        solver.pairs.row[c].noted = solver.pairs.link[c].impulse
+                most = ti.max(most, sweeps.solve_in_turn(solver, ball, i, begin, end, 0.0, sweeps.SETTLE))
+                if ti.static(solver.has_walls):
+                    if ti.static(solver.among and solver.accelerates):
+                        wall_hits.note(solver.walls, i)
+                    p, t = solver.walls.gather(ball, solver, i, 0.0)
+                    solver.apply(i, p, t)
+                    most = ti.max(most, solver.model.inverse_mass[i] * p.norm())
     return most
+
+
+@ti.func
+def is_struck(solver: ti.template(), i):
+    """Whether ball i is pinned, or of an island in which something closed fast; where none are known, of a struck block."""
+    struck = True
+    if ti.static(solver.accelerates):
+        struck = solver.awake[root_of(solver, i)] > 0 or solver.model.inverse_mass[i] == 0.0
+    return struck
 
 
 @ti.func
@@ -101,6 +114,7 @@ def find_islands(solver: ti.template()):
         for k in range(b * solver.pairs.length[0], reach_of(solver, b)):
             i = solver.pairs.grid.order[k]
             solver.island[i] = i
+            solver.awake[i] = 0
     for b in range(solver.pairs.blocks[0]):
         for k in range(b * solver.pairs.length[0], end_of(solver, b)):
             i = solver.pairs.grid.order[k]
@@ -109,6 +123,13 @@ def find_islands(solver: ti.template()):
                 if solver.model.inverse_mass[i] * solver.model.inverse_mass[j] > 0.0:
                     one, two = root_of(solver, i), root_of(solver, j)
                     solver.island[ti.max(one, two)] = ti.min(one, two)
+    for b in range(solver.pairs.blocks[0]):
+        for k in range(b * solver.pairs.length[0], end_of(solver, b)):
+            i = solver.pairs.grid.order[k]
+            if solver.hit[i] > 0:
+                solver.awake[root_of(solver, i)] = 1
+                for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+                    solver.awake[root_of(solver, solver.pairs.link[c].other)] = 1
 
 
 @ti.func
@@ -122,7 +143,9 @@ def extend(solver: ti.template(), ball: ti.template()):
             solver.slope[i], solver.bend[i], solver.far[i] = 0.0, 0.0, FAR
     for b in range(blocks):
         for k in range(b * solver.pairs.length[0], end_of(solver, b)):
-            sum_changes(solver, solver.pairs.grid.order[k])
+            i = solver.pairs.grid.order[k]
+            if is_struck(solver, i):
+                sum_changes(solver, i)
     for b in range(blocks):
         for k in range(b * solver.pairs.length[0], reach_of(solver, b)):
             i = solver.pairs.grid.order[k]
@@ -137,13 +160,20 @@ def extend(solver: ti.template(), ball: ti.template()):
             solver.state.kick(i, times(solver, i) * solver.way[i])
         for k in range(b * solver.pairs.length[0], end_of(solver, b)):
             i = solver.pairs.grid.order[k]
-            for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
-                held = solver.pairs.link[c].impulse
-                one = ti.select(solver.model.inverse_mass[i] > 0.0, i, solver.pairs.link[c].other)
-                change = times(solver, one) * (held - solver.pairs.row[c].noted)
-                solver.pairs.link[c].impulse = ti.max(0.0, held + change)
-            if ti.static(solver.among):
-                wall_hits.go_on(solver.walls, i, times(solver, i))
+            if is_struck(solver, i):
+                go_on(solver, i)
+
+
+@ti.func
+def go_on(solver: ti.template(), i):
+    """Add to what the contacts of ball i hold what its island goes on by."""
+    for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+        held = solver.pairs.link[c].impulse
+        one = ti.select(solver.model.inverse_mass[i] > 0.0, i, solver.pairs.link[c].other)
+        change = times(solver, one) * (held - solver.pairs.row[c].noted)
+        solver.pairs.link[c].impulse = ti.max(0.0, held + change)
+    if ti.static(solver.among):
+        wall_hits.go_on(solver.walls, i, times(solver, i))
 
 
 @ti.func
@@ -160,14 +190,17 @@ def sum_changes(solver: ti.template(), i):
         p = change * solver.pairs.row[c].normal
         solver.way[i] = solver.way[i] - w * p
         solver.way[j] = solver.way[j] + solver.model.inverse_mass[j] * p
+        r = root_of(solver, ti.select(w > 0.0, i, j))
         if change < 0.0:
-            r = root_of(solver, ti.select(w > 0.0, i, j))
             solver.far[r] = ti.min(solver.far[r], held / -change)
+        if ti.static(solver.soft):
+            solver.slope[r] = solver.slope[r] - ti.min(0.0, solver.pairs.row[c].depth * solver.rate[0]) * change
     if ti.static(solver.among):
-        p, far = wall_hits.changed(solver.walls, i)
+        p, far, work = wall_hits.changed(solver.walls, i)
         solver.way[i] = solver.way[i] + w * p
         r = root_of(solver, i)
         solver.far[r] = ti.min(solver.far[r], far)
+        solver.slope[r] = solver.slope[r] - work
 
 
 @ti.func

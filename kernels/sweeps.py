@@ -12,10 +12,10 @@ from .direction import cross, lever, unit
 from .pairs import GRAIN, NONE, forget, law_of, zero_slide
 
 # What a sweep does. MEASURE finds which pairs touch and sums what they hold from before; HIT is a round of impacts, see
-# kernels.hits; FIRST is the first pass of a solve, NEXT a later one; BOUNCE one of those that follow where restitution is a
+# kernels.hits; FIRST is the first pass of a solve, NEXT a later one, SETTLE one of those of kernels.settle; BOUNCE one of those that follow where restitution is a
 # matter of its own, see kernels.taming; LIMIT bounds what contacts keep of it; LAST belongs to the short solve at the end of a
 # step, RELAX follows a move without one; OFFSET undoes overlap.
-MEASURE, HIT, FIRST, NEXT, BOUNCE, LIMIT, LAST, RELAX, OFFSET = range(9)
+MEASURE, HIT, FIRST, NEXT, SETTLE, BOUNCE, LIMIT, LAST, RELAX, OFFSET = range(10)
 
 
 @ti.func
@@ -90,6 +90,11 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
         r = ball[j].x - x
         sum = radius + solver.model.radius[j]
         reach = sum * (1.0 + pairs.gap)
+        if ti.static(
+            solver.foresees
+        ):  # and as far as either comes in a step, should the other be stopped: overlap would push back
+            here, there = ball[i].v.dot(r), -ball[j].v.dot(r)
+            reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
         if r.dot(r) < reach * reach:
             n, d = unit(r, i, j)
             pairs.row[end].normal = n
@@ -122,6 +127,8 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
         elif ti.static(solver.warm):
             forget(pairs, e)
     pairs.touching[i] = end - begin
+    if ti.static(solver.accelerates):
+        solver.hit[i] = fast
     if ti.static(solver.warm):
         add(solver, solver.carry, i, w * total)
         if ti.static(solver.spins):
@@ -243,25 +250,27 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
     """Further impulse [N s] on ball i (at velocity v, turn) from its pair with j in link c; -impulse acts on j."""
     n = solver.pairs.row[c].normal
     held = solver.pairs.link[c].impulse
-    if ti.static(stage not in (NEXT, BOUNCE) and not solver.warm):
+    if ti.static(stage not in (NEXT, SETTLE, BOUNCE) and not solver.warm):
         held = 0.0
     u = ball[j].v - v
-    if ti.static(stage not in (NEXT, BOUNCE)):
+    if ti.static(stage not in (NEXT, SETTLE, BOUNCE)):
         if ti.static(solver.strikes):
             prepare_in_turn(solver, i, j, c, n, held, stage)
         else:
             prepare(solver, i, j, c, n, stage)
     total = normal(solver, c, u.dot(n), held, stage)
     solver.pairs.link[c].impulse = ti.max(0.0, total)
+    if ti.static(solver.soft and stage == SETTLE):  # it does not push out any more: nothing is to be taken back
+        solver.pairs.link[c].aim = ti.min(0.0, solver.pairs.link[c].aim)
     p = (held - total) * n
     if ti.static(solver.model.has_friction):
         mass = solver.pairs.row[c].mass
         slide = solver.pairs.link[c].slide
-        if ti.static(stage not in (NEXT, BOUNCE) and not solver.warm):
+        if ti.static(stage not in (NEXT, SETTLE, BOUNCE) and not solver.warm):
             slide = slide * 0.0
         law = law_of(solver.pairs, i, j)
         slip = 0.0 * mass
-        if ti.static(stage not in (NEXT, BOUNCE)):
+        if ti.static(stage not in (NEXT, SETTLE, BOUNCE)):
             slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
         arm = 0.0 * mass
         if ti.static(solver.spins):
@@ -355,7 +364,7 @@ def normal(solver: ti.template(), c, u, held, stage: ti.template()):
         if ti.static(solver.tames and stage in (FIRST, NEXT)):  # what touches is stopped first
             target = ti.select(solver.pairs.row[c].depth > 0.0, 0.0, target)
     total = contact_law.normal_impulse(u, target, mass, held)
-    if ti.static(solver.soft):
+    if ti.static(solver.soft and stage != SETTLE):
         aim = solver.pairs.link[c].aim
         if ti.static(stage in (LAST, RELAX)):  # takes back the speed with which the solve before the move pushed
             least = -ti.min(held, mass * ti.max(0.0, aim))

@@ -82,10 +82,11 @@ def note(walls: ti.template(), i):
 
 @ti.func
 def changed(walls: ti.template(), i):
-    """Impulse [N s] that the pass added to ball i along the normals, and how many times it may be added again before a
-    wall pulls. See kernels.settle."""
+    """Impulse [N s] that the pass added to ball i along the normals, how many times it may be added again before a wall pulls,
+    and its work at the target speeds [J]. See kernels.settle."""
     p = ti.Vector.zero(float, walls.model.dim)
     far = FAR + 0.0 * walls.model.radius[i]
+    work = 0.0 * walls.model.radius[i]
     for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
         contact = walls.contact[i * walls.count + k]
         if walls.solved(i * walls.count + k):
@@ -94,9 +95,10 @@ def changed(walls: ti.template(), i):
                 walls.contact[i * walls.count + k].noted = contact.impulse
                 change = 0.0
             p += change * walls.normal(i, k)
+            work += contact.target * change
             if change < 0.0:
                 far = ti.min(far, contact.impulse / -change)
-    return p, far
+    return p, far, work
 
 
 @ti.func

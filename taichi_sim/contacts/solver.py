@@ -82,6 +82,7 @@ class ContactSolver:
         self.spins = model.spins
         self.strikes = self.in_turn and self.has_grid and not self.has_rows  # impacts one by one, see kernels.hits
         self.bounces = self.strikes and model.has_restitution
+        self.foresees = self.strikes and self.soft and not self.bounces  # what bounces has to touch first
         self.loaded = loaded and self.bounces
         self.accelerates = self.strikes and pairs is not None and pairs.unequal
         self.among = walls is not None and walls.crowds  # walls take their turn in the impacts of pairs
@@ -103,6 +104,7 @@ class ContactSolver:
                 self.mark, self.struck = fields.integers(2 * self.most_blocks), fields.integers(self.most_blocks)
             if self.accelerates:  # see kernels.settle
                 self.island, self.way = fields.integers(self.n), fields.vectors(self.n, model.dim)
+                self.hit, self.awake = fields.integers(self.n), fields.integers(self.n)
                 self.slope, self.bend, self.far = (fields.reals(self.n) for _ in range(3))
             if self.loaded:
                 self.still, self.kicked = (fields.vectors(self.n, model.dim) for _ in range(2))
@@ -195,7 +197,7 @@ class ContactSolver:
                 if ti.static(self.walls.crowds):
                     crowded = self.count[i] > 0
                 self.walls.measure(ball, self, i, crowded)
-            if ti.static(self.bounces and self.among):
+            if ti.static(self.strikes and self.among):
                 hits.alert(self)
         if ti.static(self.loaded):
             for i in range(self.n):

@@ -17,8 +17,9 @@ from taichi_sim.state import State
 __all__ = ["Walls"]
 
 TOUCH = 1e-5  # of the radius: a ball this close that hardly approaches rests on the wall
-# A wall is OUT of the solve for a ball that leaves it; one that ARRIVES fast is left to the move, with its exact time.
-OUT, RESTING, NEAR, ARRIVES = range(4)
+# A wall is OUT of the solve for a ball that leaves it; one that ARRIVES fast is left to the move, with its exact time, but one
+# that SINKS, inside of the wall already, is turned by the solve.
+OUT, RESTING, NEAR, ARRIVES, SINKS = range(5)
 CROWDED, FAST = 1, 2  # a ball that touches others; one that arrives fast at a wall besides
 SLOP = 0.01  # of the radius: depth that position correction leaves
 SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
@@ -174,7 +175,7 @@ class Walls:
         forces gave since contacts were last looked for is a load, which is held, and has friction, however large it is."""
         role = ti.select(u > self.threshold[0], OUT, ti.select(arrives and u < -self.threshold[0], ARRIVES, RESTING))
         if gap < -touch:
-            role = RESTING
+            role = ti.select(role == ARRIVES, SINKS, RESTING)
         if crowded:
             role = ti.select(gap <= touch, RESTING, NEAR)
         return role
@@ -182,7 +183,8 @@ class Walls:
     @ti.func
     def solved(self, c):
         """Whether contact c is a row of the solve."""
-        return self.contact[c].active == RESTING or self.contact[c].active == NEAR
+        role = self.contact[c].active
+        return role == RESTING or role == NEAR or role == SINKS
 
     @ti.func
     def measure(self, ball: ti.template(), solver: ti.template(), i, crowded):
@@ -267,14 +269,13 @@ class Walls:
             if gap <= self.reach_of(i, touch, crowded):
                 n = self.normal(i, k)
                 u = n.dot(self.relative(v, i, k))
-                arrives = self.contact[c].active == ARRIVES
-                self.contact[c].active = self._role(gap, u, touch, crowded, arrives)
+                role = self._role(gap, u, touch, crowded, self.contact[c].active >= ARRIVES)
+                self.contact[c].active = role
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
-                sinks = gap < -touch and u < -self.threshold[0] and not crowded
-                if u > self.threshold[0] or sinks or self.contact[c].active == ARRIVES or ti.static(not solver.warm):
+                if u > self.threshold[0] or role >= ARRIVES or ti.static(not solver.warm):
                     self.forget_one(c)
                 e = self.law(i, k).restitution
-                before = ti.select(crowded, u, ti.max(0.0, u))  # alone, what approaches is pressed
+                before = ti.select(crowded or role == SINKS, u, ti.max(0.0, u))  # alone, what approaches is pressed
                 target = contact_law.target_speed(before, e, self.threshold[0], impacts)
                 if ti.static(solver.strikes and self.crowds):
                     self.contact[c].start = self.contact[c].impulse

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from taichi_sim.fields import Fields
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.integrators.damped_kick import DampedKick
+from taichi_sim.integrators.pin_slopes import PinSlopes
 from taichi_sim.model import Model
 from taichi_sim.scene import Scene
 from taichi_sim.stability import predicts_damping
@@ -55,6 +56,10 @@ class Verlet(Integrator):
         if self.splits:
             self.kick = DampedKick(self.model, self.state, self.forces, fields)
         self.network = self.splits and self.kick.network
+        self.turns_corners = self.network and self.pins is not None
+        if self.turns_corners:
+            assert self.forces.springs is not None
+            self.corners = PinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
         self.hosted = self.network
 
     def set_step(self, h: float) -> None:
@@ -157,6 +162,8 @@ class Verlet(Integrator):
         if ti.static(self.network):
             self.forces.elastic_and_jump(self.ball, h, 0.5 * h, time + h)
             self.kick.start(1, h, self.pull, False)
+            if ti.static(self.turns_corners):
+                self.corners.renew(self.kick.brake)
         else:
             self.forces.elastic(self.ball, h, time + h)
             self.kick.undamped(h, self.pull, False)
