@@ -5,11 +5,12 @@ leave of it goes on approaching, and comes back as overlap. So blocks in which s
 of their own.
 
 A light ball between heavy ones converges as slowly as the ratio of masses: each pass of the two contacts takes the same part of
-what is left. What the passes lessen is the kinetic energy less the work of the target speeds: along the change that a pass made that is a
-parabola, so each island of balls that touch goes on along it to the least, as far as no contact would pull: an exact line search.
+what is left. What the passes lessen is the kinetic energy less the work of the target speeds. Along the change that a pass made
+that is a parabola, so each island of balls that touch goes on along it to the least, as far as no contact would pull: an exact
+line search.
 
-These passes are rigid: a soft contact gives way to what it carries, which should be a load; to an impact of heavy balls it would
-give way by their speed.
+There these passes are rigid and push nothing out: a soft contact gives way to what it carries, which should be a load; to an
+impact of heavy balls it would give way by their speed.
 """
 
 import taichi as ti
@@ -59,6 +60,7 @@ def end_of(solver: ti.template(), b):
 def one_pass(solver: ti.template(), ball: ti.template()):
     """All contacts of the struck blocks in turn; the largest change of a relative velocity [m/s]."""
     most = ti.cast(0.0, float)
+    stage = ti.static(sweeps.SETTLE if solver.accelerates else sweeps.NEXT)
     for b in range(solver.pairs.blocks[0]):
         for k in range(b * solver.pairs.length[0], end_of(solver, b)):
             i = solver.pairs.grid.order[k]
@@ -68,7 +70,7 @@ def one_pass(solver: ti.template(), ball: ti.template()):
                 if ti.static(solver.accelerates):
                     for c in range(begin, end):
                         solver.pairs.row[c].noted = solver.pairs.link[c].impulse
-                most = ti.max(most, sweeps.solve_in_turn(solver, ball, i, begin, end, 0.0, sweeps.SETTLE))
+                most = ti.max(most, sweeps.solve_in_turn(solver, ball, i, begin, end, 0.0, stage))
                 if ti.static(solver.has_walls):
                     if ti.static(solver.among and solver.accelerates):
                         wall_hits.note(solver.walls, i)

@@ -11,11 +11,11 @@ from . import contact_law, hits
 from .direction import cross, lever, unit
 from .pairs import GRAIN, NONE, forget, law_of, zero_slide
 
-# What a sweep does. MEASURE finds which pairs touch and sums what they hold from before; HIT is a round of impacts, see
-# kernels.hits; FIRST is the first pass of a solve, NEXT a later one, SETTLE one of those of kernels.settle; BOUNCE one of those that follow where restitution is a
-# matter of its own, see kernels.taming; LIMIT bounds what contacts keep of it; LAST belongs to the short solve at the end of a
-# step, RELAX follows a move without one; OFFSET undoes overlap.
-MEASURE, HIT, FIRST, NEXT, SETTLE, BOUNCE, LIMIT, LAST, RELAX, OFFSET = range(10)
+# What a sweep does. MEASURE finds which pairs touch and sums what they hold from before; FIRST is the first pass of a solve, NEXT
+# a later one, SETTLE one of those of kernels.settle; BOUNCE one of those that follow where restitution is a matter of its own,
+# see kernels.taming; LIMIT bounds what contacts keep of it; LAST belongs to the short solve at the end of a step, RELAX follows a
+# move without one; OFFSET undoes overlap.
+MEASURE, FIRST, NEXT, SETTLE, BOUNCE, LIMIT, LAST, RELAX, OFFSET = range(9)
 
 
 @ti.func

@@ -63,7 +63,7 @@ def stages(scene: Scene, tau: float) -> Stages:
     if z <= FEW:
         return Stages(BEFORE, AFTER)
     s = 2 if z <= TWO else 3
-    while s > 2 and _reach(s) < z:
+    while 2 < s < MOST_STAGES and _reach(s) < z:  # rounding may leave a little more than was softened
         s += 2  # odd: an even polynomial comes back to 1 at the end of its reach
     return Stages(legendre(s), legendre(s))
 

@@ -19,7 +19,7 @@ __all__ = ["Walls"]
 TOUCH = 1e-5  # of the radius: a ball this close that hardly approaches rests on the wall
 # A wall is OUT of the solve for a ball that leaves it; one that ARRIVES fast is left to the move, with its exact time, but one
 # that SINKS, inside of the wall already, is turned by the solve.
-OUT, RESTING, NEAR, ARRIVES, SINKS = range(5)
+OUT, RESTING, NEAR, SINKS, ARRIVES = range(5)
 CROWDED, FAST = 1, 2  # a ball that touches others; one that arrives fast at a wall besides
 SLOP = 0.01  # of the radius: depth that position correction leaves
 SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
@@ -183,8 +183,7 @@ class Walls:
     @ti.func
     def solved(self, c):
         """Whether contact c is a row of the solve."""
-        role = self.contact[c].active
-        return role == RESTING or role == NEAR or role == SINKS
+        return self.contact[c].active != OUT and self.contact[c].active != ARRIVES
 
     @ti.func
     def measure(self, ball: ti.template(), solver: ti.template(), i, crowded):
@@ -269,10 +268,10 @@ class Walls:
             if gap <= self.reach_of(i, touch, crowded):
                 n = self.normal(i, k)
                 u = n.dot(self.relative(v, i, k))
-                role = self._role(gap, u, touch, crowded, self.contact[c].active >= ARRIVES)
+                role = self._role(gap, u, touch, crowded, self.contact[c].active >= SINKS)
                 self.contact[c].active = role
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
-                if u > self.threshold[0] or role >= ARRIVES or ti.static(not solver.warm):
+                if u > self.threshold[0] or role >= SINKS or ti.static(not solver.warm):
                     self.forget_one(c)
                 e = self.law(i, k).restitution
                 before = ti.select(crowded or role == SINKS, u, ti.max(0.0, u))  # alone, what approaches is pressed
