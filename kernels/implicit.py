@@ -17,7 +17,7 @@ from .direction import unit
 
 # Numbers that steer the loops, in double precision.
 RESIDUAL, FORCE, SCALE, NOISE, RAISED, LEFT, MOVED, EARLIER, GAIN, RZ, TARGET, STEP, ROUNDS, TURNS, TRIES = range(15)
-PASSES, WORST, MISSES, SOLVED, LOAD, SADDLE, GIVEN, TAKEN, KINETIC, SIZE = range(15, 25)
+PASSES, WORST, MISSES, SOLVED, LOAD, SADDLE, EXCESS, GAINED, SIZE = range(15, 24)
 
 
 @ti.func

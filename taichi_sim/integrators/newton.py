@@ -11,8 +11,9 @@ from taichi_sim.integrators.components import FreeBodies
 from taichi_sim.integrators.patches import Patches
 from taichi_sim.integrators.rounds import control
 from taichi_sim.integrators.stage_gas import StageGas
+from taichi_sim.integrators.stage_work import StageWork
 from taichi_sim.integrators.terms import Product, Residual
-from taichi_sim.integrators.verdicts import MOST_TRIES, Verdicts
+from taichi_sim.integrators.verdicts import MISSED, MOST_TRIES, Verdicts
 from taichi_sim.kernels import half, rows
 from taichi_sim.kernels import implicit as parts
 from taichi_sim.kernels.springs import GRAIN, PART
@@ -64,9 +65,9 @@ class StageSolver(Verdicts):
         self.parts = -(-self.n // PART)
         self.one, self.two, self.three, self.four = (fields.doubles(self.parts) for _ in range(4))
         self.five = fields.doubles(self.parts)
-        self.given, self.taken, self.kinetic = (fields.doubles(self.parts) for _ in range(3))
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         self.rounding, self.finest = ROUNDING * eps, FINEST * eps
+        self.work = StageWork(model, fields, self.rounding, MISSED * self.tolerance)
         self.least = max(self.tolerance**2, self.finest)
         stiff = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness**2, 2), self.n)
         self.rough = fields.reals(eps * np.sqrt(stiff))  # N/m: what rounding of a place makes of the forces on a ball
@@ -111,7 +112,6 @@ class StageSolver(Verdicts):
                         blur = s * self.rough[i] * ti.abs(self.base[i].x).max()
                         noise += ti.cast(blur * blur * inverse.trace(), self.wide)
                     self.block[i] = inverse
-                self._work(c)
                 self.one[c] = rr
                 self.two[c] = ff
                 self.three[c] = kinetic
@@ -131,8 +131,8 @@ class StageSolver(Verdicts):
             self.number[parts.FORCE] = ff
             self.number[parts.SCALE] = ti.max(ff, kinetic)
             self.number[parts.NOISE] = CERTAIN * noise
-            self._total_work()
             self.number[parts.PASSES] += 1.0
+        self.work.find(self.base, self.sum, self.first, self.bodies, self.number)
         if ti.static(self.patches.active):
             self.patches.factor()
 
@@ -167,44 +167,14 @@ class StageSolver(Verdicts):
                     r = rows.cut(self.product.sum[i], self.dim)
                     self.sum[i] = r
                     rr += ti.cast(r.dot(self.block[i] @ r), self.wide)
-                self._work(c)
                 self.one[c] = rr
                 self.two[c] = 0.0
         ti.loop_config(serialize=True)
         for _ in range(1):
             rr, _zero = self._total()
             self.number[parts.RESIDUAL] = rr
-            self._total_work()
             self.number[parts.PASSES] += 1.0
-
-    @ti.func
-    def _work(self, c):
-        """Of part c: what the residual gives in the frame of each free body, what the method takes, and kinetic energy [J]."""
-        given, taken = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-        kinetic = ti.cast(0.0, self.wide)
-        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
-            w = self.model.inverse_mass[i]
-            if w > 0.0:
-                v = self.base[i].v
-                u, change = v - self.bodies.mean(i), v - self.first[i]
-                given -= ti.cast(self.sum[i].dot(u), self.wide)
-                taken += ti.cast(0.5 * change.dot(change) / w, self.wide)
-                kinetic += ti.cast(0.5 * u.dot(u) / w, self.wide)
-        self.given[c] = given
-        self.taken[c] = taken
-        self.kinetic[c] = kinetic
-
-    @ti.func
-    def _total_work(self):
-        given, taken = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-        kinetic = ti.cast(0.0, self.wide)
-        for c in range(self.parts):
-            given += self.given[c]
-            taken += self.taken[c]
-            kinetic += self.kinetic[c]
-        self.number[parts.GIVEN] = given
-        self.number[parts.TAKEN] = taken
-        self.number[parts.KINETIC] = kinetic
+        self.work.find(self.base, self.sum, self.first, self.bodies, self.number)
 
     @ti.func
     def _total(self):

@@ -6,7 +6,7 @@ import taichi as ti
 
 from taichi_sim.kernels import implicit as parts
 
-__all__ = ["MOST_TRIES", "Verdicts"]
+__all__ = ["MISSED", "MOST_TRIES", "Verdicts"]
 
 MOST_ROUNDS = 100  # of Newton's method
 MOST_TURNS = 2000  # of conjugate gradients in a round
@@ -15,7 +15,6 @@ DOUBT = 0.3  # of the impulses: a guess that leaves more is compared with none
 FORCING = 0.1  # part of the residual that a round leaves: more would be lost to what is not linear
 LOCAL = 0.05  # part of the local error that a solution may add
 SHRINKING = 0.5  # squared changes of two rounds; they do not in mere rounding
-GIVEN = 0.5  # of the energy that a step of the method takes: what its solution may give back
 FINER = 0.01  # of a squared residual that still gave too much
 MISSED = 10.0  # tolerances; a stage that leaves more counts as not solved
 
@@ -27,7 +26,7 @@ class Verdicts:
     What a solution leaves may not give energy. With the residual r = m (q - v) + s F, the equation of implicit Euler times v says
     that energy changes by -r . v - m (v - v0)^2 / 2 less what convexity and damping take: -r . v has to stay below a part of the
     second term, in the stages of TR-BDF2, too. The norm of r cannot see this: it divides what a stiff spring leaves by s^2 k, and
-    a spring that turns in a step has v along it.
+    a spring that turns in a step has v along it. Each body is judged by itself, see StageWork.
     """
 
     number: Any
@@ -55,7 +54,7 @@ class Verdicts:
         shrink any more."""
         turns = self.number[parts.TURNS] < MOST_TURNS
         least = ti.min(self.number[parts.RESIDUAL], self.number[parts.MOVED])
-        if self.number[parts.ROUNDS] > 0.0 and self.gives() and least <= self.number[parts.TARGET]:
+        if self.number[parts.ROUNDS] > 0.0 and self.number[parts.EXCESS] > 0.0 and least <= self.number[parts.TARGET]:
             finest = self.number[parts.SCALE] * self.finest**2
             self.number[parts.TARGET] = ti.max(FINER * least, finest)
         target = self.number[parts.TARGET]
@@ -64,12 +63,6 @@ class Verdicts:
             large = large and self.number[parts.MOVED] < SHRINKING * self.number[parts.EARLIER]
         first = self.number[parts.ROUNDS] == 0.0 and self.number[parts.RESIDUAL] > 0.0
         return ti.cast(first or (large and self.number[parts.ROUNDS] < MOST_ROUNDS), ti.i32)
-
-    @ti.func
-    def gives(self):
-        """Whether the residual gives more energy than it may, rounding aside."""
-        allowed = GIVEN * self.number[parts.TAKEN] + self.rounding * self.number[parts.KINETIC]
-        return self.number[parts.GIVEN] > allowed
 
     @ti.func
     def searching(self):
@@ -113,9 +106,7 @@ class Verdicts:
         acts = scale > noise or left > noise or self.number[parts.LOAD] > 0.0
         if acts:  # else all of it is rounding
             left = ti.sqrt(left / scale)
-            gained = self.number[parts.GIVEN] - self.number[parts.TAKEN]
-            if gained > 0.0 and gained > MISSED * self.tolerance * self.number[parts.KINETIC]:
-                left = ti.max(left, gained / ti.max(gained, self.number[parts.KINETIC]))
+            left = ti.max(left, self.number[parts.GAINED])
             self.number[parts.WORST] = ti.max(self.number[parts.WORST], left)
             if left > MISSED * self.tolerance:
                 self.number[parts.MISSES] += 1.0

@@ -1,0 +1,87 @@
+"""StageWork: the energy that an unsolved rest of an implicit stage gives to each body; what another takes may not hide it."""
+
+import numpy as np
+import taichi as ti
+
+from taichi_sim.fields import Fields
+from taichi_sim.integrators.components import components
+from taichi_sim.kernels import implicit as parts
+from taichi_sim.kernels.springs import GRAIN, PART
+from taichi_sim.model import Model
+
+__all__ = ["StageWork"]
+
+GIVEN = 0.5  # of the energy that a step of the method takes: what its solution may give back
+
+
+@ti.data_oriented
+class StageWork:
+    """Sums over the balls that springs or a gas join, not counting joints at pinned balls. Sets two numbers of kernels.implicit:
+    EXCESS [J], what bodies are given beyond what they may, and GAINED, the largest part of a body's kinetic energy that it was
+    given beyond what the method takes.
+
+    worth: the part of the kinetic energy that is not rounding in the verdict on a solution.
+    """
+
+    def __init__(self, model: Model, fields: Fields, rounding: float, worth: float) -> None:
+        scene, self.model = model.scene, model
+        self.rounding, self.worth = rounding, worth
+        skins = [
+            np.stack([np.full(g.triangles.size, g.triangles[0, 0]), g.triangles.ravel()], axis=1) for g in scene.gases
+        ]
+        joined = np.concatenate([scene.pairs[~scene.pinned[scene.pairs].any(axis=1)], *skins])
+        label = components(joined, model.n)
+        loose = np.flatnonzero(~scene.pinned)
+        member = loose[np.argsort(label[loose], kind="stable")]
+        first, count = np.unique(label[member], return_index=True, return_counts=True)[1:]
+        begins = [np.arange(f, f + c, PART) for f, c in zip(first, count)]
+        self.bodies, self.parts = len(first), sum(len(b) for b in begins)
+        self.member = fields.integers(member)
+        self.begin = fields.integers(np.append(np.concatenate([*begins, [0]])[:-1], len(member)))
+        self.part = fields.integers(np.append(0, np.cumsum([len(b) for b in begins])).astype(np.int32))
+        self.given, self.taken, self.kinetic = (fields.doubles(max(1, self.parts)) for _ in range(3))
+        self.wide = self.given.dtype
+
+    @ti.func
+    def find(
+        self,
+        base: ti.template(),
+        residual: ti.template(),
+        first: ti.template(),
+        bodies: ti.template(),
+        number: ti.template(),
+    ):
+        """residual (n) [kg m/s] of the velocities base.v, which were `first` (n) before the stage; bodies: FreeBodies, whose
+        means are those of this stage: what the residual gives counts in the frame of each."""
+        for k in range(self.parts * GRAIN):
+            if k % GRAIN == 0:
+                c = k // GRAIN
+                given, taken = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+                kinetic = ti.cast(0.0, self.wide)
+                for e in range(self.begin[c], self.begin[c + 1]):
+                    i = self.member[e]
+                    w = self.model.inverse_mass[i]
+                    v = base[i].v
+                    u, change = v - bodies.mean(i), v - first[i]
+                    given -= ti.cast(residual[i].dot(u), self.wide)
+                    taken += ti.cast(0.5 * change.dot(change) / w, self.wide)
+                    kinetic += ti.cast(0.5 * u.dot(u) / w, self.wide)
+                self.given[c] = given
+                self.taken[c] = taken
+                self.kinetic[c] = kinetic
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            excess, gained = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+            for b in range(self.bodies):
+                given, taken = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+                kinetic = ti.cast(0.0, self.wide)
+                for c in range(self.part[b], self.part[b + 1]):
+                    given += self.given[c]
+                    taken += self.taken[c]
+                    kinetic += self.kinetic[c]
+                excess += ti.max(0.0, given - GIVEN * taken - self.rounding * kinetic)
+                gain = given - taken
+                if gain > self.worth * kinetic and gain > 0.0:
+                    gained = ti.max(gained, gain / ti.max(gain, kinetic))
+            number[parts.EXCESS] = excess
+            number[parts.GAINED] = gained
