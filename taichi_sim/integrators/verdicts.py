@@ -15,7 +15,7 @@ DOUBT = 0.3  # of the impulses: a guess that leaves more is compared with none
 FORCING = 0.1  # part of the residual that a round leaves: more would be lost to what is not linear
 LOCAL = 0.05  # part of the local error that a solution may add
 SHRINKING = 0.5  # squared changes of two rounds; they do not in mere rounding
-FINER = 0.01  # of a squared residual that still gave too much
+FINER = 0.3  # of a squared residual that still gave too much
 MISSED = 10.0  # tolerances; a stage that leaves more counts as not solved
 
 
