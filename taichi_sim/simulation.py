@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import backend, checks, diagnostics
+from taichi_sim.accuracy import Setup
 from taichi_sim.assembly import Assembly, compensates
 from taichi_sim.cautions import cautions
 from taichi_sim.collider_checks import check_colliders
@@ -81,7 +82,7 @@ class Simulation:
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else Controlled
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
-        for caution in cautions(scene, s.integrator.name, self.backend.precision, h):
+        for caution in cautions(scene, parts.setup):
             warnings.warn(caution, stacklevel=2)
         self._closed = False
         self._still = scene.n_balls == 0
@@ -256,6 +257,11 @@ class Simulation:
         if self._still:
             return self._stability
         return stability(self.scene, self.settings.integrator.name, self.position)
+
+    @property
+    def setup(self) -> Setup:
+        """How the scene is run, as `taichi_sim.accuracy.findings` wants it."""
+        return self._parts.setup
 
     def kernels(self) -> list[str]:
         """The parts that were compiled for this scene; what it lacks is not among them."""
