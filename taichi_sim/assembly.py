@@ -27,7 +27,7 @@ from taichi_sim.forces.tearing import Tearing
 from taichi_sim.forces.total import TotalForce
 from taichi_sim.gauge import Gauge
 from taichi_sim.integrators import BUILT_IN
-from taichi_sim.kernels import contact_law
+from taichi_sim.kernels import contact_law, survey
 from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
 from taichi_sim.motion import TICKS
@@ -261,9 +261,12 @@ class Assembly:
         self.h = h
 
     def survey(self) -> NDArray[np.float64]:
-        """Tally (7,) of all contacts, see kernels.survey; they must be active."""
+        """Tally (survey.SIZE,) of all contacts, see kernels.survey, with the user's number of the ball; they must be active."""
         assert self._survey is not None
-        return self._survey.look(self.state.ball)
+        tally = self._survey.look(self.state.ball)
+        if self.state.order is not None:
+            tally[survey.BALL] = self.state.order[int(tally[survey.BALL])]
+        return tally
 
     def searches(self) -> int:
         """How often neighbours were looked for."""

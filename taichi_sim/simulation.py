@@ -21,6 +21,7 @@ from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
 from taichi_sim.moment import Moment
+from taichi_sim.outcome import Scales
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, stability
@@ -187,13 +188,16 @@ class Simulation:
 
     def contacts(self) -> Contacts:
         """Number and depth of the contacts, what the solver left of approach speeds, and what it did; all 0 where contacts
-        are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile."""
+        are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile. Warns, once,
+        where steps have brought balls deep into something."""
         fastest = diagnostics.largest_speed(self.velocity)
         if self._still or not self._parts.contacts.active:
             return diagnostics.contacts(None, 0, self.substeps, fastest, 0)
         self._stepper.prime()
         parts = self._parts  # after priming, for which lists may have grown
-        return diagnostics.contacts(parts.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches())
+        return diagnostics.contacts(
+            self._stepper.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches()
+        )
 
     def penetration(self) -> float:
         """Largest overlap of a ball with a wall, a collider, a stick or another ball, or of surfaces [m]; 0 with contacts off."""
@@ -247,6 +251,10 @@ class Simulation:
     def error(self) -> StepError | None:
         """What the control of the error found so far; None without `tolerance`."""
         return self._stepper.report() if isinstance(self._stepper, Controlled) else None
+
+    def scales(self) -> Scales:
+        """What a run is judged by."""
+        return self._stepper.scales()
 
     def solver(self) -> Solver | None:
         """How well an implicit method solved its stages so far; None for methods that solve nothing."""
