@@ -148,10 +148,11 @@ class Stepper:
         self._chunks += 1
         self.moved = True
         if self.squeezes:
-            self.survey()
+            self.survey(7)
 
-    def survey(self) -> NDArray[np.float64]:
-        """Tally of all contacts, see kernels.survey. Warns once where steps have brought balls deep into something."""
+    def survey(self, stacklevel: int = 4) -> NDArray[np.float64]:
+        """Tally of all contacts, see kernels.survey. Warns once, of the line that many calls further out, where steps have
+        brought balls deep into something."""
         tally = self.parts.survey()
         part = float(tally[survey.LARGEST_PART])
         if self.moved and part > DEEP:
@@ -159,6 +160,7 @@ class Stepper:
                 "depth",
                 f"at t = {self.time:.6g} s ball {int(tally[survey.BALL])} overlaps what it touches by {part:.2g} of the smaller"
                 f" radius: {cure_of_depth(self.squeezes, self.parts.contacts.passes)}",
+                stacklevel,
             )
         return tally
 
@@ -332,10 +334,10 @@ class Stepper:
     def _present(self) -> tuple[float, int]:
         return present_limit(self.scene, self.method, self.parts.state.position)
 
-    def _warn(self, kind: str, text: str) -> None:
+    def _warn(self, kind: str, text: str, stacklevel: int = 6) -> None:
         if kind not in self._warned:
             self._warned.add(kind)
-            warnings.warn(text, stacklevel=6)
+            warnings.warn(text, stacklevel=stacklevel)
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """What a saved run needs besides positions and velocities to go on with the same steps, and the method's memory."""
