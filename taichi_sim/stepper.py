@@ -44,7 +44,7 @@ class Stepper:
         self.method = settings.integrator.name
         self.primed = False
         self._warned: set[str] = set()
-        self._chunks = 0
+        self._chunks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
         led = bool(scene.moving_pins or scene.gases or scene.wind is not None)
@@ -147,7 +147,9 @@ class Stepper:
             self._look_at_bound()
         self._chunks += 1
         self.moved = True
-        if self.squeezes:
+        self._unseen += steps * self.substeps
+        if self.squeezes and self._unseen >= CHUNK:
+            self._unseen = 0
             self.survey(7)
 
     def survey(self, stacklevel: int = 4) -> NDArray[np.float64]:

@@ -244,7 +244,8 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     scene.add_collider(ts.Box((0.8, 0.25), (0.5, 0.5), velocity=(-0.2, 0)))
     with simulate(scene, dt=1e-3, substeps=1) as sim, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        summary = export(sim, None, fps=20, duration=1.0)
+        sim.run(0.9)
+        summary = export(sim, None, fps=20, duration=0.1)
         depth = summary.relative_penetration
     deep = [str(w.message) for w in caught if "overlaps what it touches" in str(w.message)]
     assert len(deep) == 1
@@ -253,9 +254,8 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     assert f"({depth:.2g} of a radius)" in text
     assert "at the end: wrong; if what moves leaves them less room" in text
     assert "lost" not in text  # a piston works
-    # rows of 10 radii, .01 m of room, 6 gaps to share what is lost; the piston starts .04 m from the outer ball
-    first = float(deep[0].split("t = ")[1].split(" s")[0])
-    assert 0.05 / 0.2 < first < 0.95
+    # .05 m of room; then six contacts share .2 m/s, half a radius each at least takes .75 s more, if the deepest had no more
+    assert 0.05 / 0.2 < float(deep[0].split("t = ")[1].split(" s")[0]) < 1.0
 
 
 def test_verdicts_go_with_the_scene():
