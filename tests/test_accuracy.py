@@ -254,8 +254,8 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     assert f"({depth:.2g} of a radius)" in text
     assert "at the end: wrong; if what moves leaves them less room" in text
     assert "lost" not in text  # a piston works
-    # .05 m of room; then six contacts share .2 m/s, half a radius each at least takes .75 s more, if the deepest had no more
-    assert 0.05 / 0.2 < float(deep[0].split("t = ")[1].split(" s")[0]) < 1.0
+    # .05 m of room; it was the run itself that looked, not the export
+    assert 0.05 / 0.2 < float(deep[0].split("t = ")[1].split(" s")[0]) <= 0.9
 
 
 def test_verdicts_go_with_the_scene():
