@@ -245,6 +245,7 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     with simulate(scene, dt=1e-3, substeps=1) as sim, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         sim.run(0.9)
+        assert any("overlaps" in str(w.message) for w in caught)  # it looks by itself
         summary = export(sim, None, fps=20, duration=0.1)
         depth = summary.relative_penetration
     deep = [str(w.message) for w in caught if "overlaps what it touches" in str(w.message)]
@@ -254,8 +255,7 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     assert f"({depth:.2g} of a radius)" in text
     assert "at the end: wrong; if what moves leaves them less room" in text
     assert "lost" not in text  # a piston works
-    # .05 m of room; it was the run itself that looked, not the export
-    assert 0.05 / 0.2 < float(deep[0].split("t = ")[1].split(" s")[0]) <= 0.9
+    assert "at t = 0.9 s ball" in deep[0]
 
 
 def test_verdicts_go_with_the_scene():
