@@ -75,7 +75,7 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
                 "that should keep their energy, at restitution 1, lose about half of it in 2 s (measured, at any step)",
                 'take contacts = "gauss_seidel"'
                 if setup.rule == "jacobi"
-                else "leave out sticks and surfaces that collide, or the energy",
+                else "leave sticks, and surfaces that collide, out of such a scene",
             )
         yield from _cloth(scene)
     if setup.precision == "f32" and scene.n_balls:
