@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim import memory
+from taichi_sim.accuracy import Setup
 from taichi_sim.backend import Backend
 from taichi_sim.companion import Companion
 from taichi_sim.contacts.colliders import Colliders
@@ -26,6 +27,7 @@ from taichi_sim.forces.tearing import Tearing
 from taichi_sim.forces.total import TotalForce
 from taichi_sim.gauge import Gauge
 from taichi_sim.integrators import BUILT_IN
+from taichi_sim.kernels import contact_law, survey
 from taichi_sim.kernels.pairs import ENDLESS
 from taichi_sim.model import Model
 from taichi_sim.motion import TICKS
@@ -187,7 +189,7 @@ class Assembly:
             serial=self.fused,
             warm=warm,
             soft=soft,
-            loaded=pulls or bool(self.forces.extra),
+            loaded=pulls or bool(self.forces.extra) or (self.model.has_gravity and bool(scene.pinned.any())),
             tames=pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets)),
         )
 
@@ -202,6 +204,18 @@ class Assembly:
                 )
             return settings.contacts
         return "gauss_seidel" if cpu and not self.atomic else "jacobi"
+
+    @property
+    def setup(self) -> Setup:
+        """How the scene is run, for what can be said of its accuracy."""
+        scene, settings, backend, _, _ = self.arguments
+        contacts = self.contacts
+        give = contact_law.LEAK / (contact_law.SOFT * contact_law.PUSH) if contacts.soft else 0.0
+        if contacts.split:  # masses in two parts, those of a ball between two others
+            give *= 2.0 / contacts.relaxation
+        rule = contacts.rule if contacts.active else "off"
+        rounds = compensates(scene, backend)
+        return Setup(settings.integrator.name, self.h, backend.precision, rule, rounds, give, contacts.tames)
 
     def names(self) -> list[str]:
         """What was compiled in."""
@@ -247,9 +261,12 @@ class Assembly:
         self.h = h
 
     def survey(self) -> NDArray[np.float64]:
-        """Tally (7,) of all contacts, see kernels.survey; they must be active."""
+        """Tally (survey.SIZE,) of all contacts, see kernels.survey, with the user's number of the ball; they must be active."""
         assert self._survey is not None
-        return self._survey.look(self.state.ball)
+        tally = self._survey.look(self.state.ball)
+        if self.state.order is not None:
+            tally[survey.BALL] = self.state.order[int(tally[survey.BALL])]
+        return tally
 
     def searches(self) -> int:
         """How often neighbours were looked for."""

@@ -4,19 +4,22 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from taichi_sim.accuracy import NEARER, Setup, sieves, single_precision, through
 from taichi_sim.scene import Scene
 from taichi_sim.stability import coarsest_spring, sinking_spring
 
 __all__ = ["cautions"]
 
 FASTEST = 4.0  # radii that a pin may move in a substep
-COARSE = 0.01  # of a radius: rounding of positions that shows
 
 
-def cautions(scene: Scene, method: str, precision: str, h: float) -> Iterator[str]:
-    """Where single precision cannot resolve the scene, or substeps of h seconds let heavy balls sink."""
-    if precision == "f32" and scene.n_balls:
-        yield from _of_places(scene)
+def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
+    """Where single precision cannot resolve the scene, something goes through cloth, or substeps let heavy balls sink."""
+    method, h = setup.method, setup.h
+    if setup.precision == "f32" and scene.n_balls:
+        lost, shows = single_precision(scene, setup)
+        if shows:
+            yield f"precision: {lost}; {NEARER}"
         found = coarsest_spring(scene)
         if found is not None:
             spring, stretch, rounding = found
@@ -24,6 +27,8 @@ def cautions(scene: Scene, method: str, precision: str, h: float) -> Iterator[st
                 f"precision: the weight at spring {spring} stretches it by {stretch:.2g} m, and single precision tells positions"
                 f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin'
             )
+    if setup.rule != "off":
+        yield from map(through, sieves(scene))
     yield from _of_pins(scene, h)
     if scene.wind is not None and not len(scene.triangles):
         yield "wind: acts on triangles, and this scene has none"
@@ -48,15 +53,3 @@ def _of_pins(scene: Scene, h: float) -> Iterator[str]:
                 f"moving_pins[{k}].path[{frame}]: from there on balls are led at {speed:.3g} m/s, {leap:.3g} radii in a substep"
                 f" of {h:.3g} s: they may pass what they meet, and tear at their springs; give more time, or a smaller dt"
             )
-
-
-def _of_places(scene: Scene) -> Iterator[str]:
-    far, small = float(np.max(np.abs(scene.position))), float(np.min(scene.radius))
-    centres = max((float(np.abs(c.motion.positions).max()) for c in scene.colliders), default=0.0)
-    where = f"the centre of a collider lies {centres:.4g} m" if centres > far else f"{far:.4g} m"
-    rounding = max(far, centres) * float(np.finfo(np.float32).eps)
-    if rounding > COARSE * small:
-        yield (
-            f"precision: {where} from the origin; there single precision tells positions {rounding:.2g} m apart, and the"
-            f' smallest radius is {small:.2g} m; use precision "f64", or build the scene nearer to the origin'
-        )

@@ -159,8 +159,8 @@ def largest_speed(v: Floats) -> float:
 
 
 def contacts(tally: Floats | None, passes: int, substeps: int, fastest: float, searches: int) -> Contacts:
-    """Contacts from a tally (7,) as kernels.survey describes it, or None for no contact at all."""
-    number, depths, parts, squares, deepest, part, left = np.zeros(7) if tally is None else tally
+    """Contacts from a tally (9,) as kernels.survey describes it, or None for no contact at all."""
+    number, depths, parts, squares, deepest, part, left, unsolved, ball = np.zeros(9) if tally is None else tally
     many = max(number, 1.0)
     return Contacts(
         number=int(number),
@@ -174,6 +174,8 @@ def contacts(tally: Floats | None, passes: int, substeps: int, fastest: float, s
         substeps=substeps,
         largest_speed=fastest,
         searches=searches,
+        unsolved=float(unsolved),
+        ball=int(ball) if part > 0.0 else -1,
     )
 
 

@@ -54,6 +54,10 @@ class Contacts(NamedTuple):
     substeps: int  # solves in a step
     largest_speed: float  # m/s, of a ball
     searches: int  # for neighbours, since the simulation was made
+    # m/s: the same of contacts that the last solve held already: what its passes left. Not known of sticks and surfaces, nor of
+    # balls where nothing presses: 0
+    unsolved: float = 0.0
+    ball: int = -1  # one of the deepest contact as a part of its radius, -1 where nothing overlaps
 
 
 @dataclass(slots=True)

@@ -7,9 +7,9 @@ from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from taichi_sim import backend, checks
+from taichi_sim.accuracy import layers
 from taichi_sim.scene import Scene, bounciest
 from taichi_sim.stability import Stability
 
@@ -47,7 +47,6 @@ SAFETY = 0.9  # of the stability bound
 UNDAMPED = 0.4
 SYMPLECTIC = ("verlet", "symplectic_euler")
 SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
-FILLED = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
 MOST_SUBSTEPS = 8
 MANY = 1000  # balls, fewer of which can afford two passes
 SURFACE_PASSES = (
@@ -151,23 +150,13 @@ class Settings:
         if self.contacts == "off" or np.count_nonzero(loose) < 2 or g == 0.0:
             return 1
         radius = float(np.median(scene.radius[loose]))
-        longest = np.sqrt(SINKING[scene.dim] * radius / (g * _layers(scene, loose)))
+        longest = np.sqrt(SINKING[scene.dim] * radius / (g * layers(scene, loose)))
         return int(np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS))
 
 
 def part_of_bound(scene: Scene, method: str) -> float:
     """Part of the stability bound that is safe in the long run."""
     return UNDAMPED if method in SYMPLECTIC and not np.all(scene.damping > 0) else SAFETY
-
-
-def _layers(scene: Scene, loose: NDArray[np.bool_]) -> float:
-    """Layers of a pile of these balls that is as wide, across gravity, as they lie now."""
-    across = np.linalg.svd(scene.gravity[None])[2][1:]  # (dim - 1, dim), orthonormal
-    radius = scene.radius[loose]
-    width = np.ptp(scene.position[loose] @ across.T, axis=0) + 2.0 * float(np.max(radius))
-    size = np.pi * radius**2 if scene.dim == 2 else 4.0 / 3.0 * np.pi * radius**3
-    height = float(np.sum(size)) / (FILLED[scene.dim] * float(np.prod(width)))
-    return max(1.0, height / (2.0 * float(np.median(radius))))
 
 
 def _over(settings: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:

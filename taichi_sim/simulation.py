@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim import backend, checks, diagnostics
+from taichi_sim.accuracy import Setup
 from taichi_sim.assembly import Assembly, compensates
 from taichi_sim.cautions import cautions
 from taichi_sim.collider_checks import check_colliders
@@ -20,6 +21,7 @@ from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
 from taichi_sim.moment import Moment
+from taichi_sim.outcome import Scales
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, stability
@@ -81,7 +83,7 @@ class Simulation:
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else Controlled
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
-        for caution in cautions(scene, s.integrator.name, self.backend.precision, h):
+        for caution in cautions(scene, parts.setup):
             warnings.warn(caution, stacklevel=2)
         self._closed = False
         self._still = scene.n_balls == 0
@@ -186,13 +188,16 @@ class Simulation:
 
     def contacts(self) -> Contacts:
         """Number and depth of the contacts, what the solver left of approach speeds, and what it did; all 0 where contacts
-        are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile."""
+        are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile. Warns, once,
+        where steps have brought balls deep into something."""
         fastest = diagnostics.largest_speed(self.velocity)
         if self._still or not self._parts.contacts.active:
             return diagnostics.contacts(None, 0, self.substeps, fastest, 0)
         self._stepper.prime()
         parts = self._parts  # after priming, for which lists may have grown
-        return diagnostics.contacts(parts.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches())
+        return diagnostics.contacts(
+            self._stepper.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches()
+        )
 
     def penetration(self) -> float:
         """Largest overlap of a ball with a wall, a collider, a stick or another ball, or of surfaces [m]; 0 with contacts off."""
@@ -247,6 +252,10 @@ class Simulation:
         """What the control of the error found so far; None without `tolerance`."""
         return self._stepper.report() if isinstance(self._stepper, Controlled) else None
 
+    def scales(self) -> Scales:
+        """What a run is judged by."""
+        return self._stepper.scales()
+
     def solver(self) -> Solver | None:
         """How well an implicit method solved its stages so far; None for methods that solve nothing."""
         return self._parts.integrator.solver_report() if self._state is not None else None
@@ -256,6 +265,11 @@ class Simulation:
         if self._still:
             return self._stability
         return stability(self.scene, self.settings.integrator.name, self.position)
+
+    @property
+    def setup(self) -> Setup:
+        """How the scene is run, as `taichi_sim.accuracy.findings` wants it."""
+        return self._parts.setup
 
     def kernels(self) -> list[str]:
         """The parts that were compiled for this scene; what it lacks is not among them."""

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from taichi_sim.assembly import Assembly
 from taichi_sim.errors import SceneError, UnstableError
 from taichi_sim.gauge import Look
+from taichi_sim.kernels import survey
+from taichi_sim.outcome import DEEP, Scales, cure_of_depth, takes_nothing
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, present_limit
-from taichi_sim.watch import Growth, Watch, size
+from taichi_sim.watch import LARGEST_PART, Growth, Watch, size, swing
 
 __all__ = ["Stepper"]
 
@@ -42,11 +44,13 @@ class Stepper:
         self.method = settings.integrator.name
         self.primed = False
         self._warned: set[str] = set()
-        self._chunks = 0
+        self._chunks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
         led = bool(scene.moving_pins or scene.gases or scene.wind is not None)
         self.driven, self.size = own or moves or led, size(scene)
+        self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
+        self.moved = False  # by steps, since places were set
         self.watch = Watch(
             scene,
             self.method,
@@ -102,7 +106,7 @@ class Stepper:
             )
         self.parts.state.keep()
         self.watch.begin(look)
-        self.primed = True
+        self.primed, self.moved = True, False
 
     def _prime_parts(self) -> None:
         """Find contacts at the present positions, with as much room as they need."""
@@ -142,6 +146,38 @@ class Stepper:
         if self.strays and self._chunks % LOOKS == 0 and self.scene.n_balls + self.scene.n_springs <= MANY:
             self._look_at_bound()
         self._chunks += 1
+        self.moved = True
+        self._unseen += steps * self.substeps
+        if self.squeezes and self._unseen >= CHUNK:
+            self._unseen = 0
+            self.survey(7)
+
+    def survey(self, stacklevel: int = 4) -> NDArray[np.float64]:
+        """Tally of all contacts, see kernels.survey. Warns once, of the line that many calls further out, where steps have
+        brought balls deep into something."""
+        tally = self.parts.survey()
+        part = float(tally[survey.LARGEST_PART])
+        if self.moved and part > DEEP:
+            self._warn(
+                "depth",
+                f"at t = {self.time:.6g} s ball {int(tally[survey.BALL])} overlaps what it touches by {part:.2g} of the smaller"
+                f" radius: {cure_of_depth(self.squeezes, self.parts.contacts.passes)}",
+                stacklevel,
+            )
+        return tally
+
+    def scales(self) -> Scales:
+        """What the run is judged by."""
+        scene, watch = self.scene, self.watch
+        part = self.h / self.safe.dt_any_shape if self.safe.dt_any_shape > 0 else 0.0
+        return Scales(
+            slow=2.0 * float(np.linalg.norm(scene.gravity)) * self.h,
+            closed=watch.closed,
+            lossless=watch.closed and takes_nothing(scene, self.method),
+            motion=watch.most,
+            swing=1.0 - 1.0 / swing(self.method, min(part, LARGEST_PART)),
+            squeezes=self.squeezes,
+        )
 
     def _back(self) -> None:
         """To the last good state."""
@@ -300,10 +336,10 @@ class Stepper:
     def _present(self) -> tuple[float, int]:
         return present_limit(self.scene, self.method, self.parts.state.position)
 
-    def _warn(self, kind: str, text: str) -> None:
+    def _warn(self, kind: str, text: str, stacklevel: int = 6) -> None:
         if kind not in self._warned:
             self._warned.add(kind)
-            warnings.warn(text, stacklevel=6)
+            warnings.warn(text, stacklevel=stacklevel)
 
     def state(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """What a saved run needs besides positions and velocities to go on with the same steps, and the method's memory."""

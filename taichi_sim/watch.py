@@ -23,7 +23,7 @@ import numpy as np
 
 from taichi_sim.scene import Scene
 
-__all__ = ["Growth", "Watch", "size"]
+__all__ = ["LARGEST_PART", "Growth", "Watch", "size", "swing"]
 
 MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
@@ -56,7 +56,7 @@ class Watch:
 
     def __init__(self, scene: Scene, method: str, part: float, *, closed: bool, contacts: bool, precision: str) -> None:
         self.closed = closed
-        self.limit = max(MOST_GROWTH, SWINGS * _swing(method, min(part, LARGEST_PART)))
+        self.limit = max(MOST_GROWTH, SWINGS * swing(method, min(part, LARGEST_PART)))
         eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
         self.digits = DIGITS * eps
         far = float(np.max(np.abs(scene.position), initial=0.0))
@@ -91,7 +91,7 @@ class Watch:
         )
 
 
-def _swing(method: str, part: float) -> float:
+def swing(method: str, part: float) -> float:
     """Largest over least kinetic plus elastic energy of one oscillation, at a part of the bound."""
     if method == "verlet":
         return 1.0 / (1.0 - part**2)

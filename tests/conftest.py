@@ -42,6 +42,7 @@ ONCE = (
 ONCE_FILES = {f"test_{name}.py" for name in ONCE}
 # Long ones that tell most in double precision, or the same in both: in single precision `make test-slow` runs them.
 LONG = (
+    "accuracy",
     "contact_energy",
     "elements",
     "hard_cases",

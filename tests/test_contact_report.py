@@ -111,6 +111,8 @@ def test_a_stack_that_has_come_to_rest(stack):
     assert said.mean_penetration == pytest.approx((depth.sum() + max(0.0, R - y[0])) / 5, abs=20 * EPS)
     assert 0.0 < said.relative_penetration < 0.01
     assert said.residual < 1e-4
+    assert said.unsolved <= said.residual
+    assert said.ball in (0, 1)  # the lowest two lie deepest in each other
     assert said.largest_speed < 1e-4
     stack.step(100)
     assert stack.contacts().searches == said.searches  # nothing moves by the skin
@@ -120,7 +122,7 @@ def test_without_contacts_there_are_none():
     scene = ts.Scene(dim=2)
     scene.add_balls([[0.0, 0.0], [0.1, 0.0]], radius=0.1, velocity=[[3.0, 4.0], [0.0, 0.0]])
     with simulate(scene, dt=1e-3, contacts="off") as sim:
-        assert sim.contacts() == (0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 1, 5.0, 0)
+        assert sim.contacts() == (0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 1, 5.0, 0, 0.0, -1)
     with simulate(ts.Scene(dim=3), dt=1e-3) as sim:
         assert sim.contacts().number == 0
         assert sim.contacts().largest_speed == 0.0

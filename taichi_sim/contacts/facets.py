@@ -245,7 +245,7 @@ class Facets:
             depth = self.row[c].thickness - self.row[c].distance
             if self.entry[e] % 4 == 0 and depth > 0.0:
                 u = self.relative_velocity(ball, c).dot(self.row[c].normal)
-                total = survey.join(total, survey.one(depth, self.model.radius[i], u))
+                total = survey.join(total, survey.one(depth, self.model.radius[i], u, False, i))
         return total
 
 

@@ -103,5 +103,8 @@ class Pairs:
             n, d = unit(ball[j].x - ball[i].x, i, j)
             if d < (1.0 + TOUCH) * (one + two):
                 u = (ball[j].v - ball[i].v).dot(n)
-                total = survey.join(total, survey.one(ti.max(0.0, one + two - d), ti.min(one, two), u))
+                held = False
+                if ti.static(self.warm):
+                    held = self.link[e].impulse > 0.0
+                total = survey.join(total, survey.one(ti.max(0.0, one + two - d), ti.min(one, two), u, held, i))
         return total

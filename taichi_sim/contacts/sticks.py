@@ -175,7 +175,7 @@ class Sticks:
                 g, n, d = loops.geometry(self, ball, row)
                 u = self.relative_velocity(ball, row, g).dot(n)
                 depth = self.model.radius[i] - d
-                total = survey.join(total, survey.one(ti.max(0.0, depth), self.model.radius[i], u))
+                total = survey.join(total, survey.one(ti.max(0.0, depth), self.model.radius[i], u, False, i))
         return total
 
 

@@ -22,7 +22,7 @@ class Survey:
     def __init__(self, fields: Fields, contacts: ContactSolver) -> None:
         self.contacts, self.n = contacts, contacts.n
         self.chunks = -(-self.n // PART)
-        self.tally = fields.vectors(self.chunks, 7)
+        self.tally = fields.vectors(self.chunks, survey.SIZE)
 
     @ti.kernel
     def _look(self, ball: ti.template()):
@@ -34,7 +34,9 @@ class Survey:
             self.tally[c] = total
 
     def look(self, ball: Any) -> NDArray[np.float64]:
-        """The tally (7,) of all contacts at the present positions and velocities, which the last refresh has seen."""
+        """The tally (survey.SIZE,) of all contacts at the present positions and velocities, which the last refresh has seen."""
         self._look(ball)
         rows = self.tally.to_numpy().astype(np.float64)
-        return np.concatenate([rows[:, : survey.SUMS].sum(axis=0), rows[:, survey.SUMS :].max(axis=0)])
+        whole = np.concatenate([rows[:, : survey.SUMS].sum(axis=0), rows[:, survey.SUMS :].max(axis=0)])
+        whole[survey.BALL] = rows[rows[:, survey.LARGEST_PART].argmax(), survey.BALL]
+        return whole

@@ -370,5 +370,6 @@ class Walls:
             gap = self.gap(ball[i].x, i, k)
             if gap <= self.touch(ball[i].x, i, k):
                 u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
-                total = survey.join(total, survey.one(ti.max(0.0, -gap), self.model.radius[i], u))
+                held = self.contact[i * self.count + k].impulse > 0.0
+                total = survey.join(total, survey.one(ti.max(0.0, -gap), self.model.radius[i], u, held, i))
         return total

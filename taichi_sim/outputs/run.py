@@ -3,13 +3,14 @@
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from taichi_sim.frame import Contacts, Frame
+from taichi_sim.outcome import Scales, of_depth, of_energy, of_passes
 from taichi_sim.outputs.base import Image, Output
 from taichi_sim.outputs.behind import Behind
 
@@ -34,9 +35,16 @@ class Summary:
     penetration: float = 0.0  # m
     relative_penetration: float = 0.0  # of the smaller radius
     residual: float = 0.0  # m/s
+    unsolved: list[float] = field(default_factory=list)  # m/s, see Contacts: of each frame with contacts
+    scales: Scales | None = None  # what all this is judged by, at the end
     largest_speed: float = 0.0  # m/s
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
+
+    def _seen(self, scales: Scales) -> Scales:
+        """With the start and the end, which looks between steps may miss."""
+        ends = (sum(energy[:2]) for energy in (self.energy_start, self.energy_end))
+        return scales._replace(motion=max(scales.motion, *ends))
 
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""
@@ -47,17 +55,26 @@ class Summary:
                 f"energy       {self.energy_start[3]:.6g} J at the start, {total:.6g} J at the end"
                 f" (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
             )
+            if self.scales is not None and (said := of_energy(self.energy_start[3], total, self._seen(self.scales))):
+                lines.append(f"             {said}")
         lines.append(f"momentum     ({', '.join(f'{p:.4g}' for p in self.momentum)}) kg m/s at the end")
-        if self.contacts is not None:
-            now = self.contacts
+        if self.contacts is not None and self.most_contacts:
+            now, scales = self.contacts, self.scales
             lines.append(
                 f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.passes} passes in each of"
-                f" {now.substeps} substeps, {now.searches} searches; residual {self.residual:.3g} m/s at most"
+                f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
             )
+            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes, now.passes)
             lines.append(
                 f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
-                f" mean {now.mean_penetration:.3g} m at the end; largest speed {self.largest_speed:.3g} m/s"
+                f" mean {now.mean_penetration:.3g} m at the end: {depth}"
             )
+            if scales is not None:
+                left = float(np.median(self.unsolved))
+                lines.append(
+                    f"residual     passes leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
+                    f" {of_passes(left, scales, self.largest_speed, now.passes)}"
+                )
         if self.error is not None:
             e = self.error
             lines.append(
@@ -70,7 +87,7 @@ class Summary:
             s = self.solver
             lines.append(
                 f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
-                f" {s.misses} not solved"
+                f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
         ratio = (
             f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration > 0 else ""
@@ -144,7 +161,7 @@ def export(
         summary.duration = duration
         if frame is not None and frame.energy is not None:
             summary.energy_end = tuple(frame.energy)
-        summary.error, summary.solver = simulation.error(), simulation.solver()
+        summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
     clock.charge("writing")
     return summary
@@ -165,6 +182,8 @@ def _observe(summary: Summary, frame: Frame) -> None:
     if now is not None and now.passes:
         summary.contacts = now
         summary.most_contacts = max(summary.most_contacts, now.number)
+        if now.number:
+            summary.unsolved.append(now.unsolved)
         for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
     if summary.frames == 1 and frame.energy is not None:  # of the first and the last: it takes long

@@ -1,10 +1,11 @@
-"""The stability report: which step is safe with each method, what limits it, what it costs, and what to do."""
+"""The report before a run: which step is safe with each method, what limits it, what it costs, and what it will get wrong."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.accuracy import findings
 from taichi_sim.damping import lone, stages
 from taichi_sim.element_rates import element_rates
 from taichi_sim.scene import Scene
@@ -70,6 +71,10 @@ def lines(sim: Simulation) -> Iterator[str]:
             yield f"limited by            {name} {index}"
     yield f"why                   {limits.reason}"
     yield from damping(scene, used, h, sim.position)
+    for finding in findings(scene, sim.setup):
+        yield f"{finding.subject:22}{finding.what}"
+        if finding.cure:
+            yield f"{'':22}{finding.cure}"
     if not np.isfinite(limits.dt_any_shape):
         yield f"advice                {_advice(sim, limits, np.inf)}"
         return

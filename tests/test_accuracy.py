@@ -1,0 +1,286 @@
+"""What `check` and the summary of a run say of errors, against runs that make them."""
+
+import warnings
+
+import numpy as np
+import pytest
+from physics_support import F64, simulate
+
+import taichi_sim as ts
+from taichi_sim import accuracy
+from taichi_sim.outcome import Scales, of_depth, of_energy, of_passes
+from taichi_sim.outputs import export
+from taichi_sim.reports import check
+
+G, R = 10.0, 0.05
+SLOW = pytest.mark.slow
+
+
+def said(sim, subject):
+    """What `check` says of a subject: figures in words, and the cure."""
+    found = [f for f in accuracy.findings(sim.scene, sim.setup) if f.subject == subject]
+    assert len(found) <= 1
+    return found[0] if found else None
+
+
+def figure(text, before):
+    """The number in front of a word."""
+    words = text[: text.index(before)].replace(";", " ").replace(",", " ").split()
+    return float(words[-1])
+
+
+# Bounces ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("e", [0.5, 0.9])
+def test_bounces_end_as_low_and_as_early_as_said(e):
+    h, high = 6e-3, 0.5
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_material("rubber", restitution=e)
+    scene.add_balls([[0.0, R + high]], radius=R, material="rubber")
+    scene.add_wall((0, 1))
+    with simulate(scene, dt=h, substeps=1) as sim:
+        low, early = (figure(said(sim, "bounces").what, word) for word in (" m, ", " s early"))
+        assert "take substeps" in said(sim, "bounces").cure
+        end = np.sqrt(2.0 * high / G) * (1.0 + e) / (1.0 - e)
+        y = []
+        while sim.time < end:
+            sim.step()
+            y.append(sim.position[0, 1] - R)
+    y = np.array(y)
+    tops = y[1:-1][(y[1:-1] >= y[:-2]) & (y[1:-1] > y[2:]) & (y[1:-1] > 1e-6)]
+    assert 0.9 * e**2 * low < tops[-1] < 1.1 * low
+    still = h * (2 + np.flatnonzero(np.abs(np.diff(y)) > 1e-7)[-1])
+    assert 0.4 * early < end - still < early + h
+
+
+def test_bounces_off_a_pinned_ball_are_as_high_as_said():
+    """Forty heights, so that balls are met at any part of a step."""
+    h, es = 4e-3, (0.8, 0.9, 1.0)
+    high = np.linspace(0.4, 0.6, 40)
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    for k, e in enumerate(es):
+        scene.add_material(f"m{k}", restitution=e)
+        at = np.arange(40.0)[:, None] * [1.0, 0.0] + [100.0 * k, 0.0]
+        scene.add_balls(at - [0.0, R], radius=R, pinned=True, material=f"m{k}")
+        scene.add_balls(at + np.stack([0.0 * high, R + high], axis=1), radius=R, material=f"m{k}")
+    with simulate(scene, dt=h, substeps=1, contacts="gauss_seidel") as sim:
+        y = []
+        for _ in range(round(0.75 / h)):
+            sim.step()
+            y.append(sim.position[~scene.pinned, 1] - R)
+    y = np.array(y).reshape(-1, 3, 40)
+    hit = round(0.36 / h)  # all have bounced once
+    lower = 1.0 - y[hit:].max(axis=0) / (high * np.array(es)[:, None] ** 2)
+    assert np.abs(lower[2]).max() < (1e-12 if F64 else 1e-4)
+    for k in range(2):
+        alone = ts.Scene(dim=2, gravity=(0.0, -G))
+        alone.add_material("m", restitution=es[k])
+        alone.add_balls([[0, -R], [0, R + 0.5]], radius=R, pinned=[True, False], material="m")
+        words = next(accuracy.findings(alone, accuracy.Setup("verlet", h, "f64", "gauss_seidel"))).what
+        assert np.mean(lower[k]) == pytest.approx(figure(words, " of itself"), rel=0.25)
+
+
+def test_directions_after_impacts_are_off_as_said():
+    """Four hundred balls that hit others at any offset and part of a step: what was struck leaves along the line between them."""
+    rng, h, speed, n = np.random.default_rng(3), 3e-3, 4.0, 400
+    scene = ts.Scene(dim=2)
+    scene.add_material("steel", restitution=1.0)
+    aside, start = rng.uniform(-0.95, 0.95, n) * 2 * R, -rng.uniform(3 * R, 4 * R, n)
+    at = 10.0 * R * np.stack([np.arange(n) % 20, np.arange(n) // 20], axis=1)
+    scene.add_balls(at, radius=R, material="steel")
+    scene.add_balls(at + np.stack([start, aside], axis=1), radius=R, velocity=(speed, 0.0), material="steel")
+    with simulate(scene, dt=h, substeps=1) as sim:
+        told = said(sim, "impacts")
+        assert told.cure
+        sim.run(0.05)
+        v = sim.velocity
+    u = v[n:] - v[:n]
+    sine = aside / (2 * R)
+    angle = 2.0 * np.arcsin(sine)  # that the relative velocity turns by, from the way back
+    exact = np.stack([-np.cos(angle), np.sin(angle)], axis=1) * speed
+    off = np.arccos(np.clip(np.sum(u * exact, axis=1) / np.linalg.norm(u, axis=1) / speed, -1.0, 1.0))
+    assert np.mean(off) == pytest.approx(figure(told.what, " rad"), rel=0.3)
+
+
+# Piles ------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("method", "contacts"),
+    [
+        ("verlet", "gauss_seidel"),
+        pytest.param("symplectic_euler", "gauss_seidel", marks=SLOW),
+        pytest.param("verlet", "jacobi", marks=SLOW),
+    ],
+)
+def test_columns_sink_in_as_said(method, contacts):
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_balls([[0.0, (2 * k + 1) * R] for k in range(10)], radius=R)
+    scene.add_wall((0, 1))
+    with simulate(scene, integrator=method, contacts=contacts, dt=4e-3, substeps=1) as sim:
+        depth = figure(said(sim, "overlap at rest").what, " m, ")
+        sim.run(2.0)
+        assert sim.contacts().penetration == pytest.approx(depth, rel=0.15)
+        assert sim.contacts().unsolved < 2.0 * G * sim.dt
+
+
+@SLOW
+def test_a_heap_sinks_in_as_said():
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_balls(heap(), radius=R)
+    for normal, offset in (((0, 1), 0.0), ((1, 0), 0.0), ((-1, 0), -21.0 * R)):
+        scene.add_wall(normal, offset)
+    with simulate(scene, dt=2e-3, substeps=1) as sim:
+        depth = figure(said(sim, "overlap at rest").what, " m, ")
+        sim.run(2.0)
+        now = sim.contacts()
+        assert 0.5 * depth < 2.0 * now.mean_penetration < 2.0 * depth  # half of the lowest
+        assert now.penetration < 12.0 * depth
+
+
+def heap():
+    """Two hundred places above each other in a box 21 radii wide."""
+    k = np.arange(200)
+    return (
+        2.05 * R * np.stack([k % 10, k // 10], axis=1)
+        + 1.02 * R
+        + np.random.default_rng(0).uniform(0, 0.02 * R, (200, 2))
+    )
+
+
+@SLOW
+def test_crowds_lose_what_is_said():
+    rng = np.random.default_rng(3)
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_material("default", restitution=1.0)
+    grid = 0.2 * np.stack(np.divmod(np.arange(100), 10), axis=1) + 0.1
+    scene.add_balls(grid + rng.uniform(-0.04, 0.04, (100, 2)), radius=R, velocity=rng.normal(size=(100, 2)))
+    for normal, offset in (((1, 0), 0.0), ((-1, 0), -2.0), ((0, 1), 0.0), ((0, -1), -2.0)):
+        scene.add_wall(normal, offset)
+    for contacts, verdict in (("jacobi", "wrong"), ("gauss_seidel", "good")):
+        with simulate(scene, contacts=contacts, dt=1e-3) as sim:
+            told = said(sim, "crowds")
+            summary = export(sim, None, fps=20, duration=2.0)
+        assert (told is not None) == (contacts == "jacobi")
+        lost = (summary.energy_start[3] - summary.energy_end[3]) / summary.scales.motion
+        assert 0.25 < lost < 0.75 if told else abs(lost) < 2e-3
+        assert f" J: {verdict}" in "\n".join(summary.lines())
+
+
+# Cloth ------------------------------------------------------------------------------------------------------------------
+
+
+def test_cloth_lets_through_what_is_said_and_shows_what_is_said_of_the_rest():
+    """Sheets dropped on posts of a tenth, three and six tenths of the spacing, on blades, and on a sphere."""
+    a, r = 1.0 / 15.0, 0.03
+    scene = ts.Scene(dim=3, gravity=(0.0, -G, 0.0))
+    x, post = [], [(0.1 * a, True), (0.3 * a, True), (0.6 * a, False)]
+    blade = [(0.02 * a, True), (0.3 * a, False)]
+    ball = 0.25
+    for k in range(6):
+        sheet = ts.shapes.cloth(scene, size=(7 * a, 7 * a), resolution=(8, 8), radius=r, position=(2.0 * k, 0, 0))
+        x.append(sheet.balls)
+        middle = np.array([2.0 * k + 3.5 * a, 0.0, 3.5 * a])
+        if k < 3:
+            scene.add_collider(ts.Capsule(middle - [0, 3, 0], middle - [0, 0.2, 0], post[k][0]))
+        elif k < 5:
+            scene.add_collider(ts.Box(middle - [0, 0.4, 0], (2 * blade[k - 3][0], 0.5, 1.9)))
+        else:
+            scene.set_group(sheet.balls, "silk", ["ball"])
+            scene.radius[sheet.balls] = 0.002
+            scene.add_collider(ts.Sphere(middle - [0, ball + 0.1, 0], ball, group="ball"))
+    scene.body[:] = 1  # nothing but colliders to touch
+    goes = [through for _, through in (*post, *blade)] + [False]
+    found = {int(s.what.split("[")[1].split("]")[0]) for s in accuracy.sieves(scene)}
+    assert found == set(np.flatnonzero(goes))
+    assert {k for k in found if next(s for s in accuracy.sieves(scene) if f"[{k}]" in s.what).strain <= 0.0} == {0, 3}
+    with pytest.warns(
+        UserWarning, match=r"colliders\[0\] \(capsule\), 0.013 m across, goes between the balls of the cloth"
+    ):
+        sim = ts.Simulation(scene, arch="cpu")
+    with sim:
+        sim.run(0.45)
+        height = [sim.position[balls, 1] for balls in x]
+        free = -0.5 * G * sim.time**2
+        for k in range(5):
+            held = height[k].max() > -0.2 - a
+            assert held != goes[k], (k, height[k].max(), free)
+        told = [f for f in accuracy.findings(scene, sim.setup) if "colliders[5]" in f.what]
+        depth = figure(told[0].what, " m into")
+        corners = sim.position[scene.triangles]
+        own = np.isin(scene.triangles, x[5]).all(axis=1)
+        longest = np.argmax(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2), axis=1)
+        n = np.arange(len(corners))
+        halfway = 0.5 * (corners[n, longest] + corners[n, longest - 1])[own]
+        middle = np.array([10.0 + 3.5 * a, -ball - 0.1, 3.5 * a])
+        found = ball - np.linalg.norm(halfway - middle, axis=1).min()
+        assert 0.5 * depth < found < 2.0 * depth
+
+
+def test_small_balls_go_through_cloth_unless_its_surface_collides():
+    for solid in (False, True):
+        scene = ts.Scene(dim=3)
+        ts.shapes.cloth(scene, resolution=(8, 8), radius=0.01, surface_collision=solid)
+        ball = scene.add_balls([[0.5, 0.5, 0.5]], radius=0.02)
+        found = list(accuracy.sieves(scene))
+        assert len(found) == (0 if solid else 1)
+        if found:
+            assert found[0].what == f"ball {ball[0]}"
+            assert "surface_collision" in accuracy.through(found[0])
+    scene.set_group(ball, "dust", [])
+    assert not list(accuracy.sieves(scene))
+
+
+# While it runs and after ------------------------------------------------------------------------------------------------
+
+
+def test_a_piston_that_squeezes_is_warned_of_and_judged():
+    """Three rows of five balls between a wall and a piston: one warning, with the time and how deep."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_balls([[0.06 + 0.1 * i, 0.05 + 0.1 * j] for i in range(5) for j in range(3)], radius=R)
+    scene.add_wall((0, 1))
+    scene.add_wall((1, 0))
+    scene.add_collider(ts.Box((0.8, 0.25), (0.5, 0.5), velocity=(-0.2, 0)))
+    with simulate(scene, dt=1e-3, substeps=1) as sim, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        sim.run(0.9)
+        assert any("overlaps" in str(w.message) for w in caught)  # it looks by itself
+        summary = export(sim, None, fps=20, duration=0.1)
+        depth = summary.relative_penetration
+    deep = [str(w.message) for w in caught if "overlaps what it touches" in str(w.message)]
+    assert len(deep) == 1
+    assert "stop it sooner" in deep[0]
+    text = "\n".join(summary.lines())
+    assert f"({depth:.2g} of a radius)" in text
+    assert "at the end: wrong; if what moves leaves them less room" in text
+    assert "lost" not in text  # a piston works
+    assert "at t = 0.9 s ball" in deep[0]
+
+
+def test_verdicts_go_with_the_scene():
+    scales = Scales(slow=0.02, closed=True, lossless=True, motion=10.0, swing=0.0, squeezes=False)
+    assert of_passes(0.01, scales, 1.0, 2) == "good"
+    assert of_passes(0.1, scales, 1.0, 2) == "look at it; take shorter steps, or more contact_passes than 2"
+    assert of_passes(1.0, scales, 1.0, 2).startswith("wrong")
+    assert of_passes(1.0, scales, 100.0, 2) == "good"  # of a fast crowd
+    assert [of_depth(part, False, 2).split(";")[0] for part in (0.05, 0.3, 2.5)] == ["good", "look at it", "wrong"]
+    assert of_energy(0.0, -0.01, scales).endswith("good")
+    assert "look at it" in of_energy(0.0, -0.3, scales)
+    assert "nothing explains it" in of_energy(0.0, 1.0, scales)
+    assert "restitution, friction and damping" in of_energy(0.0, -3.0, scales._replace(lossless=False))
+    assert of_energy(0.0, 5.0, scales._replace(closed=False)) == ""
+
+
+def test_where_nothing_touches_nothing_is_said():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 1]], radius=0.1, velocity=[[0, 1]])
+    scene.add_wall((0, 1))
+    with simulate(scene, dt=1e-3) as sim:
+        text = "\n".join(export(sim, None, fps=10, duration=0.1).lines())
+        report = "\n".join(check.lines(sim))
+    assert "contacts" not in text
+    assert "penetration" not in text
+    assert "residual" not in text
+    for subject in ("bounces", "impacts", "overlap", "cloth"):
+        assert subject not in report
