@@ -162,8 +162,10 @@ class Assembly:
             Pairs(self.model, self.fields, grid, warm, soft, unequal, self.room.pairs) if grid is not None else None
         )
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
+        # walls take their turn with pairs
+        among = soft or (pairs and rule == "gauss_seidel" and not sticks and not facets)
         wall_part = (
-            Walls(self.model, self.state, self.fields, self.threshold, soft, pairs, self.colliders) if walled else None
+            Walls(self.model, self.state, self.fields, self.threshold, among, pairs, self.colliders) if walled else None
         )
         stick_part = (
             Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
