@@ -20,6 +20,7 @@ from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
 from taichi_sim.moment import Moment
+from taichi_sim.readings import Reader
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, stability
@@ -31,7 +32,7 @@ __all__ = ["Simulation"]
 MOST_FRAMES = 10_000_000
 
 
-class Simulation:
+class Simulation(Reader):
     """Steps a scene through time.
 
     Args, all optional; what is left out is taken from scene.settings, then from the defaults in parentheses:
@@ -85,6 +86,7 @@ class Simulation:
             warnings.warn(caution, stacklevel=2)
         self._closed = False
         self._still = scene.n_balls == 0
+        self._begin_readings()
 
     def _warn(self, h: float) -> None:
         safe = self._stability.dt_any_shape
@@ -335,6 +337,7 @@ class Simulation:
                 self._parts.tearing.tear(np.zeros(self.scene.n_springs, dtype=bool) if torn is None else torn)
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
+        self._begin_readings()
 
     def stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """What a saved run needs besides its state to go on with the same steps."""

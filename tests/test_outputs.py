@@ -22,6 +22,8 @@ NAMES = ["x.mp4", "x.gif", "x.npz", "frames/"]
 class FakeSimulation:
     """Two balls in 2D that fall, as far as outputs can tell; frame `fails_at` raises `error`."""
 
+    scene = Scene(dim=2)
+
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
         self.fails_at, self.failure = fails_at, error
 
@@ -37,6 +39,9 @@ class FakeSimulation:
                 radius=np.full(2, 0.1),
                 energy=(1.0, 2.0, 3.0, 6.0 - t),
             )
+
+    def probes(self) -> dict[str, float]:
+        return {}
 
     def error(self) -> None:
         """Nothing controls it."""

@@ -43,7 +43,8 @@ LEVELS = (
     ("scene_elements", "materials"),
     ("colliders",),
     ("level_set",),
-    ("mesh", "motion", "skins", "tables", "camera_path"),
+    ("mesh", "motion", "skins", "tables", "camera_path", "readings"),
+    ("probes",),
     ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
@@ -82,6 +83,8 @@ NO_TAICHI = (
     "skins",
     "tables",
     "camera_path",
+    "probes",
+    "readings",
 )
 
 

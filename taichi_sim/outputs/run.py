@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from taichi_sim.frame import Contacts, Frame
 from taichi_sim.outputs.base import Image, Output
 from taichi_sim.outputs.behind import Behind
+from taichi_sim.readings import units_of
 
 __all__ = ["Summary", "export"]
 
@@ -35,6 +36,10 @@ class Summary:
     relative_penetration: float = 0.0  # of the smaller radius
     residual: float = 0.0  # m/s
     largest_speed: float = 0.0  # m/s
+    probes: dict[str, tuple[float, float, float]] = field(
+        default_factory=dict
+    )  # at the end, least and largest at a frame
+    units: dict[str, str] = field(default_factory=dict)  # of probes
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
 
@@ -58,6 +63,9 @@ class Summary:
                 f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
                 f" mean {now.mean_penetration:.3g} m at the end; largest speed {self.largest_speed:.3g} m/s"
             )
+        for name, (last, least, most) in self.probes.items():
+            unit = f" {self.units.get(name, '')}".rstrip()
+            lines.append(f"{name:12} {last:.5g}{unit} in the last frame, {least:.5g} to {most:.5g}{unit} in all")
         if self.error is not None:
             e = self.error
             lines.append(
@@ -127,7 +135,7 @@ def export(
         frame: Frame | None = None
         for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
             clock.charge("simulating")
-            frame.contacts = simulation.contacts()
+            frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
             _observe(summary, frame)
             if output is not None:
                 if output.needs_image and renderer is None:
@@ -141,7 +149,7 @@ def export(
                     renderer.skip(frame)
                     clock.charge("drawing")
             advance(frame.time)
-        summary.duration = duration
+        summary.duration, summary.units = duration, units_of(simulation.scene)
         if frame is not None and frame.energy is not None:
             summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver = simulation.error(), simulation.solver()
@@ -167,6 +175,13 @@ def _observe(summary: Summary, frame: Frame) -> None:
         summary.most_contacts = max(summary.most_contacts, now.number)
         for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
+    for name, value in frame.probes.items():
+        _, least, most = summary.probes.get(name, (value, value, value))
+        summary.probes[name] = (
+            value,
+            float(np.fmin(least, value)),
+            float(np.fmax(most, value)),
+        )  # a mean has none at first
     if summary.frames == 1 and frame.energy is not None:  # of the first and the last: it takes long
         summary.energy_start = tuple(frame.energy)
 
