@@ -35,7 +35,7 @@ else:
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-__all__ = ["load_scene", "save_scene"]
+__all__ = ["Reader", "load_scene", "save_scene"]
 
 _Path = tuple[str | int, ...]
 _KEY = re.compile(r"^(?:\w+(?:\[\d+\])?\.|material '.*?': )?(?P<key>\w[\w\[\].]*): (?P<what>.*)$", re.DOTALL)
@@ -65,10 +65,10 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         raise SceneError(f"{file}: is not a text in UTF-8: {error.reason} at byte {error.start}") from None
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{file}: is not valid TOML: {error}") from None
-    return _Reader(file, text, document).scene()
+    return Reader(file, text, document).scene()
 
 
-class _Reader:
+class Reader:
     """Builds a Scene from one parsed document; every error leaves it with the file, the line and the key's path."""
 
     def __init__(self, file: Path, text: str, document: dict[str, Any]) -> None:

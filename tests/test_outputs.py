@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from taichi_sim import Frame, UnstableError
+from taichi_sim import Frame, Scene, UnstableError
 from taichi_sim.frame import Contacts
 from taichi_sim.outputs import Output, export, open_output
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.files import replacing
+from taichi_sim.reports.speed_error.compared import Compared, distance, rms, worst
 from taichi_sim.reports.speed_error.plan import (
     FRAME,
     PARTS,
@@ -35,8 +36,8 @@ __all__ = ["APART", "PARTED", "Reference", "load", "make", "save"]
 
 Floats = NDArray[np.float64]
 APART, PARTED = 1e-8, 1e-3  # of the size, at the start and at the horizon
-GOOD = 1e-6  # of the size: a reference known to that needs no other method
-FINE = 1e-9  # of the size: finer steps are tried up to that where they cost little
+GOOD = 1e-6  # of the motion: a reference known to that needs no other method
+FINE = 1e-9  # of the motion: finer steps are tried up to that where they cost little
 ATTEMPTS = 3  # at half the step, where it became unstable
 
 
@@ -48,8 +49,10 @@ class Reference:
     step: float  # s, of the finer run
     size: float  # m, of the scene
     position: Floats  # (PARTS, n, dim) m
+    quantity: Floats  # (PARTS, 1 or dim) in its unit, where one is asked for, else (PARTS, 0)
     energy: Floats  # (PARTS, 4) J
-    difference: Floats  # (PARTS,) m, rms between the two steps
+    difference: Floats  # (PARTS,) between the two steps: rms of positions [m], or of the quantity in its unit
+    displacement: Floats  # (PARTS,) what that is relative to, see `Compared.motion`
     parting: Floats  # (PARTS,) m, rms between the runs that start APART
     contacts: int  # the most that were seen
     touch: bool  # whether contacts can act, seen at a moment that was looked at or not
@@ -63,8 +66,13 @@ class Reference:
 
     @property
     def known(self) -> float:
-        """To what the reference is known [m], rms over the parts before the horizon; infinite where there is none."""
-        return float(np.sqrt(np.mean(self.difference[: self.parts] ** 2))) if self.parts else np.inf
+        """To what the reference is known, at the worst moment before the horizon; infinite where there is none."""
+        return float(self.difference[: self.parts].max()) if self.parts else np.inf
+
+    @property
+    def motion(self) -> float:
+        """What errors are relative to, the largest before the horizon."""
+        return float(self.displacement[: self.parts].max(initial=0.0))
 
     @property
     def growth(self) -> float:
@@ -74,7 +82,7 @@ class Reference:
     @property
     def scale(self) -> float:
         """Largest kinetic and spring energy [J], which energies are compared with."""
-        return float(np.abs(self.energy[:, :2]).sum(axis=1).max(initial=0.0)) or 1.0  # that of a gas may be negative
+        return _largest(self.energy)
 
     @property
     def chaotic(self) -> bool:
@@ -95,21 +103,17 @@ def apart(scene: Scene, share: float, seed: int) -> Floats:
     return scene.position + share * size_of(scene) * noise
 
 
-def distance(scene: Scene, a: Floats, b: Floats) -> Floats:
-    """Distances (n',) [m] of the balls that are not pinned."""
-    return np.linalg.norm((a - b)[~scene.pinned], axis=1)
-
-
-def rms(values: Floats) -> float:
-    """Root of the mean square; 0 of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+def _largest(energy: Floats) -> float:
+    return float(np.abs(energy[:, :2]).sum(axis=1).max(initial=0.0)) or 1.0  # that of a gas may be negative
 
 
 def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome]) -> Reference:
     """Run what the reference needs in double precision."""
     reference = _by(scene, plan, run, "rk4", min(FRAME, limit(scene, "rk4")) / 4.0)
     own, step = own_step(scene)
-    if own != "rk4" and (not len(reference.position) or (reference.touch and reference.known > GOOD * reference.size)):
+    if own != "rk4" and (
+        not len(reference.position) or (reference.touch and reference.known > GOOD * reference.motion)
+    ):
         other = _by(scene, plan, run, own, step / 4.0)
         if len(other.position) and (not len(reference.position) or other.known < reference.known):
             return other
@@ -122,19 +126,34 @@ def _by(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], method: str, 
         coarse, fine = run(Trial(method, step)), run(Trial(method, halved(plan.duration, step), look=True))
         why = coarse.unstable or fine.unstable or coarse.left_out or fine.left_out
         if not why:
-            while _off(scene, coarse, fine) > FINE * size_of(scene) and _cheap(scene, plan, step):
+            while _off(scene, plan, coarse, fine) and _cheap(scene, plan, step):
                 step = halved(plan.duration, step)
                 coarse, fine = fine, run(Trial(method, halved(plan.duration, step), look=True))
-            return _reference(scene, method, step, coarse, fine, run(Trial(method, step, start=apart(scene, APART, 0))))
+            other = run(Trial(method, step, start=apart(scene, APART, 0)))
+            return _reference(scene, plan, method, step, coarse, fine, other)
         step = halved(plan.duration, step)
     none = np.zeros((0, 4))
     return Reference(
-        method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, False, why
+        method=method,
+        step=step.seconds,
+        size=size_of(scene),
+        position=np.zeros((0, 0, 0)),
+        quantity=none,
+        energy=none,
+        difference=none[:, 0],
+        displacement=none[:, 0],
+        parting=none[:, 0],
+        contacts=0,
+        touch=False,
+        why=why,
     )
 
 
-def _off(scene: Scene, coarse: Outcome, fine: Outcome) -> float:
-    return rms(np.array([distance(scene, a, b) for a, b in zip(coarse.position, fine.position)]))
+def _off(scene: Scene, plan: Plan, coarse: Outcome, fine: Outcome) -> bool:
+    """Whether two steps differ by more than a fine reference should."""
+    compared = Compared.of(scene, plan)
+    moved = compared.motion(fine, _largest(np.array(fine.energy))).max()
+    return worst(compared.errors(coarse, fine)) > FINE * moved
 
 
 def _cheap(scene: Scene, plan: Plan, step: Step) -> bool:
@@ -142,7 +161,10 @@ def _cheap(scene: Scene, plan: Plan, step: Step) -> bool:
     return 4 * 4 * step.number * PARTS * (scene.n_balls + scene.n_springs) < WORK / 8
 
 
-def _reference(scene: Scene, method: str, step: Step, coarse: Outcome, fine: Outcome, other: Outcome) -> Reference:
+def _reference(
+    scene: Scene, plan: Plan, method: str, step: Step, coarse: Outcome, fine: Outcome, other: Outcome
+) -> Reference:
+    compared = Compared.of(scene, plan)
     parting = [rms(distance(scene, a, b)) for a, b in zip(coarse.position, other.position)]
     parting += [np.inf] * (PARTS - len(parting))
     return Reference(
@@ -150,8 +172,10 @@ def _reference(scene: Scene, method: str, step: Step, coarse: Outcome, fine: Out
         step=step.seconds / 2.0,
         size=size_of(scene),
         position=np.array(fine.position),
+        quantity=np.array(fine.quantity) if fine.quantity else np.zeros((PARTS, 0)),
         energy=np.array(fine.energy),
-        difference=np.array([rms(distance(scene, a, b)) for a, b in zip(coarse.position, fine.position)]),
+        difference=np.array([rms(error) for error in compared.errors(coarse, fine)]),
+        displacement=compared.motion(fine, _largest(np.array(fine.energy))),
         parting=np.array(parting),
         contacts=max(number for number, _ in fine.contacts),
         touch=fine.touch,

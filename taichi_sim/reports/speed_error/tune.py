@@ -13,11 +13,13 @@ import numpy as np
 from taichi_sim.errors import SceneError
 from taichi_sim.files import PartFile
 from taichi_sim.reports.speed_error import reference as references
+from taichi_sim.reports.speed_error.compared import Compared
+from taichi_sim.reports.speed_error.findings import equal
 from taichi_sim.reports.speed_error.measure import measure
 from taichi_sim.reports.speed_error.plan import FRAME, Plan, Step, fitting, halved, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of, progress_bar
-from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row
+from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
 from taichi_sim.reports.speed_error.worker import Workers
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings, part_of_bound
@@ -41,20 +43,28 @@ def main(
 
     Raises ValueError, OSError, BackendError.
     """
-    plan = _without_coarse(scene, plan, say)
     with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
         reference = references.make(scene, plan, workers("f64"))
         _require(scene, plan, reference)
-        row = find(scene, plan, reference, workers)
-    asked = f"{plan.tolerance:g} of the size ({plan.tolerance * reference.size:.3g} m)"
+        plan = _without_coarse(scene, plan, reference, say)
+        rows = find(scene, plan, reference, workers)
+    compared = Compared.of(scene, plan)
+    most = f"{plan.tolerance * reference.motion:.3g} {compared.unit}".rstrip()
+    asked = f"{plan.tolerance:g} of the {compared.size_in_words()} ({most})"
     until = plan.duration * reference.parts / len(reference.parting)
-    if row is None:
+    if not rows:
         say(f"no method and step within --limit {plan.most:g} s meets an error of {asked} over {until:.3g} s")
         return None
+    row = rows[0]
     settings = settings_of(scene, row)
     say(f"cheapest for an error of {asked} over the first {until:.3g} s:")
     say("\n".join(["[simulation]", *(f"{key} = {_toml(value)}" for key, value in settings.items())]))
-    say(f"its error is {row.relative_error:.2g} of the size, and it takes {row.seconds:.3g} s per simulated second")
+    say(
+        f"its error is {row.relative_error:.2g} of that at the worst of {reference.parts} moments, and it takes"
+        f" {row.seconds:.3g} s per simulated second"
+    )
+    if len(rows) > 1:
+        say(f"as fast, within {equal(rows)}")
     if reference.chaotic:
         say(
             "beyond that time small differences have grown too far for any step: see the statistics of `taichi-sim report`"
@@ -62,11 +72,11 @@ def main(
     return settings
 
 
-def _without_coarse(scene: Scene, plan: Plan, say: Callable[[str], None]) -> Plan:
-    """Single precision left out where it is too coarse, which is said before anything runs."""
-    for words in coarse(scene, plan, None):
+def _without_coarse(scene: Scene, plan: Plan, reference: Reference, say: Callable[[str], None]) -> Plan:
+    """Single precision left out where it is too coarse, which is said before it is tried."""
+    for words in coarse(scene, plan, reference):
         say(words)
-    if floor_of(scene, None) <= plan.tolerance:
+    if floor_of(scene, plan, reference) <= plan.tolerance:
         return plan
     left = tuple(precision for precision in plan.precisions if precision != "f32")
     if not left:
@@ -85,20 +95,22 @@ def _require(scene: Scene, plan: Plan, reference: Reference) -> None:
             f"{plan.name}: small differences grow too fast for any step to meet a tolerance; a shorter --duration may do, and"
             " `taichi-sim report` compares statistics"
         )
-    if reference.known > plan.tolerance * reference.size:
+    if not reference.motion:
+        name = Compared.of(scene, plan).name
+        raise SceneError(f"{plan.name}: {name} stays 0 in the first {plan.duration:g} s: there is nothing to compare")
+    if reference.known > plan.tolerance * reference.motion:
         raise SceneError(
-            f"{plan.name}: the reference itself is known to {reference.known / reference.size:.1g} of the size only, more than"
-            f" --tolerance {plan.tolerance:g}; a shorter --duration may do"
+            f"{plan.name}: the reference itself is known to {reference.known / reference.motion:.1g} of the motion only, more"
+            f" than --tolerance {plan.tolerance:g}; a shorter --duration may do"
         )
 
 
-def find(scene: Scene, plan: Plan, reference: Reference, workers: Workers) -> Row | None:
-    """The cheapest row that meets the tolerance. Each method goes from its longest safe step on, until it meets the tolerance
-    or costs more than the best so far: smaller steps cost more still."""
+def find(scene: Scene, plan: Plan, reference: Reference, workers: Workers) -> list[Row]:
+    """The cheapest rows that meet the tolerance, see `cheapest`. Each method goes from its longest safe step on, until it meets
+    the tolerance or costs more than the best so far: smaller steps cost more still."""
+    good: list[Row] = []
     best: Row | None = None
     for precision in plan.precisions:
-        if precision == "f32" and floor_of(scene, reference) > plan.tolerance:
-            continue
         for method in plan.methods:
             for step in _steps(scene, method, plan):
                 allowed = (
@@ -107,14 +119,15 @@ def find(scene: Scene, plan: Plan, reference: Reference, workers: Workers) -> Ro
                 row = measure(
                     scene, replace(plan, most=allowed), reference, workers(precision), precision, method, step
                 )
-                if row.verdict == LEFT_OUT or (best and (row.seconds or 0.0) >= (best.seconds or 0.0)):
+                if row.verdict == LEFT_OUT or (best and not as_fast(row, best)):
                     break
                 if row.verdict == UNSTABLE:  # a shorter step may do
                     continue
-                if row.rms_error is not None and row.rms_error + reference.known <= plan.tolerance * reference.size:
-                    best = row
+                if cheapest([row], plan.tolerance, reference.motion, reference.known):
+                    good.append(row)
+                    best = min(good, key=lambda row: row.seconds or 0.0)
                     break
-    return best
+    return cheapest(good, plan.tolerance, reference.motion, reference.known)
 
 
 def _steps(scene: Scene, method: str, plan: Plan) -> Iterator[Step]:
