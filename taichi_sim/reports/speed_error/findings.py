@@ -115,9 +115,12 @@ class Findings:
                 if reference.touch
                 else "."
             )
-        grown = f"Two runs that start {APART:g} of the size apart part by up to {self._parted():.1g} of it"
+        whose = "the size" if compared.quantity is None else f"the motion of {compared.name}"
+        grown = (
+            f"Two runs that start {APART:g} of the size apart part by up to {reference.parting.max():.1g} of {whose}"
+        )
         if not reference.chaotic:
-            yield f"{grown}: errors of single positions mean something all along."
+            yield f"{grown}: errors mean something all along."
         elif reference.parts:
             horizon = reference.parts * plan.duration / PARTS
             yield (
@@ -126,14 +129,11 @@ class Findings:
             )
         else:
             yield (
-                f"{grown}, and more than {PARTED:g} after {plan.duration / PARTS:.3g} s already: no error of single positions"
-                " means anything, and the runs are compared by statistics alone."
+                f"{grown}, and more than {PARTED:g} after {plan.duration / PARTS:.3g} s already: no error means"
+                " anything, and the runs are compared by statistics alone."
             )
         if self.floor is not None:
             yield f"In single precision smaller steps do not go below an error of {self.floor:.1g} of the motion."
-
-    def _parted(self) -> float:
-        return float(self.reference.parting.max()) / self.reference.size
 
     def lines(self) -> Iterator[str]:
         """For the terminal."""

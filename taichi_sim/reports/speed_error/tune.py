@@ -3,6 +3,7 @@
 import math
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +13,12 @@ import numpy as np
 
 from taichi_sim.errors import SceneError
 from taichi_sim.files import PartFile
+from taichi_sim.reports.check import passes
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.findings import equal
 from taichi_sim.reports.speed_error.measure import measure
-from taichi_sim.reports.speed_error.plan import FRAME, Plan, Step, fitting, halved, steps_of
+from taichi_sim.reports.speed_error.plan import FRAME, METHODS, Plan, Step, fitting, halved, own_step, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of, progress_bar
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
@@ -28,6 +30,11 @@ from taichi_sim.stability import stability
 __all__ = ["find", "main", "settings_of", "write_settings"]
 
 MORE_HALVINGS = 6  # than a report makes
+PATIENCE = 30.0  # s, after which no further method is compiled, unless they were named
+WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
+SOLVED = {"xpbd": 1, "implicit_euler": 5, "tr_bdf2": 10}  # passes of a step at least, of methods that iterate
+LIKELY = 1.5  # times the passes of the best that may still be as fast: they are not all alike
+BY_PRECISION = 2.5  # times the time of the best, which another precision might make up for
 SPARE = 1.2  # times the time of the best so far that a run may take, for noise
 
 if sys.version_info >= (3, 11):
@@ -44,10 +51,11 @@ def main(
     Raises ValueError, OSError, BackendError.
     """
     with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
-        reference = references.make(scene, plan, workers("f64"))
+        until = time.monotonic() + PATIENCE if plan.methods == METHODS else np.inf
+        reference = references.make(scene, plan, workers("f64"), plan.tolerance / WELL_KNOWN)
         _require(scene, plan, reference)
         plan = _without_coarse(scene, plan, reference, say)
-        rows = find(scene, plan, reference, workers)
+        rows, untried = find(scene, plan, reference, workers, until)
     compared = Compared.of(scene, plan)
     most = f"{plan.tolerance * reference.motion:.3g} {compared.unit}".rstrip()
     asked = f"{plan.tolerance:g} of the {compared.size_in_words()} ({most})"
@@ -65,6 +73,8 @@ def main(
     )
     if len(rows) > 1:
         say(f"as fast, within {equal(rows)}")
+    if untried:
+        say(f"not tried, for it takes long: {', '.join(untried)}; --methods takes what to choose from")
     if reference.chaotic:
         say(
             "beyond that time small differences have grown too far for any step: see the statistics of `taichi-sim report`"
@@ -105,29 +115,76 @@ def _require(scene: Scene, plan: Plan, reference: Reference) -> None:
         )
 
 
-def find(scene: Scene, plan: Plan, reference: Reference, workers: Workers) -> list[Row]:
-    """The cheapest rows that meet the tolerance, see `cheapest`. Each method goes from its longest safe step on, until it meets
-    the tolerance or costs more than the best so far: smaller steps cost more still."""
+def find(
+    scene: Scene, plan: Plan, reference: Reference, workers: Workers, until: float = np.inf
+) -> tuple[list[Row], list[str]]:
+    """The cheapest rows that meet the tolerance, see `cheapest`, and the methods that were not tried before `until`.
+
+    Compiling a method takes longer than most runs, so those come first that promise most, and those that cannot win are passed
+    over: where even the longest step goes through the forces too often. What precision changes is a factor of two at most, so
+    the second is tried of the methods that come near the best in the first.
+    """
     good: list[Row] = []
-    best: Row | None = None
+    untried: list[str] = []
+    own = own_step(scene)[0]
+    compiled = {own, reference.method}
+    methods = sorted(plan.methods, key=lambda method: (method not in compiled, _least_passes(scene, method, plan)))
     for precision in plan.precisions:
-        for method in plan.methods:
-            for step in _steps(scene, method, plan):
-                allowed = (
-                    plan.most if best is None else min(plan.most, SPARE * (best.seconds or 0.0) * plan.duration + 1e-3)
-                )
-                row = measure(
-                    scene, replace(plan, most=allowed), reference, workers(precision), precision, method, step
-                )
-                if row.verdict == LEFT_OUT or (best and not as_fast(row, best)):
-                    break
-                if row.verdict == UNSTABLE:  # a shorter step may do
-                    continue
-                if cheapest([row], plan.tolerance, reference.motion, reference.known):
-                    good.append(row)
-                    best = min(good, key=lambda row: row.seconds or 0.0)
-                    break
-    return cheapest(good, plan.tolerance, reference.motion, reference.known)
+        if precision != plan.precisions[0]:
+            best = min((row.seconds or 0.0 for row in good), default=0.0)
+            methods, compiled = [row.method for row in good if (row.seconds or 0.0) <= BY_PRECISION * best], set()
+        for method in methods:
+            fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
+            if fastest is not None and not _may_win(scene, plan, method, fastest):
+                continue
+            if good and method not in compiled and time.monotonic() > until:
+                untried.append(f"{method} in {precision}")
+                continue
+            first = next((row.step for row in good if row.method == method), np.inf)
+            row = _longest(scene, plan, reference, workers, precision, method, fastest, first)
+            if row is not None:
+                good.append(row)
+    return cheapest(good, plan.tolerance, reference.motion, reference.known), untried
+
+
+def _longest(
+    scene: Scene,
+    plan: Plan,
+    reference: Reference,
+    workers: Workers,
+    precision: str,
+    method: str,
+    best: Row | None,
+    first: float,
+) -> Row | None:
+    """The row of the longest step, of at most `first` [s], with which a method meets the tolerance; None where that costs more
+    than the best so far, for smaller steps cost more still."""
+    for step in _steps(scene, method, plan):
+        if step.seconds > first * (1.0 + 1e-9):
+            continue
+        most = plan.most if best is None else min(plan.most, SPARE * (best.seconds or 0.0) * plan.duration + 1e-3)
+        row = measure(scene, replace(plan, most=most), reference, workers(precision), precision, method, step)
+        if row.verdict == LEFT_OUT or (best and not as_fast(row, best)):
+            return None
+        if row.verdict != UNSTABLE and cheapest([row], plan.tolerance, reference.motion, reference.known):
+            return row  # where it was unstable a shorter step may do
+    return None
+
+
+def _least_passes(scene: Scene, method: str, plan: Plan) -> float:
+    """Over the forces, per simulated second, with the longest step."""
+    step = next(iter(_steps(scene, method, plan)), None)
+    if step is None:
+        return np.inf
+    each = SOLVED.get(method) or passes(scene, method, step.seconds)
+    return each / step.seconds
+
+
+def _may_win(scene: Scene, plan: Plan, method: str, best: Row) -> bool:
+    """Whether a method could be cheaper than the best so far, judged by how often it goes through the forces."""
+    if method == best.method or not best.passes:
+        return True
+    return _least_passes(scene, method, plan) <= LIKELY * best.passes
 
 
 def _steps(scene: Scene, method: str, plan: Plan) -> Iterator[Step]:
