@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.errors import SceneError
-from taichi_sim.probes import Look, Probe
+from taichi_sim.probes import Look, Probe, bodies_of
 
 __all__ = ["Quantity", "Reader", "Readings", "quantity_of", "units_of"]
 
@@ -70,9 +70,12 @@ class Reader:
         found = quantity_of(self.scene, name).value(self.probes())
         return float(found[0]) if len(found) == 1 else found
 
-    def _begin_readings(self: Any) -> None:
-        """Means count from now on."""
+    def _begin_readings(self: Any, impulses: Floats | None = None) -> None:
+        """Means count from now on; impulses: those so far."""
         self._readings = Readings(self.scene.probes)
+        bodies = bodies_of(self.scene)
+        if bodies and not self._still:
+            self._parts.set_impulses(np.zeros((len(bodies), self.scene.dim)) if impulses is None else impulses)
         if self.scene.probes:
             self._readings.begin(self.time, self._look())
 
@@ -80,7 +83,12 @@ class Reader:
         x, v, low = self.position, self.velocity, self.rounded_off
         if low is not None:  # what a stiff spring carries lies in digits that single precision rounds off
             x, v = x + low[0], v + low[1]
-        return Look(self.scene, x, v, self.torn, self.energy, np.zeros((0, self.scene.dim)))
+        return Look(self.scene, x, v, self.torn, self.energy, self.impulses)
+
+    @property
+    def impulses(self: Any) -> Floats:
+        """(b, dim) N s that the b walls and colliders with a probe of force or impulse have received, in the order of those."""
+        return np.zeros((len(bodies_of(self.scene)), self.scene.dim)) if self._still else self._parts.impulses()
 
 
 # One of them by its name -------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from taichi_sim.frame import Contacts, Frame, Placed
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
 from taichi_sim.moment import Moment
+from taichi_sim.probes import bodies_of
 from taichi_sim.readings import Reader
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
@@ -78,6 +79,10 @@ class Simulation(Reader):
         if s.tolerance is not None:
             check_digits(
                 scene, s.tolerance, self.backend.precision, self.dt, substeps, compensates(scene, self.backend)
+            )
+        if s.tolerance is not None and bodies_of(scene):
+            raise ValueError(
+                "tolerance: cannot be kept together with probes of force or impulse; give dt, or leave them out"
             )
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else Controlled
@@ -321,10 +326,12 @@ class Simulation(Reader):
         low: tuple[NDArray, NDArray] | None = None,
         surface_speed: NDArray | None = None,
         torn: NDArray | None = None,
+        impulses: NDArray | None = None,
     ) -> None:
         """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
 
         low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. torn: (m,) springs; none by default.
+        impulses: what was `impulses`; 0 by default.
         The impulses that contacts held are found anew in the first steps: a pile that rests goes on resting, but not with the
         same bits.
         """
@@ -337,7 +344,7 @@ class Simulation(Reader):
                 self._parts.tearing.tear(np.zeros(self.scene.n_springs, dtype=bool) if torn is None else torn)
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
-        self._begin_readings()
+        self._begin_readings(impulses)
 
     def stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """What a saved run needs besides its state to go on with the same steps."""
