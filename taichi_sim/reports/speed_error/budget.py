@@ -28,7 +28,8 @@ PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 class Budget:
     """In the unit of what is compared; None: not looked at, or not known. Each is the largest at the moments compared.
 
-    value: of the quantity at the last of them; of positions, the largest rms displacement. order: of the mesh, as observed.
+    value: of the quantity at the last of them, or how far it has gone; of positions, the largest rms displacement. order: of
+    the mesh, as observed.
     """
 
     name: str
@@ -82,10 +83,12 @@ def made(
     if single is not None and whole_run and _reached(single):
         rounded = worst(compared.errors(single, double)[:parts])
     value = reference.motion
+    name = "rms displacement"
     if compared.quantity is not None:
         last = reference.quantity[parts - 1]
-        value = float(last[0]) if len(last) == 1 else float(np.linalg.norm(last))
-    name = "rms displacement" if compared.quantity is None else compared.name
+        value, name = float(last[0]) if len(last) == 1 else float(np.linalg.norm(last)), compared.name
+        if compared.quantity.from_start:  # where it is says nothing
+            value, name = float(reference.displacement[parts - 1]), f"motion of {name}"
     return Budget(name, compared.unit, value, plan.duration * parts / PARTS, method, step, off, single=rounded)
 
 

@@ -34,10 +34,10 @@ td.words { text-align: left; white-space: normal; min-width: 22rem } tr.front td
 tr.bad td { color: var(--bad) }
 """
 NOTES = """h / safe: the step as a part of the one that is safe in every shape. Passes: over the forces, per simulated second.
-Errors: of positions, rms over all balls that are not pinned, or of the quantity, at the worst of eight moments. Drift: of the
-total energy from the reference's, as a part of the largest kinetic and spring energy. Times: medians of runs repeated for a
-quarter of a second, or of the eighths of a long one, without compiling; noise: how far these scatter. Bold: on the Pareto
-front."""
+Errors: of positions, rms over all balls that are not pinned, or of the quantity, at the worst of eight moments.
+Drift: of the total energy from the reference's, as a part of the largest kinetic and spring energy. Times: medians
+of runs repeated for a quarter of a second or more, or of the eighths of a long one, without compiling; noise: to
+what they are known. Bold: on the Pareto front."""
 
 
 def write_pages(findings: Findings, folder: Path) -> None:

@@ -26,7 +26,8 @@ __all__ = ["Outcome", "Trial", "Worker", "Workers"]
 
 Floats = NDArray[np.float64]
 SHORT = 0.25  # s; a shorter run is made again until all together take so long
-REPEATS, MOST_REPEATS = 5, 100  # for that
+REPEATS, MOST_REPEATS = 5, 200  # for that
+STEADY, LONGEST = 0.05, 4.0  # part to which a time should be known, and times SHORT that this may take
 UNSTEADY = (
     0.05  # of a time: between runs minutes apart a machine's speed varies by about that, which no repetition shows
 )
@@ -254,19 +255,20 @@ class Track:
         return None if self.quantity is None else self.quantity.value(self.sim.probes())
 
     def _timing(self, trial: Trial, times: list[float]) -> tuple[float, float]:
-        """Seconds that the run takes, and how far they scatter: half of what lies between the quartiles. Medians of whole runs,
-        part by part, or of the parts of a long one."""
-        if not trial.timed or sum(times) >= SHORT:
-            seconds = PARTS * float(np.median(times))
-            scatter = np.sqrt(PARTS) * _half_width(times)
-        else:
+        """Seconds that the run takes, and to what they are known. Medians of whole runs, part by part, or of the parts of a long
+        one; short runs are repeated until that is known well."""
+        seconds, noise = PARTS * float(np.median(times)), PARTS * _interval(times)
+        if trial.timed and sum(times) < SHORT:
             runs = [times]
-            while len(runs) < REPEATS or (np.sum(runs) < SHORT and len(runs) < MOST_REPEATS):
+            while len(runs) < REPEATS or (
+                np.sum(runs) < SHORT or (noise > STEADY * seconds and np.sum(runs) < LONGEST * SHORT)
+            ):
                 self._begin(trial)
                 runs.append([self._time(trial.step.number) for _ in range(PARTS)])
-            seconds = float(np.sum(np.median(runs, axis=0)))
-            scatter = _half_width(np.sum(runs, axis=1))
-        return seconds, max(float(scatter), UNSTEADY * seconds)
+                if len(runs) == MOST_REPEATS:
+                    break
+                seconds, noise = float(np.sum(np.median(runs, axis=0))), _interval(np.sum(runs, axis=1))
+        return seconds, max(noise, UNSTEADY * seconds)
 
     def _time(self, steps: int) -> float:
         begin = time.perf_counter()
@@ -284,9 +286,10 @@ class Track:
         return float(passes(self.scene, trial.method, trial.step.seconds) * trial.step.number * PARTS)
 
 
-def _half_width(values: Any) -> float:
+def _interval(values: Any) -> float:
+    """Half of the 95 % interval of a median (McGill, Tukey and Larsen, 1978)."""
     low, high = np.percentile(values, [25, 75])
-    return 0.5 * float(high - low)
+    return 1.57 * float(high - low) / float(np.sqrt(len(values)))
 
 
 def _too_long(seconds: float, most: float) -> str:
