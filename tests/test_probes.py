@@ -229,19 +229,35 @@ def lost(sim, start):
     return start + sim.scene.mass.sum() * np.array([0.0, -G]) * sim.time - sim.momentum()
 
 
+def crowd():
+    """Sixteen balls that nearly touch, which split masses and restitution would give energy (kernels.taming)."""
+    scene, rng = boxed(1.0, 0.5), np.random.default_rng(1)
+    crowd = ts.Scene(dim=2, gravity=(0, -G))
+    crowd.materials[:], crowd.walls[:] = scene.materials, scene.walls
+    crowd.add_collider(ts.Sphere([0.7, -0.2], 0.3, material="m"))
+    places = 0.3 + 0.2025 * np.stack(np.meshgrid(np.arange(4), np.arange(4), indexing="ij"), -1).reshape(-1, 2)
+    speed, mass = rng.normal(size=places.shape), rng.uniform(0.5, 2.0, len(places))
+    crowd.add_balls(places, radius=0.1, mass=mass, velocity=speed, material="m")
+    crowd.probes.extend(scene.probes)
+    return crowd
+
+
 @pytest.mark.parametrize(
-    ("restitution", "settings"),
-    [(1.0, {"integrator": "rk4", "contacts": "jacobi"}), (0.3, {"integrator": "xpbd", "driver": "parallel"})],
+    ("make", "settings"),
+    [
+        (crowd, {"dt": 5e-3, "contacts": "jacobi", "contact_passes": 1}),
+        (lambda: boxed(0.3, 0.3), {"dt": 1e-3, "integrator": "xpbd", "driver": "parallel"}),
+    ],
     ids=["tamed", "parallel"],
 )
-def test_walls_and_colliders_receive_all_that_balls_lose(restitution, settings):
+def test_walls_and_colliders_receive_all_that_balls_lose(make, settings):
     """However balls meet, press and rub, the sum over bodies is exact."""
-    with ts.Simulation(boxed(restitution, 0.3), dt=1e-3, **settings) as sim:
+    with ts.Simulation(make(), **settings) as sim:
         start = sim.momentum()
-        sim.run(0.8)
+        sim.run(0.5)
         impulses = [sim.probe(name) for name in BODIES]
         assert np.sum(impulses, axis=0) == pytest.approx(lost(sim, start), abs=100 * DIGITS)
-        assert all(np.linalg.norm(one) > 0.1 for one in impulses)
+        assert sum(np.linalg.norm(one) > 0.1 for one in impulses) >= 2
 
 
 def test_what_lies_still_presses_with_its_weight(tmp_path):
