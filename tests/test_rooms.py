@@ -212,7 +212,7 @@ def test_simulation_has(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "save"]
+    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "add_probe", "save"]
 )
 def test_scene_has(name):
     assert callable(getattr(ts.Scene, name))
