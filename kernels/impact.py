@@ -125,6 +125,21 @@ def press(walls: ti.template(), i, v, a):
 
 
 @ti.func
+def tell_pressed(walls: ti.template(), i, v):
+    """What `press` took of the velocity of ball i, for probes: it stays away where the ball met something."""
+    for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
+        if walls.contact[i * walls.count + k].active == 1:
+            n = walls.normal(i, k)
+            least = 0.0 * v[0]
+            if ti.static(walls.has_colliders):
+                if k >= walls.planes:
+                    least = ti.min(0.0, walls.contact[i * walls.count + k].target)
+            change = -ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
+            v += change
+            walls.tell(i, k, change / walls.model.inverse_mass[i])
+
+
+@ti.func
 def move(walls: ti.template(), i, x, v, a, h, threshold):
     """Displacement over h and drift velocity of ball i, given drift velocity v (at half the step) and acceleration a."""
     shift = h * v
@@ -176,6 +191,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                 speed += t * pull
                 if ti.static(walls.has_colliders):
                     if other >= 0:
+                        came, load = speed, pull
                         speed, pull, rests, n = strike(
                             walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
                         )
@@ -183,23 +199,30 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                             settled = other
                             floor = n
                         remaining -= t
+                        if ti.static(walls.told):
+                            change = speed - came + remaining * (pull - load)
+                            walls.received.add(i, walls.received.solid[other], change / walls.model.inverse_mass[i])
                     else:
                         remaining = 0.0
                 touched = True
             elif hit >= 0:
                 shift = start + t * (speed + 0.5 * t * pull)
+                came, load = speed + t * pull, pull
                 speed, pull, rests = bounce(
                     walls,
                     i,
                     walls.wall[hit].normal,
                     walls.law(i, hit),
-                    speed + t * pull,
+                    came,
                     pull,
                     threshold,
                     h,
                     remaining - t,
                 )
                 remaining -= t
+                if ti.static(walls.told):
+                    change = speed - came + remaining * (pull - load)
+                    walls.received.add(i, walls.received.plane[hit], change / walls.model.inverse_mass[i])
                 touched = True
             elif touched:
                 shift += remaining * (speed + 0.5 * remaining * pull)
@@ -209,5 +232,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                 remaining = 0.0
     drift = v
     if touched:
+        if ti.static(walls.told):
+            tell_pressed(walls, i, v)
         drift = speed - 0.5 * h * pressed  # the load on what it rested on is still the next solve's to hold
     return shift, drift

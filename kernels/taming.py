@@ -17,6 +17,9 @@ def stopped(solver: ti.template(), ball: ti.template()):
     """Note the velocities where the pairs that touched have stopped."""
     for i in range(solver.n):
         solver.stop_v[i] = ball[i].v
+        if ti.static(solver.has_walls):
+            if ti.static(solver.walls.told):
+                solver.walls.received.note(i)
         if ti.static(solver.spins):
             solver.stop_turn[i] = solver.state.turn[i]
 
@@ -74,6 +77,9 @@ def tame(solver: ti.template(), ball: ti.template()):
         less = ti.cast(solver.energy[solver.parts_of_energy].linear, float)
         if less < 0.0:
             solver.state.kick(i, less * (ball[i].v - solver.stop_v[i]))
+            if ti.static(solver.has_walls):
+                if ti.static(solver.walls.told):
+                    solver.walls.received.scale(i, less)
             if ti.static(solver.spins):
                 solver.state.turn[i] = solver.state.turn[i] + less * (solver.state.turn[i] - solver.stop_turn[i])
 

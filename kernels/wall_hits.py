@@ -55,6 +55,8 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
                         walls.model, u, n, mass, 0.0 * p, law.friction * total, slip
                     )
                     p += change
+                if ti.static(walls.told):
+                    walls.tell(i, k, p)
                 solver.apply(i, p, -cross(n, p))
     return bounced
 
@@ -108,4 +110,6 @@ def go_on(walls: ti.template(), i, times):
         c = i * walls.count + k
         if walls.solved(c):
             held = walls.contact[c].impulse
+            if ti.static(walls.told):
+                walls.tell(i, k, times * (held - walls.contact[c].noted) * walls.normal(i, k))
             walls.contact[c].impulse = ti.max(0.0, held + times * (held - walls.contact[c].noted))

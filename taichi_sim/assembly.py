@@ -33,6 +33,7 @@ from taichi_sim.model import Model
 from taichi_sim.motion import TICKS
 from taichi_sim.order import in_order, spatial_order
 from taichi_sim.pins import Pins
+from taichi_sim.probes import bodies_of
 from taichi_sim.scene import Scene, bounciest, used_materials
 from taichi_sim.settings import Settings
 from taichi_sim.state import State
@@ -162,19 +163,24 @@ class Assembly:
             Pairs(self.model, self.fields, grid, warm, soft, unequal, self.room.pairs) if grid is not None else None
         )
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
+        # they may do work
+        pushed = (self.colliders is not None and self.colliders.moves) or bool(scene.moving_pins)
+        tames = pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets))
         # walls take their turn with pairs
         among = soft or (pairs and rule == "gauss_seidel" and not sticks and not facets)
         wall_part = (
-            Walls(self.model, self.state, self.fields, self.threshold, among, pairs, self.colliders) if walled else None
+            Walls(self.model, self.state, self.fields, self.threshold, among, pairs, self.colliders, tames)
+            if walled
+            else None
         )
+        if wall_part is not None and wall_part.told:
+            self.state.followers.append(wall_part.received)
         stick_part = (
             Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
         )
         facet_part = (
             Facets(self.model, self.fields, pair_part, self.room.facets) if facets and pair_part is not None else None
         )
-        # they may do work
-        pushed = (self.colliders is not None and self.colliders.moves) or bool(scene.moving_pins)
         return ContactSolver(
             self.model,
             self.state,
@@ -192,7 +198,7 @@ class Assembly:
             warm=warm,
             soft=soft,
             loaded=pulls or bool(self.forces.extra) or (self.model.has_gravity and bool(scene.pinned.any())),
-            tames=pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets)),
+            tames=tames,
         )
 
     def _rule(self, settings: Settings, cpu: bool) -> str:
@@ -270,6 +276,18 @@ class Assembly:
             tally[survey.BALL] = self.state.order[int(tally[survey.BALL])]
         return tally
 
+    def impulses(self) -> NDArray[np.float64]:
+        """(b, dim) N s that walls and colliders have received since the start, those of `probes.bodies_of`."""
+        scene, walls = self.arguments[0], self.contacts.walls
+        if walls is None or not walls.told:
+            return np.zeros((len(bodies_of(scene)), scene.dim))
+        return walls.received.value()
+
+    def set_impulses(self, total: NDArray[np.float64]) -> None:
+        """Go on from there."""
+        if self.contacts.walls is not None and self.contacts.walls.told:
+            self.contacts.walls.received.set(total)
+
     def searches(self) -> int:
         """How often neighbours were looked for."""
         pairs = self.contacts.pairs
@@ -308,6 +326,7 @@ class Assembly:
         state = self.state
         x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
         torn = None if self.tearing is None else self.tearing.springs_torn
+        given = self.impulses()
         if self.companion is None:  # else both are there for a moment
             self.free()
         larger = Assembly(*self.arguments, room=Room(**room))
@@ -317,6 +336,7 @@ class Assembly:
         larger.set_step(self.h)
         larger.state.write(x, v, low)
         larger.state.write_turn(turn)
+        larger.set_impulses(given)
         if torn is not None and larger.tearing is not None:
             larger.tearing.tear(torn)
         return larger

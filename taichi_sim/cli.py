@@ -46,6 +46,9 @@ Precision = Annotated[str | None, typer.Option(help="f32 or f64.")]
 Fps = Annotated[float | None, typer.Option(help="Frames per simulated second.")]
 Duration = Annotated[float | None, typer.Option(help="Simulated seconds.")]
 Threads = Annotated[int | None, typer.Option(help="CPU threads.")]
+Quantity = Annotated[
+    str | None, typer.Option(help="What errors are of: a probe's number, like load.tension; positions otherwise.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
 Out = Annotated[str | None, typer.Option("--out", "-o", help="x.mp4, x.webm, x.gif, x.npz, or folder/ for PNG frames.")]
 Codec = Annotated[str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")]
@@ -192,12 +195,9 @@ def report(
     methods: Annotated[str | None, typer.Option(help="Integrators, like verlet,rk4; all of them otherwise.")] = None,
     dts: Annotated[str | None, typer.Option(help="Steps in seconds, like 1e-3,5e-4; halvings otherwise.")] = None,
     precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
-    tolerance: Annotated[
-        float,
-        typer.Option(
-            help="An error that you would accept: rms over balls and moments, as a part of the scene's diagonal."
-        ),
-    ] = 1e-3,
+    tolerance: Annotated[str, typer.Option(help="An error that you would accept, relative to the motion.")] = "1e-3",
+    quantity: Quantity = None,
+    resolutions: Annotated[bool, typer.Option("--resolutions", help="Find the error of the mesh, too.")] = False,
     duration: Annotated[
         float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
     ] = None,
@@ -238,22 +238,25 @@ def report(
             tolerance=tolerance,
             duration=duration,
             limit=limit,
+            quantity=quantity,
+            resolutions=resolutions,
             arch=arch,
             threads=threads,
         )
         from taichi_sim.reports.speed_error.report import main as make
+        from taichi_sim.reports.speed_error.resolution import finer
 
+        meshes = finer(file) if resolutions else []
         folder = Path(out or f"{file.stem}_report")
-        make(made, plan, folder, overwrite=overwrite, progress=not quiet, say=_quiet if quiet else typer.echo)
+        say = _quiet if quiet else typer.echo
+        make(made, plan, folder, meshes=meshes, overwrite=overwrite, progress=not quiet, say=say)
 
 
 @main.command()
 def tune(
     scene: SceneName,
-    tolerance: Annotated[
-        float,
-        typer.Option(help="The error that you accept: rms over balls and moments, as a part of the scene's diagonal."),
-    ] = 1e-2,
+    tolerance: Annotated[str, typer.Option(help="The error that you accept, relative to the motion.")] = "1e-2",
+    quantity: Quantity = None,
     methods: Annotated[str | None, typer.Option(help="Integrators to choose from, like verlet,rk4.")] = None,
     precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
     duration: Annotated[
@@ -270,7 +273,7 @@ def tune(
         from taichi_sim.reports.speed_error import command
         from taichi_sim.reports.speed_error import tune as tuning
 
-        options = {"methods": methods, "precision": precision, "arch": arch}
+        options: dict[str, Any] = {"methods": methods, "precision": precision, "quantity": quantity, "arch": arch}
         file, made, plan = command.read(
             scene, tolerance=tolerance, duration=duration, limit=limit, threads=threads, **options
         )

@@ -1,5 +1,6 @@
 """Frame: one moment of a simulation as plain NumPy arrays, all that an output or a renderer ever sees."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -83,6 +84,7 @@ class Frame:
     gravity: Floats = field(default_factory=lambda: _empty(0))  # (dim,) m/s^2; (0,): not known
     energy: tuple[float, float, float, float] | None = None  # J: kinetic, spring, gravity, total
     contacts: Contacts | None = None  # what `Simulation.contacts` said; only exports ask
+    probes: Mapping[str, float] = field(default_factory=dict)  # what `Simulation.probes` said; the same
 
     @property
     def dim(self) -> int:

@@ -31,6 +31,7 @@ def in_order(scene: Scene, order: NDArray[np.int64]) -> Scene:
     copy.walls.extend(scene.walls)
     copy.colliders.extend(scene.colliders)
     copy.groups = scene.groups
+    copy.probes.extend(scene.probes)
     arrays = scene.to_arrays()
     balls = {name: column[order] for name, column in arrays.items() if name.startswith("balls.")}
     empty = {name: column[:0] for name, column in arrays.items() if not name.startswith("balls.")}

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
 from taichi_sim.motion import Motion, keyframe
+from taichi_sim.probes import Probed
 from taichi_sim.tables import Table
 
 __all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
@@ -51,7 +52,7 @@ class MovingPins:
     given: Mapping[str, Any]  # the arguments, for saving
 
 
-class Elements:
+class Elements(Probed):
     """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
 
     def _begin_elements(self, dim: int) -> None:
@@ -68,6 +69,7 @@ class Elements:
         self.wind: Wind | None = None
         self.gases: list[Gas] = []
         self.moving_pins: list[MovingPins] = []
+        self._begin_probes()
 
     cells = property(lambda self: self._cells["corners"], doc="(c, dim + 1) balls of each cell")
     bulk_modulus = property(lambda self: self._cells["bulk_modulus"], doc="(c,) Pa, in 2D N/m")
@@ -317,17 +319,21 @@ class Elements:
         )
 
     def elements(self) -> dict[str, Any]:
-        """Wind, gases and moving pins as plain values, arrays apart, for files and digests."""
+        """Wind, gases, moving pins and probes as plain values, arrays apart, for files and digests."""
         return {
             "wind": None if self.wind is None else asdict(self.wind),
             "gases": [{"pressure": g.pressure, "outside": g.outside, "volume": g.volume} for g in self.gases],
             "moving_pins": [dict(pins.given) for pins in self.moving_pins],
+            "probes": [{"name": one.name, "kind": one.kind, **one.plain()} for one in self.probes],
         }
 
     def element_arrays(self) -> dict[str, NDArray]:
         """The arrays that go with `elements`."""
         arrays = {f"gases.{k}.triangles": gas.triangles for k, gas in enumerate(self.gases)}
-        return arrays | {f"moving_pins.{k}.balls": pins.balls for k, pins in enumerate(self.moving_pins)}
+        arrays |= {f"moving_pins.{k}.balls": pins.balls for k, pins in enumerate(self.moving_pins)}
+        return arrays | {
+            f"probes.{one.name}.{key}": array for one in self.probes for key, array in one.arrays().items()
+        }
 
     def set_elements(self, about: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> None:
         """Add what `elements` and `element_arrays` gave."""
@@ -337,6 +343,10 @@ class Elements:
             self.gases.append(Gas(arrays[f"gases.{k}.triangles"].astype(np.int32), **gas))
         for k, given in enumerate(about["moving_pins"]):
             self.add_moving_pins(arrays[f"moving_pins.{k}.balls"], **given)
+        for given in about.get("probes", []):  # older versions had none
+            start = f"probes.{given['name']}."
+            own: dict[str, Any] = {k.removeprefix(start): array for k, array in arrays.items() if k.startswith(start)}
+            self.add_probe(**given, **own)
 
 
 def cell_volumes(x: NDArray, corners: NDArray) -> NDArray[np.float64]:

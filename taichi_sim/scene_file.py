@@ -2,7 +2,7 @@
 
 Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
 wheel, pile, truss, net, balloon, tower), springs, attachments, cells, bending, gases, moving pins, wind, walls, colliders,
-triangles, skins. Springs that name no group therefore count all balls in this order.
+triangles, skins, probes. Springs that name no group therefore count all balls in this order.
 """
 
 import difflib
@@ -22,6 +22,7 @@ from taichi_sim import checks
 from taichi_sim.camera_path import CameraPath
 from taichi_sim.colliders import shape_of
 from taichi_sim.errors import SceneError
+from taichi_sim.files import arrays_in
 from taichi_sim.scene import Scene
 from taichi_sim.scene_lines import key_name, line_of
 from taichi_sim.scene_save import save_scene
@@ -34,7 +35,7 @@ else:
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-__all__ = ["load_scene", "save_scene"]
+__all__ = ["Reader", "load_scene", "save_scene"]
 
 _Path = tuple[str | int, ...]
 _KEY = re.compile(r"^(?:\w+(?:\[\d+\])?\.|material '.*?': )?(?P<key>\w[\w\[\].]*): (?P<what>.*)$", re.DOTALL)
@@ -64,10 +65,10 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         raise SceneError(f"{file}: is not a text in UTF-8: {error.reason} at byte {error.start}") from None
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{file}: is not valid TOML: {error}") from None
-    return _Reader(file, text, document).scene()
+    return Reader(file, text, document).scene()
 
 
-class _Reader:
+class Reader:
     """Builds a Scene from one parsed document; every error leaves it with the file, the line and the key's path."""
 
     def __init__(self, file: Path, text: str, document: dict[str, Any]) -> None:
@@ -119,6 +120,14 @@ class _Reader:
                     if name in arguments:
                         arguments[name] = _within(balls, f"skins.{name}", arguments[name])
                 scene.add_skin(**arguments)
+        for index, table in enumerate(model.probes):
+            with self._at("probes", index):
+                arguments = self._with_file(("probes", index), table, ())
+                if "balls" in arguments:
+                    arguments["balls"] = self._chosen(scene, "probes.balls", arguments, "balls", "members")
+                elif "members" in arguments:
+                    raise SceneError("members: count within a group of balls; balls must be the name of one")
+                scene.add_probe(**arguments)
         with self._at("output", "camera"):
             self._camera(scene)
         if scene.n_balls == 0:
@@ -232,9 +241,10 @@ class _Reader:
         arguments = _given(table)
         name, prefix = arguments.pop("file", None), arguments.pop("prefix", "")
         if name is not None:
-            own = ("file", "prefix", "name") if place[0] == "moving_pins" else ("file", "prefix", "name", "balls")
+            named = place[0] in ("moving_pins", "probes")  # there `balls` may be numbers
+            own = ("file", "prefix", "name") if named else ("file", "prefix", "name", "balls")
             known = [key for key in type(table).model_fields if key not in own]
-            for key, array in _arrays(self.file.parent / name, prefix).items():
+            for key, array in arrays_in(self.file.parent / name, prefix).items():
                 if key not in known:
                     raise SceneError(f"file: {name!r} holds the array {prefix + key!r}; {_one_of(key, known)}")
                 if key in arguments:
@@ -384,17 +394,3 @@ def _fitting(document: Any, path: _Path) -> _Path:
         if part == 0 and len(_known(document, path)) < len(path) and _known(document, shorter) == shorter:
             return shorter
     return path
-
-
-def _arrays(path: Path, prefix: str) -> dict[str, NDArray]:
-    """The arrays of an .npz whose names begin with `prefix`, without it."""
-    if not path.is_file():
-        raise SceneError(f"file: {str(path)!r} is not there; it must be an existing .npz file")
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            found = {key[len(prefix) :]: data[key] for key in data.files if key.startswith(prefix)}
-    except Exception as error:  # a damaged archive raises whatever its parts raise
-        raise SceneError(f"file: {str(path)!r} cannot be read as .npz arrays: {error}") from None
-    if not found:
-        raise SceneError(f"file: {str(path)!r} holds no array whose name begins with {prefix!r}")
-    return found

@@ -77,6 +77,10 @@ def _document(scene: Scene, store: _Arrays) -> dict[str, Any]:
         columns = {"triangles": scene.triangles, "collides": _one(scene.solid)}
         tables["triangles"] = [store.table("triangles_", columns)]
     tables["skins"] = [_skin(skin, store, k) for k, skin in enumerate(scene.skins)]
+    tables["probes"] = [
+        store.table(f"probes_{k}_", probe.arrays(), name=probe.name, kind=probe.kind, **probe.plain())
+        for k, probe in enumerate(scene.probes)
+    ]
     return document | {name: rows for name, rows in tables.items() if rows}
 
 

@@ -159,6 +159,7 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "walls": _arguments(Scene.add_wall),
     "colliders": _colliders(),
     "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
+    "probes": _arguments(Scene.add_probe, **_led, **_file),
     "skins": _optional(_arguments(Scene.add_skin, **_group, **_file), "corners", "weights", "triangles"),
 }
 

@@ -22,6 +22,8 @@ from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
 from taichi_sim.moment import Moment
 from taichi_sim.outcome import Scales
+from taichi_sim.probes import bodies_of
+from taichi_sim.readings import Reader
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings
 from taichi_sim.stability import Stability, stability
@@ -33,7 +35,7 @@ __all__ = ["Simulation"]
 MOST_FRAMES = 10_000_000
 
 
-class Simulation:
+class Simulation(Reader):
     """Steps a scene through time.
 
     Args, all optional; what is left out is taken from scene.settings, then from the defaults in parentheses:
@@ -80,6 +82,10 @@ class Simulation:
             check_digits(
                 scene, s.tolerance, self.backend.precision, self.dt, substeps, compensates(scene, self.backend)
             )
+        if s.tolerance is not None and bodies_of(scene):
+            raise ValueError(
+                "tolerance: cannot be kept together with probes of force or impulse; give dt, or leave them out"
+            )
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else Controlled
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
@@ -87,6 +93,7 @@ class Simulation:
             warnings.warn(caution, stacklevel=2)
         self._closed = False
         self._still = scene.n_balls == 0
+        self._begin_readings()
 
     def _warn(self, h: float) -> None:
         safe = self._stability.dt_any_shape
@@ -333,10 +340,12 @@ class Simulation:
         low: tuple[NDArray, NDArray] | None = None,
         surface_speed: NDArray | None = None,
         torn: NDArray | None = None,
+        impulses: NDArray | None = None,
     ) -> None:
         """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
 
         low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. torn: (m,) springs; none by default.
+        impulses: what was `impulses`; 0 by default.
         The impulses that contacts held are found anew in the first steps: a pile that rests goes on resting, but not with the
         same bits.
         """
@@ -349,6 +358,7 @@ class Simulation:
                 self._parts.tearing.tear(np.zeros(self.scene.n_springs, dtype=bool) if torn is None else torn)
             if surface_speed is not None:
                 self._state.write_turn(surface_speed)
+        self._begin_readings(impulses)
 
     def stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """What a saved run needs besides its state to go on with the same steps."""

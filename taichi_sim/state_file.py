@@ -14,6 +14,7 @@ from taichi_sim.colliders import shape_of
 from taichi_sim.errors import SceneError
 from taichi_sim.files import replacing
 from taichi_sim.groups import Groups
+from taichi_sim.probes import bodies_of
 from taichi_sim.scene import Material, Scene, Wall
 
 __all__ = ["restore_state", "save_state"]
@@ -63,6 +64,8 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         state["surface_speed"] = simulation.surface_speed
     if simulation.torn is not None:
         state["torn"] = simulation.torn
+    if len(simulation.impulses):
+        state["impulses"] = simulation.impulses
     for k, collider in enumerate(scene.colliders):
         if "mesh" in collider.given:
             state.update({f"colliders.{k}.{name}": getattr(collider, name) for name in MESH})
@@ -94,6 +97,9 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         turning = None
         if "surface_speed" in arrays:
             turning = checks.vectors("surface_speed", arrays["surface_speed"], n, 1 if dim == 2 else 3)
+        impulses = arrays.get("impulses")
+        if impulses is not None:
+            impulses = checks.vectors("impulses", impulses, len(bodies_of(scene)), dim)
         if "torn" in arrays:
             checks.flags("torn", arrays["torn"], scene.n_springs)
         stepping = about.get("stepping", {})
@@ -108,7 +114,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
             raise
         raise SceneError(f"{path}: is not a state that Simulation.save wrote ({error})") from None
     simulation = kind(scene, **{**settings, **overrides})
-    simulation.resume(x, v, time, low, turning, arrays.get("torn"))
+    simulation.resume(x, v, time, low, turning, arrays.get("torn"), impulses)
     if not {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
         simulation.set_stepping(stepping, moments)
     return simulation

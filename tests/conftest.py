@@ -59,6 +59,7 @@ LONG = (
     "physics_swept",
     "physics_thrown",
     "physics_walls",
+    "probes",
     "stability",
     "tolerance",
     "validation_contacts",
@@ -81,6 +82,7 @@ LONG_ONCE_FILES = {f"test_{name}.py" for name in LONG_ONCE}
 # Twins of tests that run anyway, in another dimension or driver, and take long because they compile: `make test-slow` runs them.
 # `*` stands for anything.
 TWINS = (
+    "test_probes.py::test_walls_and_colliders_receive_all_that_balls_lose[*",
     "test_order.py::test_a_pile_moves_the_same_in_either_order[2d]",
     "test_physics_article.py::test_row_10_push_out_gives_no_speed[2d]",
     "test_physics_article.py::test_row_11_coincident_balls_have_a_direction[2d]",

@@ -52,14 +52,18 @@ class MadeUp:
             raise KeyboardInterrupt
         self.trials.append((precision, trial))
         start = self.scene.position if trial.start is None else trial.start
-        position, energy = [], []
+        position, energy, quantity = [], [], []
+        spring = self.scene.probes and self.scene.probes[0].given["spring"] == 0
         for k in range(1, PARTS + 1):
             x = start + self.grows**k * (start - self.scene.position)
             x[:, 0] += 0.1 * np.sin(k) + (trial.step.seconds * RATE) ** ORDER[trial.method]
             position.append(x)
             energy.append((0.5, 0.5, 0.0, 1.0))
+            if spring:  # its tension, of the place of ball 0: what MadeUp says of lengths does not change
+                quantity.append(np.array([STIFFNESS * (x[0, 0] - start[0, 0])]))
         cost = self.cost.get((precision, trial.method), 4e-3 if trial.method == "rk4" else 1e-3)
         seconds = cost * trial.step.number * PARTS
         if seconds > trial.most:
             return Outcome("made up", [], [], [], left_out="too long")
-        return Outcome("made up", position, energy, [(0, 0.0)] * PARTS, seconds, passes=1.0)
+        contacts = [(0, 0.0)] * PARTS
+        return Outcome("made up", position, energy, contacts, seconds, passes=1.0, quantity=quantity)

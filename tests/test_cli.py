@@ -242,7 +242,7 @@ REFUSED = [
     (("report", "ball.toml", "--duration", "1e300"), "--duration: 1e+300 is not allowed; the longest is "),
     (("report", "ball.toml", "--dts", "0.1"), "the longest is 0.0625, an eighth of the 0.5 s"),
     (("report", "ball.toml", "--precision", "f16"), "--precision: 'f16' is not allowed; it must be of f64, f32"),
-    (("report", "ball.toml", "--tolerance", "2"), "--tolerance: 2 is not allowed; it is a part of the scene's size"),
+    (("report", "ball.toml", "--tolerance", "2"), "--tolerance: 2 is not allowed; it is a part of the motion"),
     (("report", "ball.toml", "-o", "full"), "full: the folder is not empty and holds no report"),
     (("report", "ball.toml", "-o", "none/r"), "none/r: there is no folder 'none'; make it first"),
     (("tune", "box", "--write"), "--write: box is a demo; copy "),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from taichi_sim import Frame, UnstableError
+from taichi_sim import Frame, Scene, UnstableError
 from taichi_sim.frame import Contacts
 from taichi_sim.outcome import Scales
 from taichi_sim.outputs import Output, export, open_output
@@ -22,6 +22,8 @@ NAMES = ["x.mp4", "x.gif", "x.npz", "frames/"]
 
 class FakeSimulation:
     """Two balls in 2D that fall, as far as outputs can tell; frame `fails_at` raises `error`."""
+
+    scene = Scene(dim=2)
 
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
         self.fails_at, self.failure = fails_at, error
@@ -38,6 +40,9 @@ class FakeSimulation:
                 radius=np.full(2, 0.1),
                 energy=(1.0, 2.0, 3.0, 6.0 - t),
             )
+
+    def probes(self) -> dict[str, float]:
+        return {}
 
     def error(self) -> None:
         """Nothing controls it."""

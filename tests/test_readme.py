@@ -39,7 +39,7 @@ def test_scene_file_is_the_same_scene(tmp_path):
 
 def test_the_example_of_scene_files_loads(tmp_path):
     docs = (Path(__file__).parent.parent / "docs" / "scenes.md").read_text()
-    (tmp_path / "scene.toml").write_text(re.findall(r"```toml\n(.*?)```", docs, re.DOTALL)[0])
+    (tmp_path / "scene.toml").write_text(re.findall(r"```toml\n(format.*?)```", docs, re.DOTALL)[0])
     scene = ts.load_scene(tmp_path / "scene.toml")
     assert scene.wind is not None
     assert len(scene.moving_pins[0].balls) == 5

@@ -43,7 +43,8 @@ LEVELS = (
     ("scene_elements", "materials"),
     ("colliders",),
     ("level_set",),
-    ("mesh", "motion", "skins", "tables", "camera_path"),
+    ("mesh", "motion", "skins", "tables", "camera_path", "readings"),
+    ("probes",),
     ("checks", "files", "interrupts", "memory", "groups", "options"),
     ("errors",),
     ("kernels",),
@@ -84,6 +85,8 @@ NO_TAICHI = (
     "skins",
     "tables",
     "camera_path",
+    "probes",
+    "readings",
 )
 
 
@@ -211,7 +214,7 @@ def test_simulation_has(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "save"]
+    "name", ["add_material", "add_balls", "add_springs", "add_wall", "add_collider", "add_skin", "add_probe", "save"]
 )
 def test_scene_has(name):
     assert callable(getattr(ts.Scene, name))

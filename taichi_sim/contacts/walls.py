@@ -4,6 +4,7 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.contacts.colliders import Colliders
+from taichi_sim.contacts.received import Received
 from taichi_sim.fields import Fields
 from taichi_sim.kernels import contact_law, impact, survey, wall_hits, wall_slots
 from taichi_sim.kernels.direction import cross, lever
@@ -12,6 +13,7 @@ from taichi_sim.kernels.hits import ALERT
 from taichi_sim.kernels.sweeps import zero_turn
 from taichi_sim.kernels.wall_slots import FAR
 from taichi_sim.model import Model
+from taichi_sim.probes import bodies_of
 from taichi_sim.state import State
 
 __all__ = ["Walls"]
@@ -46,6 +48,7 @@ class Walls:
         crowds: bool,
         straight: bool,
         colliders: Colliders | None = None,
+        tames: bool = False,
     ) -> None:
         self.straight = straight  # the way of what is fast within a step, see kernels.swept
         self.model, self.state, self.colliders, self.threshold = model, state, colliders, threshold
@@ -83,6 +86,9 @@ class Walls:
         self.share = fields.reals(model.n)  # into how many parts a ball splits its mass between its walls
         if not self.has_colliders:
             self.room = fields.reals(model.n)  # m to the nearest wall: most balls cannot reach any in a step
+        self.told = bool(bodies_of(model.scene))
+        if self.told:
+            self.received = Received(model, fields, tames)
         self.touched = fields.integers(model.n)  # walls that a ball touches: most touch none and are passed over
 
     def names(self) -> list[str]:
@@ -157,6 +163,14 @@ class Walls:
             if k >= self.planes:
                 u -= self.contact[i * self.count + k].velocity
         return u
+
+    @ti.func
+    def tell(self, i, k, p):
+        """Its contact k gave ball i the impulse p, for probes."""
+        if k < self.planes:
+            self.received.add(i, self.received.plane[k], p)
+        elif ti.static(self.has_colliders):
+            self.received.add(i, self.received.solid[self.contact[i * self.count + k].key // self.faces], p)
 
     @ti.func
     def move(self, i, x, v, a, h, change):
@@ -261,6 +275,8 @@ class Walls:
         crowded = False
         if ti.static(self.crowds):
             crowded = self.crowded[i] > 0
+        if ti.static(self.told and starts):
+            self.received.note(i)
         for k in range(ti.select(self.touched[i] > 0, self.count, 0)):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
@@ -303,6 +319,8 @@ class Walls:
                     p = self.contact[c].impulse * n
                     if ti.static(self.model.has_friction):
                         p += self.contact[c].slide
+                    if ti.static(self.told):
+                        self.tell(i, k, p)
                     solver.apply(i, p, -cross(n, p))
 
     @ti.func
@@ -339,6 +357,8 @@ class Walls:
                     )
                     self.contact[c].slide = slide
                     p += change
+                if ti.static(self.told):
+                    self.tell(i, k, p)
                 t = -cross(n, p)
                 total += p
                 twist += t

@@ -47,7 +47,8 @@ class _Column:
 
 class Arrays(Output):
     """An .npz with time (f,) s, position (f, n, dim) m, velocity (f, n, dim) m/s, energy (f, 4) J, and of the contacts their
-    number contacts (f,), penetration (f, 2) m, residual (f,) m/s and largest_speed (f,) m/s.
+    number contacts (f,), penetration (f, 2) m, residual (f,) m/s and largest_speed (f,) m/s; and (f,) for each number of each
+    probe, under its name, `load.tension`.
 
     The columns of energy are kinetic, spring, gravity, total, those of penetration largest and mean; nan where the frame does
     not know them. Frames wait on disk in the target folder, so the file may be larger than the memory.
@@ -58,8 +59,8 @@ class Arrays(Output):
     def __init__(self, path: str | PathLike[str]) -> None:
         self.path = path
         self._part = PartFile(path)
-        folder = str(self._part.path.parent)
-        self._columns = {name: _Column(folder) for name in NAMES}
+        self._folder = str(self._part.path.parent)
+        self._columns = {name: _Column(self._folder) for name in NAMES}
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Append one frame."""
@@ -70,7 +71,9 @@ class Arrays(Output):
             number, deep = float(now.number), (now.penetration, now.mean_penetration)
             left, speed = now.residual, now.largest_speed
         rows = (frame.time, frame.position, frame.velocity, energy, number, deep, left, speed)
-        for name, row in zip(NAMES, rows, strict=True):
+        for name, row in [*zip(NAMES, rows, strict=True), *frame.probes.items()]:
+            if name not in self._columns:
+                self._columns[name] = _Column(self._folder)
             self._columns[name].append(np.asarray(row, dtype=np.float64))
 
     def finish(self) -> None:

@@ -13,6 +13,7 @@ from taichi_sim.frame import Contacts, Frame
 from taichi_sim.outcome import Scales, of_depth, of_energy, of_passes
 from taichi_sim.outputs.base import Image, Output
 from taichi_sim.outputs.behind import Behind
+from taichi_sim.readings import units_of
 
 __all__ = ["Summary", "export"]
 
@@ -38,6 +39,10 @@ class Summary:
     unsolved: list[float] = field(default_factory=list)  # m/s, see Contacts: of each frame with contacts
     scales: Scales | None = None  # what all this is judged by, at the end
     largest_speed: float = 0.0  # m/s
+    probes: dict[str, tuple[float, float, float]] = field(
+        default_factory=dict
+    )  # at the end, least and largest at a frame
+    units: dict[str, str] = field(default_factory=dict)  # of probes
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
 
@@ -75,6 +80,9 @@ class Summary:
                     f"residual     passes leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
                     f" {of_passes(left, scales, self.largest_speed, now.passes)}"
                 )
+        for name, (last, least, most) in self.probes.items():
+            unit = f" {self.units.get(name, '')}".rstrip()
+            lines.append(f"{name:12} {last:.5g}{unit} in the last frame, {least:.5g} to {most:.5g}{unit} in all")
         if self.error is not None:
             e = self.error
             lines.append(
@@ -144,7 +152,7 @@ def export(
         frame: Frame | None = None
         for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
             clock.charge("simulating")
-            frame.contacts = simulation.contacts()
+            frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
             _observe(summary, frame)
             if output is not None:
                 if output.needs_image and renderer is None:
@@ -158,7 +166,7 @@ def export(
                     renderer.skip(frame)
                     clock.charge("drawing")
             advance(frame.time)
-        summary.duration = duration
+        summary.duration, summary.units = duration, units_of(simulation.scene)
         if frame is not None and frame.energy is not None:
             summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()
@@ -186,6 +194,13 @@ def _observe(summary: Summary, frame: Frame) -> None:
             summary.unsolved.append(now.unsolved)
         for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
+    for name, value in frame.probes.items():
+        _, least, most = summary.probes.get(name, (value, value, value))
+        summary.probes[name] = (
+            value,
+            float(np.fmin(least, value)),
+            float(np.fmax(most, value)),
+        )  # a mean has none at first
     if summary.frames == 1 and frame.energy is not None:  # of the first and the last: it takes long
         summary.energy_start = tuple(frame.energy)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from taichi_sim import checks
 from taichi_sim.errors import SceneError
+from taichi_sim.readings import quantity_of
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan, duration_of, longest_duration
 from taichi_sim.scene import Scene
 from taichi_sim.scene_source import checked_output, demos, open_scene, resolve
@@ -20,9 +21,11 @@ def read(
     methods: str | None = None,
     dts: str | None = None,
     precision: str | None = None,
-    tolerance: float = 1e-3,
+    tolerance: float | str = 1e-3,
     duration: float | None = None,
     limit: float = 4.0,
+    quantity: str | None = None,
+    resolutions: bool = False,
     arch: str | None = None,
     threads: int | None = None,
 ) -> tuple[Path, Scene, Plan]:
@@ -32,11 +35,11 @@ def read(
         "methods": _words("--methods", methods, METHODS),
         "precisions": _words("--precision", precision, PRECISIONS),
         "steps": None if dts is None else tuple(_positive("--dts", text) for text in _items("--dts", dts)),
-        "tolerance": _positive("--tolerance", tolerance),
+        "tolerance": _share("--tolerance", tolerance),
         "most": _positive("--limit", limit),
     }
     if choices["tolerance"] >= 1.0:
-        raise ValueError(f"--tolerance: {tolerance:g} is not allowed; it is a part of the scene's size, below 1")
+        raise ValueError(f"--tolerance: {tolerance} is not allowed; it is a part of the motion, below 1, or like 1%")
     if duration is not None:
         _positive("--duration", duration)
     file = resolve(name)
@@ -56,6 +59,12 @@ def read(
             f"--duration: {duration:g} is not allowed; the longest is {most:.6g} s in this scene, for which the reference takes"
             " about a quarter of an hour"
         )
+    if quantity is not None:
+        try:
+            quantity_of(scene, quantity)
+        except SceneError as error:
+            raise SceneError(f"--quantity: {error}") from None
+    choices |= {"quantity": quantity, "resolutions": resolutions}
     plan = Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
     longest = plan.duration / PARTS
     if plan.steps and max(plan.steps) > longest * (1.0 + 1e-5):
@@ -92,6 +101,13 @@ def _words(option: str, text: str | None, allowed: tuple[str, ...]) -> tuple[str
         if word not in allowed:
             raise ValueError(f"{option}: {word!r} is not allowed; it must be of {', '.join(allowed)}")
     return tuple(word for word in allowed if word in words)
+
+
+def _share(option: str, value: float | str) -> float:
+    """A number, or one in percent."""
+    if isinstance(value, str) and value.endswith("%"):
+        return _positive(option, value[:-1]) / 100.0
+    return _positive(option, value)
 
 
 def _positive(option: str, value: Any) -> float:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_sim.reports.speed_error.budget import Budget
+from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
 from taichi_sim.reports.speed_error.reference import APART, PARTED, Reference
 from taichi_sim.reports.speed_error.rows import (
@@ -36,6 +38,7 @@ class Findings:
     reference: Reference
     rows: list[Row]
     intervals: list[Interval]
+    budget: Budget | None = None
 
     @property
     def front(self) -> list[Row]:
@@ -44,7 +47,7 @@ class Findings:
 
     @property
     def floor(self) -> float | None:
-        """The least error seen in single precision, as a part of the size, where smaller steps did not lessen it."""
+        """The least error seen in single precision, as a part of the motion, where smaller steps did not lessen it."""
         best = []
         for method in self.plan.methods:
             own = [r for r in self.rows if r.precision == "f32" and r.method == method and r.verdict == STABLE]
@@ -58,10 +61,15 @@ class Findings:
         """Stable rows whose errors say more of the reference than of the method."""
         return [row for row in self.rows if row.verdict == STABLE and not tells(row, self.reference.known)]
 
-    def fastest(self, tolerances: tuple[float, ...] = TOLERANCES) -> Iterator[tuple[float, Row | None]]:
-        """The cheapest row for each tolerance, that of the plan among them."""
+    def fastest(self, tolerances: tuple[float, ...] = TOLERANCES) -> Iterator[tuple[float, list[Row]]]:
+        """The cheapest rows for each tolerance, that of the plan among them; several where they are equally fast."""
         for tolerance in sorted({*tolerances, self.plan.tolerance}, reverse=True):
-            yield tolerance, cheapest(self.rows, tolerance, self.reference.size, self.reference.known)
+            yield tolerance, cheapest(self.rows, tolerance, self.reference.motion, self.reference.known)
+
+    @property
+    def compared(self) -> Compared:
+        """What errors are of."""
+        return Compared.of(self.scene, self.plan)
 
     def about(self) -> Iterator[str]:
         """What was done and how well it is known, a sentence each."""
@@ -78,12 +86,22 @@ class Findings:
         if not reference.moves(scene):
             yield "Nothing moves in this scene: there is nothing to compare."
             return
-        if reference.parts:
+        compared = self.compared
+        if reference.parts and not reference.motion:
+            yield f"{compared.name} stays 0 all along: there is nothing that an error could be relative to."
+        elif reference.parts:
+            yield (
+                f"Errors are of {compared.name}, as a part of the {compared.size_in_words()}: {reference.motion:.4g}"
+                f" {compared.unit}".rstrip()
+                + "."
+            )
             yield (
                 f"Reference: {reference.method} in double precision at {2 * reference.step:.3g} s and {reference.step:.3g} s,"
-                f" which differ by {reference.known:.2g} m ({reference.known / reference.size:.1g} of the size). Errors within"
-                f" {CLEAR:g} times of that are left out of orders and of the front."
+                f" which differ by {reference.known / reference.motion:.1g} of that. Errors within {CLEAR:g} times of it are left"
+                " out of orders and of the front."
             )
+            if self.budget is not None:
+                yield from self.budget.lines()
         if not any(row.verdict == STABLE for row in self.rows):
             yield "No run was stable and within --limit."
         elif reference.parts and not any(tells(row, reference.known) for row in self.rows):
@@ -97,9 +115,12 @@ class Findings:
                 if reference.touch
                 else "."
             )
-        grown = f"Two runs that start {APART:g} of the size apart part by up to {self._parted():.1g} of it"
+        whose = "the size" if compared.quantity is None else f"the motion of {compared.name}"
+        grown = (
+            f"Two runs that start {APART:g} of the size apart part by up to {reference.parting.max():.1g} of {whose}"
+        )
         if not reference.chaotic:
-            yield f"{grown}: errors of single positions mean something all along."
+            yield f"{grown}: errors mean something all along."
         elif reference.parts:
             horizon = reference.parts * plan.duration / PARTS
             yield (
@@ -108,14 +129,11 @@ class Findings:
             )
         else:
             yield (
-                f"{grown}, and more than {PARTED:g} after {plan.duration / PARTS:.3g} s already: no error of single positions"
-                " means anything, and the runs are compared by statistics alone."
+                f"{grown}, and more than {PARTED:g} after {plan.duration / PARTS:.3g} s already: no error means"
+                " anything, and the runs are compared by statistics alone."
             )
         if self.floor is not None:
-            yield f"In single precision smaller steps do not go below an error of {self.floor:.1g} of the size."
-
-    def _parted(self) -> float:
-        return float(self.reference.parting.max()) / self.reference.size
+            yield f"In single precision smaller steps do not go below an error of {self.floor:.1g} of the motion."
 
     def lines(self) -> Iterator[str]:
         """For the terminal."""
@@ -124,7 +142,8 @@ class Findings:
         if self.front:
             yield ""
             yield "Not beaten in both speed and error:"
-            yield f"{'method':18}{'precision':>10}{'step':>12}{'wall s per s':>14}{'error [m]':>12}{'of the size':>13}"
+            head = in_unit("error", self.compared.unit)
+            yield f"{'method':18}{'precision':>10}{'step':>12}{'wall s per s':>14}{head:>12}{'relative':>13}"
             for row in self.front:
                 yield (
                     f"{row.method:18}{row.precision:>10}{row.step:>10.3g} s{row.seconds:>14.3g}{row.rms_error:>12.2g}"
@@ -142,11 +161,29 @@ class Findings:
             yield f"statistics over 8 starts for {len(self.intervals)} methods and steps: see the pages"
 
 
-def choice(row: Row | None) -> str:
-    """A row as advice."""
-    if row is None:
+def in_unit(word: str, unit: str) -> str:
+    """A heading with its unit, where there is one."""
+    return f"{word} [{unit}]" if unit else word
+
+
+def choice(rows: list[Row]) -> str:
+    """The cheapest rows as advice."""
+    if not rows:
         return "none of these"
-    return f"{row.method} at {row.step:.3g} s in {row.precision}, {row.seconds:.3g} s of wall time per simulated second"
+    first = rows[0]
+    words = f"{named(first)}, {first.seconds:.3g} s of wall time per simulated second"
+    return words + (f"; as fast, within {equal(rows)}" if len(rows) > 1 else "")
+
+
+def named(row: Row) -> str:
+    """A row in words."""
+    return f"{row.method} at {row.step:.3g} s in {row.precision}"
+
+
+def equal(rows: list[Row]) -> str:
+    """The rows after the first, and to what their times can be told apart."""
+    noise = np.hypot(rows[0].noise or 0.0, max(row.noise or 0.0 for row in rows[1:]))
+    return f"the noise of {noise:.1g} s: {', '.join(map(named, rows[1:]))}"
 
 
 def agrees(interval: Interval, other: Interval, name: str) -> bool:

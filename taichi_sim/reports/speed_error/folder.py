@@ -4,15 +4,27 @@ import json
 from pathlib import Path
 
 from taichi_sim.files import replacing
+from taichi_sim.reports.speed_error import budget as budgets
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
+from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import Row, whole
 
 __all__ = ["Folder"]
 
 MARK = "report.json"  # what makes a folder one of ours, with the key of its rows
-OURS = (MARK, "rows.csv", "seeds.csv", "reference.npz", "report.md", "report.html", "error.svg", "error.png")
+OURS = (
+    MARK,
+    "rows.csv",
+    "seeds.csv",
+    "reference.npz",
+    "budget.json",
+    "report.md",
+    "report.html",
+    "error.svg",
+    "error.png",
+)
 
 
 def _key(mark: Path) -> str:
@@ -66,6 +78,14 @@ class Folder:
     def reference(self) -> Reference | None:
         """The one that an interrupted report has made."""
         return references.load(self.path / "reference.npz")
+
+    def budget(self) -> Budget | None:
+        """Where the error comes from, as an earlier run found."""
+        return budgets.load(self.path / "budget.json")
+
+    def keep_budget(self, budget: Budget) -> None:
+        """Save it."""
+        budgets.save(self.open() / "budget.json", budget)
 
     def keep(self, reference: Reference) -> None:
         """Save it."""

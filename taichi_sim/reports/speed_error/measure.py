@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from taichi_sim.reports.speed_error.compared import Compared, worst
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
-from taichi_sim.reports.speed_error.reference import Reference, distance, rms
+from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, STABLE, UNSTABLE, Row
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
 from taichi_sim.scene import Scene
@@ -38,12 +39,8 @@ def row_of(
     safe = stability(scene, method).dt_any_shape
     verdict, reason = _verdict(reference, outcome)
     known = verdict != LEFT_OUT and len(outcome.position) == PARTS
-    errors = (
-        [distance(scene, a, b) for a, b in zip(outcome.position, reference.position[: reference.parts])]
-        if known
-        else []
-    )
-    off = rms(np.array(errors)) if errors else None
+    errors = Compared.of(scene, plan).errors(outcome, reference)[: reference.parts] if known else []
+    off = worst(errors) if errors else None
     steps = step.number * PARTS
     seconds = None if verdict == LEFT_OUT else outcome.seconds
     return Row(
@@ -57,10 +54,11 @@ def row_of(
         part_of_safe_step=step.seconds / safe if 0.0 < safe < np.inf else None,
         passes=None if not known or outcome.passes is None else outcome.passes / plan.duration,
         seconds=None if seconds is None else seconds / plan.duration,
+        noise=None if seconds is None or outcome.noise is None else outcome.noise / plan.duration,
         ns_per_ball_step=None if seconds is None else 1e9 * seconds / steps / max(1, scene.n_balls),
         rms_error=off,
         max_error=float(np.max(errors, initial=0.0)) if errors else None,
-        relative_error=None if off is None else off / reference.size,
+        relative_error=None if off is None or not reference.motion else off / reference.motion,
         order=None,
         energy_drift=(outcome.energy[-1][3] - reference.energy[-1, 3]) / reference.scale
         if known and len(reference.energy)

@@ -9,7 +9,7 @@ from taichi_sim import __version__
 from taichi_sim.files import replacing
 from taichi_sim.reports.bench import processor
 from taichi_sim.reports.speed_error import plot
-from taichi_sim.reports.speed_error.findings import Findings, agrees, choice
+from taichi_sim.reports.speed_error.findings import Findings, agrees, choice, in_unit
 from taichi_sim.reports.speed_error.rows import Row
 from taichi_sim.reports.speed_error.statistics import QUANTITIES
 
@@ -34,9 +34,10 @@ td.words { text-align: left; white-space: normal; min-width: 22rem } tr.front td
 tr.bad td { color: var(--bad) }
 """
 NOTES = """h / safe: the step as a part of the one that is safe in every shape. Passes: over the forces, per simulated second.
-Errors: of positions, over all balls that are not pinned and eight moments. Drift: of the total energy from the
-reference's, as a part of the largest kinetic and spring energy. Times: medians of five runs, or of the eighths of a long one;
-compiling is left out. Bold: on the Pareto front."""
+Errors: of positions, rms over all balls that are not pinned, or of the quantity, at the worst of eight moments.
+Drift: of the total energy from the reference's, as a part of the largest kinetic and spring energy. Times: medians
+of runs repeated for a quarter of a second or more, or of the eighths of a long one, without compiling; noise: to
+what they are known. Bold: on the Pareto front."""
 
 
 def write_pages(findings: Findings, folder: Path) -> None:
@@ -66,7 +67,7 @@ def _made(findings: Findings) -> str:
 
 
 def _advice(findings: Findings) -> Table:
-    rows = [[f"{tolerance:g}", choice(row)] for tolerance, row in findings.fastest()]
+    rows = [[f"{tolerance:g}", choice(rows)] for tolerance, rows in findings.fastest()]
     return ["error", "fastest"], rows
 
 
@@ -83,6 +84,7 @@ def _cells(row: Row) -> list[str]:
         _number(row.part_of_safe_step, 2),
         _number(row.passes),
         _number(row.seconds),
+        _number(row.noise, 1),
         _number(row.ns_per_ball_step),
         _number(row.rms_error, 2),
         _number(row.max_error, 2),
@@ -92,18 +94,20 @@ def _cells(row: Row) -> list[str]:
     ]
 
 
-HEAD = [
-    "method",
-    "precision",
-    "verdict",
-    "h [s]",
-    "h / safe",
-    "passes/s",
-    "wall s per s",
-    "ns per ball-step",
-    "rms error [m]",
-]
-HEAD += ["max error [m]", "of the size", "order", "drift"]
+def _head(findings: Findings) -> list[str]:
+    errors = [in_unit(word, findings.compared.unit) for word in ("rms error", "max error")]
+    before = [
+        "method",
+        "precision",
+        "verdict",
+        "h [s]",
+        "h / safe",
+        "passes/s",
+        "wall s per s",
+        "noise",
+        "ns per ball-step",
+    ]
+    return [*before, *errors, "relative", "order", "drift"]
 
 
 def _reasons(findings: Findings) -> Iterator[str]:
@@ -141,11 +145,11 @@ def _markdown(findings: Findings, pictured: bool) -> str:
     if pictured:
         parts.append("![Error against wall time](error.png)")
     if any(row.rms_error is not None for row in findings.rows):
-        parts += ["## Fastest for an error, as a part of the size", "\n".join(_rows(_advice(findings)))]
+        parts += ["## Fastest for a relative error", "\n".join(_rows(_advice(findings)))]
     if findings.rows:
         front = findings.front
         cells = [[f"**{c}**" if row in front and c else c for c in _cells(row)] for row in findings.rows]
-        parts += ["## All runs", "\n".join(_rows((HEAD, cells))), " ".join(NOTES.split())]
+        parts += ["## All runs", "\n".join(_rows((_head(findings), cells))), " ".join(NOTES.split())]
         parts.append("\n".join(f"- {line}" for line in _reasons(findings)))
     if findings.intervals:
         parts += ["## Statistics", "\n".join(_rows(_statistics(findings))), " ".join(STATISTICS.split())]
@@ -170,12 +174,14 @@ def _html(findings: Findings, picture: str) -> str:
     if picture:
         parts.append(picture)
     if any(row.rms_error is not None for row in findings.rows):
-        parts.append("<h2>Fastest for an error, as a part of the size</h2>" + _html_table(_advice(findings)))
+        parts.append("<h2>Fastest for a relative error</h2>" + _html_table(_advice(findings)))
     if findings.rows:
         front = findings.front
         kinds = ["front" if row in front else "bad" if row.verdict == "unstable" else "" for row in findings.rows]
         cells = [_cells(row) for row in findings.rows]
-        parts.append(f"<h2>All runs</h2>{_html_table((HEAD, cells), kinds)}<p class=small>{html.escape(NOTES)}</p>")
+        parts.append(
+            f"<h2>All runs</h2>{_html_table((_head(findings), cells), kinds)}<p class=small>{html.escape(NOTES)}</p>"
+        )
         reasons = "".join(f"<li>{html.escape(line)}</li>" for line in _reasons(findings))
         if reasons:
             parts.append(f"<details open><summary>Why</summary><ul class=small>{reasons}</ul></details>")

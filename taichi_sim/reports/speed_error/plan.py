@@ -44,7 +44,8 @@ NICE = (5.0, 2.5, 2.0, 1.0)
 @dataclass(frozen=True)
 class Plan:
     """What a report is asked to do. duration [s]; steps [s], or None for halvings that are chosen by method; tolerance: a part
-    of the scene's size; most: wall seconds that one run may take."""
+    of the motion, see `Compared`; most: wall seconds that one run may take. quantity: the name of one, or None for positions.
+    resolutions: find the error of the mesh, too."""
 
     name: str
     duration: float
@@ -53,6 +54,8 @@ class Plan:
     steps: tuple[float, ...] | None = None
     tolerance: float = 1e-3
     most: float = 4.0
+    quantity: str | None = None
+    resolutions: bool = False
     arch: str | None = None
     threads: int | None = None
 
@@ -136,7 +139,8 @@ def key_of(scene: Scene, plan: Plan) -> str:
         "walls": [asdict(wall) for wall in scene.walls],
         "settings": scene.settings,
         "elements": scene.elements(),
-        "plan": {"duration": plan.duration, "arch": plan.arch, "threads": plan.threads, "most": plan.most},
+        "plan": {"duration": plan.duration, "arch": plan.arch, "threads": plan.threads, "most": plan.most}
+        | ({} if plan.quantity is None else {"quantity": plan.quantity}),
     }
     digest = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode())
     for name, array in (scene.to_arrays() | scene.element_arrays()).items():

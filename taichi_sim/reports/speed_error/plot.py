@@ -20,25 +20,25 @@ def draw(findings: Findings) -> Any:
     """The figure, or None where no row has an error and a time."""
     from matplotlib.figure import Figure
 
-    known = [row for row in findings.rows if row.verdict == STABLE and row.rms_error and row.seconds]
+    known = [row for row in findings.rows if row.verdict == STABLE and row.relative_error and row.seconds]
     if not known:
         return None
     panels = [p for p in findings.plan.precisions if any(row.precision == p for row in findings.rows)]
     figure = Figure(figsize=(5.2 * len(panels) + 1.9, 4.9), layout="constrained")
     axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
-    size = findings.reference.size
-    errors = [row.rms_error / size for row in known if row.rms_error]
+    motion = findings.reference.motion
+    errors = [row.relative_error for row in known if row.relative_error]
     low, high = min(errors) / 2.0, max(errors) * 2.0
     margin = high * (high / low) ** 0.06  # where unstable rows are shown
     for axis, precision in zip(axes, panels):
-        _frame(axis, NAMES[precision])
+        _frame(axis, NAMES[precision], findings.compared.name)
         axis.set_xlim(low, margin * (high / low) ** 0.04)
         for method in findings.plan.methods:
             _curve(axis, findings, [r for r in findings.rows if (r.method, r.precision) == (method, precision)], margin)
         _front(axis, findings, precision)
         axis.axvline(high, color=INK, lw=0.5, ls=":")
         if findings.reference.parts and findings.reference.known:
-            axis.axvspan(0.1 * low, CLEAR * findings.reference.known / size, color=INK, alpha=0.08, lw=0)
+            axis.axvspan(0.1 * low, CLEAR * findings.reference.known / motion, color=INK, alpha=0.08, lw=0)
         if precision == "f32" and findings.floor is not None:
             axis.axvline(findings.floor, color=INK, lw=0.9, ls="--", label="floor of f32")
     axes[0].set_ylabel("wall time per simulated second [s]", color=INK)
@@ -53,11 +53,11 @@ def draw(findings: Findings) -> Any:
     return figure
 
 
-def _frame(axis: Any, title: str) -> None:
+def _frame(axis: Any, title: str, name: str) -> None:
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_title(title, color=INK, fontsize=11)
-    axis.set_xlabel("error (rms, as a part of the scene's size)", color=INK)
+    axis.set_xlabel(f"relative error of {name}", color=INK)
     axis.patch.set_alpha(0.0)
     axis.tick_params(which="both", colors=INK, labelcolor=INK)
     axis.grid(True, which="major", color=INK, alpha=0.13, lw=0.6)

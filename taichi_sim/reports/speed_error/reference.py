@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.files import replacing
+from taichi_sim.reports.speed_error.compared import Compared, rms
 from taichi_sim.reports.speed_error.plan import (
     FRAME,
     PARTS,
@@ -34,9 +35,10 @@ from taichi_sim.scene import Scene
 __all__ = ["APART", "PARTED", "Reference", "load", "make", "save"]
 
 Floats = NDArray[np.float64]
-APART, PARTED = 1e-8, 1e-3  # of the size, at the start and at the horizon
-GOOD = 1e-6  # of the size: a reference known to that needs no other method
-FINE = 1e-9  # of the size: finer steps are tried up to that where they cost little
+APART, PARTED = 1e-8, 1e-3  # of the size, at the start and at the horizon; of a quantity's motion there
+GOOD = 1e-6  # of the motion: a reference known to that needs no other method
+FINE = 1e-9  # of the motion: finer steps are tried up to that where they cost little
+QUICK = 2.0  # times the work of a default reference, for which another method need not be compiled
 ATTEMPTS = 3  # at half the step, where it became unstable
 
 
@@ -48,9 +50,11 @@ class Reference:
     step: float  # s, of the finer run
     size: float  # m, of the scene
     position: Floats  # (PARTS, n, dim) m
+    quantity: Floats  # (PARTS, 1 or dim) in its unit, where one is asked for, else (PARTS, 0)
     energy: Floats  # (PARTS, 4) J
-    difference: Floats  # (PARTS,) m, rms between the two steps
-    parting: Floats  # (PARTS,) m, rms between the runs that start APART
+    difference: Floats  # (PARTS,) between the two steps: rms of positions [m], or of the quantity in its unit
+    displacement: Floats  # (PARTS,) what that is relative to, see `Compared.motion`
+    parting: Floats  # (PARTS,) between the runs that start APART: of positions as a part of the size, of a quantity of its motion
     contacts: int  # the most that were seen
     touch: bool  # whether contacts can act, seen at a moment that was looked at or not
     why: str  # there is none
@@ -58,23 +62,28 @@ class Reference:
     @property
     def parts(self) -> int:
         """How many parts of the duration come before the horizon."""
-        gone = np.flatnonzero(~(self.parting <= PARTED * self.size))
+        gone = np.flatnonzero(~(self.parting <= PARTED))
         return int(gone[0]) if len(gone) else len(self.parting)
 
     @property
     def known(self) -> float:
-        """To what the reference is known [m], rms over the parts before the horizon; infinite where there is none."""
-        return float(np.sqrt(np.mean(self.difference[: self.parts] ** 2))) if self.parts else np.inf
+        """To what the reference is known, at the worst moment before the horizon; infinite where there is none."""
+        return float(self.difference[: self.parts].max()) if self.parts else np.inf
+
+    @property
+    def motion(self) -> float:
+        """What errors are relative to, the largest before the horizon."""
+        return float(self.displacement[: self.parts].max(initial=0.0))
 
     @property
     def growth(self) -> float:
         """How many times a small difference at the start has grown at the horizon or the end."""
-        return float(self.parting[: max(1, self.parts)].max(initial=0.0)) / (APART * self.size)
+        return float(self.parting[: max(1, self.parts)].max(initial=0.0)) / APART
 
     @property
     def scale(self) -> float:
         """Largest kinetic and spring energy [J], which energies are compared with."""
-        return float(np.abs(self.energy[:, :2]).sum(axis=1).max(initial=0.0)) or 1.0  # that of a gas may be negative
+        return _largest(self.energy)
 
     @property
     def chaotic(self) -> bool:
@@ -95,64 +104,104 @@ def apart(scene: Scene, share: float, seed: int) -> Floats:
     return scene.position + share * size_of(scene) * noise
 
 
-def distance(scene: Scene, a: Floats, b: Floats) -> Floats:
-    """Distances (n',) [m] of the balls that are not pinned."""
-    return np.linalg.norm((a - b)[~scene.pinned], axis=1)
+def _largest(energy: Floats) -> float:
+    return float(np.abs(energy[:, :2]).sum(axis=1).max(initial=0.0)) or 1.0  # that of a gas may be negative
 
 
-def rms(values: Floats) -> float:
-    """Root of the mean square; 0 of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
-
-
-def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome]) -> Reference:
-    """Run what the reference needs in double precision."""
-    reference = _by(scene, plan, run, "rk4", min(FRAME, limit(scene, "rk4")) / 4.0)
+def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], enough: float | None = None) -> Reference:
+    """Run what the reference needs in double precision. enough: part of the motion to which it must be known; then the scene's
+    own method is tried first, which is compiled anyway."""
     own, step = own_step(scene)
-    if own != "rk4" and (not len(reference.position) or (reference.touch and reference.known > GOOD * reference.size)):
-        other = _by(scene, plan, run, own, step / 4.0)
+    if enough is not None and own != "rk4":
+        quick = _by(scene, plan, run, own, step / 4.0, enough, QUICK * WORK)
+        if len(quick.position) and quick.known <= enough * quick.motion:
+            return quick
+    reference = _by(scene, plan, run, "rk4", min(FRAME, limit(scene, "rk4")) / 4.0, enough or FINE)
+    if enough is not None and own != "rk4":
+        return quick if len(quick.position) and not reference.known < quick.known else reference
+    if own != "rk4" and (
+        not len(reference.position) or (reference.touch and reference.known > GOOD * reference.motion)
+    ):
+        other = _by(scene, plan, run, own, step / 4.0, FINE)
         if len(other.position) and (not len(reference.position) or other.known < reference.known):
             return other
     return reference
 
 
-def _by(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], method: str, seconds: float) -> Reference:
+def _by(
+    scene: Scene,
+    plan: Plan,
+    run: Callable[[Trial], Outcome],
+    method: str,
+    seconds: float,
+    fine_enough: float,
+    work: float = WORK / 8,
+) -> Reference:
     step = fitting(plan.duration, seconds)
     for _ in range(ATTEMPTS):
         coarse, fine = run(Trial(method, step)), run(Trial(method, halved(plan.duration, step), look=True))
         why = coarse.unstable or fine.unstable or coarse.left_out or fine.left_out
         if not why:
-            while _off(scene, coarse, fine) > FINE * size_of(scene) and _cheap(scene, plan, step):
+            parting = _parting(scene, plan, coarse, run(Trial(method, step, start=apart(scene, APART, 0))))
+            while True:
+                reference = _reference(scene, plan, method, step, coarse, fine, parting)
+                if (
+                    reference.known <= fine_enough * reference.motion
+                    or _work(scene, step) >= work
+                    or not reference.parts
+                ):
+                    return reference
                 step = halved(plan.duration, step)
                 coarse, fine = fine, run(Trial(method, halved(plan.duration, step), look=True))
-            return _reference(scene, method, step, coarse, fine, run(Trial(method, step, start=apart(scene, APART, 0))))
         step = halved(plan.duration, step)
     none = np.zeros((0, 4))
     return Reference(
-        method, step.seconds, size_of(scene), np.zeros((0, 0, 0)), none, none[:, 0], none[:, 0], 0, False, why
+        method=method,
+        step=step.seconds,
+        size=size_of(scene),
+        position=np.zeros((0, 0, 0)),
+        quantity=none,
+        energy=none,
+        difference=none[:, 0],
+        displacement=none[:, 0],
+        parting=none[:, 0],
+        contacts=0,
+        touch=False,
+        why=why,
     )
 
 
-def _off(scene: Scene, coarse: Outcome, fine: Outcome) -> float:
-    return rms(np.array([distance(scene, a, b) for a, b in zip(coarse.position, fine.position)]))
+def _parting(scene: Scene, plan: Plan, one: Outcome, other: Outcome) -> Floats:
+    """What `Reference.parting` is, of two runs."""
+    compared = Compared.of(scene, plan)
+    unit = size_of(scene) if compared.quantity is None else _motion(compared, one).max() or 1.0
+    parting = [rms(error) / unit for error in compared.errors(one, other)]
+    return np.array(parting + [np.inf] * (PARTS - len(parting)))
 
 
-def _cheap(scene: Scene, plan: Plan, step: Step) -> bool:
-    """Whether a run at a quarter of this step is a small part of what the default duration allows for."""
-    return 4 * 4 * step.number * PARTS * (scene.n_balls + scene.n_springs) < WORK / 8
+def _motion(compared: Compared, outcome: Outcome) -> Floats:
+    return compared.motion(outcome, _largest(np.array(outcome.energy)))
 
 
-def _reference(scene: Scene, method: str, step: Step, coarse: Outcome, fine: Outcome, other: Outcome) -> Reference:
-    parting = [rms(distance(scene, a, b)) for a, b in zip(coarse.position, other.position)]
-    parting += [np.inf] * (PARTS - len(parting))
+def _work(scene: Scene, step: Step) -> float:
+    """Springs and balls that a run at a quarter of this step goes through, four times each."""
+    return 4.0 * 4.0 * step.number * PARTS * (scene.n_balls + scene.n_springs)
+
+
+def _reference(
+    scene: Scene, plan: Plan, method: str, step: Step, coarse: Outcome, fine: Outcome, parting: Floats
+) -> Reference:
+    compared = Compared.of(scene, plan)
     return Reference(
         method=method,
         step=step.seconds / 2.0,
         size=size_of(scene),
         position=np.array(fine.position),
+        quantity=np.array(fine.quantity) if fine.quantity else np.zeros((PARTS, 0)),
         energy=np.array(fine.energy),
-        difference=np.array([rms(distance(scene, a, b)) for a, b in zip(coarse.position, fine.position)]),
-        parting=np.array(parting),
+        difference=np.array([rms(error) for error in compared.errors(coarse, fine)]),
+        displacement=_motion(compared, fine),
+        parting=parting,
         contacts=max(number for number, _ in fine.contacts),
         touch=fine.touch,
         why="",

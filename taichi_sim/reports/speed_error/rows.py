@@ -13,7 +13,19 @@ from taichi_sim.errors import SceneError
 from taichi_sim.files import replacing
 from taichi_sim.reports.speed_error.plan import METHODS
 
-__all__ = ["Row", "cheapest", "lines_of", "pareto", "read", "stuck", "tells", "whole", "with_orders", "write"]
+__all__ = [
+    "Row",
+    "as_fast",
+    "cheapest",
+    "lines_of",
+    "pareto",
+    "read",
+    "stuck",
+    "tells",
+    "whole",
+    "with_orders",
+    "write",
+]
 
 STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
 TOLD = 1.9  # times longer a step must be for that
@@ -24,7 +36,7 @@ CLEAR = 10.0  # times what the reference is known to, below which an error says 
 @dataclass(frozen=True)
 class Row:
     """One method with one step. None: not known, or not a number that means anything. Errors are of positions, over all balls
-    that are not pinned and all moments compared."""
+    that are not pinned, or of the quantity asked for."""
 
     scene: str
     balls: int
@@ -36,10 +48,11 @@ class Row:
     part_of_safe_step: float | None  # None where nothing limits the step, or no step is safe
     passes: float | None  # over the forces, per simulated second
     seconds: float | None  # of wall time, per simulated second
+    noise: float | None  # of that: times that differ by less are the same
     ns_per_ball_step: float | None
-    rms_error: float | None  # m
-    max_error: float | None  # m
-    relative_error: float | None  # the rms as a part of the scene's size
+    rms_error: float | None  # m, or in the quantity's unit: over balls, at the moment where it is largest
+    max_error: float | None  # the same of one ball
+    relative_error: float | None  # the rms as a part of the motion
     order: float | None  # observed, from the step twice as long
     energy_drift: float | None  # from the reference, as a part of its largest kinetic and spring energy
     verdict: str  # stable, unstable, left out
@@ -144,24 +157,34 @@ def stuck(rows: Sequence[Row], known: float) -> list[str]:
     return found
 
 
+def as_fast(row: Row, other: Row) -> bool:
+    """Whether one row takes no longer than another, as far as their times can be told apart."""
+    return (row.seconds or 0.0) - (other.seconds or 0.0) <= math.hypot(row.noise or 0.0, other.noise or 0.0)
+
+
 def pareto(rows: Sequence[Row], known: float) -> list[Row]:
-    """The rows that none beats in both speed and error, the fastest first."""
-    front: list[Row] = []
+    """The rows that none beats in both speed and error, the fastest first: none that is as fast has a smaller error."""
     telling = [row for row in rows if tells(row, known) and row.seconds is not None]
+    front: list[Row] = []
     for row in sorted(telling, key=lambda row: (row.seconds, row.rms_error)):
-        if not front or row.rms_error < front[-1].rms_error:  # type: ignore[operator]
+        better = [other for other in telling if other.rms_error < row.rms_error]  # type: ignore[operator]
+        same = any(other.rms_error == row.rms_error for other in front)
+        if not same and not any(as_fast(other, row) for other in better):
             front.append(row)
     return front
 
 
-def cheapest(rows: Sequence[Row], tolerance: float, size: float, known: float) -> Row | None:
-    """The fastest row whose error, and what the reference may be off, are together within the tolerance, a part of the size."""
+def cheapest(rows: Sequence[Row], tolerance: float, motion: float, known: float) -> list[Row]:
+    """The rows whose error, and what the reference may be off, are together within the tolerance, a part of the motion, and which
+    none of those beats in speed by more than noise: equally fast, the one of the smallest error first."""
     good = [
         row
         for row in rows
         if row.verdict == STABLE
         and row.seconds is not None
         and row.rms_error is not None
-        and row.rms_error + known <= tolerance * size
+        and row.rms_error + known <= tolerance * motion
     ]
-    return min(good, key=lambda row: row.seconds or 0.0, default=None)
+    fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
+    equal = [] if fastest is None else [row for row in good if as_fast(row, fastest)]
+    return sorted(equal, key=lambda row: row.rms_error or 0.0)

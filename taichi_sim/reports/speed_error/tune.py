@@ -3,6 +3,7 @@
 import math
 import shutil
 import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +13,15 @@ import numpy as np
 
 from taichi_sim.errors import SceneError
 from taichi_sim.files import PartFile
+from taichi_sim.reports.check import passes
 from taichi_sim.reports.speed_error import reference as references
+from taichi_sim.reports.speed_error.compared import Compared
+from taichi_sim.reports.speed_error.findings import equal
 from taichi_sim.reports.speed_error.measure import measure
-from taichi_sim.reports.speed_error.plan import FRAME, Plan, Step, fitting, halved, steps_of
+from taichi_sim.reports.speed_error.plan import FRAME, METHODS, Plan, Step, fitting, halved, own_step, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of, progress_bar
-from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row
+from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
 from taichi_sim.reports.speed_error.worker import Workers
 from taichi_sim.scene import Scene
 from taichi_sim.settings import Settings, part_of_bound
@@ -26,6 +30,11 @@ from taichi_sim.stability import stability
 __all__ = ["find", "main", "settings_of", "write_settings"]
 
 MORE_HALVINGS = 6  # than a report makes
+PATIENCE = 30.0  # s, after which no further method is compiled, unless they were named
+WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
+SOLVED = {"xpbd": 1, "implicit_euler": 5, "tr_bdf2": 10}  # passes of a step at least, of methods that iterate
+LIKELY = 1.5  # times the passes of the best that may still be as fast: they are not all alike
+BY_PRECISION = 2.5  # times the time of the best, which another precision might make up for
 SPARE = 1.2  # times the time of the best so far that a run may take, for noise
 
 if sys.version_info >= (3, 11):
@@ -41,20 +50,31 @@ def main(
 
     Raises ValueError, OSError, BackendError.
     """
-    plan = _without_coarse(scene, plan, say)
     with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
-        reference = references.make(scene, plan, workers("f64"))
+        until = time.monotonic() + PATIENCE if plan.methods == METHODS else np.inf
+        reference = references.make(scene, plan, workers("f64"), plan.tolerance / WELL_KNOWN)
         _require(scene, plan, reference)
-        row = find(scene, plan, reference, workers)
-    asked = f"{plan.tolerance:g} of the size ({plan.tolerance * reference.size:.3g} m)"
+        plan = _without_coarse(scene, plan, reference, say)
+        rows, untried = find(scene, plan, reference, workers, until)
+    compared = Compared.of(scene, plan)
+    most = f"{plan.tolerance * reference.motion:.3g} {compared.unit}".rstrip()
+    asked = f"{plan.tolerance:g} of the {compared.size_in_words()} ({most})"
     until = plan.duration * reference.parts / len(reference.parting)
-    if row is None:
+    if not rows:
         say(f"no method and step within --limit {plan.most:g} s meets an error of {asked} over {until:.3g} s")
         return None
+    row = rows[0]
     settings = settings_of(scene, row)
     say(f"cheapest for an error of {asked} over the first {until:.3g} s:")
     say("\n".join(["[simulation]", *(f"{key} = {_toml(value)}" for key, value in settings.items())]))
-    say(f"its error is {row.relative_error:.2g} of the size, and it takes {row.seconds:.3g} s per simulated second")
+    say(
+        f"its error is {row.relative_error:.2g} of that at the worst of {reference.parts} moments, and it takes"
+        f" {row.seconds:.3g} s per simulated second"
+    )
+    if len(rows) > 1:
+        say(f"as fast, within {equal(rows)}")
+    if untried:
+        say(f"not tried, for it takes long: {', '.join(untried)}; --methods takes what to choose from")
     if reference.chaotic:
         say(
             "beyond that time small differences have grown too far for any step: see the statistics of `taichi-sim report`"
@@ -62,11 +82,11 @@ def main(
     return settings
 
 
-def _without_coarse(scene: Scene, plan: Plan, say: Callable[[str], None]) -> Plan:
-    """Single precision left out where it is too coarse, which is said before anything runs."""
-    for words in coarse(scene, plan, None):
+def _without_coarse(scene: Scene, plan: Plan, reference: Reference, say: Callable[[str], None]) -> Plan:
+    """Single precision left out where it is too coarse, which is said before it is tried."""
+    for words in coarse(scene, plan, reference):
         say(words)
-    if floor_of(scene, None) <= plan.tolerance:
+    if floor_of(scene, plan, reference) <= plan.tolerance:
         return plan
     left = tuple(precision for precision in plan.precisions if precision != "f32")
     if not left:
@@ -85,36 +105,86 @@ def _require(scene: Scene, plan: Plan, reference: Reference) -> None:
             f"{plan.name}: small differences grow too fast for any step to meet a tolerance; a shorter --duration may do, and"
             " `taichi-sim report` compares statistics"
         )
-    if reference.known > plan.tolerance * reference.size:
+    if not reference.motion:
+        name = Compared.of(scene, plan).name
+        raise SceneError(f"{plan.name}: {name} stays 0 in the first {plan.duration:g} s: there is nothing to compare")
+    if reference.known > plan.tolerance * reference.motion:
         raise SceneError(
-            f"{plan.name}: the reference itself is known to {reference.known / reference.size:.1g} of the size only, more than"
-            f" --tolerance {plan.tolerance:g}; a shorter --duration may do"
+            f"{plan.name}: the reference itself is known to {reference.known / reference.motion:.1g} of the motion only, more"
+            f" than --tolerance {plan.tolerance:g}; a shorter --duration may do"
         )
 
 
-def find(scene: Scene, plan: Plan, reference: Reference, workers: Workers) -> Row | None:
-    """The cheapest row that meets the tolerance. Each method goes from its longest safe step on, until it meets the tolerance
-    or costs more than the best so far: smaller steps cost more still."""
-    best: Row | None = None
+def find(
+    scene: Scene, plan: Plan, reference: Reference, workers: Workers, until: float = np.inf
+) -> tuple[list[Row], list[str]]:
+    """The cheapest rows that meet the tolerance, see `cheapest`, and the methods that were not tried before `until`.
+
+    Compiling a method takes longer than most runs, so those come first that promise most, and those that cannot win are passed
+    over: where even the longest step goes through the forces too often. What precision changes is a factor of two at most, so
+    the second is tried of the methods that come near the best in the first.
+    """
+    good: list[Row] = []
+    untried: list[str] = []
+    own = own_step(scene)[0]
+    compiled = {own, reference.method}
+    methods = sorted(plan.methods, key=lambda method: (method not in compiled, _least_passes(scene, method, plan)))
     for precision in plan.precisions:
-        if precision == "f32" and floor_of(scene, reference) > plan.tolerance:
+        if precision != plan.precisions[0]:
+            best = min((row.seconds or 0.0 for row in good), default=0.0)
+            methods, compiled = [row.method for row in good if (row.seconds or 0.0) <= BY_PRECISION * best], set()
+        for method in methods:
+            fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
+            if fastest is not None and not _may_win(scene, plan, method, fastest):
+                continue
+            if good and method not in compiled and time.monotonic() > until:
+                untried.append(f"{method} in {precision}")
+                continue
+            first = next((row.step for row in good if row.method == method), np.inf)
+            row = _longest(scene, plan, reference, workers, precision, method, fastest, first)
+            if row is not None:
+                good.append(row)
+    return cheapest(good, plan.tolerance, reference.motion, reference.known), untried
+
+
+def _longest(
+    scene: Scene,
+    plan: Plan,
+    reference: Reference,
+    workers: Workers,
+    precision: str,
+    method: str,
+    best: Row | None,
+    first: float,
+) -> Row | None:
+    """The row of the longest step, of at most `first` [s], with which a method meets the tolerance; None where that costs more
+    than the best so far, for smaller steps cost more still."""
+    for step in _steps(scene, method, plan):
+        if step.seconds > first * (1.0 + 1e-9):
             continue
-        for method in plan.methods:
-            for step in _steps(scene, method, plan):
-                allowed = (
-                    plan.most if best is None else min(plan.most, SPARE * (best.seconds or 0.0) * plan.duration + 1e-3)
-                )
-                row = measure(
-                    scene, replace(plan, most=allowed), reference, workers(precision), precision, method, step
-                )
-                if row.verdict == LEFT_OUT or (best and (row.seconds or 0.0) >= (best.seconds or 0.0)):
-                    break
-                if row.verdict == UNSTABLE:  # a shorter step may do
-                    continue
-                if row.rms_error is not None and row.rms_error + reference.known <= plan.tolerance * reference.size:
-                    best = row
-                    break
-    return best
+        most = plan.most if best is None else min(plan.most, SPARE * (best.seconds or 0.0) * plan.duration + 1e-3)
+        row = measure(scene, replace(plan, most=most), reference, workers(precision), precision, method, step)
+        if row.verdict == LEFT_OUT or (best and not as_fast(row, best)):
+            return None
+        if row.verdict != UNSTABLE and cheapest([row], plan.tolerance, reference.motion, reference.known):
+            return row  # where it was unstable a shorter step may do
+    return None
+
+
+def _least_passes(scene: Scene, method: str, plan: Plan) -> float:
+    """Over the forces, per simulated second, with the longest step."""
+    step = next(iter(_steps(scene, method, plan)), None)
+    if step is None:
+        return np.inf
+    each = SOLVED.get(method) or passes(scene, method, step.seconds)
+    return each / step.seconds
+
+
+def _may_win(scene: Scene, plan: Plan, method: str, best: Row) -> bool:
+    """Whether a method could be cheaper than the best so far, judged by how often it goes through the forces."""
+    if method == best.method or not best.passes:
+        return True
+    return _least_passes(scene, method, plan) <= LIKELY * best.passes
 
 
 def _steps(scene: Scene, method: str, plan: Plan) -> Iterator[Step]:

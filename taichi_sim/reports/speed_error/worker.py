@@ -18,14 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.errors import BackendError, UnstableError
+from taichi_sim.readings import quantity_of
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
 from taichi_sim.scene import Scene
 
 __all__ = ["Outcome", "Trial", "Worker", "Workers"]
 
 Floats = NDArray[np.float64]
-SHORT = 0.25  # s; a shorter run is made five times
-REPEATS = 5
+SHORT = 0.25  # s; a shorter run is made again until all together take so long
+REPEATS, MOST_REPEATS = 5, 200  # for that
+STEADY, LONGEST = 0.05, 4.0  # part to which a time should be known, and times SHORT that this may take
+UNSTEADY = (
+    0.05  # of a time: between runs minutes apart a machine's speed varies by about that, which no repetition shows
+)
 AGAIN = 8  # steps of a second look
 PATIENCE = 3.0  # times what a run may take that its first steps may promise
 
@@ -55,6 +60,9 @@ class Outcome(NamedTuple):
     left_out: str = ""
     warning: str = ""
     touch: bool = False  # whether contacts can act
+    quantity: list[Floats] = []  # noqa: RUF012  # (1,) or (dim,), where the plan asks for one
+    begin: Floats | None = None  # the same at the start
+    noise: float | None = None  # s, of `seconds`
 
 
 class Worker:
@@ -168,11 +176,12 @@ class Track:
         self.device = runs.arch if runs.arch != "cpu" else f"cpu, {runs.threads} threads"
         self.settings: dict[str, Any] = {"arch": runs.arch, "precision": precision, "threads": None, "substeps": 1}
         self.method = ""
+        self.quantity = None if plan.quantity is None else quantity_of(scene, plan.quantity)
         self.sim: Any = None
 
     def run(self, trial: Trial) -> Outcome:
         """One trial from the start of the scene."""
-        outcome = Outcome(self.device, [], [], [])
+        outcome = Outcome(self.device, [], [], [], quantity=[])
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             try:
@@ -217,6 +226,7 @@ class Track:
         if promised > PATIENCE * trial.most:
             return outcome._replace(left_out=_too_long(promised, trial.most))
         self._begin(trial)
+        outcome = outcome._replace(begin=self._value())
         before, times = self._passes(), []
         for part in range(PARTS):
             try:
@@ -225,26 +235,40 @@ class Track:
                 return outcome._replace(seconds=promised, unstable=str(error).split("; the last good")[0])
             outcome.position.append(self.sim.position)
             outcome.energy.append(tuple(self.sim.energy()))
+            value = self._value()
+            if value is not None:
+                outcome.quantity.append(value)
             if trial.look:
                 contacts = self.sim.contacts()
                 outcome.contacts.append((contacts.number, contacts.relative_penetration))
             if sum(times) > trial.most and part + 1 < PARTS:
                 return outcome._replace(left_out=_too_long(PARTS * float(np.mean(times)), trial.most))
         passes = self._passes()
+        seconds, noise = self._timing(trial, times)
         return outcome._replace(
-            seconds=self._median(trial, times),
+            seconds=seconds,
+            noise=noise,
             passes=self._counted(trial) if passes is None else passes - (before or 0.0),
         )
 
-    def _median(self, trial: Trial, times: list[float]) -> float:
-        """Of five whole runs, part by part, or of the parts of a long one."""
-        if not trial.timed or sum(times) >= SHORT:
-            return PARTS * float(np.median(times))
-        runs = [times]
-        for _ in range(REPEATS - 1):
-            self._begin(trial)
-            runs.append([self._time(trial.step.number) for _ in range(PARTS)])
-        return float(np.sum(np.median(runs, axis=0)))
+    def _value(self) -> Floats | None:
+        return None if self.quantity is None else self.quantity.value(self.sim.probes())
+
+    def _timing(self, trial: Trial, times: list[float]) -> tuple[float, float]:
+        """Seconds that the run takes, and to what they are known. Medians of whole runs, part by part, or of the parts of a long
+        one; short runs are repeated until that is known well."""
+        seconds, noise = PARTS * float(np.median(times)), PARTS * _interval(times)
+        if trial.timed and sum(times) < SHORT:
+            runs = [times]
+            while len(runs) < REPEATS or (
+                np.sum(runs) < SHORT or (noise > STEADY * seconds and np.sum(runs) < LONGEST * SHORT)
+            ):
+                self._begin(trial)
+                runs.append([self._time(trial.step.number) for _ in range(PARTS)])
+                if len(runs) == MOST_REPEATS:
+                    break
+                seconds, noise = float(np.sum(np.median(runs, axis=0))), _interval(np.sum(runs, axis=1))
+        return seconds, max(noise, UNSTEADY * seconds)
 
     def _time(self, steps: int) -> float:
         begin = time.perf_counter()
@@ -260,6 +284,12 @@ class Track:
         from taichi_sim.reports.check import passes
 
         return float(passes(self.scene, trial.method, trial.step.seconds) * trial.step.number * PARTS)
+
+
+def _interval(values: Any) -> float:
+    """Half of the 95 % interval of a median (McGill, Tukey and Larsen, 1978)."""
+    low, high = np.percentile(values, [25, 75])
+    return 1.57 * float(high - low) / float(np.sqrt(len(values)))
 
 
 def _too_long(seconds: float, most: float) -> str:

@@ -1,0 +1,81 @@
+"""What errors are of: the positions of all balls, or one quantity that a probe names; and what they are relative to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.readings import Quantity, quantity_of
+from taichi_sim.reports.speed_error.plan import Plan
+from taichi_sim.scene import Scene
+
+__all__ = ["Compared", "distance", "rms", "worst"]
+
+Floats = NDArray[np.float64]
+
+
+def distance(scene: Scene, a: Floats, b: Floats) -> Floats:
+    """Distances (n',) [m] of the balls that are not pinned."""
+    return np.linalg.norm((a - b)[~scene.pinned], axis=1)
+
+
+def rms(values: Floats) -> float:
+    """Root of the mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def worst(errors: Sequence[Floats]) -> float:
+    """Root of the mean square over balls at the moment where it is largest; 0 without any."""
+    return max((rms(error) for error in errors), default=0.0)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """quantity: None for the positions of all balls that are not pinned.
+
+    An error is relative to how far what is compared moves from where it starts; to its own size for what has a zero of its own,
+    such as a tension; energies to the largest kinetic and spring energy.
+    """
+
+    scene: Scene
+    quantity: Quantity | None
+
+    @classmethod
+    def of(cls, scene: Scene, plan: Plan) -> "Compared":
+        """Raises SceneError for a quantity that the scene does not have."""
+        return cls(scene, None if plan.quantity is None else quantity_of(scene, plan.quantity))
+
+    @property
+    def unit(self) -> str:
+        """Of errors; empty where the quantity is a plain number."""
+        return "m" if self.quantity is None else self.quantity.unit
+
+    @property
+    def name(self) -> str:
+        """What is compared, in words."""
+        return "positions" if self.quantity is None else self.quantity.name
+
+    def errors(self, a: Any, b: Any) -> list[Floats]:
+        """How far two outcomes or references lie apart at each moment: (n',) m, or (1,) in the quantity's unit."""
+        if self.quantity is None:
+            return [distance(self.scene, x, y) for x, y in zip(a.position, b.position)]
+        return [np.array([np.linalg.norm(x - y)]) for x, y in zip(a.quantity, b.quantity)]
+
+    def motion(self, outcome: Any, energy: float) -> Floats:
+        """What errors are relative to, (parts,) at each moment of an outcome. energy: the largest kinetic and spring one [J]."""
+        if self.quantity is None:
+            return np.array([rms(distance(self.scene, x, self.scene.position)) for x in outcome.position])
+        values = np.array(outcome.quantity)
+        if self.quantity.of_energy:
+            return np.full(len(values), energy)
+        return np.linalg.norm(values - (outcome.begin if self.quantity.from_start else 0.0), axis=1)
+
+    def size_in_words(self) -> str:
+        """What errors are relative to."""
+        if self.quantity is None:
+            return "rms displacement"
+        if self.quantity.of_energy:
+            return "largest kinetic and spring energy"
+        return f"largest {'motion' if self.quantity.from_start else 'value'} of {self.name}"

@@ -1,0 +1,193 @@
+"""The same scene file with finer meshes: every block and sheet of a material with half and a quarter of the spacing.
+
+A grid of n balls along an axis gets 2 n - 1, so that each ball of the coarse mesh is one of the finer ones, where it can be
+compared. Balls that the file names go with it; between two that are pinned or led, new ones are pinned or led as well.
+"""
+
+import copy
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.errors import SceneError
+from taichi_sim.scene import Scene
+from taichi_sim.scene_file import Reader
+from taichi_sim.scene_schema import SHAPES
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["LEVELS", "Finer", "finer"]
+
+LEVELS = 2  # halvings of the spacing
+# what makes a shape the same at every resolution
+MATERIAL = {
+    "cloth": ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity"),
+    "jelly": ("young_modulus",),
+}
+BY_HAND = ("cells", "bending", "gases", "triangles", "skins")  # of ball numbers that a finer mesh does not have
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Finer:
+    """A scene with a finer mesh; balls: (n,) where each of the coarse one's balls is in it."""
+
+    scene: Scene
+    balls: Ints
+
+
+def finer(file: Path, levels: int = LEVELS) -> list[Finer]:
+    """The scene of a file with 1/2, 1/4, ... of its spacing. Raises SceneError where nothing, or not all, can be refined."""
+    if file.suffix != ".toml":
+        raise SceneError(
+            f"--resolutions: {file} is Python, whose shapes have one resolution; a scene file's can be refined"
+        )
+    document = tomllib.loads(file.read_text(encoding="utf-8"))
+    for name in BY_HAND:
+        if name in document:
+            raise SceneError(f"--resolutions: {file}: [[{name}]] names balls by hand, which a finer mesh does not have")
+    found: list[Finer] = []
+    balls: Ints | None = None
+    for _ in range(levels):
+        level = _Level(file, document)
+        document = level.refined()
+        scene = _read(file, document)[0]
+        balls = level.everywhere if balls is None else level.everywhere[balls]
+        found.append(Finer(scene, balls))
+    return found
+
+
+def _read(file: Path, document: dict[str, Any]) -> tuple[Scene, dict[str, NDArray[np.int32]]]:
+    reader = Reader(file, "", document)
+    return reader.scene(), reader.groups
+
+
+class _Level:
+    """One halving. here: for each table of balls or shape, its balls in the finer one by those of the coarse."""
+
+    def __init__(self, file: Path, document: dict[str, Any]) -> None:
+        self.file, self.document = file, copy.deepcopy(document)
+        self.document.get("output", {}).pop("camera", None)
+        self.named: dict[str, tuple[Ints, tuple[int, ...] | None]] = {}  # map of each group, and its grid where refined
+        named = copy.deepcopy(self.document)
+        tables = [(kind, k) for kind in ("balls", *SHAPES) for k in range(len(named.get(kind, [])))]
+        for kind, k in tables:
+            named[kind][k].setdefault("name", f"{kind}[{k}]")
+        self.coarse, groups = _read(file, named)
+        parts, first, refined = [], 0, 0
+        for kind, k in tables:
+            table = self.document[kind][k]
+            number = len(groups[named[kind][k]["name"]])
+            grid = self._grid(kind, k, table, number) if kind in MATERIAL and "mesh" not in table else None
+            refined += grid is not None
+            inside = np.arange(number) if grid is None else _nested(grid)
+            self.named[named[kind][k]["name"]] = (inside, grid)
+            if grid is not None:
+                table["resolution"] = [2 * n - 1 for n in grid]
+                if isinstance(table.get("pinned"), list) and all(type(ball) is int for ball in table["pinned"]):
+                    table["pinned"] = _filled(grid, table["pinned"])
+                if kind == "jelly" and "damping" in table and self.coarse.dim == 3:
+                    table["damping"] /= 2.0  # of springs that are half as stiff
+            parts.append(first + inside)
+            first += number if grid is None else int(np.prod([2 * n - 1 for n in grid]))
+        if not refined:
+            raise SceneError(
+                f"--resolutions: {file}: has nothing to refine, that is [[cloth]] or [[jelly]] of a material with a resolution"
+            )
+        self.everywhere = np.concatenate(parts)
+
+    def _grid(self, kind: str, k: int, table: dict[str, Any], number: int) -> tuple[int, ...]:
+        """Balls along each axis. Raises SceneError for springs that are no material, which another mesh makes another body."""
+        if not any(key in table for key in MATERIAL[kind]):
+            raise SceneError(
+                f"--resolutions: {self.file}: {kind}[{k}]: is another body at another resolution; give it"
+                f" {' or '.join(MATERIAL[kind])}, which make it of a material"
+            )
+        if isinstance(table.get("pinned"), list) and any(type(ball) is bool for ball in table["pinned"]):
+            raise SceneError(f"--resolutions: {self.file}: {kind}[{k}].pinned: name the pinned balls by their numbers")
+        default = {"cloth": (32, 32), "jelly": (8,) * self.coarse.dim}[kind]
+        return tuple(table.get("resolution", default))
+
+    def refined(self) -> dict[str, Any]:
+        """The document of the finer scene."""
+        document = self.document
+        for table in document.get("attachments", []):
+            for side in ("one", "other"):
+                self._move(table, side, f"{side}_members", fill=False)
+        for table in document.get("moving_pins", []):
+            self._move(table, "balls", "members", fill=True)
+        for k, table in enumerate(document.get("springs", [])):
+            if "file" in table:
+                raise SceneError(
+                    f"--resolutions: {self.file}: springs[{k}].file: name the balls in the scene file itself"
+                )
+            inside = self.named[table["balls"]][0] if "balls" in table else self.everywhere
+            table["pairs"] = inside[np.array(table["pairs"])].tolist()
+        probes = document.pop("probes", [])
+        if probes:
+            more = _read(self.file, document)[0].n_springs - self.coarse.n_springs
+            own = sum(len(np.atleast_2d(t["pairs"])) for t in document.get("springs", [])) + sum(
+                len(t["one_members"] if "one_members" in t else t["one"]) for t in document.get("attachments", [])
+            )
+            for k, table in enumerate(probes):
+                self._probe(k, table, self.coarse.n_springs - own, more)
+            document["probes"] = probes
+        return document
+
+    def _move(self, table: dict[str, Any], key: str, members: str, *, fill: bool) -> None:
+        """The balls that a table names, where they are now."""
+        if not isinstance(table.get(key), str):
+            if key in table:
+                table[key] = self.everywhere[table[key]].tolist()
+            return
+        inside, grid = self.named[table[key]]
+        if members in table:
+            chosen = table[members]
+            table[members] = _filled(grid, chosen) if fill and grid is not None else inside[chosen].tolist()
+        elif grid is not None and not fill:
+            table[members] = inside.tolist()
+
+    def _probe(self, k: int, table: dict[str, Any], of_shapes: int, more: int) -> None:
+        kind = table["kind"]
+        springs = [self.coarse.probes[k].given["spring"]] if kind in ("length", "tension") else table.get("springs", [])
+        if any(spring < of_shapes for spring in springs):
+            raise SceneError(
+                f"--resolutions: {self.file}: probes[{k}]: the springs of a shape are others in a finer mesh; measure a position,"
+                " or the strain between balls"
+            )
+        if kind in ("length", "tension"):
+            table.pop("at", None)
+            table["spring"] = springs[0] + more
+        if "springs" in table:
+            table["springs"] = [spring + more for spring in springs]
+        if kind == "position" and "at" in table:
+            table.pop("at")
+            table["balls"] = self.coarse.probes[k].given["balls"].tolist()
+        self._move(table, "balls", "members", fill=kind != "position")
+
+
+def _nested(grid: tuple[int, ...]) -> Ints:
+    """Each ball of a grid in the finer one."""
+    places = np.unravel_index(np.arange(int(np.prod(grid))), grid)
+    return np.ravel_multi_index([2 * place for place in places], [2 * n - 1 for n in grid])
+
+
+def _filled(grid: tuple[int, ...], balls: list[int]) -> list[int]:
+    """Balls of a grid in the finer one, and the new balls between those of them that are neighbours."""
+    chosen = np.zeros(grid, dtype=bool)
+    chosen.ravel()[balls] = True
+    for axis in range(len(grid)):
+        n = chosen.shape[axis]
+        here = np.moveaxis(chosen, axis, 0)
+        there = np.zeros((2 * n - 1, *here.shape[1:]), dtype=bool)
+        there[::2] = here
+        there[1::2] = here[1:] & here[:-1]
+        chosen = np.moveaxis(there, 0, axis)
+    return np.flatnonzero(chosen.ravel()).tolist()

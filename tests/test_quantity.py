@@ -1,0 +1,232 @@
+"""`report` and `tune` by a quantity that a probe names, and the error of the mesh."""
+
+import re
+
+import numpy as np
+import pytest
+from speed_support import RATE, STIFFNESS, MadeUp, length, pair, plan
+
+import taichi_sim as ts
+from taichi_sim.errors import SceneError
+from taichi_sim.reports.speed_error import budget, command, report, resolution, tune
+from taichi_sim.reports.speed_error.compared import Compared
+from taichi_sim.reports.speed_error.plan import PARTS
+from taichi_sim.reports.speed_error.worker import Outcome
+
+NONE = {"progress": False, "say": lambda line: None}
+
+
+def loaded():
+    scene = pair()
+    scene.add_probe("load", "tension", spring=0)
+    scene.add_probe("end", "position", balls=[1])
+    scene.add_probe("heat", "energy")
+    return scene
+
+
+# What errors are relative to ---------------------------------------------------------------------------------------
+
+
+def test_what_has_a_zero_counts_from_there_and_a_place_from_where_it_starts():
+    scene = loaded()
+    values = [np.array([k]) for k in (3.0, 5.0, -7.0)]
+    outcome = Outcome("", [], [], [], quantity=values, begin=np.array([4.0]))
+    for name, moved in (("load", [3.0, 5.0, 7.0]), ("end.x", [1.0, 1.0, 11.0]), ("heat.total", [2.0, 2.0, 2.0])):
+        compared = Compared.of(scene, plan(quantity=name))
+        assert compared.motion(outcome, 2.0).tolist() == moved
+        assert compared.unit == {"load": "N", "end.x": "m", "heat.total": "J"}[name]
+    vector = Compared.of(scene, plan(quantity="end"))
+    one, other = (Outcome("", [], [], [], quantity=[np.array(x)]) for x in ([0.0, 0.0], [3.0, 4.0]))
+    assert vector.errors(one, other)[0].tolist() == [5.0]
+    moved = Outcome("", [scene.position + np.array([0.3, 0.4])], [], [])
+    assert Compared.of(scene, plan()).motion(moved, 2.0).tolist() == [0.5]  # of positions: how far balls went
+
+
+def test_a_report_is_of_the_quantity(tmp_path, monkeypatch):
+    """Of which MadeUp knows the error: k (h w)^2, relative to k 0.1 max |sin|."""
+    scene = loaded()
+    monkeypatch.setattr(report, "Workers", lambda *_: MadeUp(scene))
+    findings = report.main(scene, plan(quantity="load"), tmp_path / "r", **NONE)
+    row = next(row for row in findings.rows if row.method == "verlet")
+    largest = STIFFNESS * 0.1 * np.abs(np.sin(np.arange(1, PARTS + 1))).max()
+    assert row.relative_error == pytest.approx(STIFFNESS * (row.step * RATE) ** 2 / largest, rel=1e-2)
+    page = (tmp_path / "r" / "report.md").read_text()
+    assert "Errors are of load.tension, as a part of the largest value of load.tension: 9.894 N." in page
+    assert "rms error [N]" in page
+    assert re.search(
+        r"load.tension at 0.4 s with verlet at .* s, the scene's own settings: 9.894 N, of which step", page
+    )
+
+
+@pytest.mark.parametrize(
+    ("quantity", "tolerance", "message"),
+    [
+        ("lod", "1%", "--quantity: 'lod' is not a probe of this scene; did you mean 'load'?"),
+        ("load", "100%", "--tolerance: 100% is not allowed; it is a part of the motion, below 1, or like 1%"),
+        ("load", "1 percent", "--tolerance: '1 percent' is not allowed; it must be a number greater than 0"),
+    ],
+)
+def test_wrong_options(tmp_path, quantity, tolerance, message):
+    loaded().save(tmp_path / "s.toml")
+    with pytest.raises(ValueError, match=re.escape(message)):
+        command.read(str(tmp_path / "s.toml"), quantity=quantity, tolerance=tolerance)
+
+
+def test_tune_finds_the_tension_to_one_percent(tmp_path):
+    """From the file to settings whose error against the closed solution is below 1 % of the largest tension."""
+    loaded().save(tmp_path / "s.toml")
+    file = str(tmp_path / "s.toml")
+    _, scene, chosen = command.read(
+        file, methods="verlet", precision="f64", quantity="load.tension", tolerance="1%", duration=0.4
+    )
+    said = []
+    settings = tune.main(scene, chosen, progress=False, say=said.append)
+    assert said[0].startswith("cheapest for an error of 0.01 of the largest value of load.tension (0.0951 N) over the")
+    with ts.Simulation(scene, **{**settings, "precision": None}) as sim:
+        off = []
+        for _ in range(round(0.4 / sim.dt)):
+            sim.step()
+            off.append(sim.probe("load") - STIFFNESS * (length(sim.time) - 1.0))
+    assert (
+        1e-4 < np.abs(off).max() < 0.01 * STIFFNESS * 0.1 * 1.2
+    )  # moments between those compared may be a little worse
+    assert settings["integrator"] == "verlet"
+
+
+def test_methods_that_cannot_win_are_not_compiled(monkeypatch):
+    """RK4 goes through the forces four times in a step 1.4 times as long; implicit methods are for stiff scenes."""
+    scene = loaded()
+    workers = MadeUp(scene)
+    run = workers.run
+    workers.run = lambda precision, trial: run(precision, trial)._replace(passes=0.4 / trial.step.seconds)
+    monkeypatch.setattr(tune, "Workers", lambda *_: workers)
+    chosen = plan(quantity="load", tolerance=0.2, methods=("rk4", "verlet", "implicit_euler"))
+    assert tune.main(scene, chosen, **NONE)["integrator"] == "verlet"
+    assert {trial.method for _, trial in workers.trials if trial.timed} == {"verlet"}
+
+
+# The error of the mesh ---------------------------------------------------------------------------------------------
+
+
+def test_richardson():
+    """Values a + b h^p at h, h/2, h/4: the error at h is b h^p."""
+    for order in (1.0, 2.0):
+        values = [5.0 + 0.3 * h**order for h in (1.0, 0.5, 0.25)]
+        error, found, why = budget.mesh_error(np.abs(np.diff(values)).tolist())
+        assert (error, found, why) == (pytest.approx(0.3), pytest.approx(order), "")
+    error, order, why = budget.mesh_error([0.1, 0.2])
+    assert error is None
+    assert order == pytest.approx(-1.0)
+    assert "not known, at least 0.1" in why
+    assert budget.mesh_error([0.1])[0] == pytest.approx(0.2)  # of first order, with two meshes alone
+
+
+SHEET = """format = 1
+dim = 3
+[[balls]]
+name = "weight"
+position = [[0.5, 0.2, 0.5]]
+radius = 0.05
+[[cloth]]
+name = "sheet"
+resolution = [3, 4]
+mass_per_area = 0.2
+pinned = [0, 1, 2, 3, 11]
+[[springs]]
+pairs = [[0, 5]]
+stiffness = 1.0
+[[attachments]]
+one = "weight"
+other = "sheet"
+other_members = [7]
+one_members = [0]
+stiffness = 2.0
+[[moving_pins]]
+balls = "sheet"
+members = [0, 1]
+velocity = [1.0, 0.0, 0.0]
+[[probes]]
+name = "corner"
+kind = "position"
+at = [1.0, 0.0, 0.0]
+[[probes]]
+name = "load"
+kind = "tension"
+at = [0.5, 0.1, 0.75]
+"""
+
+
+def test_a_finer_mesh_has_the_balls_of_the_coarse_one(tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(SHEET)
+    coarse, (half, quarter) = ts.load_scene(file), resolution.finer(file)
+    for finer, balls in ((half, 5 * 7), (quarter, 9 * 13)):
+        fine = finer.scene
+        assert fine.n_balls == 1 + balls
+        assert fine.position[finer.balls] == pytest.approx(coarse.position)
+        assert fine.mass.sum() == pytest.approx(coarse.mass.sum())
+        edge = fine.position[fine.pinned]
+        assert np.count_nonzero(edge[:, 0] == 0.0) == len(np.unique(fine.position[1:, 2]))  # all of the edge, no gaps
+        assert len(edge) == np.count_nonzero(edge[:, 0] == 0.0) + 1  # and the lone corner
+        assert sorted(finer.balls[coarse.pairs[-2:].ravel()]) == sorted(fine.pairs[-2:].ravel())
+        assert fine.probes[0].given["balls"].tolist() == [finer.balls[coarse.probes[0].given["balls"][0]]]
+        assert fine.probes[1].given["spring"] == fine.n_springs - (coarse.n_springs - coarse.probes[1].given["spring"])
+    assert len(half.scene.moving_pins[0].balls) == 3  # and the new one between two
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "mass_per_area = 0.2",
+            "mass = 0.2",
+            "cloth[0]: is another body at another resolution; give it mass_per_area or",
+        ),
+        ("at = [0.5, 0.1, 0.75]", "spring = 3", "probes[1]: the springs of a shape are others in a finer mesh"),
+        ("[[springs]]\npairs = [[0, 5]]", "[[springs]]\nfile = 'x.npz'", "file: '"),
+        ("[[springs]]", "[[triangles]]\ntriangles = [[0, 1, 2]]\n[[springs]]", "[[triangles]] names balls by hand"),
+    ],
+)
+def test_what_cannot_be_refined(tmp_path, old, new, message):
+    (tmp_path / "s.toml").write_text(SHEET.replace(old, new))
+    with pytest.raises(SceneError, match=re.escape(message)):
+        resolution.finer(tmp_path / "s.toml")
+
+
+def test_nothing_to_refine(tmp_path):
+    loaded().save(tmp_path / "s.toml")
+    with pytest.raises(SceneError, match="has nothing to refine, that is"):
+        resolution.finer(tmp_path / "s.toml")
+    with pytest.raises(SceneError, match="is Python, whose shapes have one resolution"):
+        resolution.finer(tmp_path / "s.py")
+
+
+def test_a_report_has_the_error_of_the_mesh(tmp_path, monkeypatch):
+    """Runs that are off by 0.04 h^2, with h = 1, 1/2, 1/4: compared at the coarse mesh's balls, that is what is found."""
+    scene, said = pair(), []
+    finer = []
+    for k in (1, 2):
+        fine = pair()
+        fine.add_balls(np.zeros((k, 2)), radius=0.05)  # balls that the coarse mesh does not have
+        finer.append(resolution.Finer(fine, np.array([0, 1])))
+
+    def made_up(given, *_):
+        workers = MadeUp(given)
+        off = 0.04 * (1.0 - 0.25 ** (given.n_balls - 2))
+        run = workers.run
+
+        def finer_run(precision, trial):
+            outcome = run(precision, trial._replace(step=trial.step._replace(seconds=1e-9)))
+            return outcome._replace(position=[x - [off, 0.0] for x in outcome.position])
+
+        workers.run = run if given.n_balls == 2 else finer_run
+        return workers
+
+    monkeypatch.setattr(report, "Workers", made_up)
+    findings = report.main(scene, plan(resolutions=True), tmp_path / "r", meshes=finer, progress=False, say=said.append)
+    assert findings.budget.mesh == pytest.approx(0.04, rel=1e-3)
+    assert findings.budget.order == pytest.approx(2.0, abs=1e-2)
+    assert "mesh 40, single precision not known" in said[0]
+    assert "falls with the order 2.00 of the spacing" in (tmp_path / "r" / "report.html").read_text()
+    again = report.main(scene, plan(resolutions=True), tmp_path / "r", meshes=finer, **NONE)
+    assert again.budget == findings.budget
