@@ -10,6 +10,7 @@ from taichi_sim import memory
 from taichi_sim.accuracy import Setup
 from taichi_sim.backend import Backend
 from taichi_sim.companion import Companion
+from taichi_sim.contact_needs import may_collide, may_gain, slowest_bounce
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.contacts.facets import Facets
@@ -34,7 +35,7 @@ from taichi_sim.motion import TICKS
 from taichi_sim.order import in_order, spatial_order
 from taichi_sim.pins import Pins
 from taichi_sim.probes import bodies_of
-from taichi_sim.scene import Scene, bounciest, used_materials
+from taichi_sim.scene import Scene, used_materials
 from taichi_sim.settings import Settings
 from taichi_sim.state import State
 
@@ -42,7 +43,6 @@ __all__ = ["Assembly", "compensates"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
 UNEQUAL = 4.0  # times in mass: from here on passes converge slowly
-MOST_BOUNCE = 0.5  # above that, passes over many contacts could add energy
 FINE = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
 MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
@@ -147,7 +147,7 @@ class Assembly:
         if pairs or walled:
             self.model.add_contact_fields()
         # fields, so that another step compiles nothing anew
-        self.threshold = self.fields.reals(np.array([_slowest_bounce(scene, h)])) if pairs or walled else None
+        self.threshold = self.fields.reals(np.array([slowest_bounce(scene, h)])) if pairs or walled else None
         # these look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
         skin = 0.0 if sticks or facets or type(settings.integrator) not in BUILT_IN else SKIN
         pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0))
@@ -256,7 +256,7 @@ class Assembly:
             scene, settings, backend, _, forces = self.arguments
             self.arguments = (scene, settings, backend, h, forces)
             if self.threshold is not None:
-                self.threshold[0] = _slowest_bounce(scene, h)
+                self.threshold[0] = slowest_bounce(scene, h)
         if h == self.h:
             return
         if self.forces.springs is not None and self.integrator.implicit_damping:
@@ -379,12 +379,6 @@ def _rounds(scene: Scene, backend: Backend) -> bool:
     return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINE * float(np.min(scene.radius))
 
 
-def _slowest_bounce(scene: Scene, h: float) -> float:
-    """The approach speed below which nothing bounces [m/s]: twice what gravity adds in a substep of h seconds; without gravity
-    everything does."""
-    return 2.0 * float(np.linalg.norm(scene.gravity)) * h
-
-
 def spins(scene: Scene, settings: Settings) -> bool:
     """Whether balls turn: "auto" where Coulomb friction can make them and some are loose. Those of cloth and jelly, which
     springs, cells and the like join at their centres, would only roll under it like casters."""
@@ -392,24 +386,3 @@ def spins(scene: Scene, settings: Settings) -> bool:
         return False
     loose = ~scene.pinned & ~scene.joined()
     return settings.spin is True or (bool(loose.any()) and any(m.friction > 0 for m in used_materials(scene)))
-
-
-def may_gain(scene: Scene, rule: str, warm: bool, rows: bool) -> bool:
-    """Whether a contact solve could add energy: not where little bounces, nor with split masses from nothing, nor where pairs
-    in turn bounce one by one; they do without rows, contacts of more than two balls."""
-    return bounciest(scene) > MOST_BOUNCE and (rows if rule == "gauss_seidel" else rule == "jacobi" and warm)
-
-
-def may_collide(scene: Scene) -> bool:
-    """Whether any two balls may touch: not both pinned, not of one body, not joined by a spring."""
-    n = scene.n_balls
-    total = n * (n - 1) // 2
-    held = int(scene.pinned.sum())
-    bodies = np.bincount(scene.body[scene.body > 0]).astype(np.int64)
-    both = np.bincount(scene.body[(scene.body > 0) & scene.pinned]).astype(np.int64)  # pinned and of one body: once
-    total -= held * (held - 1) // 2 + int(np.sum(bodies * (bodies - 1) // 2) - np.sum(both * (both - 1) // 2))
-    pairs = np.unique(np.sort(scene.pairs, axis=1), axis=0)
-    i, j = pairs[:, 0], pairs[:, 1]
-    apart = (scene.body[i] == 0) | (scene.body[i] != scene.body[j])
-    total -= int(np.sum(apart & ~(scene.pinned[i] & scene.pinned[j])))
-    return total > 0

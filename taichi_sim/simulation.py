@@ -33,6 +33,7 @@ from taichi_sim.stepper import Stepper
 __all__ = ["Simulation"]
 
 MOST_FRAMES = 10_000_000
+Low = tuple[NDArray, NDArray] | None
 
 
 class Simulation(Reader):
@@ -47,11 +48,9 @@ class Simulation(Reader):
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
             ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
-        contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU, but jacobi where nothing
-            presses balls together and restitutions are above 0.5).
+        contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU, jacobi on a GPU).
         contact_passes: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8 by
-            jacobi, for restitutions above 0.5 up to 4 and 12 more ("auto"). With fewer, a crowd that should bounce elastically
-            loses energy where balls touch several others at once.
+            jacobi; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with sticks or surfaces ("auto").
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: True, False or "auto": where a material has Coulomb friction and a ball is loose ("auto").
@@ -307,8 +306,7 @@ class Simulation(Reader):
         index = checks.indices("balls", np.atleast_1d(np.asarray(balls)), self.scene.n_balls)
         p = checks.vectors("impulse", impulse, len(index), self.scene.dim)
         v = self.velocity
-        w = np.where(self.scene.pinned, 0.0, 1.0 / self.scene.mass)
-        np.add.at(v, index, w[index, None] * p)
+        np.add.at(v, index, np.where(self.scene.pinned, 0.0, 1.0 / self.scene.mass)[index, None] * p)
         self._write(self.position, v)
 
     def set_position(self, position: ArrayLike) -> None:
@@ -323,7 +321,7 @@ class Simulation(Reader):
         self._write(self.position, v)
 
     @property
-    def rounded_off(self) -> tuple[NDArray, NDArray] | None:
+    def rounded_off(self) -> Low:
         """What single precision rounded off of position and velocity, both (n, dim), or None where it is not kept."""
         return self._state.rounded_off
 
@@ -337,7 +335,7 @@ class Simulation(Reader):
         position: ArrayLike,
         velocity: ArrayLike,
         time: float,
-        low: tuple[NDArray, NDArray] | None = None,
+        low: Low = None,
         surface_speed: NDArray | None = None,
         torn: NDArray | None = None,
         impulses: NDArray | None = None,
@@ -369,9 +367,7 @@ class Simulation(Reader):
         if not self._still:
             self._stepper.set_state(state, arrays)
 
-    def _write(
-        self, x: NDArray, v: NDArray, low: tuple[NDArray, NDArray] | None = None, *, moved: bool = False
-    ) -> None:
+    def _write(self, x: NDArray, v: NDArray, low: Low = None, *, moved: bool = False) -> None:
         if not self._still:
             self._state.write(x, v, low)
             if moved:

@@ -68,13 +68,12 @@ class ContactSolver:
         self.searched = [part for part in (pairs, sticks) if part is not None]
         self.parts = [part for part in (walls, pairs, sticks, facets) if part is not None]
         self.rows = [part for part in (sticks, facets) if part is not None]  # of more than two balls
-        self.active = bool(self.parts)
-        self.threshold, self.push_out, self.relaxation = threshold, PUSH_OUT, RELAXATION
+        self.active, self.threshold, self.relaxation = bool(self.parts), threshold, RELAXATION
+        self.push_out, self.fastest_push = PUSH_OUT, FASTEST_PUSH
         if passes < FEW:  # one pass changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
             self.relaxation = min(RELAXATION, 2.0 / (1.0 + bounciest(model.scene)))
         self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
         self.warm, self.soft, self.tames = warm, soft and pairs is not None, tames
-        self.fastest_push = FASTEST_PUSH
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_facets, self.has_rows = facets is not None, bool(self.rows)
@@ -262,9 +261,7 @@ class ContactSolver:
                     for _ in ti.static(range(passes)):
                         self._pass(ball, 0.0, sweeps.BOUNCE)
                 taming.tame(self, ball)
-            elif ti.static(
-                self.tames
-            ):  # impulses that carried an impact are no load that rests: one pass may not undo them
+            elif ti.static(self.tames):  # what carried an impact is no load that rests: one pass may not undo it
                 taming.compare_with_before(self)
                 taming.tame(self, ball)
 

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from .agreement import AGREEMENTS
-from .observe import Case, observe
+from .observe import Case, Record, observe
 from .relations import LEDGERS, Finding, Relation, judged
 
 __all__ = ["RELATIONS", "Family", "Tally", "judge", "referee", "table"]
+
+EXACT = 1e-8  # what is allowed: less is hardly more than rounding
 
 RELATIONS: dict[str, Relation] = {**LEDGERS, **AGREEMENTS}
 
@@ -47,19 +49,25 @@ class Tally:
 
 
 def judge(cases: list[Case], names: Iterable[str]) -> list[list[Finding]]:
-    """Findings of each case. All runs that they need are made together where they can be."""
+    """Findings of each case. All runs that they need are made together where they can be; but those of a relation that allows
+    hardly more than rounding by themselves, with the same scenes side by side in each: others change the last bits."""
     relations = [RELATIONS[name] for name in names]
     plans = [[relation.runs(case) for relation in relations] for case in cases]
-    needed = {id(run): run for plan in plans for runs in plan if runs for run in runs}
-    records = observe(needed.values())
+    apart = [k for k, relation in enumerate(relations) if relation.tolerance < EXACT]
+    rest = [k for k in range(len(relations)) if k not in apart]
+    records: dict[tuple[int, int], Record] = {}
+    for together in [rest, *([k] for k in apart)]:
+        needed = {id(run): run for plan in plans for k in together for run in plan[k] or ()}
+        seen = observe(needed.values())
+        records |= {(k, i): seen[i] for k in together for i in needed}
     out = []
     for case, plan in zip(cases, plans):
         findings = []
-        for relation, runs in zip(relations, plan):
+        for k, (relation, runs) in enumerate(zip(relations, plan)):
             if runs is None:
                 findings.append(Finding(relation.name, None, relation.tolerance))
             else:
-                findings.append(judged(relation, case, [records[id(run)] for run in runs]))
+                findings.append(judged(relation, case, [records[k, id(run)] for run in runs]))
         out.append(findings)
     return out
 
