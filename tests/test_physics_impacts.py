@@ -133,6 +133,16 @@ def test_elastic_crowds_keep_their_energy(dim, n, filled, gravity, speed, method
         assert abs(energy(scene, sim)[1] - before) < 5e-3 * kinetic
 
 
+def test_light_balls_between_walls_and_heavy_ones_keep_their_energy():
+    """Without gravity, masses 1 to 2000: what a corner and a heavy ball close in bounces in turn, and is not stopped there."""
+    scene = crowd(3, 24, 0.12, 0.0, 12.0, seed=3)
+    scene.mass[:] = 2000.0 ** np.random.default_rng(5).uniform(0.0, 1.0, 24)
+    with simulate(scene, dt=1e-3, substeps=1) as sim:
+        _, before = energy(scene, sim)
+        sim.step(100)
+        assert energy(scene, sim)[1] == pytest.approx(before, rel=1e-9 if F64 else 1e-5)
+
+
 # Light under heavy ------------------------------------------------------------------------------------------------------
 
 
