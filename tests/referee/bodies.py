@@ -68,7 +68,7 @@ def _jelly_slides(rng: Rng, n: int) -> list[Case]:
     for _ in range(n if dim == 2 else 3):
         scene = ts.Scene(dim, up(dim, 10.0))
         scene.add_material("m", friction=float(rng.uniform(0.1, 0.4)))
-        size = (0.4, 0.2, 0.3)[:dim]
+        size = (0.4, 0.2, 0.2)[:dim]
         made = {"young_modulus": 2e4, "poisson_ratio": 0.35, "damping": 2.0} if fabric else {}
         # by its centre of mass, a touch above the ground
         body = ts.shapes.jelly(scene, size, (5, 3, 3)[:dim], material="m", position=(0.0, 0.06, 0.0)[:dim], **made)
