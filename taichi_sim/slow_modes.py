@@ -21,6 +21,7 @@ Floats = NDArray[np.float64]
 MOST = 900  # free coordinates, for which a dense eigenvalue problem takes a second
 SLOW = 3.0  # times the slowest frequency, up to which motions count as slow
 STILL = 1e-6  # of the fastest mode's omega: motion that no spring resists
+BLUR = 4.0 * 2.0**-23  # of places: what single precision may make of a stretch
 GAMMA = 2.0 - float(np.sqrt(2.0))  # of TR-BDF2
 
 
@@ -43,7 +44,11 @@ def slow_decays(scene: Scene, method: str, h: float, position: Floats) -> list[D
     length = np.linalg.norm(r, axis=1)
     n = r / np.where(length > 0, length, 1.0)[:, None]
     along = n[:, :, None] * n[:, None, :]
-    tense = np.where(length > 0, np.maximum(0.0, 1.0 - scene.rest_length / np.where(length > 0, length, 1.0)), 1.0)
+    whole = np.where(length > 0, length, 1.0)
+    tense = np.where(length > 0, np.maximum(0.0, 1.0 - scene.rest_length / whole), 1.0)
+    tense[tense < BLUR * np.abs(position).max() / whole] = (
+        0.0  # else what no spring resists would seem to be the slowest
+    )
     block = (k * (1.0 - tense))[:, None, None] * along + (k * tense)[:, None, None] * np.eye(dim)
     omega2, shape = np.linalg.eigh(_assembled(scene, free, block))
     slow = np.flatnonzero(omega2 > STILL**2 * omega2[-1])

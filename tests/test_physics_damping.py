@@ -202,6 +202,10 @@ def test_slow_decays_are_what_a_run_shows():
         first = abs(left @ along_x(sim))
         sim.step(round(0.5 / wrong.exact / h))
         assert np.log(first / abs(left @ along_x(sim))) / sim.time == pytest.approx(wrong.found, rel=0.02)
+    rounded = slow_decays(scene, "verlet", h, (place + 1.0 / 3.0).astype(np.float32).astype(float))[
+        0
+    ]  # not motion across the chain
+    assert rounded.exact == pytest.approx(right.exact, rel=1e-3)
     scene.damping[:] *= 1e5
     beyond = slow_decays(scene, "verlet", h, place)[0]
     assert beyond.found > 1.5 * beyond.exact
