@@ -138,7 +138,7 @@ def find_islands(solver: ti.template()):
 
 @ti.func
 def extend(solver: ti.template(), ball: ti.template()):
-    """Each island goes on along the normal impulses of the last pass to the least kinetic energy."""
+    """Each island goes on along the normal impulses of the last pass, to the least of what passes lessen."""
     blocks = solver.pairs.blocks[0]
     for b in range(blocks):
         for k in range(b * solver.pairs.length[0], reach_of(solver, b)):

@@ -90,9 +90,8 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
         r = ball[j].x - x
         sum = radius + solver.model.radius[j]
         reach = sum * (1.0 + pairs.gap)
-        if ti.static(
-            solver.foresees
-        ):  # and as far as either comes in a step, should the other be stopped: overlap would push back
+        if ti.static(solver.foresees):
+            # as far as either comes in a step, should the other be stopped, too: overlap would push back
             here, there = ball[i].v.dot(r), -ball[j].v.dot(r)
             reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
         if r.dot(r) < reach * reach:

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from taichi_sim.fields import Fields
 from taichi_sim.kernels.springs import GRAIN, PART
 from taichi_sim.model import Model
+from taichi_sim.scene import Scene
 
-__all__ = ["FreeBodies", "components"]
+__all__ = ["FreeBodies", "Members", "components", "skins"]
 
 
 def components(pairs: NDArray[np.integer], n: int) -> NDArray[np.int64]:
@@ -26,6 +27,25 @@ def components(pairs: NDArray[np.integer], n: int) -> NDArray[np.int64]:
         label = after
 
 
+def skins(scene: Scene) -> NDArray[np.int64]:
+    """Pairs of balls (k, 2) that the gases of a scene join."""
+    pairs = [np.stack([np.full(g.triangles.size, g.triangles[0, 0]), g.triangles.ravel()], axis=1) for g in scene.gases]
+    return np.concatenate([np.zeros((0, 2), dtype=np.int64), *pairs])
+
+
+class Members:
+    """The `chosen` balls in the order of their bodies, for sums over bodies in parts of at most PART balls: `member` (k,), and
+    how many each body has, `count`; part c begins at `begin[c]`, body b at `part[b]`."""
+
+    def __init__(self, label: NDArray[np.integer], chosen: NDArray[np.integer]) -> None:
+        self.member = chosen[np.argsort(label[chosen], kind="stable")]
+        first, self.count = np.unique(label[self.member], return_index=True, return_counts=True)[1:]
+        begins = [np.arange(f, f + c, PART) for f, c in zip(first, self.count)]
+        self.parts = sum(len(b) for b in begins)
+        self.begin = np.append(np.concatenate([*begins, [0]])[:-1], len(self.member))
+        self.part = np.append(0, np.cumsum([len(b) for b in begins])).astype(np.int32)
+
+
 @ti.data_oriented
 class FreeBodies:
     """Shifts the velocities of each free body together, so that its momentum is what it should be: conjugate gradients find
@@ -33,31 +53,25 @@ class FreeBodies:
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        skins = [
-            np.stack([np.full(g.triangles.size, g.triangles[0, 0]), g.triangles.ravel()], axis=1) for g in scene.gases
-        ]
-        label = components(np.concatenate([scene.pairs, *skins]), model.n)
+        label = components(np.concatenate([scene.pairs, skins(scene)]), model.n)
         held = np.zeros(model.n, dtype=bool)
         held[label[scene.pinned]] = True
         single = np.bincount(label, minlength=model.n) == 1  # solved exactly anyway
         free = np.flatnonzero(~held[label] & ~single[label])
-        member = free[np.argsort(label[free], kind="stable")]
-        body, first, count = np.unique(label[member], return_index=True, return_counts=True)
-        begins = [np.arange(f, f + c, PART) for f, c in zip(first, count)]
-        self.dim, self.members, self.bodies = model.dim, len(member), len(body)
-        self.parts = sum(len(b) for b in begins)
+        members = Members(label, free)
+        member, count = members.member, members.count
+        self.dim, self.members, self.bodies, self.parts = model.dim, len(member), len(count), members.parts
         self.member = fields.integers(member)
-        self.body_of = fields.integers(np.repeat(np.arange(len(body)), count))
-        self.begin = fields.integers(np.append(np.concatenate([*begins, [0]])[:-1], len(member)))
-        self.part = fields.integers(np.append(0, np.cumsum([len(b) for b in begins])).astype(np.int32))
-        mass = np.bincount(np.repeat(np.arange(len(body)), count), scene.mass[member], len(body))
+        self.body_of = fields.integers(np.repeat(np.arange(len(count)), count))
+        self.begin, self.part = fields.integers(members.begin), fields.integers(members.part)
+        mass = np.bincount(np.repeat(np.arange(len(count)), count), scene.mass[member], len(count))
         self.mass = fields.reals(mass if len(mass) else 1)
         self.inverse_mass = model.inverse_mass
         self.sum = fields.doubles(max(1, self.parts) * self.dim)
         self.wide = self.sum.dtype
         self.shift = fields.vectors(max(1, self.bodies), self.dim)
         body_of_ball = np.full(model.n, -1)
-        body_of_ball[member] = np.repeat(np.arange(len(body)), count)
+        body_of_ball[member] = np.repeat(np.arange(len(count)), count)
         self.body_of_ball = fields.integers(body_of_ball)
 
     @ti.func

@@ -4,9 +4,9 @@ import numpy as np
 import taichi as ti
 
 from taichi_sim.fields import Fields
-from taichi_sim.integrators.components import components
+from taichi_sim.integrators.components import Members, components, skins
 from taichi_sim.kernels import implicit as parts
-from taichi_sim.kernels.springs import GRAIN, PART
+from taichi_sim.kernels.springs import GRAIN
 from taichi_sim.model import Model
 
 __all__ = ["StageWork"]
@@ -26,19 +26,10 @@ class StageWork:
     def __init__(self, model: Model, fields: Fields, rounding: float, worth: float) -> None:
         scene, self.model = model.scene, model
         self.rounding, self.worth = rounding, worth
-        skins = [
-            np.stack([np.full(g.triangles.size, g.triangles[0, 0]), g.triangles.ravel()], axis=1) for g in scene.gases
-        ]
-        joined = np.concatenate([scene.pairs[~scene.pinned[scene.pairs].any(axis=1)], *skins])
-        label = components(joined, model.n)
-        loose = np.flatnonzero(~scene.pinned)
-        member = loose[np.argsort(label[loose], kind="stable")]
-        first, count = np.unique(label[member], return_index=True, return_counts=True)[1:]
-        begins = [np.arange(f, f + c, PART) for f, c in zip(first, count)]
-        self.bodies, self.parts = len(first), sum(len(b) for b in begins)
-        self.member = fields.integers(member)
-        self.begin = fields.integers(np.append(np.concatenate([*begins, [0]])[:-1], len(member)))
-        self.part = fields.integers(np.append(0, np.cumsum([len(b) for b in begins])).astype(np.int32))
+        joined = np.concatenate([scene.pairs[~scene.pinned[scene.pairs].any(axis=1)], skins(scene)])
+        members = Members(components(joined, model.n), np.flatnonzero(~scene.pinned))
+        self.bodies, self.parts = len(members.count), members.parts
+        self.member, self.begin, self.part = map(fields.integers, (members.member, members.begin, members.part))
         self.given, self.taken, self.kinetic = (fields.doubles(max(1, self.parts)) for _ in range(3))
         self.wide = self.given.dtype
 
