@@ -9,8 +9,12 @@ the pairs of the balls that touch others.
 Speed that forces gave a pair since contacts were last looked for is a load and no impact: it is held, not thrown back. What
 an impact throws back is the speed in the middle of that time, which belongs to the positions: half of the load is in it.
 
-Blocks (see kernels.sweeps) in which nothing closes fast, nor in those beside them, are passed over.
+Blocks (see kernels.sweeps) in which nothing closes fast, nor in those beside them, are passed over, and in the others the balls
+none of whose contacts may have changed: `stirred` is 0 where one closes fast at first, then the round that follows the last
+impact on the ball, or on one that it lists or that lists it; else CALM.
 """
+
+import math
 
 import taichi as ti
 
@@ -20,6 +24,9 @@ from .pairs import GRAIN, law_of
 
 AT_ONCE = 2  # rounds on all threads; what goes on bouncing is little, and one thread does it
 ROUNDS = 24  # of impacts in one step; what closes fast after them is stopped, or at e = 1 left to the next step
+CALM = -1
+NO_ROW = -1
+SPENT = 0.02  # of an approach speed: a contact has lost the rest after so many bounces that e^k is less
 ALERT = 0.5  # of the threshold: what closes faster may be fast once forces have acted
 
 
@@ -48,7 +55,7 @@ def all_rounds(solver: ti.template(), ball: ti.template(), time):
             for parity in ti.static(range(2)):
                 for g in range((solver.pairs.blocks[0] + 1 - parity) // 2 * GRAIN):
                     if g % GRAIN == 0:
-                        one_block(solver, ball, g // GRAIN * 2 + parity, now, time if now == 0 else 0.0)
+                        one_block(solver, ball, g // GRAIN * 2 + parity, now, time)
     ti.loop_config(serialize=True)
     for _ in range(1):
         first = ti.static(0 if solver.serial else AT_ONCE)
@@ -57,7 +64,7 @@ def all_rounds(solver: ti.template(), ball: ti.template(), time):
             going = False
             for parity in range(2):
                 for g in range((solver.pairs.blocks[0] + 1 - parity) // 2):
-                    if one_block(solver, ball, 2 * g + parity, now % 2, ti.select(now == 0, time, 0.0 * time)) > 0:
+                    if one_block(solver, ball, 2 * g + parity, now, time) > 0:
                         going = True
             now += 1
 
@@ -75,13 +82,16 @@ def is_near(solver: ti.template(), flags: ti.template(), first, b):
 
 @ti.func
 def one_block(solver: ti.template(), ball: ti.template(), b, now, time):
-    """One round of the balls of block b, if it or one beside it is marked; notes whether anything bounced."""
-    from_, to = now * solver.most_blocks, (1 - now) * solver.most_blocks
+    """Round `now` of the balls of block b, if it or one beside it is marked; notes whether anything bounced. Viscous friction
+    acts in the first, for `time` seconds."""
+    from_, to = now % 2 * solver.most_blocks, (now + 1) % 2 * solver.most_blocks
     bounced = 0
     if is_near(solver, solver.mark, from_, b):
         begin = b * solver.pairs.length[0]
         for k in range(begin, ti.min(begin + solver.pairs.length[0], solver.n)):
-            bounced |= one_ball(solver, ball, solver.pairs.grid.order[k], time)
+            i = solver.pairs.grid.order[k]
+            if solver.stirred[i] >= now:
+                bounced |= one_ball(solver, ball, i, now, ti.select(now == 0, time, 0.0))
     solver.mark[to + b] = bounced
     if bounced > 0:
         solver.struck[b] = 1
@@ -89,7 +99,28 @@ def one_block(solver: ti.template(), ball: ti.template(), b, now, time):
 
 
 @ti.func
-def one_ball(solver: ti.template(), ball: ti.template(), i, time):
+def stir(solver: ti.template(), i, now):
+    """From round `now` on, look at all contacts of ball i again: its velocity has changed."""
+    if solver.model.inverse_mass[i] > 0.0:
+        solver.stirred[i] = now
+        c = solver.pairs.latest[i]
+        while c != NO_ROW:
+            solver.stirred[solver.pairs.row[c].lister] = now
+            c = solver.pairs.row[c].next
+
+
+@ti.func
+def bounces_on(solver: ti.template(), i, j, restitution):
+    """Whether so few impacts of ball i or j in this step are past that restitution leaves speed for another."""
+    on = True
+    if ti.static(not solver.accelerates):
+        number = ti.max(solver.rebounds[i], solver.rebounds[j])
+        on = number * ti.log(restitution) > ti.static(math.log(SPENT))
+    return on
+
+
+@ti.func
+def one_ball(solver: ti.template(), ball: ti.template(), i, now, time):
     """Impacts of ball i with the balls that it lists, then with walls; whether there were any."""
     bounced = 0
     begin = solver.pairs.first[i]
@@ -99,30 +130,34 @@ def one_ball(solver: ti.template(), ball: ti.template(), i, time):
             j = solver.pairs.link[c].other
             n = solver.pairs.row[c].normal
             u = ball[j].v - ball[i].v
-            law = law_of(solver.pairs, i, j)
             pressed = load(solver, i, j, n)
             closing = -(u.dot(n) + pressed)
-            if law.restitution > 0.0 and closing > solver.threshold[0]:
-                bounced = 1
-                other = solver.model.inverse_mass[j]
-                total = (1.0 + law.restitution) * (closing + 0.5 * pressed) / (w + other)
-                p = -total * n
-                if ti.static(solver.model.has_friction):
-                    mass = 1.0 / (w + other)
-                    slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
-                    if ti.static(solver.spins):
-                        u -= solver.pairs.row[c].arm * lever(solver.state.turn[i] + solver.state.turn[j], n)
-                        mass *= solver.tangential
-                    change, _ = contact_law.sliding_impulse(
-                        solver.model, u, n, mass, 0.0 * p, law.friction * total, slip
-                    )
-                    p -= change
-                strike(solver, i, j, c, p)
+            if closing > solver.threshold[0]:
+                law = law_of(solver.pairs, i, j)
+                if law.restitution > 0.0 and bounces_on(solver, i, j, law.restitution):
+                    bounced = 1
+                    solver.rebounds[i] = solver.rebounds[i] + 1
+                    solver.rebounds[j] = solver.rebounds[j] + 1
+                    other = solver.model.inverse_mass[j]
+                    total = (1.0 + law.restitution) * (closing + 0.5 * pressed) / (w + other)
+                    p = -total * n
+                    if ti.static(solver.model.has_friction):
+                        mass = 1.0 / (w + other)
+                        slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
+                        if ti.static(solver.spins):
+                            u -= solver.pairs.row[c].arm * lever(solver.state.turn[i] + solver.state.turn[j], n)
+                            mass *= solver.tangential
+                        change, _ = contact_law.sliding_impulse(
+                            solver.model, u, n, mass, 0.0 * p, law.friction * total, slip
+                        )
+                        p -= change
+                    strike(solver, i, j, c, p)
+                    stir(solver, i, now + 1)
+                    stir(solver, j, now + 1)
     if ti.static(solver.among):
-        bounced |= wall_hits.bounce(solver.walls, ball, solver, i, time)
-    if ti.static(solver.accelerates):
-        if bounced > 0:
-            solver.hit[i] = 1
+        if wall_hits.bounce(solver.walls, ball, solver, i, time) > 0:
+            bounced = 1
+            stir(solver, i, now + 1)
     return bounced
 
 
@@ -161,5 +196,4 @@ def alert(solver: ti.template()):
             if solver.walls.crowded[solver.pairs.grid.order[k]] > 1:
                 solver.mark[b] = 1
                 solver.struck[b] = 1
-                if ti.static(solver.accelerates):
-                    solver.hit[solver.pairs.grid.order[k]] = 1
+                solver.stirred[solver.pairs.grid.order[k]] = 0

@@ -16,6 +16,7 @@ impact of heavy balls it would give way by their speed.
 import taichi as ti
 
 from . import hits, sweeps, wall_hits
+from .pairs import GRAIN
 
 PASSES = 64  # at most, in one step, where masses differ much
 FEW = 8  # elsewhere: what is left then is little, and all that falls onto a pile waits for it
@@ -25,7 +26,64 @@ TINY = 1e-30  # J: below it nothing has changed
 
 @ti.func
 def settle(solver: ti.template(), ball: ti.template()):
-    """Passes over the blocks that were struck and those beside them, on one thread."""
+    """Passes over the blocks that were struck and those beside them."""
+    if ti.static(solver.accelerates):
+        settle_islands(solver, ball)
+    else:
+        settle_blocks(solver, ball)
+
+
+@ti.func
+def settle_blocks(solver: ti.template(), ball: ti.template()):
+    """A few passes, each over the contacts of the balls that the one before still changed fast."""
+    for b in range(solver.pairs.blocks[0]):
+        solver.mark[b] = solver.struck[b]
+    if ti.static(solver.serial):
+        going, now = True, 0
+        while going and now < FEW:
+            going = False
+            for parity in range(2):
+                for g in range((solver.pairs.blocks[0] + 1 - parity) // 2):
+                    if pass_block(solver, ball, 2 * g + parity, now) > 0:
+                        going = True
+            now += 1
+    else:
+        for now in ti.static(range(FEW)):
+            for parity in ti.static(range(2)):
+                for g in range((solver.pairs.blocks[0] + 1 - parity) // 2 * GRAIN):
+                    if g % GRAIN == 0:
+                        pass_block(solver, ball, g // GRAIN * 2 + parity, now)
+
+
+@ti.func
+def pass_block(solver: ti.template(), ball: ti.template(), b, now):
+    """Pass `now` of the contacts of block b, if it or one beside it is marked; notes whether it changed anything fast."""
+    from_, to = now % 2 * solver.most_blocks, (now + 1) % 2 * solver.most_blocks
+    first = ti.select(now == 0, 0, hits.ROUNDS + now)  # so that rounds and passes count on
+    busy = 0
+    if hits.is_near(solver, solver.mark, from_, b):
+        begin = b * solver.pairs.length[0]
+        for k in range(begin, ti.min(begin + solver.pairs.length[0], solver.n)):
+            i = solver.pairs.grid.order[k]
+            if solver.stirred[i] >= first:
+                for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+                    if sweeps.solve_in_turn(solver, ball, i, c, c + 1, 0.0, sweeps.NEXT) > solver.threshold[0]:
+                        busy = 1
+                        hits.stir(solver, i, hits.ROUNDS + now + 1)
+                        hits.stir(solver, solver.pairs.link[c].other, hits.ROUNDS + now + 1)
+                if ti.static(solver.has_walls):
+                    p, t = solver.walls.gather(ball, solver, i, 0.0)
+                    solver.apply(i, p, t)
+                    if solver.model.inverse_mass[i] * p.norm() > solver.threshold[0]:
+                        busy = 1
+                        hits.stir(solver, i, hits.ROUNDS + now + 1)
+    solver.mark[to + b] = busy
+    return busy
+
+
+@ti.func
+def settle_islands(solver: ti.template(), ball: ti.template()):
+    """Many passes, each followed by a line search of every island, on one thread."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         going = False
@@ -33,14 +91,11 @@ def settle(solver: ti.template(), ball: ti.template()):
             if solver.struck[b] > 0:
                 going = True
         if going:
-            if ti.static(solver.accelerates):
-                find_islands(solver)
+            find_islands(solver)
             done = 0
-            most = ti.static(PASSES if solver.accelerates else FEW)
-            while going and done < most:
+            while going and done < PASSES:
                 change = one_pass(solver, ball)
-                if ti.static(solver.accelerates):
-                    extend(solver, ball)
+                extend(solver, ball)
                 going = change > solver.threshold[0]
                 done += 1
 
@@ -60,21 +115,19 @@ def end_of(solver: ti.template(), b):
 
 @ti.func
 def one_pass(solver: ti.template(), ball: ti.template()):
-    """All contacts of the struck blocks in turn; the largest change of a relative velocity [m/s]."""
+    """All contacts of the islands that were struck, in turn; the largest change of a relative velocity [m/s]."""
     most = ti.cast(0.0, float)
-    stage = ti.static(sweeps.SETTLE if solver.accelerates else sweeps.NEXT)
     for b in range(solver.pairs.blocks[0]):
         for k in range(b * solver.pairs.length[0], end_of(solver, b)):
             i = solver.pairs.grid.order[k]
             if is_struck(solver, i):
                 begin = solver.pairs.first[i]
                 end = begin + solver.pairs.touching[i]
-                if ti.static(solver.accelerates):
-                    for c in range(begin, end):
-                        solver.pairs.row[c].noted = solver.pairs.link[c].impulse
-                most = ti.max(most, sweeps.solve_in_turn(solver, ball, i, begin, end, 0.0, stage))
+                for c in range(begin, end):
+                    solver.pairs.row[c].noted = solver.pairs.link[c].impulse
+                most = ti.max(most, sweeps.solve_in_turn(solver, ball, i, begin, end, 0.0, sweeps.SETTLE))
                 if ti.static(solver.has_walls):
-                    if ti.static(solver.among and solver.accelerates):
+                    if ti.static(solver.among):
                         wall_hits.note(solver.walls, i)
                     p, t = solver.walls.gather(ball, solver, i, 0.0)
                     solver.apply(i, p, t)
@@ -84,11 +137,8 @@ def one_pass(solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def is_struck(solver: ti.template(), i):
-    """Whether ball i is pinned, or of an island in which something closed fast; where none are known, of a struck block."""
-    struck = True
-    if ti.static(solver.accelerates):
-        struck = solver.awake[root_of(solver, i)] > 0 or solver.model.inverse_mass[i] == 0.0
-    return struck
+    """Whether ball i is pinned, or of an island in which something closed fast."""
+    return solver.awake[root_of(solver, i)] > 0 or solver.model.inverse_mass[i] == 0.0
 
 
 @ti.func
@@ -130,7 +180,7 @@ def find_islands(solver: ti.template()):
     for b in range(solver.pairs.blocks[0]):
         for k in range(b * solver.pairs.length[0], end_of(solver, b)):
             i = solver.pairs.grid.order[k]
-            if solver.hit[i] > 0:
+            if solver.stirred[i] != hits.CALM:
                 solver.awake[root_of(solver, i)] = 1
                 for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
                     solver.awake[root_of(solver, solver.pairs.link[c].other)] = 1

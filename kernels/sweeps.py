@@ -101,6 +101,10 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             if ti.static(solver.strikes):
                 if (ball[j].v - ball[i].v).dot(n) < -hits.ALERT * solver.threshold[0]:
                     fast = 1
+                    solver.stirred[i] = 0
+                pairs.row[end].lister = i
+                pairs.row[end].next = pairs.latest[j]
+                pairs.latest[j] = end
             if ti.static(not solver.split):
                 pairs.row[end].mass = 1.0 / (w + solver.model.inverse_mass[j])
             if ti.static(solver.spins):
@@ -126,8 +130,6 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
         elif ti.static(solver.warm):
             forget(pairs, e)
     pairs.touching[i] = end - begin
-    if ti.static(solver.accelerates):
-        solver.hit[i] = fast
     if ti.static(solver.warm):
         add(solver, solver.carry, i, w * total)
         if ti.static(solver.spins):

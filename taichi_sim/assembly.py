@@ -159,15 +159,18 @@ class Assembly:
         unequal = rule == "gauss_seidel" and len(mass) > 0 and bool(mass.max() > UNEQUAL * mass.min())
         most = self._spare_bytes() // PAIR_BYTES
         grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
+        strikes = pairs and rule == "gauss_seidel" and not sticks and not facets  # impacts one by one
         pair_part = (
-            Pairs(self.model, self.fields, grid, warm, soft, unequal, self.room.pairs) if grid is not None else None
+            Pairs(self.model, self.fields, grid, warm, soft, unequal, strikes, self.room.pairs)
+            if grid is not None
+            else None
         )
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
         # they may do work
         pushed = (self.colliders is not None and self.colliders.moves) or bool(scene.moving_pins)
         tames = pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets))
         # walls take their turn with pairs
-        among = soft or (pairs and rule == "gauss_seidel" and not sticks and not facets)
+        among = soft or strikes
         wall_part = (
             Walls(self.model, self.state, self.fields, self.threshold, among, pairs, self.colliders, tames)
             if walled

@@ -28,13 +28,21 @@ class Pairs:
     `row` holds what only one step needs: normal, depth [m], mass [kg], target speed [m/s], or, where impacts are resolved in
     turn, the impulse held before the solve [N s]. warm: contacts start from the
     impulses of the step before. soft: they are damped springs, see kernels.contact_law. unequal: masses differ much.
-    room: links that are known to be needed.
+    linked: each ball also knows the rows in which others list it. room: links that are known to be needed.
     """
 
     what = "pairs of balls within reach of each other"
 
     def __init__(
-        self, model: Model, fields: Fields, grid: Grid, warm: bool, soft: bool, unequal: bool, room: int = 0
+        self,
+        model: Model,
+        fields: Fields,
+        grid: Grid,
+        warm: bool,
+        soft: bool,
+        unequal: bool,
+        linked: bool,
+        room: int = 0,
     ) -> None:
         scene = model.scene
         self.model, self.grid, self.warm, self.soft = model, grid, warm, soft
@@ -61,6 +69,11 @@ class Pairs:
             columns["target"] = fields.real
         if unequal:
             columns["noted"] = fields.real  # impulse before the last pass, see kernels.settle
+        if linked:
+            columns["lister"] = columns["next"] = (
+                ti.i32
+            )  # the ball whose row it is; the next row with the same other ball
+            self.latest = fields.integers(model.n)  # the first of these
         if model.spins:
             columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
         self.row = fields.table(columns, self.capacity)

@@ -38,8 +38,7 @@ class ContactSolver:
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
         which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
-        overlap is undone by offsets. loaded: forces may press single balls against each other. tames: bouncing may not add
-        kinetic energy, see kernels.taming.
+        overlap is undone by offsets. loaded: forces may press single balls together. tames: see kernels.taming.
     """
 
     def __init__(
@@ -78,7 +77,6 @@ class ContactSolver:
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_facets, self.has_rows = facets is not None, bool(self.rows)
         self.has_colliders = walls is not None and walls.has_colliders
-        self.spins = model.spins
         self.strikes = self.in_turn and self.has_grid and not self.has_rows  # impacts one by one, see kernels.hits
         self.bounces = self.strikes and model.has_restitution
         self.foresees = self.strikes and self.soft and not self.bounces  # what bounces has to touch first
@@ -87,7 +85,7 @@ class ContactSolver:
         self.among = walls is not None and walls.crowds  # walls take their turn in the impacts of pairs
         # by their directions, not only their number; friction pushes sideways as well
         self.by_tensor = self.active and self.split and not model.has_friction
-        self.turning = model.turning  # turn gained per unit of velocity that an impulse at the surface gives: 1 / kappa
+        self.spins, self.turning = model.spins, model.turning  # turn per velocity that an impulse gives: 1 / kappa
         self.tangential = 1.0 / (1.0 + model.turning)
         self.sums = self.has_rows or not self.in_turn  # some impulses are accumulated before they are applied
         self.has_offset = self.active and (not self.soft or self.has_rows or self.has_walls)
@@ -101,12 +99,13 @@ class ContactSolver:
             if self.strikes:
                 self.most_blocks = model.n // BLOCK + 2
                 self.mark, self.struck = fields.integers(2 * self.most_blocks), fields.integers(self.most_blocks)
+                self.stirred, self.rebounds = fields.integers(self.n), fields.integers(self.n)  # see kernels.hits
             if self.accelerates:  # see kernels.settle
-                self.island, self.way = fields.integers(self.n), fields.vectors(self.n, model.dim)
-                self.hit, self.awake = fields.integers(self.n), fields.integers(self.n)
+                self.island, self.awake = fields.integers(self.n), fields.integers(self.n)
+                self.way = fields.vectors(self.n, model.dim)
                 self.slope, self.bend, self.far = (fields.reals(self.n) for _ in range(3))
             if self.loaded:
-                self.still, self.kicked = (fields.vectors(self.n, model.dim) for _ in range(2))
+                self.still, self.kicked = fields.vectors(self.n, model.dim), fields.vectors(self.n, model.dim)
             if self.has_sticks:
                 self.thin = fields.reals(np.array([(THIN * float(np.min(model.scene.radius))) ** 2]))
             if self.has_offset:
@@ -186,7 +185,7 @@ class ContactSolver:
         if ti.static(self.has_facets):
             surfaces.detect(self.facets, self, ball)
         if ti.static(self.has_grid):
-            if ti.static(self.warm or self.counts):
+            if ti.static(self.warm or self.counts or self.strikes):
                 for i in range(self.n):
                     self._clear(i)
             sweeps.sweep(self, ball, 0.0, sweeps.MEASURE)
@@ -213,6 +212,8 @@ class ContactSolver:
     @ti.func
     def _clear(self, i):
         """Nothing is summed yet of what pairs do to ball i."""
+        if ti.static(self.strikes):
+            self.stirred[i], self.rebounds[i], self.pairs.latest[i] = hits.CALM, 0, hits.NO_ROW
         if ti.static(self.counts):
             self.count[i] = 0
         if ti.static(self.by_tensor):
