@@ -89,6 +89,7 @@ class Summary:
                 f"error        {e.estimate:.2g} of {e.size:.3g} m so far, {e.tolerance:g} a second asked;"
                 f" {e.least} to {e.most} substeps"
                 + (f", begun anew {e.repeated} times" if e.repeated else "")
+                + (f"; no promise from t = {e.unsure:.4g} s on, many contacts at once" if e.unsure is not None else "")
                 + (f"; not kept from t = {e.lost:.4g} s on" if e.lost is not None else "")
             )
         if self.solver is not None:
