@@ -5,6 +5,7 @@ A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie t
 
 import taichi as ti
 
+from . import held
 from .direction import unit
 from .entries import list_entries
 from .grid import FINE, bucket_of, cell_of, clip, inverse_cell, largest, run, same_row, table
@@ -134,7 +135,9 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
 
 @ti.func
 def detect(sticks: ti.template(), ball: ti.template()):
-    """Rows of all sticks, then for each ball the list of its places in them."""
+    """Rows of all sticks, with what they held under the last list, then for each ball the list of its places in them."""
+    if ti.static(sticks.warm):
+        held.store(sticks)
     sticks.used[0] = 0
     for s in range(ti.select(sticks.grid.work[0] > 0, sticks.m, 0)):  # none where the grid gave up
         found = walk(sticks, ball, s, 0, False)
@@ -146,6 +149,13 @@ def detect(sticks: ti.template(), ball: ti.template()):
                 walk(sticks, ball, s, first, True)
             else:
                 ti.atomic_max(sticks.overflow[0], first + found)
+                found = 0
+        if ti.static(sticks.warm):
+            for c in range(first, first + found):
+                g, n, _ = geometry(sticks, ball, sticks.row[c])
+                sticks.row[c].speed = sticks.relative_velocity(ball, sticks.row[c], g).dot(n)
+                held.recall(sticks, s, c, n)
+            sticks.begin[s], sticks.length[s] = first, found
     list_entries(sticks)
 
 

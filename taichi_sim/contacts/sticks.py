@@ -6,7 +6,7 @@ import taichi as ti
 from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.walls import SLOP
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, survey
+from taichi_sim.kernels import contact_law, held, survey
 from taichi_sim.kernels import sticks as loops
 from taichi_sim.kernels.direction import cross, lever
 from taichi_sim.kernels.sweeps import zero_turn
@@ -21,7 +21,11 @@ MOST = 1 << 29  # rows; each has three entries
 @ti.data_oriented
 class Sticks:
     """Ball-stick contacts: the stick is its two end balls, each taking part by how near the hit is. room: rows known to be
-    needed."""
+    needed.
+
+    `row` holds a pair, its target speed [m/s] and what it holds, from step to step where that is `warm`: see kernels.held. `push`
+    [N s]: what is to be applied to its ball; the ends get their parts of the reverse.
+    """
 
     what = "balls that touch sticks"
     places = 3
@@ -36,11 +40,15 @@ class Sticks:
         usual = max(MINIMUM_CAPACITY if model.n > 64 else self.m * model.n, 4 * (model.n + self.m))
         self.capacity = max(room, usual)
         before = fields.bytes
-        self.row = fields.table(
-            {"ball": ti.i32, "stick": ti.i32, "target": fields.real, "held": fields.real}, self.capacity
-        )
-        self.impulse = fields.vectors(self.capacity, model.dim)
-        self.slide = fields.vectors(self.capacity, model.dim)
+        self.warm = pairs.warm
+        real, vector = fields.real, ti.types.vector(model.dim, fields.real)
+        holds = {"impulse": real, **({"slide": vector} if model.has_friction else {})}
+        seen = dict.fromkeys(("start", "gained", "speed"), real) if self.warm else {}
+        self.row = fields.table({"ball": ti.i32, "stick": ti.i32, "target": real, **holds, **seen}, self.capacity)
+        if self.warm:
+            self.old = fields.table({"other": ti.i32, **holds}, self.capacity)
+            self.begin, self.length = fields.integers(self.m), fields.integers(self.m)
+        self.push = fields.vectors(self.capacity, model.dim)
         self.entry = fields.integers(3 * self.capacity)
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number = fields.integers(model.n), fields.integers(model.n)
@@ -49,6 +57,11 @@ class Sticks:
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
         return ["sticks"]
+
+    def forget(self) -> None:
+        """Nothing is held from before, once sticks are looked at again."""
+        if self.warm:
+            self.length.fill(0)
 
     @ti.func
     def detect(self, ball: ti.template()):
@@ -85,14 +98,24 @@ class Sticks:
 
     @ti.func
     def begin_rows(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """Fix the target speed of every row; nothing is held from before."""
+        """Fix the target speed of every row, and what it starts with."""
         for c in range(ti.min(self.used[0], self.capacity)):
             g, n, _ = loops.geometry(self, ball, self.row[c])
             u = self.relative_velocity(ball, self.row[c], g).dot(n)
             law = self.law(self.row[c])
             self.row[c].target = contact_law.target_speed(u, law.restitution, solver.threshold[0], impacts)
-            self.row[c].held = 0.0 * u
-            self.slide[c] = 0.0 * n
+            held.start(self, solver, c, u, n)
+
+    @ti.func
+    def end_rows(self, ball: ti.template()):
+        """Keep of what rows hold what may be a load."""
+        for c in range(ti.min(self.used[0], self.capacity)):
+            row = self.row[c]
+            g, n, _ = loops.geometry(self, ball, row)
+            inverse = self.model.inverse_mass[row.ball]
+            inverse += self.model.inverse_mass[self.one[row.stick]] * g[1] * g[1]
+            inverse += self.model.inverse_mass[self.two[row.stick]] * g[2] * g[2]
+            held.limit(self, c, inverse, self.relative_velocity(ball, row, g).dot(n))
 
     @ti.func
     def solve_rows(self, ball: ti.template(), solver: ti.template(), time):
@@ -103,9 +126,9 @@ class Sticks:
             u = self.relative_velocity(ball, row, g)
             inverse = self.inverse_mass(solver, row, g)
             mass = 1.0 / inverse
-            total = contact_law.normal_impulse(u.dot(n), row.target, mass, row.held)
-            self.impulse[c] = (total - row.held) * n
-            self.row[c].held = total
+            total = contact_law.normal_impulse(u.dot(n), row.target, mass, row.impulse)
+            p = (total - row.impulse) * n
+            self.row[c].impulse = total
             if ti.static(self.model.has_friction):
                 law = self.law(row)
                 slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold[0], u, time)
@@ -113,10 +136,11 @@ class Sticks:
                     u -= lever(solver.state.turn[row.ball], n)
                     mass = 1.0 / (inverse + solver.turning * solver.lightness[row.ball])
                 change, slide = contact_law.sliding_impulse(
-                    self.model, u, n, mass, self.slide[c], law.friction * total, slip
+                    self.model, u, n, mass, row.slide, law.friction * total, slip
                 )
-                self.slide[c] = slide
-                self.impulse[c] = (total - row.held) * n + change
+                self.row[c].slide = slide
+                p += change
+            self.push[c] = p
 
     @ti.func
     def relative_velocity(self, ball: ti.template(), row, g):
@@ -142,11 +166,11 @@ class Sticks:
         p, t = ti.Vector.zero(float, self.model.dim), zero_turn(solver)
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c = self.entry[e] // 3
-            p += self.weight(ball, self.entry[e]) * self.impulse[c]
+            p += self.weight(ball, self.entry[e]) * self.push[c]
             if ti.static(solver.spins):
                 if self.entry[e] % 3 == 0:
                     _, n, _ = loops.geometry(self, ball, self.row[c])
-                    t -= cross(n, self.impulse[c])
+                    t -= cross(n, self.push[c])
         return p, t
 
     @ti.func
