@@ -150,25 +150,28 @@ def detect(sticks: ti.template(), ball: ti.template()):
             else:
                 ti.atomic_max(sticks.overflow[0], first + found)
                 found = 0
-        if ti.static(sticks.warm):
-            for c in range(first, first + found):
-                g, n, _ = geometry(sticks, ball, sticks.row[c])
-                sticks.row[c].speed = sticks.relative_velocity(ball, sticks.row[c], g).dot(n)
-                held.recall(sticks, s, c, n)
-            sticks.begin[s], sticks.length[s] = first, found
+        for c in range(first, first + found):
+            measure(sticks, ball, c)
+            if ti.static(sticks.warm):
+                row = sticks.row[c]
+                sticks.row[c].speed = sticks.relative_velocity(ball, row).dot(row.normal)
+                held.recall(sticks, s, c, row.normal)
+        sticks.begin[s], sticks.length[s] = first, found
     list_entries(sticks)
 
 
 @ti.func
-def geometry(sticks: ti.template(), ball: ti.template(), row):
-    """Weights of ball, end one and end two, the normal from stick to ball, and the distance."""
+def measure(sticks: ti.template(), ball: ti.template(), c):
+    """Where on the stick row c is, the normal from stick to ball, and the distance."""
+    row = sticks.row[c]
     one, two = sticks.one[row.stick], sticks.two[row.stick]
     t, r = closest(ball[row.ball].x, ball[one].x, ball[two].x)
-    t = ti.max(0.0, ti.min(1.0, t))
     n, d = unit(r, row.stick, row.ball)
     if d == 0.0:  # the centre lies on the stick: any direction across it
         n = across(ball[two].x - ball[one].x)
-    return ti.Vector([1.0 + 0.0 * t, t - 1.0, -t]), n, d
+    sticks.row[c].at = ti.max(0.0, ti.min(1.0, t))
+    sticks.row[c].normal = n
+    sticks.row[c].distance = d
 
 
 @ti.func
