@@ -215,9 +215,10 @@ def near(colliders: ti.template(), k, x, reach):
 
 
 @ti.func
-def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since, limit, settled, floor):
+def meeting(walls: ti.template(), colliders: ti.template(), i, k, face, x, v, a, since, limit, settled, floor):
     """First time within `limit` seconds at which ball i, on a parabola from x that begins `since` seconds into the step, meets
-    collider k: the time, and whether it meets it (1), does not (0), or is not known beyond that time (-1).
+    collider k, or that face of a hollow box around it, where it is not -1: the time, and whether it meets it (1), does not (0),
+    or is not known beyond that time (-1).
 
     A solid that is convex cannot be reached before the plane that touches it where it is nearest: each such plane is treated
     as a wall, which is exact for faces and converges like Newton's method for the rest. A mesh, and what is hollow seen from
@@ -249,6 +250,9 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
             at = x + t * (v + 0.5 * t * a)
             p = local(colliders, k, at, since + t)
             d, n, within = distance(colliders, k, p)
+            if ti.static(colliders.has_faces):
+                if face >= 0:
+                    d, n = face_distance(colliders, k, face, p, d, n, face >= 0)
             gap = d - r
             if looks == 0 and CAREFUL * gap > fastest * limit:
                 done = True
@@ -277,7 +281,7 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, x, v, a, since
                 else:
                     left, above = t, gap
                     step = 2.0 * limit
-                    solid = not within
+                    solid = face >= 0 or not within
                     if ti.static(colliders.has_mesh):
                         solid = solid and colliders.shape[k].kind != MESH
                     if solid:
@@ -320,14 +324,24 @@ def allowance(walls: ti.template(), i, k, n, settled, floor):
 
 @ti.func
 def first_collider(walls: ti.template(), i, x, v, a, since, limit, settled, floor):
-    """Earliest of all colliders that ball i meets: its number, -1 for none, -2 where the way is not known; and the time."""
+    """Earliest of all colliders that ball i meets: its key (number times `faces`, and the face of a hollow box around the ball),
+    -1 for none, -2 where the way is not known; and the time. Each face for itself: that on which a ball rolls is the nearest one
+    all the way, and hides the next."""
     hit = -1
     time = limit
     if walls.model.inverse_mass[i] > 0.0:
         for k in range(walls.colliders.count):
             if walls.colliders.minds(walls.model, i, k):
-                found, t = meeting(walls, walls.colliders, i, k, x, v, a, since, time, settled, floor)
-                if found != 0 and t < time:
-                    time = t
-                    hit = ti.select(found == 1, k, -2)
+                several = 0
+                if ti.static(walls.colliders.has_faces):
+                    if walls.colliders.shape[k].kind == BOX:
+                        far, away, inside = distance(walls.colliders, k, local(walls.colliders, k, x, since))
+                        if inside:
+                            several = 1
+                for face in range(ti.select(several == 1, walls.faces, 1)):
+                    which = ti.select(several == 1, face, -1)
+                    found, t = meeting(walls, walls.colliders, i, k, which, x, v, a, since, time, settled, floor)
+                    if found != 0 and t < time:
+                        time = t
+                        hit = ti.select(found == 1, k * walls.faces + face, -2)
     return hit, time

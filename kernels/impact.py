@@ -6,7 +6,7 @@ so an elastic bounce loses nothing. A scheme without acceleration inside the ste
 
 import taichi as ti
 
-from .colliders import distance, first_collider, local, surface_velocity, world
+from .colliders import first_collider, surface_velocity
 from .contact_law import decayed
 from .direction import cross, lever
 from .parabola import crossing
@@ -75,19 +75,20 @@ def is_caught(law, u, press, threshold, h):
 
 
 @ti.func
-def surface(walls: ti.template(), k, x, after):
-    """Direction from collider k to a ball at x that touches it `after` seconds into the step, and its velocity there."""
-    d, n, _ = distance(walls.colliders, k, local(walls.colliders, k, x, after))
-    n = world(walls.colliders, k, n, after)
+def surface(walls: ti.template(), key, x, after):
+    """Direction from a collider, or a face of it, see kernels.colliders.first_collider, to a ball at x that touches it `after`
+    seconds into the step, and its velocity there."""
+    k = key // walls.faces
+    d, n, _ = walls.colliders.distance(k, key % walls.faces, x, after)
     return n, surface_velocity(walls.colliders, k, x - d * n, after)
 
 
 @ti.func
-def strike(walls: ti.template(), i, k, x, v, a, after, threshold, h):
-    """Velocity and acceleration of ball i after it met collider k `after` seconds into the step, whether it rests on it, and
+def strike(walls: ti.template(), i, key, x, v, a, after, threshold, h):
+    """Velocity and acceleration of ball i after it met a collider `after` seconds into the step, whether it rests on it, and
     the normal there."""
-    n, own = surface(walls, k, x, after)
-    law = walls.law_with(i, walls.colliders.shape[k].surface)
+    n, own = surface(walls, key, x, after)
+    law = walls.law_with(i, walls.colliders.shape[key // walls.faces].surface)
     u = n.dot(v - own)
     speed, pull = v, a
     rests = True  # what does not approach
@@ -98,9 +99,9 @@ def strike(walls: ti.template(), i, k, x, v, a, after, threshold, h):
 
 
 @ti.func
-def pushed(walls: ti.template(), k, x, after, time):
-    """Displacement of a ball at x, which collider k touches `after` seconds into the step and pushes before it for `time`."""
-    n, own = surface(walls, k, x, after)
+def pushed(walls: ti.template(), key, x, after, time):
+    """Displacement of a ball at x, which a collider touches `after` seconds into the step and pushes before it for `time`."""
+    n, own = surface(walls, key, x, after)
     return time * ti.max(0.0, n.dot(own)) * n
 
 
@@ -177,7 +178,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
             far = 0.0 * t
             if ti.static(walls.has_colliders):
                 if other >= 0:
-                    far = walls.colliders.far(other)
+                    far = walls.colliders.far(other // walls.faces)
             waits = swift and (other != -1 or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
             if waits:
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
@@ -196,12 +197,12 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                             walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
                         )
                         if rests:
-                            settled = other
+                            settled = other // walls.faces
                             floor = n
                         remaining -= t
                         if ti.static(walls.told):
                             change = speed - came + remaining * (pull - load)
-                            walls.received.add(i, walls.received.solid[other], change / walls.model.inverse_mass[i])
+                            walls.received.add(i, walls.received.solid[other // walls.faces], change / walls.model.inverse_mass[i])
                     else:
                         remaining = 0.0
                 touched = True

@@ -18,7 +18,7 @@ def shares(solver: ti.template(), ball: ti.template(), i):
         T += t
         count += c
     if ti.static(solver.has_sticks and solver.rule != "sum"):
-        t, c = solver.sticks.shares(ball, i)
+        t, c = solver.sticks.shares(i)
         T += t
         count += c
     if ti.static(solver.has_facets and solver.rule != "sum"):

@@ -5,6 +5,7 @@ A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie t
 
 import taichi as ti
 
+from . import held
 from .direction import unit
 from .entries import list_entries
 from .grid import FINE, bucket_of, cell_of, clip, inverse_cell, largest, run, same_row, table
@@ -134,7 +135,9 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
 
 @ti.func
 def detect(sticks: ti.template(), ball: ti.template()):
-    """Rows of all sticks, then for each ball the list of its places in them."""
+    """Rows of all sticks, with what they held under the last list, then for each ball the list of its places in them."""
+    if ti.static(sticks.warm):
+        held.store(sticks)
     sticks.used[0] = 0
     for s in range(ti.select(sticks.grid.work[0] > 0, sticks.m, 0)):  # none where the grid gave up
         found = walk(sticks, ball, s, 0, False)
@@ -146,19 +149,29 @@ def detect(sticks: ti.template(), ball: ti.template()):
                 walk(sticks, ball, s, first, True)
             else:
                 ti.atomic_max(sticks.overflow[0], first + found)
+                found = 0
+        for c in range(first, first + found):
+            measure(sticks, ball, c)
+            if ti.static(sticks.warm):
+                row = sticks.row[c]
+                sticks.row[c].speed = sticks.relative_velocity(ball, row).dot(row.normal)
+                held.recall(sticks, s, c, row.normal)
+        sticks.begin[s], sticks.length[s] = first, found
     list_entries(sticks)
 
 
 @ti.func
-def geometry(sticks: ti.template(), ball: ti.template(), row):
-    """Weights of ball, end one and end two, the normal from stick to ball, and the distance."""
+def measure(sticks: ti.template(), ball: ti.template(), c):
+    """Where on the stick row c is, the normal from stick to ball, and the distance."""
+    row = sticks.row[c]
     one, two = sticks.one[row.stick], sticks.two[row.stick]
     t, r = closest(ball[row.ball].x, ball[one].x, ball[two].x)
-    t = ti.max(0.0, ti.min(1.0, t))
     n, d = unit(r, row.stick, row.ball)
     if d == 0.0:  # the centre lies on the stick: any direction across it
         n = across(ball[two].x - ball[one].x)
-    return ti.Vector([1.0 + 0.0 * t, t - 1.0, -t]), n, d
+    sticks.row[c].at = ti.max(0.0, ti.min(1.0, t))
+    sticks.row[c].normal = n
+    sticks.row[c].distance = d
 
 
 @ti.func

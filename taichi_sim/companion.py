@@ -48,7 +48,7 @@ class Companion:
             {"x": ti.types.vector(state.dim, fields.real)}, self.n
         )  # the companion, to be compared
         self.pairs = contacts.pairs if contacts.pairs is not None and contacts.pairs.warm else None
-        self.has_pairs = self.pairs is not None
+        self.sticks = contacts.sticks if contacts.sticks is not None and contacts.sticks.warm else None
         self.held = self._memory(contacts)
         self.held_stored = [_like_table(field, STORED, fields) for field in self.held]
         self.sizes = [field.shape[0] for field in self.held]
@@ -64,19 +64,26 @@ class Companion:
     def _memory(self, contacts: ContactSolver) -> list[Any]:
         """Fields that say what contacts hold: all that one step hands to the next where `prime` follows."""
         found: list[Any] = []
+        self.lists: dict[int, tuple[int, int]] = {}  # by number of a table: that of how much of it is used, beyond what always is
         if self.pairs is not None:
+            self.lists[1] = (0, self.pairs.pool)
             found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.touching]
+        if self.sticks is not None:
+            self.lists[len(found) + 1] = (len(found), 0)
+            found += [self.sticks.used, self.sticks.row, self.sticks.begin, self.sticks.length]
         if contacts.walls is not None:
             found.append(contacts.walls.contact)
             found += [contacts.walls.held] if contacts.walls.has_colliders else []
         return found
 
     @ti.func
-    def _entries(self, k: ti.template(), used):
-        """How much of field k is in use: lists of pairs have far more room than they need."""
-        entries = 0 * used + ti.static(self.sizes[k])
-        if ti.static(self.has_pairs and k == 1):
-            entries = ti.min(entries, self.pairs.pool + used)
+    def _entries(self, k: ti.template(), tables: ti.template(), moment):
+        """How much of field k is in use: lists have far more room than they need."""
+        entries = 0 * moment + ti.static(self.sizes[k])
+        if ti.static(k in self.lists):
+            entries = ti.min(
+                entries, ti.static(self.lists[k][1]) + tables[ti.static(self.lists[k][0])][moment]
+            )
         return entries
 
     @ti.kernel
@@ -88,7 +95,7 @@ class Companion:
                 self.stored[k][into * self.n + i] = self.live[k][i]
         for k in ti.static(range(len(self.held))):
             ti.loop_config(serialize=self.serial)
-            for i in range(self._entries(k, self.held[0][0] if ti.static(self.has_pairs) else 0)):
+            for i in range(self._entries(k, self.held, 0)):
                 self.held_stored[k][into * ti.static(self.sizes[k]) + i] = self.held[k][i]
 
     @ti.kernel
@@ -100,7 +107,7 @@ class Companion:
                 self.live[k][i] = self.stored[k][out * self.n + i]
         for k in ti.static(range(len(self.held))):
             ti.loop_config(serialize=self.serial)
-            for i in range(self._entries(k, self.held_stored[0][out] if ti.static(self.has_pairs) else 0)):
+            for i in range(self._entries(k, self.held_stored, out)):
                 held = self.held_stored[k][out * ti.static(self.sizes[k]) + i]
                 if ti.static("impulse" in self.scaled[k]):
                     held.impulse = ratio * held.impulse
@@ -117,7 +124,7 @@ class Companion:
                 self.stored[k][into * self.n + i] = self.stored[k][out * self.n + i]
         for k in ti.static(range(len(self.held))):
             ti.loop_config(serialize=self.serial)
-            for i in range(self._entries(k, self.held_stored[0][out] if ti.static(self.has_pairs) else 0)):
+            for i in range(self._entries(k, self.held_stored, out)):
                 size = ti.static(self.sizes[k])
                 self.held_stored[k][into * size + i] = self.held_stored[k][out * size + i]
 

@@ -14,7 +14,7 @@ from taichi_sim.contacts.pairs import BLOCK, Pairs
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, hits, settle, sharing, surfaces, sweeps, swept, taming
+from taichi_sim.kernels import contact_law, held, hits, settle, sharing, surfaces, sweeps, swept, taming
 from taichi_sim.model import Model
 from taichi_sim.scene import bounciest
 from taichi_sim.state import State
@@ -139,8 +139,8 @@ class ContactSolver:
 
     def forget(self) -> None:
         """Hold nothing from before: balls were put elsewhere, where the load is another one. `prime` has to follow."""
-        if self.pairs is not None:
-            self.pairs.forget()
+        for part in self.searched:
+            part.forget()
         if self.walls is not None:
             self.walls.contact.impulse.fill(0)
             if self.model.has_friction:
@@ -155,15 +155,11 @@ class ContactSolver:
     @ti.kernel
     def _scale_held(self, ratio: float):
         if ti.static(self.has_grid):
-            for e in range(self.pairs.capacity):
-                self.pairs.link[e].impulse = ratio * self.pairs.link[e].impulse
-                if ti.static(self.model.has_friction):
-                    self.pairs.link[e].slide = ratio * self.pairs.link[e].slide
+            held.scale(self.pairs.link, self.pairs.capacity, ratio, self.model.has_friction)
+        if ti.static(self.has_sticks):
+            held.scale(self.sticks.row, self.sticks.capacity, ratio, self.model.has_friction)
         if ti.static(self.has_walls):
-            for e in range(self.n * self.walls.count):
-                self.walls.contact[e].impulse = ratio * self.walls.contact[e].impulse
-                if ti.static(self.model.has_friction):
-                    self.walls.contact[e].slide = ratio * self.walls.contact[e].slide
+            held.scale(self.walls.contact, self.n * self.walls.count, ratio, self.model.has_friction)
 
     @ti.func
     def refresh(self, ball: ti.template()):
@@ -265,6 +261,8 @@ class ContactSolver:
             elif ti.static(self.tames):  # what carried an impact is no load that rests: one pass may not undo it
                 taming.compare_with_before(self)
                 taming.tame(self, ball)
+            if ti.static(self.has_sticks and self.warm):
+                self.sticks.end_rows(ball)
 
     @ti.func
     def relax(self, ball: ti.template(), time):
@@ -290,6 +288,9 @@ class ContactSolver:
                 self.before_turn[i] = self.state.turn[i]
             if ti.static(self.has_walls):
                 self.walls.begin(ball, self, i, impacts, True)
+            if ti.static(self.has_sticks and self.warm):
+                p, t = self.sticks.gather(ball, self, i)
+                self.apply(i, p, t)
             if ti.static(self.has_grid and self.warm):
                 self.state.kick(i, self.carry[i])
                 if ti.static(self.spins):

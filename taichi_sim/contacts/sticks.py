@@ -6,9 +6,9 @@ import taichi as ti
 from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.walls import SLOP
 from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, survey
+from taichi_sim.kernels import along, contact_law, held, survey
 from taichi_sim.kernels import sticks as loops
-from taichi_sim.kernels.direction import cross, lever
+from taichi_sim.kernels.direction import cross
 from taichi_sim.kernels.sweeps import zero_turn
 from taichi_sim.model import Model
 
@@ -21,7 +21,12 @@ MOST = 1 << 29  # rows; each has three entries
 @ti.data_oriented
 class Sticks:
     """Ball-stick contacts: the stick is its two end balls, each taking part by how near the hit is. room: rows known to be
-    needed."""
+    needed.
+
+    `row` holds a pair: the normal from stick to ball, where on the stick (0 to 1) and how far off [m], its target speed [m/s] and
+    what it holds, from step to step where that is `warm`: see kernels.held and kernels.along. `push` [N s]: what is to be applied
+    to its ball; the ends get their parts of the reverse. The rows of a stick lie at `begin`, `length` of them.
+    """
 
     what = "balls that touch sticks"
     places = 3
@@ -36,11 +41,16 @@ class Sticks:
         usual = max(MINIMUM_CAPACITY if model.n > 64 else self.m * model.n, 4 * (model.n + self.m))
         self.capacity = max(room, usual)
         before = fields.bytes
-        self.row = fields.table(
-            {"ball": ti.i32, "stick": ti.i32, "target": fields.real, "held": fields.real}, self.capacity
-        )
-        self.impulse = fields.vectors(self.capacity, model.dim)
-        self.slide = fields.vectors(self.capacity, model.dim)
+        self.warm = pairs.warm
+        real, vector = fields.real, ti.types.vector(model.dim, fields.real)
+        holds = {"impulse": real, **({"slide": vector} if model.has_friction else {})}
+        seen = dict.fromkeys(("start", "gained", "speed"), real) if self.warm else {}
+        found = {"ball": ti.i32, "stick": ti.i32, "normal": vector, **dict.fromkeys(("at", "distance"), real)}
+        self.row = fields.table({**found, **dict.fromkeys(("target", "noted"), real), **holds, **seen}, self.capacity)
+        self.begin, self.length = fields.integers(self.m), fields.integers(self.m)
+        if self.warm:
+            self.old = fields.table({"other": ti.i32, **holds}, self.capacity)
+        self.push = fields.vectors(self.capacity, model.dim)
         self.entry = fields.integers(3 * self.capacity)
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number = fields.integers(model.n), fields.integers(model.n)
@@ -49,6 +59,11 @@ class Sticks:
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
         return ["sticks"]
+
+    def forget(self) -> None:
+        """Nothing is held from before, once sticks are looked at again."""
+        if self.warm:
+            self.length.fill(0)
 
     @ti.func
     def detect(self, ball: ti.template()):
@@ -69,59 +84,60 @@ class Sticks:
         return a > b or (a == b and entry > other)
 
     @ti.func
-    def shares(self, ball: ti.template(), i):
-        """Sum of n n^T over the rows of ball i, and their number."""
+    def shares(self, i):
+        """What decides into how many parts ball i splits its mass, see kernels.sharing: one for each stick, whose rows know of
+        each other. As an end it may be pushed in any direction by one."""
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+        count, before = 0, -1
         for e in range(self.first[i], self.first[i] + self.number[i]):
-            _, n, _ = loops.geometry(self, ball, self.row[self.entry[e] // 3])
-            T += n.outer_product(n)
-        return T, self.number[i]
-
-    @ti.func
-    def inverse_mass(self, solver: ti.template(), row, g):
-        """sum w_i g_i^2 s_i over the three balls."""
-        one, two = self.one[row.stick], self.two[row.stick]
-        return solver.lightness[row.ball] + solver.lightness[one] * g[1] * g[1] + solver.lightness[two] * g[2] * g[2]
+            row = self.row[self.entry[e] // 3]
+            if row.stick != before:  # they lie together
+                count += 1
+                if self.entry[e] % 3 == 0:
+                    T += row.normal.outer_product(row.normal)
+                else:
+                    T += ti.Matrix.identity(float, self.model.dim)
+            before = row.stick
+        return T, count
 
     @ti.func
     def begin_rows(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """Fix the target speed of every row; nothing is held from before."""
+        """Fix the target speed of every row, and what it starts with."""
         for c in range(ti.min(self.used[0], self.capacity)):
-            g, n, _ = loops.geometry(self, ball, self.row[c])
-            u = self.relative_velocity(ball, self.row[c], g).dot(n)
-            law = self.law(self.row[c])
-            self.row[c].target = contact_law.target_speed(u, law.restitution, solver.threshold[0], impacts)
-            self.row[c].held = 0.0 * u
-            self.slide[c] = 0.0 * n
+            row = self.row[c]
+            u = self.relative_velocity(ball, row).dot(row.normal)
+            e = self.law(row).restitution
+            self.row[c].target = contact_law.target_speed(u, e, solver.threshold[0], impacts)
+            held.start(self, solver, c, u, row.normal)
+
+    @ti.func
+    def end_rows(self, ball: ti.template()):
+        """Keep of what rows hold what may be a load."""
+        for c in range(ti.min(self.used[0], self.capacity)):
+            row = self.row[c]
+            inverse = self.model.inverse_mass[row.ball]
+            inverse += self.model.inverse_mass[self.one[row.stick]] * (1.0 - row.at) ** 2
+            inverse += self.model.inverse_mass[self.two[row.stick]] * row.at**2
+            held.limit(self, c, inverse, self.relative_velocity(ball, row).dot(row.normal))
 
     @ti.func
     def solve_rows(self, ball: ti.template(), solver: ti.template(), time):
-        """Further impulse of every row from the present velocities; viscous friction acts for `time` seconds."""
-        for c in range(ti.min(self.used[0], self.capacity)):
-            row = self.row[c]
-            g, n, _ = loops.geometry(self, ball, row)
-            u = self.relative_velocity(ball, row, g)
-            inverse = self.inverse_mass(solver, row, g)
-            mass = 1.0 / inverse
-            total = contact_law.normal_impulse(u.dot(n), row.target, mass, row.held)
-            self.impulse[c] = (total - row.held) * n
-            self.row[c].held = total
-            if ti.static(self.model.has_friction):
-                law = self.law(row)
-                slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold[0], u, time)
-                if ti.static(solver.spins):
-                    u -= lever(solver.state.turn[row.ball], n)
-                    mass = 1.0 / (inverse + solver.turning * solver.lightness[row.ball])
-                change, slide = contact_law.sliding_impulse(
-                    self.model, u, n, mass, self.slide[c], law.friction * total, slip
-                )
-                self.slide[c] = slide
-                self.impulse[c] = (total - row.held) * n + change
+        """Further impulses of all rows from the present velocities; viscous friction acts for `time` seconds."""
+        for s in range(ti.select(self.used[0] > 0, self.m, 0)):
+            if self.length[s] > 0:
+                along.solve(self, solver, ball, s, time)
 
     @ti.func
-    def relative_velocity(self, ball: ti.template(), row, g):
-        """sum g_i v_i of a row."""
-        return ball[row.ball].v + g[1] * ball[self.one[row.stick]].v + g[2] * ball[self.two[row.stick]].v
+    def inverse_mass(self, solver: ti.template(), row):
+        """sum w_i g_i^2 s_i over the three balls."""
+        one, two = solver.lightness[self.one[row.stick]], solver.lightness[self.two[row.stick]]
+        return solver.lightness[row.ball] + one * (1.0 - row.at) ** 2 + two * row.at**2
+
+    @ti.func
+    def relative_velocity(self, ball: ti.template(), row):
+        """Velocity of the ball of a row from the stick where it touches."""
+        one, two = ball[self.one[row.stick]].v, ball[self.two[row.stick]].v
+        return ball[row.ball].v - (1.0 - row.at) * one - row.at * two
 
     @ti.func
     def law(self, row):
@@ -131,10 +147,10 @@ class Sticks:
         ]
 
     @ti.func
-    def weight(self, ball: ti.template(), entry):
-        """Weight of the ball of an entry in its row."""
-        g, _, _ = loops.geometry(self, ball, self.row[entry // 3])
-        return ti.select(entry % 3 == 0, g[0], ti.select(entry % 3 == 1, g[1], g[2]))
+    def weight(self, entry):
+        """Weight of the ball of an entry in its row: 1, or minus the part that the hit is an end's."""
+        t = self.row[entry // 3].at
+        return ti.select(entry % 3 == 0, 1.0 + 0.0 * t, ti.select(entry % 3 == 1, t - 1.0, -t))
 
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i):
@@ -142,11 +158,10 @@ class Sticks:
         p, t = ti.Vector.zero(float, self.model.dim), zero_turn(solver)
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c = self.entry[e] // 3
-            p += self.weight(ball, self.entry[e]) * self.impulse[c]
+            p += self.weight(self.entry[e]) * self.push[c]
             if ti.static(solver.spins):
                 if self.entry[e] % 3 == 0:
-                    _, n, _ = loops.geometry(self, ball, self.row[c])
-                    t -= cross(n, self.impulse[c])
+                    t -= cross(self.row[c].normal, self.push[c])
         return p, t
 
     @ti.func
@@ -155,14 +170,13 @@ class Sticks:
         q = ti.Vector.zero(float, self.model.dim)
         for e in range(self.first[i], self.first[i] + self.number[i]):
             row = self.row[self.entry[e] // 3]
-            g, n, d = loops.geometry(self, ball, row)
-            u = self.relative_velocity(ball, row, g)
-            depth = self.model.radius[row.ball] * (1.0 - SLOP) - d - h * ti.max(0.0, n.dot(u))
+            u = self.relative_velocity(ball, row).dot(row.normal)
+            depth = self.model.radius[row.ball] * (1.0 - SLOP) - row.distance - h * ti.max(0.0, u)
             # near a pinned end the other one is a long lever: no ball is moved by more than the depth
-            one, two = self.one[row.stick], self.two[row.stick]
-            lever = ti.max(self.model.inverse_mass[one] * -g[1], self.model.inverse_mass[two] * -g[2])
-            share = ti.max(0.0, depth) / ti.max(self.inverse_mass(solver, row, g), lever)
-            q += solver.push_out * self.weight(ball, self.entry[e]) * share * n
+            one, two = self.model.inverse_mass[self.one[row.stick]], self.model.inverse_mass[self.two[row.stick]]
+            lever = ti.max(one * (1.0 - row.at), two * row.at)
+            share = ti.max(0.0, depth) / ti.max(self.inverse_mass(solver, row), lever)
+            q += solver.push_out * self.weight(self.entry[e]) * share * row.normal
         return q * self.model.inverse_mass[i]
 
     @ti.func
@@ -172,9 +186,8 @@ class Sticks:
         for e in range(self.first[i], self.first[i] + self.number[i]):
             if self.entry[e] % 3 == 0:
                 row = self.row[self.entry[e] // 3]
-                g, n, d = loops.geometry(self, ball, row)
-                u = self.relative_velocity(ball, row, g).dot(n)
-                depth = self.model.radius[i] - d
+                u = self.relative_velocity(ball, row).dot(row.normal)
+                depth = self.model.radius[i] - row.distance
                 total = survey.join(total, survey.one(ti.max(0.0, depth), self.model.radius[i], u, False, i))
         return total
 
