@@ -180,6 +180,6 @@ SOLIDS = {
     "heap": (_heaps, ("crowd_on_wall_box_mesh", "energy_never_grows"), 5),
     "on_a_stick": (_on_sticks, ("stick_is_a_thin_capsule",), 5),
     "on_pinned_cloth": (_on_cloth, ("pinned_cloth_is_a_mesh",), 4),
-    "driven": (_driven, (*VIEWS, "momentum_with_the_colliders", "energy_with_the_work", *PROCESSES), 6),
-    "mixed": (_mixed, ("steps_in_other_groups", "restored_goes_on", "fused_is_parallel", "one_thread_is_two"), 4),
+    "driven": (_driven, (*VIEWS, "momentum_with_the_colliders", "energy_with_the_work", *PROCESSES), 16),
+    "mixed": (_mixed, ("fused_is_parallel", "one_thread_is_two"), 3),
 }
