@@ -1,11 +1,14 @@
 """Random scenes of springs: sleds and jelly on the ground, chains, balloons, pendulums, sheets, led ends."""
 
+from typing import Any
+
 import numpy as np
 
 import taichi_sim as ts
 
-from .agreement import block, slowest
+from .agreement import PROCESSES, VIEWS, slowest
 from .bounces import log, up
+from .likeness import block
 from .observe import Case
 from .scenes import components
 
@@ -25,6 +28,14 @@ def ground(scene: ts.Scene, kind: str, material: str) -> None:
         scene.add_collider(ts.Box(centre, size, material=material))
     else:
         scene.add_collider(ts.Mesh(block(size), position=centre, material=material, resolution=16))
+
+
+def chain(scene: ts.Scene, at: np.ndarray, stiffness: float, damping: float = 0.0, **balls: Any) -> None:
+    """Balls at so many metres along x, each joined to the next."""
+    x = np.zeros((len(at), scene.dim))
+    x[:, 0] = at
+    made = scene.add_balls(x, body=scene.new_body(), **balls)
+    scene.add_springs(np.stack([made[:-1], made[1:]], axis=1), stiffness=stiffness, damping=damping)
 
 
 def _sleds(rng: Rng, n: int, method: str | None = None) -> list[Case]:
@@ -105,15 +116,11 @@ def _chains(rng: Rng, n: int) -> list[Case]:
     for _ in range(n):
         scene = ts.Scene(dim)
         links = int(rng.integers(4, 20))
-        x = np.zeros((links + 1, dim))
-        x[:, 0] = 0.1 * np.arange(links + 1)
         mass = np.ones(links + 1)
         mass[-1] = log(rng, 1.0, 300.0)
-        balls = scene.add_balls(x, radius=0.01, mass=mass, pinned=[0], body=scene.new_body())
-        pairs = np.stack([balls[:-1], balls[1:]], axis=1)
         critical = 2 * np.sqrt(stiffness * mass.sum() * links)  # about, of the whole
         damping = min(float(log(rng, 3e-3, 0.5)) * critical, 0.3 * np.sqrt(stiffness) * (mass.sum() * links) ** 0.5)
-        scene.add_springs(pairs, stiffness=stiffness, damping=damping)
+        chain(scene, 0.1 * np.arange(links + 1), stiffness, damping, radius=0.01, mass=mass, pinned=[0])
         value, _, right = slowest(scene, components(scene)[0])
         speed = right[scene.n_balls * dim :]
         speed = np.real(speed / speed[np.argmax(np.abs(speed))])
@@ -174,12 +181,8 @@ def _pendulums(rng: Rng, n: int) -> list[Case]:
     for _ in range(n):
         scene = ts.Scene(dim, up(dim, 10.0))
         k, length = int(rng.choice([1, 1, 2, 5, 10])), float(rng.uniform(0.05, 0.5))
-        x = np.zeros((k + 1, dim))
-        x[:, 0] = length * np.arange(k + 1) / k
-        balls = scene.add_balls(
-            x, radius=0.01 * length, mass=float(log(rng, 0.1, 10)), pinned=[0], body=scene.new_body()
-        )
-        scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=float(log(rng, 1e5, 1e8)))
+        mass, stiffness = float(log(rng, 0.1, 10)), float(log(rng, 1e5, 1e8))
+        chain(scene, length * np.arange(k + 1) / k, stiffness, radius=0.01 * length, mass=mass, pinned=[0])
         cases.append(Case(scene, settings, 2.0, 120))
     return cases
 
@@ -238,13 +241,9 @@ def _led(rng: Rng, n: int) -> list[Case]:
     for _ in range(n):
         scene = ts.Scene(dim)
         links = int(rng.integers(2, 6))
-        x = np.zeros((links + 1, dim))
-        x[:, 0] = 0.2 * np.arange(links + 1)
-        balls = scene.add_balls(x, radius=0.01, body=scene.new_body())
         k = float(log(rng, 1e2, 2e3))
-        scene.add_springs(
-            np.stack([balls[:-1], balls[1:]], axis=1), stiffness=k, damping=float(rng.uniform(0.05, 0.2)) * np.sqrt(k)
-        )
+        damping = float(rng.uniform(0.05, 0.2)) * np.sqrt(k)
+        chain(scene, 0.2 * np.arange(links + 1), k, damping, radius=0.01)
         path = [(0.0, np.zeros(dim))]
         for step in (16, 40, 96):
             path.append((step * dt, rng.uniform(-0.05, 0.05, dim)))
@@ -265,21 +264,6 @@ def _hanging(rng: Rng, n: int) -> list[Case]:
     return [Case(scene, {"integrator": "verlet", "tolerance": tolerance}, 0.5, 1, alone=True)]
 
 
-VIEWS = (
-    "mirror",
-    "quarter_turn",
-    "in_a_moving_frame",
-    "elsewhere",
-    "in_other_units",
-    "in_other_masses",
-    "renumbered",
-    "steps_in_other_groups",
-    "restored_goes_on",
-    "fused_is_parallel",
-    "methods_agree",
-    "default_step_is_near_a_small_one",
-)
-
 BODIES = {
     "sled": (_sleds, ("friction_is_mu_while_sliding",), 30),
     "jelly_slides": (_jelly_slides, ("friction_is_mu_while_sliding",), 24),
@@ -289,7 +273,7 @@ BODIES = {
     "hung_balloon": (_hung_balloons, ("methods_agree",), 10),
     "pendulum": (_pendulums, ("energy_never_grows",), 40),
     "folded_sheet": (_sheets, ("angular_momentum_is_kept", "momentum_is_kept"), 40),
-    "net": (_nets, VIEWS, 16),
+    "net": (_nets, (*VIEWS, "methods_agree", "default_step_is_near_a_small_one", *PROCESSES), 16),
     "led_chain": (_led, ("order_is_kept", "methods_agree"), 40),
     "hanging_cloth": (_hanging, ("tolerance_is_kept",), 1),
 }

@@ -4,6 +4,7 @@ import numpy as np
 
 import taichi_sim as ts
 
+from .agreement import PROCESSES, VIEWS
 from .observe import Case
 
 __all__ = ["BOUNCES"]
@@ -266,21 +267,6 @@ def _slow(rng: Rng, n: int) -> list[Case]:
     return cases
 
 
-VIEWS = (
-    "mirror",
-    "quarter_turn",
-    "in_a_moving_frame",
-    "elsewhere",
-    "in_other_units",
-    "in_other_masses",
-    "renumbered",
-    "flat_in_3d",
-    "steps_in_other_groups",
-    "fused_is_parallel",
-    "energy_never_grows",
-    "momentum_is_kept",
-)
-
 # name: (draw, relations, scenes at once)
 BOUNCES = {
     "elastic_crowd": (_elastic_crowd, ("energy_is_kept", "nothing_overlaps_far"), 6),
@@ -293,6 +279,6 @@ BOUNCES = {
     "unequal_crowd": (_unequal, ("nothing_overlaps_far", "energy_never_grows"), 12),
     "held_by_a_stick": (_held, ("nothing_overlaps_far", "what_lies_rests"), 60),
     "glancing": (_glancing, ("tolerance_is_kept",), 12),
-    "few_balls": (_few, VIEWS, 24),
+    "few_balls": (_few, (*VIEWS, "flat_in_3d", "energy_never_grows", "momentum_is_kept", *PROCESSES), 24),
     "slow_balls": (_slow, ("in_other_units", "energy_never_grows"), 60),
 }

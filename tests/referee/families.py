@@ -3,9 +3,9 @@
 from .bodies import BODIES
 from .bounces import BOUNCES
 from .run import Family
+from .solids import SOLIDS
 
 __all__ = ["FAMILIES"]
 
-FAMILIES = {
-    name: Family(name, draw, relations, batch) for name, (draw, relations, batch) in {**BOUNCES, **BODIES}.items()
-}
+DRAWN = {**BOUNCES, **BODIES, **SOLIDS}
+FAMILIES = {name: Family(name, draw, relations, batch) for name, (draw, relations, batch) in DRAWN.items()}

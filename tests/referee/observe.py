@@ -18,12 +18,13 @@ from taichi_sim.errors import UnstableError
 from taichi_sim.settings import Settings
 from taichi_sim.stability import stability
 
-from .scenes import merged, walls
+from .scenes import Change, changed, merged, walls
 
 __all__ = ["Case", "Record", "auto_dt", "observe"]
 
 TOGETHER = 100  # scenes in one simulation
 GROUPS = 28  # of those whose walls differ; 32 groups are the most there can be
+WIDE = 256.0  # m, of those in single precision: it rounds places by 1e-7 of that
 MOST_BALLS = 1000  # together: more would get fewer passes by default
 PLAIN = "plain"
 
@@ -34,7 +35,7 @@ class Case:
 
     how: "plain"; "restored": saved and restored half way; "grouped": steps asked for in uneven groups; "single",
     "threads1", "threads2": in a process of its own, in single precision or with so many threads. alone: in no simulation
-    with others.
+    with others. weighed: what its colliders receive is summed.
     """
 
     scene: ts.Scene
@@ -43,6 +44,7 @@ class Case:
     samples: int = 8
     how: str = PLAIN
     alone: bool = False
+    weighed: bool = False
 
     def key(self) -> tuple:
         """What cases must share to run in one simulation."""
@@ -50,7 +52,7 @@ class Case:
         said = tuple(sorted((k, str(v)) for k, v in self.settings.items()))
         s = self.scene
         wind = None if s.wind is None else repr(s.wind)
-        return (own, s.dim, tuple(s.gravity), wind, said, self.duration, self.samples, self.how)
+        return (own, s.dim, tuple(s.gravity), wind, said, self.duration, self.samples, self.how, self.weighed)
 
     def but(self, **settings: Any) -> "Case":
         """The same with other settings."""
@@ -74,6 +76,7 @@ class Record:
     warnings: list[str] = field(default_factory=list)
     failed: str = ""
     size: float = 0.0  # m, what a tolerance is a part of
+    impulse: Any = None  # (s, c, dim) N s that the c colliders have received, where they are weighed
 
     def energy(self, scene: ts.Scene) -> np.ndarray:
         """Total energy (s,) [J]."""
@@ -110,6 +113,8 @@ def observe(cases: Iterable[Case]) -> dict[int, Record]:
         first, most = 0, TOGETHER if len({walls(case.scene, 1.0) for case in group}) == 1 else GROUPS
         if any(wall.normal[0] for wall in group[0].scene.walls):
             most = GROUPS
+        if group[0].how == "single":
+            most = min(most, max(1, int(WIDE / _pitch(group))))
         while first < len(group):
             last, balls = first, 0
             while last < len(group) and last - first < most and (last == first or balls < MOST_BALLS):
@@ -121,20 +126,30 @@ def observe(cases: Iterable[Case]) -> dict[int, Record]:
     return out
 
 
+def _pitch(cases: list[Case]) -> float:
+    """Metres from scene to scene."""
+    return float(2.0 ** np.ceil(np.log2(2.5 * max(_reach(case) for case in cases) + 1e-9)))
+
+
 def _together(cases: list[Case]) -> list[Record]:
     one = cases[0]
-    pitch = 2.0 ** np.ceil(np.log2(2.5 * max(_reach(case) for case in cases) + 1e-9))
-    shifts = [pitch * k for k in range(len(cases))]
+    shifts = [_pitch(cases) * k for k in range(len(cases))]
     everything = one.scene if len(cases) == 1 else merged([case.scene for case in cases], shifts)
+    if one.weighed:
+        everything = changed(everything, Change())
+        for k in range(len(everything.colliders)):
+            everything.add_probe(f"c{k}", "impulse", collider=k)
     job = (everything, one.settings, one.duration, one.samples, one.how)
     whole = _elsewhere(*job) if one.how in ("single", "threads1", "threads2") else _run(*job)
-    records, start = [], 0
+    records, start, first = [], 0, 0
     for case, shift in zip(cases, shifts):
         balls = slice(start, start + case.scene.n_balls)
         x = whole.x[:, balls].copy()
         x[..., 0] -= shift
-        records.append(replace(whole, x=x, v=whole.v[:, balls], spin=whole.spin[:, balls]))
-        start = balls.stop
+        mine = slice(first, first + len(case.scene.colliders))
+        impulse = whole.impulse[:, mine]
+        records.append(replace(whole, x=x, v=whole.v[:, balls], spin=whole.spin[:, balls], impulse=impulse))
+        start, first = balls.stop, mine.stop
     return records
 
 
@@ -150,7 +165,8 @@ def _run(scene: ts.Scene, settings: dict[str, Any], duration: float, samples: in
         except ValueError as refused:  # "finds no safe step", "cannot be met": it says so, which is right
             n, dim = scene.n_balls, scene.dim
             none = np.zeros((0, n, dim))
-            return Record(np.zeros(0), none, none, np.zeros((0, n, 1)), 0.0, 1, [], f"refused: {refused}")
+            said_so = f"refused: {refused}"
+            return Record(np.zeros(0), none, none, np.zeros((0, n, 1)), 0.0, 1, [], said_so, impulse=none)
         dt, substeps = sim.dt, sim.substeps
         n = max(1, round(duration / dt))
         marks = np.unique(np.round(np.linspace(0, n, samples + 1)).astype(int))
@@ -165,14 +181,14 @@ def _run(scene: ts.Scene, settings: dict[str, Any], duration: float, samples: in
                     sim.step(int(k))
                     done += k
                 spin = np.asarray(sim.surface_speed) / scene.radius[:, None]
-                seen.append((sim.time, sim.position, sim.velocity, spin))
+                seen.append((sim.time, sim.position, sim.velocity, spin, sim.impulses))
         except UnstableError as error:
             failed = str(error)
         found = sim.error()
         sim.close()
-    time, x, v, spin = (np.array(column) for column in zip(*seen))
+    time, x, v, spin, impulse = (np.array(column) for column in zip(*seen))
     texts = [str(w.message) for w in said]
-    return Record(time, x, v, spin, dt, substeps, texts, failed, 0.0 if found is None else found.size)
+    return Record(time, x, v, spin, dt, substeps, texts, failed, 0.0 if found is None else found.size, impulse)
 
 
 def _restored(sim: ts.Simulation) -> ts.Simulation:

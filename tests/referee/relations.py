@@ -139,6 +139,32 @@ def _turning(case: Case, records: list[Record]) -> float | None:
     return float(np.linalg.norm(now - now[0], axis=1).max()) / size
 
 
+def _weighed_momentum(case: Case, records: list[Record]) -> float | None:
+    """What balls have lost to colliders is what colliders have received."""
+    scene, r = case.scene, records[0]
+    if not case.weighed or scene.walls or scene.pinned.any() or scene.wind is not None:
+        return None
+    fall = scene.mass.sum() * r.time[:, None] * scene.gravity
+    p = np.einsum("n,sni->si", scene.mass, r.v) - fall + r.impulse.sum(axis=1)
+    size = float(np.einsum("n,sn->s", scene.mass, np.linalg.norm(r.v, axis=2)).max())
+    return float(np.linalg.norm(p - p[0], axis=1).max()) / max(size, 1e-300)
+
+
+def _work(case: Case, records: list[Record]) -> float | None:
+    """Energy less the work of colliders that move on: grows nowhere; is kept where all is elastic and smooth."""
+    scene, r = case.scene, records[0]
+    if not case.weighed or scene.pinned.any() or scene.wind is not None or not _rigid(scene):
+        return None
+    if any(len(c.motion.times) > 1 or c.motion.turns.any() for c in scene.colliders):
+        return None
+    speed = np.array([c.motion.velocity for c in scene.colliders])
+    energy = r.energy(scene) + np.einsum("sci,ci->s", r.impulse, speed)
+    laws = used_materials(scene)
+    smooth = all(m.restitution == 1.0 and m.friction == m.viscous_friction == 0.0 for m in laws)
+    off = np.abs(energy - energy[0]) if smooth else energy - np.minimum.accumulate(energy)
+    return float(off.max()) / _scale(case, r)
+
+
 # Friction -------------------------------------------------------------------------------------------------------------
 
 
@@ -323,6 +349,8 @@ LEDGERS = dict(
         _relation("energy_never_grows", 1e-3, _grown),
         _relation("momentum_is_kept", 1e-9, _momentum),
         _relation("angular_momentum_is_kept", 5e-3, _turning),
+        _relation("momentum_with_the_colliders", 1e-9, _weighed_momentum),
+        _relation("energy_with_the_work", 1e-3, _work),
         _relation("friction_is_mu_while_sliding", 0.01, _friction),
         _relation("stays_below_the_friction_angle", 0.02, _stays),
         _relation("nothing_overlaps_far", 0.3, _overlap),

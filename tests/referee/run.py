@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .agreement import AGREEMENTS
+from .likeness import LIKENESSES
 from .observe import Case, Record, observe
 from .relations import LEDGERS, Finding, Relation, judged
 
@@ -15,7 +16,7 @@ __all__ = ["RELATIONS", "Family", "Tally", "judge", "referee", "table"]
 
 EXACT = 1e-8  # what is allowed: less is hardly more than rounding
 
-RELATIONS: dict[str, Relation] = {**LEDGERS, **AGREEMENTS}
+RELATIONS: dict[str, Relation] = {**LEDGERS, **AGREEMENTS, **LIKENESSES}
 
 
 @dataclass(frozen=True)
