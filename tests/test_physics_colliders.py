@@ -332,3 +332,24 @@ def test_a_far_or_wide_collider_lifts_no_ball(shape):
     with simulate(scene, dt=1e-3) as sim:
         sim.run(3.0)
         assert sim.position[:, 1] == pytest.approx([0.1, -8.9], abs=2e-5)
+
+
+def test_a_ball_that_rolls_in_a_hollow_box_meets_the_next_face():
+    """Each in its own box: they come to the floor, and to the wall beside it before or just after."""
+    scene = ts.Scene(2, (0.0, -9.0))
+    r, h = 0.03, 2e-3
+    rng = np.random.default_rng(3)
+    v = np.stack([np.exp(rng.uniform(-4.0, 1.5, 40)), -np.exp(rng.uniform(-3.5, 0.0, 40))], axis=1)
+    lands, meets = rng.uniform(0.0, 12.0, 40) * h, rng.uniform(0.0, 1.5, 40) * h
+    half = np.array([0.45, 0.35])
+    for k in range(40):
+        centre = np.array([2.0 * k, 0.0])
+        x = (half[0] - r - v[k, 0] * (lands[k] + meets[k]), r - half[1] - v[k, 1] * lands[k])
+        scene.add_balls([centre + x], radius=r, velocity=v[k])
+        scene.add_collider(ts.Box(centre, 2 * half, hollow=0.1))
+    way = np.linalg.norm(v, axis=1) * h + 9.0 * h**2
+    with simulate(scene, dt=h) as sim:
+        for _ in range(40):
+            sim.step()
+            deep = [r - c.distance(x[None], 0.0)[0] for c, x in zip(scene.colliders, sim.position)]
+            assert (np.array(deep) < 0.1 * way + 100 * EPS).all()
