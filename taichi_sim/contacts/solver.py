@@ -36,9 +36,8 @@ class ContactSolver:
         walls, pairs, sticks, facets: the kinds of contact that the scene has, or None.
         threshold: field (1) [m/s], approach speed below which nothing bounces. h: seconds per substep.
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
-        serial: the fused driver runs everything on one thread. warm: start from the impulses held in the step before,
-        which carries the load of piles; pointless where no force acts. soft: pairs are damped springs, else rigid, and
-        overlap is undone by offsets. loaded: forces may press single balls together. tames: see kernels.taming.
+        serial: one thread runs all. warm: start from what the step before held, the load of piles. soft: pairs are damped
+        springs, else rigid and pushed apart. loaded: forces may press single balls together. tames: see kernels.taming.
     """
 
     def __init__(

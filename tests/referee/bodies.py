@@ -273,7 +273,7 @@ BODIES = {
     "hung_balloon": (_hung_balloons, ("methods_agree",), 10),
     "pendulum": (_pendulums, ("energy_never_grows",), 40),
     "folded_sheet": (_sheets, ("angular_momentum_is_kept", "momentum_is_kept"), 40),
-    "net": (_nets, (*VIEWS, "methods_agree", "default_step_is_near_a_small_one", *PROCESSES), 16),
+    "net": (_nets, (*VIEWS, "restored_goes_on", "methods_agree", "default_step_is_near_a_small_one", *PROCESSES), 16),
     "led_chain": (_led, ("order_is_kept", "methods_agree"), 40),
     "hanging_cloth": (_hanging, ("tolerance_is_kept",), 1),
 }

@@ -161,7 +161,7 @@ LIKENESSES = {
     for relation in (
         Relation("wall_is_box_is_mesh", 1e-8, _all_apart, _grounds),
         Relation("wall_is_a_solid_that_moves", 1e-8, _all_along, _riding),
-        Relation("crowd_on_wall_box_mesh", 0.05, _crowds_apart, _grounds),
+        Relation("crowd_on_wall_box_mesh", 0.01, _crowds_apart, _grounds),
         Relation("stick_is_a_thin_capsule", 0.02, _loose_apart, _capsules),
         Relation("pinned_cloth_is_a_mesh", 0.02, _loose_apart, _meshes),
     )
