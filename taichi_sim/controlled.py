@@ -309,7 +309,7 @@ class Controlled(Stepper):
             self._warn(
                 "unsure",
                 f"the tolerance is no promise from t = {self.time:.6g} s on, where {what}: whether contacts bounce, stick or"
-                " slide may be decided alike at both steps that are compared. Of 161 such runs 156 kept it, the others were"
+                " slide may be decided alike at both steps that are compared. Of 160 such runs 155 kept it, the others were"
                 " over by up to 4 times",
             )
 
