@@ -202,7 +202,9 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                         remaining -= t
                         if ti.static(walls.told):
                             change = speed - came + remaining * (pull - load)
-                            walls.received.add(i, walls.received.solid[other // walls.faces], change / walls.model.inverse_mass[i])
+                            walls.received.add(
+                                i, walls.received.solid[other // walls.faces], change / walls.model.inverse_mass[i]
+                            )
                     else:
                         remaining = 0.0
                 touched = True

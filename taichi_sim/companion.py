@@ -64,7 +64,9 @@ class Companion:
     def _memory(self, contacts: ContactSolver) -> list[Any]:
         """Fields that say what contacts hold: all that one step hands to the next where `prime` follows."""
         found: list[Any] = []
-        self.lists: dict[int, tuple[int, int]] = {}  # by number of a table: that of how much of it is used, beyond what always is
+        self.lists: dict[
+            int, tuple[int, int]
+        ] = {}  # by number of a table: that of how much of it is used, beyond what always is
         if self.pairs is not None:
             self.lists[1] = (0, self.pairs.pool)
             found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.touching]
@@ -81,9 +83,7 @@ class Companion:
         """How much of field k is in use: lists have far more room than they need."""
         entries = 0 * moment + ti.static(self.sizes[k])
         if ti.static(k in self.lists):
-            entries = ti.min(
-                entries, ti.static(self.lists[k][1]) + tables[ti.static(self.lists[k][0])][moment]
-            )
+            entries = ti.min(entries, ti.static(self.lists[k][1]) + tables[ti.static(self.lists[k][0])][moment])
         return entries
 
     @ti.kernel
