@@ -191,12 +191,14 @@ def _finer(case: Case) -> list[Case]:
 
 
 def _centres(case: Case, records: list[Record]) -> float:
-    """Distance of the centres of mass of what hangs together: what it does inside is another matter."""
+    """Distance of the centres of mass of what hangs together: what it does inside is another matter. In parts of their motion,
+    or, where balls move far more than their centre does, of a tenth of theirs."""
     m = case.scene.mass
     worst = 0.0
     for balls in components(case.scene):
         a, b = (np.einsum("n,sni->si", m[balls], r.x[:, balls]) / m[balls].sum() for r in records)
-        far = max(float(np.linalg.norm(a - a[0], axis=1).max()), 1e-300)
+        inside = float(np.linalg.norm(records[0].x[:, balls] - records[0].x[0, balls], axis=2).max())
+        far = max(float(np.linalg.norm(a - a[0], axis=1).max()), 0.1 * inside, 1e-300)
         worst = max(worst, float(np.linalg.norm(a - b, axis=1).max()) / far)
     return worst
 

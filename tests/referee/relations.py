@@ -332,7 +332,7 @@ def _rests(case: Case, records: list[Record]) -> float | None:
     scene, r = case.scene, records[0]
     if not scene.gravity.any() or any(m.restitution for m in used_materials(scene)) or scene.velocity.any():
         return None
-    if not scene.collides.any():
+    if not scene.collides.any() or not scene.pinned.any():
         return None
     unit = np.sqrt(np.linalg.norm(scene.gravity) * scene.radius.max())
     down = scene.gravity / np.linalg.norm(scene.gravity)
