@@ -11,7 +11,7 @@ an impact throws back is the speed in the middle of that time, which belongs to 
 
 Blocks (see kernels.sweeps) in which nothing closes fast, nor in those beside them, are passed over, and in the others the balls
 none of whose contacts may have changed: `stirred` is 0 where one closes fast at first, then the round that follows the last
-impact on the ball, or on one that it lists or that lists it; else CALM.
+impact on the ball, or on one that it lists; else CALM.
 """
 
 import math

@@ -78,6 +78,8 @@ def pass_block(solver: ti.template(), ball: ti.template(), b, now):
                         busy = 1
                         hits.stir(solver, i, hits.ROUNDS + now + 1)
     solver.mark[to + b] = busy
+    if busy > 0:
+        solver.struck[b] = 1
     return busy
 
 

@@ -36,8 +36,8 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     if sinking is not None:  # xpbd lets each spring give once in a step what it would alone
         spring, ball, depth = sinking
         yield (
-            f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by about {depth:.2g} m for want of"
-            " passes; take shorter steps, implicit_euler or tr_bdf2"
+            f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by at least {depth:.2g} m for want"
+            " of passes, and at the end of a chain of light balls by tens of times that; take implicit_euler or tr_bdf2"
         )
 
 

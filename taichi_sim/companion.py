@@ -195,6 +195,7 @@ class Companion:
         """All moments of another one, whose fields are still there, but for what contacts hold."""
         for into, out in zip(self.stored, other.stored):
             into.copy_from(out)
+        self.seen.copy_from(other.seen)
         self.h = list(other.h)
 
     # To a file and back ----------------------------------------------------------------------------------------------

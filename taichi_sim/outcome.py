@@ -67,7 +67,9 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     if not scales.closed or scales.motion <= 0.0:
         return ""
     part = (end - start) / scales.motion
-    much = f"{abs(part):.2g} of the largest energy in motion, {scales.motion:.4g} J"
+    much = (
+        f"{abs(part):.2g}{' times' if abs(part) >= 1.0 else ' of'} the largest energy in motion, {scales.motion:.4g} J"
+    )
     kept = max(KEPT, scales.swing)
     if part > kept:
         return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; nothing explains it, take shorter steps"

@@ -152,8 +152,7 @@ class Strain(Probe):
         if not asked:
             return cls(name, {})
         if _only_one(cls.kind, asked) == "springs":
-            given = np.atleast_1d(np.asarray(asked["springs"]))
-            return cls(name, {"springs": checks.indices("probes.springs", given, scene.n_springs)})
+            return cls(name, {"springs": _several("spring", asked["springs"], scene.n_springs)})
         inside = np.isin(scene.pairs, _balls(scene, asked["balls"])).all(axis=1)
         if not inside.any():
             raise SceneError("probes.balls: no spring joins two of them; there is no strain to measure")
@@ -265,7 +264,7 @@ def add(scene: Any, name: str, kind: str, asked: Mapping[str, Any]) -> Probe:
         raise SceneError(f"probes.name: {name!r} is not allowed; it must be a word of letters, digits, _ and -")
     if any(probe.name == name for probe in scene.probes):
         raise SceneError(f"probes.name: {name!r} exists already; every probe needs its own name")
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise SceneError(f"probes.kind: {kind!r} is not allowed; it must be one of {', '.join(map(repr, KINDS))}")
     made = KINDS[kind]
     for key in asked:
@@ -286,10 +285,19 @@ def _only_one(kind: str, asked: Mapping[str, Any]) -> str:
 
 
 def _balls(scene: Any, value: ArrayLike) -> NDArray[np.int32]:
-    balls = checks.indices("probes.balls", np.atleast_1d(np.asarray(value)), scene.n_balls)
-    if not len(balls):
-        raise SceneError("probes.balls: is empty; name at least one ball")
-    return balls
+    return _several("ball", value, scene.n_balls)
+
+
+def _several(what: str, value: ArrayLike, n: int) -> NDArray[np.int32]:
+    """Numbers of balls or springs, each once; one by itself needs no list."""
+    where = f"probes.{what}s"
+    found = checks.indices(where, [value] if isinstance(value, (int, np.integer)) else value, n, what=what)  # type: ignore
+    if not len(found):
+        raise SceneError(f"{where}: is empty; name at least one {what}")
+    numbers, times = np.unique(found, return_counts=True)
+    if times.max() > 1:
+        raise SceneError(f"{where}: {what} {numbers[times.argmax()]} is named {times.max()} times; name each once")
+    return found
 
 
 def _number(key: str, value: Any, n: int) -> int:

@@ -1,7 +1,7 @@
 """Readings: what the probes of a scene say at a moment, and what a name like `load.tension` means."""
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.errors import SceneError
-from taichi_sim.probes import Look, Probe, bodies_of
+from taichi_sim.probes import Impulse, Look, Probe, bodies_of
 
 __all__ = ["Quantity", "Reader", "Readings", "quantity_of", "units_of"]
 
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 class Readings:
     """Reads all probes of a scene, and remembers the totals of the reading before for the means since then."""
 
-    def __init__(self, probes: list[Probe]) -> None:
+    def __init__(self, probes: Sequence[Probe]) -> None:
         self.probes = probes
         self._before: tuple[float, dict[str, Floats]] | None = None
         self._now: tuple[float, dict[str, Floats]] | None = None
@@ -62,7 +62,12 @@ class Reader:
     def probes(self: Any) -> dict[str, float]:
         """Every number of every probe of the scene by its name, `load.tension`, in SI units; see `Scene.add_probe`. Forces on
         walls and rates are means since they were last read at an earlier time: nan where that is now."""
-        return self._readings.read(self.time, self._look()) if self.scene.probes else {}
+        late = [probe.name for probe in self.scene.probes[len(self._probed) :]]
+        if late:
+            raise SceneError(
+                f"probes: {', '.join(late)} came after the simulation was made, and nothing was measured for it"
+            )
+        return self._readings.read(self.time, self._look()) if self._probed else {}
 
     def probe(self: Any, name: str) -> Any:
         """One number, `load.tension`, or `load` where it has no other: a float; a vector, `tip`: (dim,). Reads them all. Raises
@@ -72,11 +77,11 @@ class Reader:
 
     def _begin_readings(self: Any, impulses: Floats | None = None) -> None:
         """Means count from now on; impulses: those so far."""
-        self._readings = Readings(self.scene.probes)
-        bodies = bodies_of(self.scene)
+        self._readings = Readings(self._probed)
+        bodies = list(dict.fromkeys(probe.body for probe in self._probed if isinstance(probe, Impulse)))
         if bodies and not self._still:
             self._parts.set_impulses(np.zeros((len(bodies), self.scene.dim)) if impulses is None else impulses)
-        if self.scene.probes:
+        if self._probed:
             self._readings.begin(self.time, self._look())
 
     def _look(self: Any) -> Look:
@@ -126,6 +131,8 @@ def quantity_of(scene: Any, name: str) -> Quantity:
         raise SceneError(f"{name!r} is not a probe of this scene; {there}")
     probe = probes[first]
     known = probe.numbers(scene.dim)
+    if name.endswith("."):
+        raise SceneError(f"{name!r}: the name of a number is missing behind the dot")
     if not number and probe.vector:
         return Quantity(name, tuple(f"{first}.{axis}" for axis in known[:-1]), probe.unit(""), probe.start, False)
     if not number and len(known) == 1:

@@ -31,6 +31,7 @@ __all__ = [
 
 ANY_STEP = ("xpbd", "implicit_euler", "tr_bdf2")  # methods that no spring limits
 SINKING = 0.05  # of a rest length: what a heavy ball may sink by with xpbd
+HEAVY = 10.0  # times the mass of the other end: such a ball may not
 VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
 GENTLE = 0.9  # part of the undamped step that damping at predicted velocities must leave Verlet
 ROUNDS = 3  # that improve the weights of the present bound
@@ -197,11 +198,12 @@ def _quadratic(rates: Rates, factor: float) -> float:
 
 
 def sinking_spring(scene: Scene, h: float) -> tuple[int, int, float] | None:
-    """The spring whose heavier ball xpbd lets sink the furthest, that ball, and how far [m]; None where that is less than SINKING
-    of the rest length, or no more than the spring gives anyway.
+    """The spring whose heavier ball xpbd lets sink the furthest, that ball, and how far [m]; None where that is no more
+    than the spring gives anyway, or less than SINKING of the rest length, the ball being less than HEAVY times the other end.
 
     In one pass a spring gives h k s / (1 + h^2 k W), s its stretch, W the inverse masses of both ends: it pulls as one of the
-    compliance 1 / k + h^2 W, however still its lighter end is held by others. Under m g that gives m g h^2 W more.
+    compliance 1 / k + h^2 W, however still its lighter end is held by others. Under m g that gives m g h^2 W more,
+    at the least: at the end of a chain of light balls, which pass the load on by one spring in a pass, tens of times as much.
     """
     g = float(np.linalg.norm(scene.gravity))
     if g == 0.0 or not scene.n_springs:
@@ -211,7 +213,8 @@ def sinking_spring(scene: Scene, h: float) -> tuple[int, int, float] | None:
     load = mass.max(axis=1) * g
     depth = np.where(mass.min(axis=1) > 0, load * h**2 * w, 0.0)  # a pinned end is held by itself
     own = np.divide(load, scene.stiffness, out=np.full_like(load, np.inf), where=scene.stiffness > 0)
-    depth[(depth < own) | (depth < SINKING * scene.rest_length)] = 0.0
+    little = (depth < SINKING * scene.rest_length) & (mass.max(axis=1) < HEAVY * mass.min(axis=1))
+    depth[(depth < own) | little] = 0.0
     spring = int(np.argmax(depth))
     ball = int(scene.pairs[spring, np.argmax(mass[spring])])
     return (spring, ball, float(depth[spring])) if depth[spring] > 0.0 else None

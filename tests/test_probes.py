@@ -306,3 +306,30 @@ def test_nothing_is_compiled_where_no_probe_asks():
     with ts.Simulation(scene, dt=1e-3) as sim:
         assert not sim._parts.contacts.walls.told
         assert sim.probes() == {}
+
+
+def test_a_probe_that_comes_late_is_refused():
+    """What nothing was measured for is no zero."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls([[0, 0.3]], radius=0.1)
+    scene.add_wall((0, 1), 0.0)
+    with ts.Simulation(scene, arch="cpu", precision=PRECISION, dt=1e-3) as sim:
+        scene.add_probe("late", "force", wall=0)
+        sim.run(0.1)
+        with pytest.raises(SceneError, match="probes: late came after the simulation was made"):
+            sim.probes()
+
+
+def test_numbers_are_named_once():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1)
+    scene.add_springs([[0, 1], [1, 2]], stiffness=1.0)
+    for kind, given, words in (
+        ("position", {"balls": [0, 0]}, "ball 0 is named 2 times"),
+        ("position", {"balls": [[0], [1, 2]]}, "is not a list of integers"),
+        ("strain", {"springs": []}, "springs: is empty; name at least one spring"),
+        ("strain", {"springs": [5]}, "must name a spring, from 0 to 1"),
+        (["position"], {"balls": [0]}, "probes.kind"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            scene.add_probe("p", kind, **given)

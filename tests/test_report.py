@@ -91,7 +91,7 @@ def test_pages(made):
     assert names == set(made_of.split())
     page, text = (folder / "report.html").read_text(), (folder / "report.md").read_text()
     assert re.search(
-        r"rms displacement at 0.4 s with verlet .*: [\d.]+ mm, of which step [\d.]+, mesh not known, ", text
+        r"rms displacement with verlet .* until 0.4 s: [\d.]+ mm, of which step [\d.]+, mesh not known, ", text
     )
     assert "<svg" in page
     assert not re.search(r"(src|href)=\"(http|/|\w+\.)", page)  # nothing is loaded from elsewhere

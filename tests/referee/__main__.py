@@ -2,17 +2,20 @@
 
 python -m tests.referee --scenes 2000 --seed 1 --shrink --family sled --json found.json
 
-With --json the file is written after every batch; started again with the same file and seed the run goes on where it was
-ended.
+With --json the file is written after every batch; started again with the same file, seed and program the run goes on where
+it was ended.
 """
 
 import argparse
+import hashlib
 import json
 import sys
 from pathlib import Path
 
+from taichi_sim.files import replacing
+
 from .families import FAMILIES
-from .run import Tally, referee, table
+from .run import Tally, redrawn, referee, table
 from .shrink import shrink, toml
 
 
@@ -36,20 +39,23 @@ def main() -> int:
         for name in names:
             print(f"{name:20s} {', '.join(FAMILIES[name].relations)}")
         return 0
-    about = {"seed": chosen.seed, "families": names}
+    about = {"seed": chosen.seed, "families": names, "code": _code()}
     tallies, batch, done = _begin(chosen.json, about)
 
     def keep(tallies: dict[tuple[str, str], Tally], batch: int, done: int) -> None:
         if chosen.json:
             rows = [tally.plain() for tally in tallies.values()]
             text = json.dumps({**about, "batch": batch, "scenes": done, "rows": rows}, indent=1)
-            chosen.json.write_text(text)
+            with replacing(chosen.json) as file:
+                file.write(text.encode())
 
     found = referee([FAMILIES[name] for name in names], chosen.scenes, chosen.seed, tallies, batch, done, _say, keep)
     print(table(found))
     if chosen.shrink:
         for tally in found:
-            if tally.worst_case is not None and tally.failures:
+            if tally.worst_at is not None and tally.failures:
+                if tally.worst_case is None:  # of an earlier run: drawn again
+                    tally.worst_case = redrawn(FAMILIES[tally.family], chosen.seed, *tally.worst_at)
                 _say(f"\n{tally.family}: {tally.relation}")
                 case, figure = shrink(tally.worst_case, tally.relation, chosen.seconds, _say)
                 if figure == 0.0:
@@ -64,13 +70,29 @@ def _say(line: str) -> None:
     print(line, flush=True)
 
 
+def _code() -> str:
+    """A number for all that is judged and judges."""
+    root, found = Path(__file__).parents[2], hashlib.sha256()
+    for folder in ("kernels", "taichi_sim", "tests/referee"):
+        for path in sorted((root / folder).rglob("*.py")):
+            found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
 def _begin(file: Path | None, about: dict) -> tuple[dict[tuple[str, str], Tally], int, int]:
-    """What an earlier run with the same seed and families left."""
+    """What an earlier run with the same seed, families and program left; nothing where the program is another one by now."""
     if file is None or not file.exists():
         return {}, 0, 0
-    kept = json.loads(file.read_text())
-    if {key: kept[key] for key in about} != about:
+    try:
+        kept = json.loads(file.read_text())
+        code, same = kept["code"] == about["code"], all(kept[key] == about[key] for key in ("seed", "families"))
+    except (ValueError, KeyError, TypeError):
+        raise SystemExit(f"{file}: is no table of the referee; give another file, or delete it") from None
+    if not same:
         raise SystemExit(f"{file}: is of another seed or other families; give another file")
+    if not code:
+        _say(f"{file}: is of another state of the program; begun anew")
+        return {}, 0, 0
     rows = [Tally(**row) for row in kept["rows"]]
     return {(row.family, row.relation): row for row in rows}, kept["batch"], kept["scenes"]
 

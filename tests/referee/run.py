@@ -76,6 +76,11 @@ def judge(cases: list[Case], names: Iterable[str]) -> list[list[Finding]]:
 Tallies = dict[tuple[str, str], Tally]
 
 
+def redrawn(family: Family, seed: int, batch: int, number: int) -> Case:
+    """The scene of that number in a batch of `referee`."""
+    return family.draw(np.random.default_rng([seed, batch]), family.batch)[number]
+
+
 def referee(
     families: Iterable[Family],
     scenes: int,

@@ -20,6 +20,7 @@ from taichi_sim.scene import Scene
 __all__ = ["Budget", "load", "made", "mesh_error", "save"]
 
 ASSUMED = 1.0  # order where there is one difference only
+LARGER = 10.0  # times the error of the step: that of the mesh hides it
 LEAST = 0.3  # order below which differences do not add up to an error
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
@@ -28,8 +29,8 @@ PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 class Budget:
     """In the unit of what is compared; None: not looked at, or not known. Each is the largest at the moments compared.
 
-    value: of the quantity at the last of them, or how far it has gone; of positions, the largest rms displacement. order: of
-    the mesh, as observed.
+    value: of the quantity, the largest at these moments, or how far it has gone; of positions, the largest rms displacement.
+    time: of the last moment. order: of the mesh, as observed.
     """
 
     name: str
@@ -54,9 +55,14 @@ class Budget:
         words = ", ".join(f"{name} {_short(value, power)}" for name, value in parts.items())
         value = f"{self.value / 10.0**power:.4g} {PREFIXES[power]}{self.unit}".rstrip()
         yield (
-            f"{self.name} at {self.time:.3g} s with {self.method} at {self.step_length:.3g} s, the scene's own settings:"
-            f" {value}, of which {words}."
+            f"{self.name} with {self.method} at {self.step_length:.3g} s, the scene's own settings, at most until"
+            f" {self.time:.3g} s: {value}, of which {words}."
         )
+        if self.mesh is not None and self.step is not None and self.mesh > LARGER * self.step:
+            yield (
+                "The mesh is by far the largest part: a finer resolution gains what no step and no method does. The fastest"
+                " settings below are for the motion of this mesh."
+            )
         if self.why:
             yield f"The error of the mesh: {self.why}."
         elif self.order is not None:
@@ -85,10 +91,9 @@ def made(
     value = reference.motion
     name = "rms displacement"
     if compared.quantity is not None:
-        last = reference.quantity[parts - 1]
-        value, name = float(last[0]) if len(last) == 1 else float(np.linalg.norm(last)), compared.name
+        value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
         if compared.quantity.from_start:  # where it is says nothing
-            value, name = float(reference.displacement[parts - 1]), f"motion of {name}"
+            value, name = float(np.max(reference.displacement[:parts])), f"motion of {name}"
     return Budget(name, compared.unit, value, plan.duration * parts / PARTS, method, step, off, single=rounded)
 
 
