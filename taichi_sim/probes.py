@@ -237,7 +237,14 @@ class Flux(Probe):
             "normal": normal.tolist() if abs(length - 1.0) < 4e-16 else (normal / length).tolist(),
             "offset": checks.number("probes.offset", asked.get("offset", 0.0)),
         }
-        return cls(name, given | ({"balls": _balls(scene, asked["balls"])} if "balls" in asked else {}))
+        if "balls" in asked:
+            given["balls"] = _balls(scene, asked["balls"])
+            numbers, times = np.unique(given["balls"], return_counts=True)
+            if times.max() > 1:  # it would be counted so often
+                raise SceneError(
+                    f"probes.balls: ball {numbers[times.argmax()]} is named {times.max()} times; name each once"
+                )
+        return cls(name, given)
 
     def total(self, look: Look) -> Floats:
         chosen = self.given.get("balls", slice(None))
@@ -289,14 +296,11 @@ def _balls(scene: Any, value: ArrayLike) -> NDArray[np.int32]:
 
 
 def _several(what: str, value: ArrayLike, n: int) -> NDArray[np.int32]:
-    """Numbers of balls or springs, each once; one by itself needs no list."""
+    """Numbers of balls or springs; one by itself needs no list."""
     where = f"probes.{what}s"
     found = checks.indices(where, [value] if isinstance(value, (int, np.integer)) else value, n, what=what)  # type: ignore
     if not len(found):
         raise SceneError(f"{where}: is empty; name at least one {what}")
-    numbers, times = np.unique(found, return_counts=True)
-    if times.max() > 1:
-        raise SceneError(f"{where}: {what} {numbers[times.argmax()]} is named {times.max()} times; name each once")
     return found
 
 

@@ -325,7 +325,7 @@ def test_numbers_are_named_once():
     scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1)
     scene.add_springs([[0, 1], [1, 2]], stiffness=1.0)
     for kind, given, words in (
-        ("position", {"balls": [0, 0]}, "ball 0 is named 2 times"),
+        ("flux", {"normal": (1, 0), "balls": [0, 0]}, "ball 0 is named 2 times"),
         ("position", {"balls": [[0], [1, 2]]}, "is not a list of integers"),
         ("strain", {"springs": []}, "springs: is empty; name at least one spring"),
         ("strain", {"springs": [5]}, "must name a spring, from 0 to 1"),

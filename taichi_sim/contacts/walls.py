@@ -312,9 +312,7 @@ class Walls:
                         else:
                             target = ti.min(there, target)
                 if ti.static(self.has_colliders and impacts):
-                    follows = role == RESTING
-                    follows = follows or role == SINKS
-                    if k >= self.planes and target == 0.0 and follows:
+                    if k >= self.planes and target == 0.0 and self.solved(c) and role != NEAR:
                         target = self._following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
                 self.contact[c].target = target
                 if ti.static(starts):

@@ -155,8 +155,11 @@ def _goes_on(case: Case, records: list[Record]) -> float:
 
 
 def _near(case: Case, records: list[Record]) -> float:
-    """The same; what is solved for differs by the tolerance of that in double precision too."""
-    return apart(*records) / (1.0 if slack(case) == 1.0 else 5.0)
+    """The same, but that pairs may meet a step sooner or later."""
+    r = records[0]
+    step = float(np.linalg.norm(r.v, axis=2).max(initial=0.0)) * r.dt / r.substeps
+    hits = step if case.scene.n_balls > 1 and case.settings.get("contacts") != "off" else 0.0
+    return max(0.0, apart(*records) - hits / _moved(r))
 
 
 def _threads(case: Case) -> list[Case]:

@@ -24,7 +24,7 @@ __all__ = ["Case", "Record", "auto_dt", "observe"]
 
 TOGETHER = 100  # scenes in one simulation
 GROUPS = 28  # of those whose walls differ; 32 groups are the most there can be
-WIDE = 256.0  # m, of those in single precision: it rounds places by 1e-7 of that
+WIDE = 64.0  # m, of those in single precision: it rounds places by 1e-7 of that
 MOST_BALLS = 1000  # together: more would get fewer passes by default
 PLAIN = "plain"
 
