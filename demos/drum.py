@@ -10,7 +10,7 @@ RADIUS, TURN = 1.2, 1.2  # m, 1/s
 def scene():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.output = {"fps": 60, "duration": 5, "size": (960, 720)}
-    scene.settings = {"dt": 0.002, "substeps": 2}
+    scene.settings = {"dt": 0.002, "substeps": 3}
     rubber = scene.add_material("rubber", restitution=0.2, friction=0.6)
     small = {"resolution": (17, 11), "radius": 0.04, "jitter": 0.1, "position": (-0.74, -0.5)}
     large = {"resolution": (6, 2), "radius": 0.09, "mass": 5.0, "jitter": 0.1, "position": (-0.55, 0.54)}

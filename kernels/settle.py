@@ -19,7 +19,8 @@ from . import hits, sweeps, wall_hits
 from .pairs import GRAIN
 
 PASSES = 64  # at most, in one step, where masses differ much
-FEW = 8  # elsewhere: what is left then is little, and all that falls onto a pile waits for it
+FEW = 32  # elsewhere, where passes look only at what still changes
+AT_ONCE = 6  # of these on all threads; what goes on changing is little, and one thread does it
 FAR = 1e6  # times the change of a pass: nothing goes further along it
 TINY = 1e-30  # J: below it nothing has changed
 
@@ -35,11 +36,18 @@ def settle(solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def settle_blocks(solver: ti.template(), ball: ti.template()):
-    """A few passes, each over the contacts of the balls that the one before still changed fast."""
+    """Passes, each over the contacts of the balls that the one before still changed fast."""
     for b in range(solver.pairs.blocks[0]):
         solver.mark[b] = solver.struck[b]
-    if ti.static(solver.serial):
-        going, now = True, 0
+    if ti.static(not solver.serial):
+        for now in ti.static(range(AT_ONCE)):
+            for parity in ti.static(range(2)):
+                for g in range((solver.pairs.blocks[0] + 1 - parity) // 2 * GRAIN):
+                    if g % GRAIN == 0:
+                        pass_block(solver, ball, g // GRAIN * 2 + parity, now)
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        going, now = True, ti.static(0 if solver.serial else AT_ONCE)
         while going and now < FEW:
             going = False
             for parity in range(2):
@@ -47,12 +55,6 @@ def settle_blocks(solver: ti.template(), ball: ti.template()):
                     if pass_block(solver, ball, 2 * g + parity, now) > 0:
                         going = True
             now += 1
-    else:
-        for now in ti.static(range(FEW)):
-            for parity in ti.static(range(2)):
-                for g in range((solver.pairs.blocks[0] + 1 - parity) // 2 * GRAIN):
-                    if g % GRAIN == 0:
-                        pass_block(solver, ball, g // GRAIN * 2 + parity, now)
 
 
 @ti.func
