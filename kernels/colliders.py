@@ -335,7 +335,7 @@ def first_collider(walls: ti.template(), i, x, v, a, since, limit, settled, floo
                 several = 0
                 if ti.static(walls.colliders.has_faces):
                     if walls.colliders.shape[k].kind == BOX:
-                        _, _, inside = distance(walls.colliders, k, local(walls.colliders, k, x, since))
+                        _far, _away, inside = distance(walls.colliders, k, local(walls.colliders, k, x, since))
                         if inside:
                             several = 1
                 for face in range(ti.select(several == 1, walls.faces, 1)):

@@ -211,7 +211,7 @@ def test_slow_decays_are_what_a_run_shows():
     assert beyond.found > 1.5 * beyond.exact
     assert "take tr_bdf2" in "".join(check.damping(scene, "verlet", h, place))
     said = "".join(check.damping(chain(0.2), "implicit_euler", h, place))
-    assert f"this step gives {slow_decays(chain(0.2), 'implicit_euler', h, place)[0].found:.3g}" in said
+    assert f"with this step by {slow_decays(chain(0.2), 'implicit_euler', h, place)[0].found:.3g}" in said
     assert "omega^2 h / 2" in said
 
 
