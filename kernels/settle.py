@@ -19,7 +19,7 @@ from . import hits, sweeps, wall_hits
 from .pairs import GRAIN
 
 PASSES = 64  # at most, in one step, where masses differ much
-FEW = 32  # elsewhere, where passes look only at what still changes
+FEW = 8  # elsewhere: each lets go of a part of what soft contacts hold, so that with more a heap in a drum overlaps deeper
 AT_ONCE = 6  # of these on all threads; what goes on changing is little, and one thread does it
 FAR = 1e6  # times the change of a pass: nothing goes further along it
 TINY = 1e-30  # J: below it nothing has changed
