@@ -37,7 +37,8 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
         spring, ball, depth = sinking
         yield (
             f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by at least {depth:.2g} m for want"
-            " of passes, and at the end of a chain of light balls by tens of times that; take implicit_euler or tr_bdf2, or much shorter steps"
+            " of passes, and at the end of a chain of light balls by tens of times that; take implicit_euler, tr_bdf2"
+            " or much shorter steps"
         )
 
 
