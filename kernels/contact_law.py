@@ -63,6 +63,18 @@ def sliding_impulse_2d(model: ti.template(), u, mass, slide, bound, slip):
 
 
 @ti.func
+def sideways(solver: ti.template(), i, j):
+    """Mass that balls i and j oppose to an impulse along their surfaces, as a part of that along the normal."""
+    part = ti.cast(1.0 / (1.0 + solver.model.turning), float)
+    if ti.static(solver.model.some_turn):
+        a, b = solver.model.inverse_mass[i], solver.model.inverse_mass[j]
+        if ti.static(solver.split):
+            a, b = solver.lightness[i], solver.lightness[j]
+        part = (a + b) / (a * (1.0 + solver.model.rolling[i]) + b * (1.0 + solver.model.rolling[j]))
+    return part
+
+
+@ti.func
 def presses(total, mass, threshold, u):
     """Whether a contact that holds `total` [N s] has friction: more than rounding leaves where two bodies just part. u: relative
     velocity.

@@ -33,9 +33,15 @@ ALERT = 0.5  # of the threshold: what closes faster may be fast once forces have
 @ti.func
 def load(solver: ti.template(), i, j, n):
     """Approach speed that forces gave balls i and j along n since contacts were last looked for."""
+    return ti.max(0.0, kick(solver, i, j, n))
+
+
+@ti.func
+def kick(solver: ti.template(), i, j, n):
+    """The same, negative where forces pull them apart."""
     u = 0.0 * n[0]
     if ti.static(solver.loaded):
-        u = ti.max(0.0, -(solver.kicked[j] - solver.kicked[i]).dot(n))
+        u = -(solver.kicked[j] - solver.kicked[i]).dot(n)
     return u
 
 
@@ -130,8 +136,8 @@ def one_ball(solver: ti.template(), ball: ti.template(), i, now, time):
             j = solver.pairs.link[c].other
             n = solver.pairs.row[c].normal
             u = ball[j].v - ball[i].v
-            pressed = load(solver, i, j, n)
-            closing = -(u.dot(n) + pressed)
+            pressed = kick(solver, i, j, n)
+            closing = -(u.dot(n) + ti.max(0.0, pressed))
             if closing > solver.threshold[0]:
                 law = law_of(solver.pairs, i, j)
                 if law.restitution > 0.0 and bounces_on(solver, i, j, law.restitution):
@@ -139,14 +145,14 @@ def one_ball(solver: ti.template(), ball: ti.template(), i, now, time):
                     solver.rebounds[i] = solver.rebounds[i] + 1
                     solver.rebounds[j] = solver.rebounds[j] + 1
                     other = solver.model.inverse_mass[j]
-                    total = (1.0 + law.restitution) * (closing + 0.5 * pressed) / (w + other)
+                    total = -(1.0 + law.restitution) * (u.dot(n) + 0.5 * pressed) / (w + other)
                     p = -total * n
                     if ti.static(solver.model.has_friction):
                         mass = 1.0 / (w + other)
                         slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
                         if ti.static(solver.spins):
                             u -= solver.pairs.row[c].arm * lever(solver.state.turn[i] + solver.state.turn[j], n)
-                            mass *= solver.tangential
+                            mass *= contact_law.sideways(solver, i, j)
                         change, _ = contact_law.sliding_impulse(
                             solver.model, u, n, mass, 0.0 * p, law.friction * total, slip
                         )

@@ -56,14 +56,14 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
         share = 0.0 * u + 1.0
         if ti.static(walls.model.spins):
             t -= lever(walls.state.turn[i], n)
-            share = 1.0 / (1.0 + walls.model.turning)
+            share = walls.model.sideways(i)
         speed = t.norm()
         if speed > 0.0:
             slip = ti.select(-u > threshold, decayed(law.viscous_friction * h), 0.0 * u)
             change = ti.min(share * speed, slip * share * speed + law.friction * j) / speed * t
             after -= change
             if ti.static(walls.model.spins):
-                walls.state.turn[i] = walls.state.turn[i] + walls.model.turning * cross(n, change)
+                walls.state.turn[i] = walls.state.turn[i] + walls.model.turning_of(i) * cross(n, change)
     return after, rest, rests
 
 

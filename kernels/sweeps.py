@@ -119,7 +119,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
                 if ti.static(solver.spins):
                     t = torque(solver, end, p)
                     twist += t
-                    add(solver, solver.carry_turn, j, (solver.turning * solver.model.inverse_mass[j]) * t)
+                    add(solver, solver.carry_turn, j, (solver.model.turning_of(j) * solver.model.inverse_mass[j]) * t)
             if ti.static(solver.counts):
                 add(solver, solver.count, j, 1)
             if ti.static(solver.by_tensor):
@@ -133,7 +133,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
     if ti.static(solver.warm):
         add(solver, solver.carry, i, w * total)
         if ti.static(solver.spins):
-            add(solver, solver.carry_turn, i, (solver.turning * w) * twist)
+            add(solver, solver.carry_turn, i, (solver.model.turning_of(i) * w) * twist)
     if ti.static(solver.counts):
         add(solver, solver.count, i, end - begin)
     return fast
@@ -191,9 +191,11 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
         ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
         most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
         if ti.static(solver.spins):
-            t = solver.turning * torque(solver, c, p)
-            turn += w * t
-            solver.state.turn[j] = solver.state.turn[j] + solver.model.inverse_mass[j] * t
+            t = torque(solver, c, p)
+            turn += w * (solver.model.turning_of(i) * t)
+            solver.state.turn[j] = solver.state.turn[j] + solver.model.inverse_mass[j] * (
+                solver.model.turning_of(j) * t
+            )
     ball[i].v = v
     if ti.static(solver.spins):
         solver.state.turn[i] = turn
@@ -276,7 +278,7 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
         arm = 0.0 * mass
         if ti.static(solver.spins):
             arm = solver.pairs.row[c].arm
-            mass *= solver.tangential
+            mass *= contact_law.sideways(solver, i, j)
         bound = law.friction * ti.max(0.0, total)
         if ti.static(solver.model.dim == 2):
             s = tangent(n).dot(u)
@@ -346,8 +348,14 @@ def prepare_in_turn(solver: ti.template(), i, j, c, n, held, stage: ti.template(
     if ti.static(stage == FIRST and solver.warm):
         solver.pairs.row[c].target = held
     if ti.static(stage == FIRST and solver.soft):
+        rests = not fast
+        if ti.static(
+            solver.model.has_restitution
+        ):  # what bounces without a loss parts by itself, and a push would be a gain
+            if law_of(solver.pairs, i, j).restitution >= 1.0 and held == 0.0:
+                rests = False
         aim = ti.cast(NONE, float)
-        if depth > 0.0 and not fast:
+        if depth > 0.0 and rests:
             aim = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push * solver.threshold[0])
         solver.pairs.link[c].aim = aim
 

@@ -51,9 +51,9 @@ def tame(solver: ti.template(), ball: ti.template()):
                     t0 = ti.cast(solver.before_turn[i], solver.wide)
                     t1 = ti.cast(solver.stop_turn[i], solver.wide)
                     t = ti.cast(solver.state.turn[i], solver.wide) - t1
-                    lost += 0.5 * product(solver, t0 - t1, t0 + t1) / (w * solver.turning)
-                    linear += product(solver, t1, t) / (w * solver.turning)
-                    square += product(solver, t, t) / (w * solver.turning)
+                    lost += 0.5 * product(solver, t0 - t1, t0 + t1) / (w * solver.model.turning)
+                    linear += product(solver, t1, t) / (w * solver.model.turning)
+                    square += product(solver, t, t) / (w * solver.model.turning)
         solver.energy[c].lost = lost
         solver.energy[c].linear = linear
         solver.energy[c].square = square

@@ -19,11 +19,17 @@ def bound(solver: ti.template(), start, i, j):
 @ti.func
 def load(walls: ti.template(), solver: ti.template(), i, n):
     """Speed into a wall that forces gave ball i since contacts were last looked for."""
+    return ti.max(0.0, kick(walls, solver, i, n))
+
+
+@ti.func
+def kick(walls: ti.template(), solver: ti.template(), i, n):
+    """The same, negative where forces pull it away."""
     u = 0.0 * n[0]
     if ti.static(solver.loaded):
-        u = ti.max(0.0, -solver.kicked[i].dot(n))
+        u = -solver.kicked[i].dot(n)
     elif ti.static(walls.model.has_gravity):
-        u = ti.max(0.0, -walls.model.gravity[0].dot(n) / solver.rate[0])
+        u = -walls.model.gravity[0].dot(n) / solver.rate[0]
     return u
 
 
@@ -38,19 +44,19 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
             n = walls.normal(i, k)
             u = walls.relative(ball[i].v, i, k)
             law = walls.law(i, k)
-            pressed = load(walls, solver, i, n)
-            closing = -(n.dot(u) + pressed)
+            pressed = kick(walls, solver, i, n)
+            closing = -(n.dot(u) + ti.max(0.0, pressed))
             reach = ti.max(walls.touch(ball[i].x, i, k), closing / solver.rate[0])
             if law.restitution > 0.0 and closing > walls.threshold[0] and walls.gap(ball[i].x, i, k) <= reach:
                 bounced = 1
                 mass = 1.0 / walls.model.inverse_mass[i]
-                total = (1.0 + law.restitution) * (closing + 0.5 * pressed) * mass
+                total = -(1.0 + law.restitution) * (n.dot(u) + 0.5 * pressed) * mass
                 p = total * n
                 if ti.static(walls.model.has_friction):
                     slip = contact_law.viscous_share(walls.model, law, total, mass, walls.threshold[0], u, time)
                     if ti.static(solver.spins):
                         u -= lever(solver.state.turn[i], n)
-                        mass *= solver.tangential
+                        mass *= walls.model.sideways(i)
                     change, _ = contact_law.sliding_impulse(
                         walls.model, u, n, mass, 0.0 * p, law.friction * total, slip
                     )

@@ -97,7 +97,7 @@ class Assembly:
         if order is not None:
             scene = in_order(scene, order)
         self.model = Model(scene, self.fields)
-        self.model.spins = spins(scene, settings)
+        self.model.let_turn(turning(scene, settings))
         small = _is_small(scene)
         self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
@@ -200,7 +200,7 @@ class Assembly:
             serial=self.fused,
             warm=warm,
             soft=soft,
-            loaded=pulls or bool(self.forces.extra) or (self.model.has_gravity and bool(scene.pinned.any())),
+            loaded=pulls or bool(self.forces.extra) or self.model.has_gravity,
             tames=tames,
         )
 
@@ -382,10 +382,11 @@ def _rounds(scene: Scene, backend: Backend) -> bool:
     return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINE * float(np.min(scene.radius))
 
 
-def spins(scene: Scene, settings: Settings) -> bool:
-    """Whether balls turn: "auto" where Coulomb friction can make them and some are loose. Those of cloth and jelly, which
-    springs, cells and the like join at their centres, would only roll under it like casters."""
+def turning(scene: Scene, settings: Settings) -> NDArray[np.bool_]:
+    """Which balls turn (n): "auto" where Coulomb friction can make them the loose ones. Those of cloth and jelly, which springs,
+    cells and the like join at their centres, would only roll under it like casters."""
     if settings.contacts == "off" or settings.spin is False:
-        return False
-    loose = ~scene.pinned & ~scene.joined()
-    return settings.spin is True or (bool(loose.any()) and any(m.friction > 0 for m in used_materials(scene)))
+        return np.zeros(scene.n_balls, dtype=bool)
+    if settings.spin is True:
+        return np.ones(scene.n_balls, dtype=bool)
+    return ~scene.pinned & ~scene.joined() & any(m.friction > 0 for m in used_materials(scene))

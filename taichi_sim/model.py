@@ -12,13 +12,14 @@ __all__ = ["TURNING", "Model", "components"]
 TURNING = {2: 2.0, 3: 2.5}  # m r^2 / I of a disc, of a solid sphere
 
 
+@ti.data_oriented
 class Model:
     """Constant fields of a scene with n balls in `dim` dimensions.
 
     Attributes that kernels read: `n`, `dim`; `inverse_mass` (n) [1/kg], 0 when pinned; `gravity` (1) [m/s^2]. For contacts,
     made on demand: `radius` (n) [m], `surface` (n) material index, `laws` (materials^2) restitution, friction, viscous friction
-    for each pair of materials; `group`, `mask` (n) bits of collision groups, where the scene has some. `spins`: whether balls
-    turn; `turning`: m r^2 / I of a ball.
+    for each pair of materials; `group`, `mask` (n) bits of collision groups, where the scene has some. `spins`: whether any
+    ball turns; `turning`: m r^2 / I of those that do.
     """
 
     def __init__(self, scene: Scene, fields: Fields) -> None:
@@ -31,7 +32,7 @@ class Model:
         self.has_gravity = bool(np.any(scene.gravity != 0))
         self.gravity = fields.reals(scene.gravity[None])
         self.surfaces = len(scene.materials)
-        self.spins = False
+        self.spins = self.some_turn = False
         self.turning = TURNING[self.dim]
 
     def add_contact_fields(self) -> None:
@@ -59,6 +60,29 @@ class Model:
                 "viscous_friction": np.sqrt(np.outer(f, f)).ravel(),
             },
         )
+
+    def let_turn(self, turns: NDArray[np.bool_]) -> None:
+        """Balls for which turns (n) is true turn under friction, the others keep the direction they have."""
+        self.spins = bool(turns.any())
+        self.some_turn = self.spins and not bool(np.all(turns | self.scene.pinned))
+        if self.some_turn:
+            self.rolling = self.fields.reals(np.where(turns, self.turning, 0.0))
+
+    @ti.func
+    def turning_of(self, i):
+        """m r^2 / I of ball i: turn per velocity that a sideways impulse gives; 0 where it does not turn."""
+        turning = ti.cast(self.turning, float)
+        if ti.static(self.some_turn):
+            turning = self.rolling[i]
+        return turning
+
+    @ti.func
+    def sideways(self, i):
+        """Mass that ball i opposes to a sideways impulse at its surface, as a part of its own."""
+        part = ti.cast(1.0 / (1.0 + self.turning), float)
+        if ti.static(self.some_turn):
+            part = 1.0 / (1.0 + self.rolling[i])
+        return part
 
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """For each ball the balls that a spring joins it to, as (start (n + 1), other (2 m)), sorted."""

@@ -197,7 +197,7 @@ class Facets:
                             own = self.ease[i]
                             if ti.static(solver.rule == "sum"):
                                 own = self.model.inverse_mass[i]
-                            mass = 1.0 / (inverse + solver.turning * own)
+                            mass = 1.0 / (inverse + self.model.turning_of(i) * own)
                     change, slide = contact_law.sliding_impulse(
                         self.model, u, n, mass, self.slide[c], law.friction * total, slip
                     )

@@ -84,8 +84,7 @@ class ContactSolver:
         self.among = walls is not None and walls.crowds  # walls take their turn in the impacts of pairs
         # by their directions, not only their number; friction pushes sideways as well
         self.by_tensor = self.active and self.split and not model.has_friction
-        self.spins, self.turning = model.spins, model.turning  # turn per velocity that an impulse gives: 1 / kappa
-        self.tangential = 1.0 / (1.0 + model.turning)
+        self.spins = model.spins
         self.sums = self.has_rows or not self.in_turn  # some impulses are accumulated before they are applied
         self.has_offset = self.active and (not self.soft or self.has_rows or self.has_walls)
         self.counts = self.split or self.among  # the pairs that touch each ball, whoever lists them
@@ -335,7 +334,9 @@ class ContactSolver:
                 if ti.static(closes):  # no pair holds these
                     self.carry[i] = self.carry[i] + self.model.inverse_mass[i] * p
                     if ti.static(self.spins):
-                        self.carry_turn[i] = self.carry_turn[i] + (self.turning * self.model.inverse_mass[i]) * t
+                        self.carry_turn[i] = (
+                            self.carry_turn[i] + (self.model.turning_of(i) * self.model.inverse_mass[i]) * t
+                        )
                 if ti.static(self.in_turn):
                     self.apply(i, p, t)
                 else:
@@ -365,7 +366,7 @@ class ContactSolver:
         w = self.model.inverse_mass[i]
         self.state.kick(i, w * p)
         if ti.static(self.spins):
-            self.state.turn[i] = self.state.turn[i] + (self.turning * w) * t
+            self.state.turn[i] = self.state.turn[i] + (self.model.turning_of(i) * w) * t
 
     @ti.func
     def separate(self, ball: ti.template(), h):

@@ -351,7 +351,7 @@ class Walls:
                     slip = contact_law.viscous_share(self.model, law, now, mass, self.threshold[0], u, time)
                     if ti.static(solver.spins):
                         u -= lever(turn, n)
-                        mass *= solver.tangential
+                        mass *= self.model.sideways(i)
                     change, slide = contact_law.sliding_impulse(
                         self.model, u, n, mass, contact.slide, law.friction * now, slip
                     )
