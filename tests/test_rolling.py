@@ -38,7 +38,7 @@ def dumbbell(ground: str, dim: int) -> ts.Scene:
 
 
 @pytest.mark.parametrize(
-    "ground, dim, contacts",
+    ("ground", "dim", "contacts"),
     [
         ("wall", 2, "gauss_seidel"),
         ("wall", 3, "gauss_seidel"),
@@ -57,7 +57,8 @@ def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
         turned = np.abs(sim.surface_speed).max(axis=1)
     assert v[:2] == pytest.approx(V - MU * G * STEPS * H, rel=0.01)
     rolls = V * {2: 2 / 3, 3: 5 / 7}[dim]
-    assert v[2] == pytest.approx(rolls, rel=0.01) and turned[-1] == pytest.approx(rolls, rel=0.01)
+    assert v[2] == pytest.approx(rolls, rel=0.01)
+    assert turned[-1] == pytest.approx(rolls, rel=0.01)
     assert not turned[:-1].any()
 
 
@@ -82,4 +83,5 @@ def test_a_loose_ball_rolls_on_one_that_does_not(dim, contacts):
     assert v[loose, 1] == pytest.approx(0.6 - p / m, rel=5e-3)
     assert v[held, 1] == pytest.approx(p / M, rel=5e-3)
     assert np.abs(turn[loose]).max() == pytest.approx(turning * p / m, rel=5e-3)
-    assert not turn[held].any() and not turn[far].any()
+    assert not turn[held].any()
+    assert not turn[far].any()
