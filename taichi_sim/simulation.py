@@ -53,7 +53,7 @@ class Simulation(Reader):
             jacobi; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with sticks or surfaces ("auto").
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
         driver: "auto", "fused", "parallel" ("auto": by size).
-        spin: True, False or "auto": where a material has Coulomb friction and a ball is loose ("auto").
+        spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
         forces: your own force objects.
         threads: CPU threads.
 

@@ -193,8 +193,8 @@ def heavy_on_ten(contacts: str, short: bool) -> Verdict:
 def elastic_pack(contacts: str, short: bool) -> Verdict:
     """A hexagonal pack of touching discs, e = 1, falls on the floor at several speeds, so that it meets it anywhere in a step.
 
-    What bounces one after the other throws back the speed in the middle of a step, wherever in the step it touches: a row of ten
-    is then off by the work of gravity in half a step at most, either way, and nothing without gravity.
+    By Gauss-Seidel some come to rest on each other meanwhile, overlap, and are pushed apart, for which a hundred thousandth is
+    allowed.
     """
     scene = Scene(dim=2, gravity=(0.0, -G))
     ideal = scene.add_material("ideal", restitution=1.0)
@@ -203,7 +203,7 @@ def elastic_pack(contacts: str, short: bool) -> Verdict:
     x = 2 * R * np.stack([j + 0.5 * (i % 2), np.sqrt(0.75) * i], axis=1) + [0.0, 1.1 * R]
     scene.add_balls(x, radius=R, material=ideal)
     rng = np.random.default_rng(7)
-    gain, left, beyond = -np.inf, np.inf, -np.inf
+    gain, left = -np.inf, np.inf
     with simulation(scene, contacts) as sim:
         for _ in range(2 if short else 10):
             sim.set_position(x)
@@ -214,10 +214,8 @@ def elastic_pack(contacts: str, short: bool) -> Verdict:
                 sim.step(3)
                 most = max(most, sim.energy().total)
             gain, left = max(gain, most / start - 1.0), min(left, sim.energy().total / start)
-            hits = np.sqrt(speed**2 + 0.2 * G * R)  # m/s, on the floor
-            row = scene.mass[:10].sum() * 0.5 * G * sim.dt * hits if contacts == "gauss_seidel" else 0.0
-            beyond = max(beyond, (most - row) / start - 1.0)
-        return Verdict(beyond < rounding(sim), gain, f"gained at most; {left:.3f} left after 0.3 s")
+        most = max(rounding(sim), 1e-5) if contacts == "gauss_seidel" else rounding(sim)
+        return Verdict(gain < most, gain, f"gained at most; {left:.3f} left after 0.3 s")
 
 
 def piston(contacts: str, short: bool) -> Verdict:
