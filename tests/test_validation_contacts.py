@@ -62,9 +62,9 @@ GASES = [
 ]
 
 
-def box_of_gas(dim, n, filled, share, restitution=1.0):
+def box_of_gas(dim, n, filled, share, restitution=1.0, seed=1):
     """n balls of 1 kg on a lattice in the unit box with Maxwellian velocities, their radius and step."""
-    rng, side = np.random.default_rng(1), round(n ** (1 / dim))
+    rng, side = np.random.default_rng(seed), round(n ** (1 / dim))
     r = (filled / (n * (np.pi if dim == 2 else 4 / 3 * np.pi))) ** (1 / dim)
     gap = 1 / side - 2 * r
     x = (np.stack(np.unravel_index(np.arange(n), (side,) * dim), axis=1) + 0.5) / side
@@ -76,7 +76,14 @@ def box_of_gas(dim, n, filled, share, restitution=1.0):
     for normal in np.eye(dim):
         scene.add_wall(normal, 0.0, ideal)
         scene.add_wall(-normal, -1.0, ideal)
+    for k in range(2 * dim):
+        scene.add_probe(f"wall_{k}", "impulse", wall=k)
     return scene, r, share * r / SPEED
+
+
+def walls_given(sim):
+    """Impulse that all walls have received [N s]."""
+    return sum(value for name, value in sim.probes().items() if name.endswith("magnitude"))
 
 
 @functools.cache
@@ -90,13 +97,16 @@ def gas_run(dim, n, filled, share, steps):
     with simulate(scene, dt=dt) as sim:
         got.energy.append(sim.energy().total)
         sim.step(round(1.0 / (SPEED * dt)))
+        counted, given = 0.0, walls_given(sim)
         for k in range(steps):
             sim.step()
             x, v = sim.position, sim.velocity
             back = (
                 x - dt * v
             )  # behind a wall: the ball was reflected in this step, and had the opposite velocity before
-            for ball, axis in np.argwhere(((v > 0) & (back < r)) | ((v < 0) & (back > 1 - r))):
+            hit = ((v > 0) & (back < r)) | ((v < 0) & (back > 1 - r))
+            counted += 2.0 * np.sum(np.abs(v[hit]))
+            for ball, axis in np.argwhere(hit):
                 if np.all(np.abs(np.delete(x[ball], axis) - 0.5) < MIDDLE):
                     p = 2.0 * abs(v[ball, axis])
                     got.impulse, got.squares, got.hits = got.impulse + p, got.squares + p * p, got.hits + 1
@@ -106,6 +116,8 @@ def gas_run(dim, n, filled, share, steps):
                 got.second.append(np.mean(square))
                 got.fourth.append(np.mean(square**2))
         got.energy.append(sim.energy().total)
+        # some met a ball and a wall in one step, which their paths do not tell
+        got.impulse *= (walls_given(sim) - given) / counted
     area, volume = 2 * dim * (2 * MIDDLE) ** (dim - 1), (2 * MIDDLE) ** dim
     got.n, got.dim, got.samples = n, dim, len(got.inside)
     got.density = np.mean(got.inside) / volume
@@ -162,24 +174,27 @@ def test_granular_cooling(dim):
     The box is smaller than the least one in which such a gas gathers in whirls and clusters, which cool more slowly.
     """
     e, n, filled = 0.98, 400 if dim == 2 else 729, 0.1
-    gas, _, dt = box_of_gas(dim, n, filled, 1 / 50)
-    with simulate(gas, dt=dt) as sim:  # from the lattice to a gas
-        sim.step(round(1.0 / (SPEED * dt)))
-        nu = collision_rate(sim, 4000 if dim == 2 else 800)
-        x, v = sim.position, sim.velocity
-    scene, _, _ = box_of_gas(dim, n, filled, 1 / 50, e)
-    start, tau = float(np.mean(v**2)), 2 * dim / ((1 - e**2) * nu)
-    with simulate(scene, dt=dt) as sim:
-        sim.set_position(x)
-        sim.set_velocity(v)
-        worst, t = 0.0, 0.0
-        for _ in range(25):
-            sim.run(0.1 * tau)
-            t += round(0.1 * tau / dt) * dt
-            found, want = float(np.mean(sim.velocity**2)) / start, (1 + t / tau) ** -2
-            worst = max(worst, found / want - 1.0, key=abs)
+    runs = []
+    for seed in range(4):  # one alone is off by 2.6 % (a standard deviation)
+        gas, _, dt = box_of_gas(dim, n, filled, 1 / 50, seed=seed)
+        with simulate(gas, dt=dt) as sim:  # from the lattice to a gas
+            sim.step(round(1.0 / (SPEED * dt)))
+            nu = collision_rate(sim, 4000 if dim == 2 else 800)
+            x, v = sim.position, sim.velocity
+        scene, _, _ = box_of_gas(dim, n, filled, 1 / 50, e)
+        start, tau = float(np.mean(v**2)), 2 * dim / ((1 - e**2) * nu)
+        with simulate(scene, dt=dt) as sim:
+            sim.set_position(x)
+            sim.set_velocity(v)
+            run, t = [], 0.0
+            for _ in range(25):
+                sim.run(0.1 * tau)
+                t += round(0.1 * tau / dt) * dt
+                run.append(float(np.mean(sim.velocity**2)) / start * (1 + t / tau) ** 2 - 1.0)
+        runs.append(run)
+    worst = max(np.mean(runs, axis=0), key=abs)
     print(
-        f"{dim}d: {nu:.0f} collisions per second, after {t / tau:.2f} tau {found:.4f} of {want:.4f}, at worst {worst:+.3f}"
+        f"{dim}d: {nu:.0f} collisions per second, after {t / tau:.2f} tau {run[-1]:+.4f}, at worst on average {worst:+.3f}"
     )
-    assert want < 1 / 12
+    assert (1 + t / tau) ** -2 < 1 / 12
     assert abs(worst) < 0.05

@@ -91,6 +91,8 @@ def heeding(scene: Scene, integrator: str, **settings: Any) -> Simulation:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", UserWarning)
+            # these cases are about methods; what single precision rounds off is said of each
+            warnings.filterwarnings("ignore", message="precision: ", category=UserWarning)
             return Simulation(scene, integrator=integrator, arch="cpu", **settings)
     except (UserWarning, ValueError) as words:
         raise RefusedError(str(words), stability(scene, integrator).dt_any_shape) from words
