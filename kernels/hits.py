@@ -46,6 +46,15 @@ def kick(solver: ti.template(), i, j, n):
 
 
 @ti.func
+def is_lossless(solver: ti.template(), i, j):
+    """Whether all speed comes back: such a pair parts by itself, and to be pushed apart would be a gain."""
+    lossless = False
+    if ti.static(solver.model.has_restitution):
+        lossless = law_of(solver.pairs, i, j).restitution >= 1.0
+    return lossless
+
+
+@ti.func
 def note_kicks(solver: ti.template(), ball: ti.template()):
     """What forces changed since contacts were last looked for."""
     if ti.static(solver.loaded):

@@ -193,9 +193,8 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
         if ti.static(solver.spins):
             t = torque(solver, c, p)
             turn += w * (solver.model.turning_of(i) * t)
-            solver.state.turn[j] = solver.state.turn[j] + solver.model.inverse_mass[j] * (
-                solver.model.turning_of(j) * t
-            )
+            t = solver.model.turning_of(j) * t
+            solver.state.turn[j] = solver.state.turn[j] + solver.model.inverse_mass[j] * t
     ball[i].v = v
     if ti.static(solver.spins):
         solver.state.turn[i] = turn
@@ -348,14 +347,8 @@ def prepare_in_turn(solver: ti.template(), i, j, c, n, held, stage: ti.template(
     if ti.static(stage == FIRST and solver.warm):
         solver.pairs.row[c].target = held
     if ti.static(stage == FIRST and solver.soft):
-        rests = not fast
-        if ti.static(
-            solver.model.has_restitution
-        ):  # what bounces without a loss parts by itself, and a push would be a gain
-            if law_of(solver.pairs, i, j).restitution >= 1.0 and held == 0.0:
-                rests = False
         aim = ti.cast(NONE, float)
-        if depth > 0.0 and rests:
+        if depth > 0.0 and not fast and (held > 0.0 or not hits.is_lossless(solver, i, j)):
             aim = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push * solver.threshold[0])
         solver.pairs.link[c].aim = aim
 

@@ -334,9 +334,8 @@ class ContactSolver:
                 if ti.static(closes):  # no pair holds these
                     self.carry[i] = self.carry[i] + self.model.inverse_mass[i] * p
                     if ti.static(self.spins):
-                        self.carry_turn[i] = (
-                            self.carry_turn[i] + (self.model.turning_of(i) * self.model.inverse_mass[i]) * t
-                        )
+                        ease = self.model.turning_of(i) * self.model.inverse_mass[i]
+                        self.carry_turn[i] = self.carry_turn[i] + ease * t
                 if ti.static(self.in_turn):
                     self.apply(i, p, t)
                 else:
