@@ -27,6 +27,7 @@ ROUNDS = 24  # of impacts in one step; what closes fast after them is stopped, o
 CALM = -1
 NO_ROW = -1
 SPENT = 0.02  # of an approach speed: a contact has lost the rest after so many bounces that e^k is less
+STILL = 0.01  # of the threshold: what moves less rests
 ALERT = 0.5  # of the threshold: what closes faster may be fast once forces have acted
 
 
@@ -47,7 +48,7 @@ def kick(solver: ti.template(), i, j, n):
 
 @ti.func
 def is_lossless(solver: ti.template(), i, j):
-    """Whether all speed comes back: such a pair parts by itself, and to be pushed apart would be a gain."""
+    """Whether all speed comes back: such a pair, once it has bounced, parts by itself; to be pushed as well would be a gain."""
     lossless = False
     if ti.static(solver.model.has_restitution):
         lossless = law_of(solver.pairs, i, j).restitution >= 1.0

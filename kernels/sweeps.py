@@ -348,7 +348,8 @@ def prepare_in_turn(solver: ti.template(), i, j, c, n, held, stage: ti.template(
         solver.pairs.row[c].target = held
     if ti.static(stage == FIRST and solver.soft):
         aim = ti.cast(NONE, float)
-        if depth > 0.0 and not fast and (held > 0.0 or not hits.is_lossless(solver, i, j)):
+        rests = held > 0.0 or ti.abs(speed) <= hits.STILL * solver.threshold[0] or not hits.is_lossless(solver, i, j)
+        if depth > 0.0 and not fast and rests:
             aim = ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push * solver.threshold[0])
         solver.pairs.link[c].aim = aim
 

@@ -62,8 +62,8 @@ class Model:
         )
 
     def let_turn(self, turns: NDArray[np.bool_]) -> None:
-        """Balls for which turns (n) is true turn under friction, the others keep the direction they have."""
-        self.spins = bool(turns.any())
+        """Balls for which turns (n) is true turn under friction, the others not at all."""
+        self.spins, self.turns = bool(turns.any()), turns
         self.some_turn = self.spins and not bool(np.all(turns | self.scene.pinned))
         if self.some_turn:
             self.rolling = self.fields.reals(np.where(turns, self.turning, 0.0))

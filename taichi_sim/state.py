@@ -35,6 +35,7 @@ class State:
         if compensated:
             self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
         self.spins = model.spins
+        self.still = ~model.turns if model.some_turn else None  # balls that never turn
         if self.spins:
             self.turn, self.kept_turn = fields.turns(self.n, model.dim), fields.turns(self.n, model.dim)
 
@@ -97,9 +98,11 @@ class State:
             self._copy_in(self.low, *(low or (np.zeros_like(x), np.zeros_like(v))))
 
     def write_turn(self, turn: np.ndarray) -> None:
-        """Replace the speeds (n, 1 or 3) [m/s] with which surfaces turn; nothing where balls do not spin."""
+        """Replace the speeds (n, 1 or 3) [m/s] with which surfaces turn; 0 where balls do not."""
         if self.spins:
             stored = turn if self.order is None else turn[self.order]
+            if self.still is not None:
+                stored = np.where(self.still[:, None], 0.0, stored)
             shaped = stored[:, 0] if self.dim == 2 else stored
             self.turn.from_numpy(shaped.astype(np.float64 if self.turn.dtype == ti.f64 else np.float32))
 

@@ -154,6 +154,19 @@ def test_springs_in_an_elastic_crowd_take_nothing_from_it(method, ratio):
         assert abs(sim.energy().total - before) < 5e-3 * kinetic
 
 
+def test_lossless_balls_that_overlap_at_rest_come_apart():
+    """Side by side on the floor, where nothing presses them together and nothing ever will."""
+    scene, radius = ts.Scene(dim=2, gravity=(0.0, -G)), 0.06
+    scene.add_material("steel", restitution=1.0)
+    scene.add_wall((0, 1), 0.0, "steel")
+    scene.add_balls([(0.0, radius), (1.6 * radius, radius)], radius=radius, material="steel")
+    with simulate(scene, dt=1e-3) as sim:
+        before = sim.energy().total
+        sim.step(150)
+        assert sim.penetration() < 0.01 * radius
+        assert sim.energy().total == pytest.approx(before, rel=1e-5)
+
+
 def test_light_balls_between_walls_and_heavy_ones_keep_their_energy():
     """Without gravity, masses 1 to 2000: what a corner and a heavy ball close in bounces in turn, and is not stopped there."""
     scene = crowd(3, 24, 0.12, 0.0, 12.0, seed=3)

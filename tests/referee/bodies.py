@@ -43,6 +43,7 @@ def _sleds(rng: Rng, n: int, method: str | None = None) -> list[Case]:
     dim = int(rng.integers(2, 4))
     kind = str(rng.choice(["wall", "box"] if dim == 2 else ["wall", "box", "mesh"]))
     method = method or str(rng.choice(METHODS))
+    stray = rng.random() < 0.5  # a loose ball above, which turns by friction where feet do not
     cases = []
     for _ in range(n if kind != "mesh" else 4):
         scene = ts.Scene(dim, up(dim, 10.0))
@@ -65,6 +66,8 @@ def _sleds(rng: Rng, n: int, method: str | None = None) -> list[Case]:
         # flat struts: so stiff that the load sinks in by a fiftieth of its height
         k = 50.0 * 10.0 * mass.sum() / 0.11
         scene.add_springs(pairs, stiffness=k, damping=0.4 * np.sqrt(k * foot))
+        if stray:
+            scene.add_balls([np.eye(dim)[1]], radius=r, mass=foot, material="m")
         ground(scene, kind, "m")
         cases.append(Case(scene, {"integrator": method}, 0.3, 6))
     return cases

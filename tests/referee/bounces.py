@@ -62,7 +62,12 @@ def crowd(
 def _elastic_crowd(rng: Rng, n: int) -> list[Case]:
     dim = int(rng.integers(2, 4))
     g = float(rng.choice([0.0, log(rng, 1e-3, 10.0), log(rng, 1e-3, 10.0)]))
-    return [Case(crowd(rng, dim, g, 1.0), VERLET, 2.0, 8) for _ in range(n)]
+    scenes = [crowd(rng, dim, g, 1.0) for _ in range(n)]
+    if rng.random() < 0.5:  # some balls on springs
+        for scene in scenes:
+            pairs = rng.permutation(scene.n_balls)[: 2 * int(rng.integers(1, 9))].reshape(-1, 2)
+            scene.add_springs(pairs, stiffness=float(log(rng, 5.0, 200.0)))
+    return [Case(scene, VERLET, 2.0, 8) for scene in scenes]
 
 
 def _elastic_rows(rng: Rng, n: int) -> list[Case]:
