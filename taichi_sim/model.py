@@ -79,10 +79,7 @@ class Model:
     @ti.func
     def sideways(self, i):
         """Mass that ball i opposes to a sideways impulse at its surface, as a part of its own."""
-        part = ti.cast(1.0 / (1.0 + self.turning), float)
-        if ti.static(self.some_turn):
-            part = 1.0 / (1.0 + self.rolling[i])
-        return part
+        return 1.0 / (1.0 + self.turning_of(i))
 
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """For each ball the balls that a spring joins it to, as (start (n + 1), other (2 m)), sorted."""

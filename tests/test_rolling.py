@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from physics_support import simulate
 
 import taichi_sim as ts
-from tests.physics_support import simulate
 
 V, MU, G, R = 1.6, 0.25, 10.0, 0.05
 STEPS, H = 300, 1e-3  # it has slipped for .3 s, and slides yet

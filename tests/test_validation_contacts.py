@@ -76,8 +76,6 @@ def box_of_gas(dim, n, filled, share, restitution=1.0, seed=1):
     for normal in np.eye(dim):
         scene.add_wall(normal, 0.0, ideal)
         scene.add_wall(-normal, -1.0, ideal)
-    for k in range(2 * dim):
-        scene.add_probe(f"wall_{k}", "impulse", wall=k)
     return scene, r, share * r / SPEED
 
 
@@ -93,6 +91,8 @@ def gas_run(dim, n, filled, share, steps):
     Near edges walls are hit less often, and near walls the gas is denser: both are left out.
     """
     scene, r, dt = box_of_gas(dim, n, filled, share)
+    for k in range(len(scene.walls)):
+        scene.add_probe(f"wall_{k}", "impulse", wall=k)
     got = SimpleNamespace(impulse=0.0, squares=0.0, hits=0, inside=[], second=[], fourth=[], energy=[])
     with simulate(scene, dt=dt) as sim:
         got.energy.append(sim.energy().total)
@@ -101,9 +101,8 @@ def gas_run(dim, n, filled, share, steps):
         for k in range(steps):
             sim.step()
             x, v = sim.position, sim.velocity
-            back = (
-                x - dt * v
-            )  # behind a wall: the ball was reflected in this step, and had the opposite velocity before
+            # behind a wall: the ball was reflected in this step, and had the opposite velocity before
+            back = x - dt * v
             hit = ((v > 0) & (back < r)) | ((v < 0) & (back > 1 - r))
             counted += 2.0 * np.sum(np.abs(v[hit]))
             for ball, axis in np.argwhere(hit):
@@ -117,12 +116,12 @@ def gas_run(dim, n, filled, share, steps):
                 got.fourth.append(np.mean(square**2))
         got.energy.append(sim.energy().total)
         # some met a ball and a wall in one step, which their paths do not tell
-        got.impulse *= (walls_given(sim) - given) / counted
+        unseen = (walls_given(sim) - given) / counted
     area, volume = 2 * dim * (2 * MIDDLE) ** (dim - 1), (2 * MIDDLE) ** dim
     got.n, got.dim, got.samples = n, dim, len(got.inside)
     got.density = np.mean(got.inside) / volume
     got.temperature = 2 * got.energy[-1] / (dim * n)
-    got.pressure = got.impulse / (steps * dt * area)
+    got.pressure = unseen * got.impulse / (steps * dt * area)
     got.error = np.sqrt(got.squares) / got.impulse  # relative, one standard deviation of a sum of random hits
     got.filled = got.density * (np.pi * r**2 if dim == 2 else 4 / 3 * np.pi * r**3)
     got.ways = steps * dt * SPEED / (2 * r)  # diameters travelled
