@@ -3,7 +3,7 @@
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.mesh import Surface
+from taichi_sim.geometry.mesh import Surface
 
 AROUND, ACROSS = 48, 24  # vertices
 LARGE, SMALL, MASS = 0.5, 0.2, 2.0

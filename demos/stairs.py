@@ -3,7 +3,7 @@
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.level_set import level_set
+from taichi_sim.geometry.level_set import level_set
 
 STEPS, RISE, TREAD = 7, 0.3, 0.75
 

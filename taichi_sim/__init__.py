@@ -15,17 +15,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from taichi_sim import shapes
-from taichi_sim.colliders import Box, Capsule, Mesh, Sphere
-from taichi_sim.errors import BackendError, SceneError, UnstableError
-from taichi_sim.frame import Frame
-from taichi_sim.rates import spring_from_rates
-from taichi_sim.scene import Scene
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.errors import BackendError, SceneError, UnstableError
+from taichi_sim.scene.colliders import Box, Capsule, Mesh, Sphere
+from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.spring_units import spring_from_rates
 
 if TYPE_CHECKING:
+    from taichi_sim.files.toml_reader import load_scene
     from taichi_sim.forces.pointer import Pointer
     from taichi_sim.integrators import Integrator
-    from taichi_sim.scene_file import load_scene
-    from taichi_sim.simulation import Simulation
+    from taichi_sim.simulation.simulation import Simulation
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces itself on standard output
 
@@ -52,8 +52,8 @@ __all__ = [
 _LAZY = {
     "Integrator": "taichi_sim.integrators",
     "Pointer": "taichi_sim.forces.pointer",
-    "Simulation": "taichi_sim.simulation",
-    "load_scene": "taichi_sim.scene_file",
+    "Simulation": "taichi_sim.simulation.simulation",
+    "load_scene": "taichi_sim.files.toml_reader",
 }
 
 

@@ -1,5 +1,5 @@
 """`python -m taichi_sim`: the taichi-sim command."""
 
-from taichi_sim.cli import main
+from taichi_sim.cli.main import main
 
 main()

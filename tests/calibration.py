@@ -20,9 +20,9 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 import taichi_sim as ts
-from taichi_sim.controlled import Controlled
-from taichi_sim.settings import Settings
-from taichi_sim.stepper import Stepper
+from taichi_sim.simulation.adaptive_stepper import Controlled
+from taichi_sim.simulation.settings import Settings
+from taichi_sim.simulation.stepper import Stepper
 
 DURATION = 0.5  # s
 TRUTH = (3, 6)  # times the substeps
@@ -310,7 +310,7 @@ def main() -> None:
     options.add_argument("--precision", default="f64")
     options.add_argument("--log")
     given = options.parse_args()
-    from taichi_sim import backend
+    from taichi_sim.device import backend
 
     backend.start("cpu", given.precision, None)
     found = []

@@ -132,7 +132,7 @@ def pytest_collection_modifyitems(config, items):
 @pytest.fixture(scope="session", autouse=True)
 def _taichi():
     """Taichi on the CPU in this process's precision."""
-    from taichi_sim import backend
+    from taichi_sim.device import backend
 
     backend.start(arch="cpu", precision=PRECISION)
 

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim import assembly
+from taichi_sim.simulation import assembly
 
 
 def cloth(dim):

@@ -7,8 +7,8 @@ import pytest
 from physics_support import F64, simulate
 
 import taichi_sim as ts
-from taichi_sim import accuracy
-from taichi_sim.outcome import Scales, of_depth, of_energy, of_passes
+from taichi_sim.analysis import accuracy
+from taichi_sim.analysis.outcome import Scales, of_depth, of_energy, of_passes
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
 

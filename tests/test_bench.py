@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from physics_support import F64
 
-from taichi_sim.reports import bench, cases
+from taichi_sim.reports.bench import cases, main
+from taichi_sim.reports.bench.piles import Lie, PileReport, overlaps
 from taichi_sim.reports.peers import PeerMissingError, granular_lammps
-from taichi_sim.reports.piles import Lie, PileReport, overlaps
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(F64, reason="the benchmark runs in single precision")
-@pytest.mark.parametrize("name", list(bench.CASES))
+@pytest.mark.parametrize("name", list(main.CASES))
 def test_each_case_runs(name, capsys):
-    report = bench.CASES[name](True)
+    report = main.CASES[name](True)
     report.show()
     shown = capsys.readouterr().out
     assert report.rows[0][0] in shown
@@ -87,4 +87,4 @@ def test_grains_hardly_touch():
 
 def test_an_unknown_case_is_named():
     with pytest.raises(ValueError, match="'speed' is not a case; there are springs"):
-        bench.main(["speed"])
+        main.main(["speed"])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from taichi_sim import Frame, Scene, SceneError, Simulation
-from taichi_sim.camera_path import CameraPath, eased
+from taichi_sim.files.source import checked_output
+from taichi_sim.files.toml_reader import load_scene
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.tracker import Tracker
-from taichi_sim.scene_file import load_scene
-from taichi_sim.scene_source import checked_output
+from taichi_sim.scene.camera_path import CameraPath, eased
 
 if sys.version_info >= (3, 11):
     import tomllib

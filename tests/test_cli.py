@@ -43,7 +43,7 @@ rest_length = 0.7
 def command(folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """taichi-sim with these arguments, run in the folder."""
     return subprocess.run(
-        [sys.executable, "-m", "taichi_sim.cli", *arguments],
+        [sys.executable, "-m", "taichi_sim", *arguments],
         cwd=folder,
         env={**os.environ, **environment},
         capture_output=True,
@@ -68,7 +68,7 @@ def folder(tmp_path):
 
 def test_help_is_light(tmp_path):
     code = (
-        "import sys\nsys.argv = ['taichi-sim', '--help']\nfrom taichi_sim.cli import main\n"
+        "import sys\nsys.argv = ['taichi-sim', '--help']\nfrom taichi_sim.cli.main import main\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
         "names = ('taichi', 'av', 'trimesh', 'matplotlib', 'pydantic', 'rich', 'PIL')\n"
         "print([m for m in names if m in sys.modules])"
@@ -87,7 +87,7 @@ def test_version(tmp_path):
 
 
 def test_demos_are_listed_with_one_line_each(tmp_path):
-    from taichi_sim.scene_source import built_in, demos
+    from taichi_sim.files.source import built_in, demos
 
     done = command(tmp_path, "demos")
     assert done.returncode == 0
@@ -336,7 +336,7 @@ def test_cuda_without_a_gpu(folder):
 )
 def test_an_interrupt_leaves_no_half_file(folder, number, status, words):
     running = subprocess.Popen(
-        [sys.executable, "-m", "taichi_sim.cli", "run", "ball.toml", "-o", "x.npz", "--duration", "1e5"],
+        [sys.executable, "-m", "taichi_sim", "run", "ball.toml", "-o", "x.npz", "--duration", "1e5"],
         cwd=folder,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job of a shell ignores it
         stdout=subprocess.PIPE,

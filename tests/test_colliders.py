@@ -5,8 +5,8 @@ import pytest
 from conftest import PRECISION
 
 import taichi_sim as ts
-from taichi_sim.mesh import Surface, holes, mesh_distance, volume
-from taichi_sim.motion import turn_matrix, turn_vector
+from taichi_sim.geometry.mesh import Surface, holes, mesh_distance, volume
+from taichi_sim.scene.keyframes import turn_matrix, turn_vector
 
 CUBE = (
     np.array([[k >> a & 1 for a in range(3)] for k in range(8)]) - 0.5,
@@ -54,8 +54,8 @@ def test_distance_of_a_mesh():
 
 
 def test_the_grid_of_a_mesh_holds_the_exact_distances():
-    from taichi_sim import backend
     from taichi_sim.contacts.distance_grid import distance_grid
+    from taichi_sim.device import backend
 
     backend.start(arch="cpu", precision=PRECISION)
     mesh = collider(ts.Mesh(CUBE, resolution=12), 3)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from taichi_sim.crossings import crossings, edges_of
+from taichi_sim.geometry.intersections import crossings, edges_of
 
 
 def pierces(p, q, a, b, c):

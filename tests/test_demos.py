@@ -5,7 +5,7 @@ from runpy import run_path
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.scene_source import built_in, demos, open_scene, resolve
+from taichi_sim.files.source import built_in, demos, open_scene, resolve
 
 DEMOS = demos()
 

@@ -7,10 +7,10 @@ import pytest
 from physics_support import EPS, F64, simulate
 
 import taichi_sim as ts
-from taichi_sim import diagnostics
-from taichi_sim.element_rates import element_rates
+from taichi_sim.analysis import diagnostics
+from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.forces.wind import gusts
-from taichi_sim.scene_elements import cell_volumes
+from taichi_sim.scene.elements import cell_volumes
 
 H = 1e-3  # s
 
@@ -284,7 +284,7 @@ def test_the_advised_step_counts_elements():
     alone = ts.Scene(dim=2)
     alone.add_balls(scene.position, radius=0.1, mass=scene.mass)
     alone.add_springs([[0, 1], [1, 2]], stiffness=5.0)
-    from taichi_sim.stability import stability
+    from taichi_sim.analysis.stability import stability
 
     for method in ("symplectic_euler", "verlet", "rk4"):
         assert stability(scene, method).dt_any_shape < 0.7 * stability(alone, method).dt_any_shape

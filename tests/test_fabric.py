@@ -5,7 +5,7 @@ import pytest
 from statics import at_rest
 
 from taichi_sim import Scene, SceneError, shapes
-from taichi_sim.mesh import Surface
+from taichi_sim.geometry.mesh import Surface
 
 STRETCH, SHEAR, RIGIDITY = 80.0, 20.0, 1e-3
 

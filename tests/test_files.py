@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from taichi_sim.files import PartFile, replacing
+from taichi_sim.common.atomic_file import PartFile, replacing
 
 
 def test_a_file_appears_when_complete(tmp_path):

@@ -6,8 +6,8 @@ from physics_support import F64, simulate
 from test_elements import elastic_forces
 
 import taichi_sim as ts
+from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators.implicit_euler import ImplicitEuler
-from taichi_sim.stability import stability
 
 STIFF = ("implicit_euler", "xpbd")
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from taichi_sim import Scene, SceneError, shapes
-from taichi_sim.frame import Frame
-from taichi_sim.mesh import Surface, read_surface, volume
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.geometry.mesh import Surface, read_surface, volume
 from taichi_sim.outputs import open_output
 from taichi_sim.outputs.geometry import surface_of
 from taichi_sim.shapes.balloon import _sphere

@@ -4,11 +4,13 @@ import pytest
 from conftest import PRECISION
 
 from taichi_sim import Scene
-from taichi_sim.reports import hard_case, hard_cases, hard_springs
+from taichi_sim.reports.hard_cases import case as hard_case
+from taichi_sim.reports.hard_cases import contacts as hard_cases
+from taichi_sim.reports.hard_cases import springs
 
 QUICK = (("everything pinned", 2), ("empty scene", 2), ("corner of three walls", 2), ("negative coordinates", 1))
 CASES = {case.name: case for case in hard_cases.CASES}
-SPRINGS = {case.name: case for case in hard_springs.CASES}
+SPRINGS = {case.name: case for case in springs.CASES}
 QUICK_SPRINGS = {
     "K h^2 = 1e6": ("explicit_euler", "symplectic_euler", "verlet", "rk4", "xpbd"),
     "C h = 1e6": ("verlet", "tr_bdf2"),
@@ -81,7 +83,7 @@ def test_hard_case(name, contacts):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", hard_springs.METHODS)
+@pytest.mark.parametrize("method", springs.METHODS)
 @pytest.mark.parametrize("name", SPRINGS)
 def test_hard_case_of_springs(name, method):
     """In its short form: passed, or refused before the first step. Each case passes with TR-BDF2."""

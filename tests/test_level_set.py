@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.level_set import level_set
-from taichi_sim.mesh import volume
+from taichi_sim.geometry.level_set import level_set
+from taichi_sim.geometry.mesh import volume
 
 
 def ball(p):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taichi_sim import SceneError
-from taichi_sim.mesh import Surface, hinge_pairs, read_surface, surface_area, unique_edges
+from taichi_sim.geometry.mesh import Surface, hinge_pairs, read_surface, surface_area, unique_edges
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 STL_FACET = "facet normal 0 0 1\nouter loop\n{}endloop\nendfacet\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim import diagnostics
+from taichi_sim.analysis import diagnostics
 from taichi_sim.outputs import export
 
 

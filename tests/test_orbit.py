@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from taichi_sim.frame import Frame
-from taichi_sim.outputs import overlay
-from taichi_sim.outputs.orbit import NOTCH, Orbit, Slide, pick, view_of
-from taichi_sim.outputs.pace import BUDGET, STALL, Pace
+from taichi_sim.analysis.frame import Frame
 from taichi_sim.render import Camera, Flat, Renderer
+from taichi_sim.viewer import overlay
+from taichi_sim.viewer.orbit import NOTCH, Orbit, Slide, pick, view_of
+from taichi_sim.viewer.pace import BUDGET, STALL, Pace
 
 SIZE = (200, 100)
 EYE = Camera(eye=(1.0, 2.0, 8.0), target=(1.0, 2.0, 3.0))

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from taichi_sim import Frame, Scene, UnstableError
-from taichi_sim.frame import Contacts
-from taichi_sim.outcome import Scales
+from taichi_sim.analysis.frame import Contacts
+from taichi_sim.analysis.outcome import Scales
 from taichi_sim.outputs import Output, export, open_output
 
 SIZE = (64, 48)
@@ -93,7 +93,7 @@ class FakeRenderer:
 @pytest.fixture(autouse=True)
 def _renderer(monkeypatch):
     monkeypatch.setattr(
-        "taichi_sim.outputs.run._renderer", lambda frame, size, style: FakeRenderer(frame, size, **style)
+        "taichi_sim.outputs.export._renderer", lambda frame, size, style: FakeRenderer(frame, size, **style)
     )
 
 

@@ -5,7 +5,7 @@ import taichi as ti
 from physics_support import F64, PRECISION, simulate
 
 import taichi_sim as ts
-from taichi_sim import backend
+from taichi_sim.device import backend
 
 H = 1e-3
 OTHER = "f32" if F64 else "f64"

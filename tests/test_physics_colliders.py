@@ -11,7 +11,7 @@ from physics_colliders import ROOM, SHOTS, SPEED, G, H, Laboratory, R, block, ri
 from physics_support import DIMS, EPS, F64, METHODS, simulate, vector
 
 import taichi_sim as ts
-from taichi_sim import diagnostics
+from taichi_sim.analysis import diagnostics
 
 STILL = EPS * G * H  # m/s: one kick of gravity, to its rounding
 BULLET_STEPS, STEPS = 16, 1400

@@ -8,10 +8,10 @@ from physics_support import EPS, F64, simulate, vector
 from reference_damping import legendre_left
 
 import taichi_sim as ts
-from taichi_sim.damping import decay, lone, softened, stages
+from taichi_sim.analysis.damping import decay, lone, softened, stages
+from taichi_sim.analysis.slow_modes import slow_decays
+from taichi_sim.analysis.stability import predicts_damping, stability
 from taichi_sim.reports import check
-from taichi_sim.slow_modes import slow_decays
-from taichi_sim.stability import predicts_damping, stability
 
 LINKS, GAP, LIGHT, HEAVY = 12, 0.25, 0.07, 75.0  # of a chain: springs, m, kg, times that at its end
 

@@ -9,7 +9,7 @@ import pytest
 import reference_facets as ref
 from physics_bits import digest
 from physics_support import F64, PRECISION, simulate
-from taichi_sim.kernels.facets import LEVER
+from taichi_sim.kernels.contacts.triangle_pairs import LEVER
 
 import taichi_sim as ts
 

@@ -7,7 +7,7 @@ from physics_support import simulate
 from statics import at_rest
 
 from taichi_sim import Box, Scene, shapes
-from taichi_sim.diagnostics import inverted
+from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.shapes.balloon import _sphere
 
 

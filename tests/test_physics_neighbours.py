@@ -8,7 +8,7 @@ import taichi as ti
 from physics_support import F64, VARIANTS, each_dim, simulate
 
 import taichi_sim as ts
-from taichi_sim import memory
+from taichi_sim.common import memory
 from taichi_sim.contacts import pairs, sticks
 
 H = 1e-3

@@ -11,8 +11,8 @@ import reference as ref
 from physics_support import F64, each_dim, simulate, vector
 
 import taichi_sim as ts
+from taichi_sim.analysis.stability import predicts_damping
 from taichi_sim.integrators import BUILT_IN
-from taichi_sim.stability import predicts_damping
 
 ORDERS = {kind.name: kind.order for kind in BUILT_IN}
 HALVINGS = 4

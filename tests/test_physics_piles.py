@@ -5,7 +5,7 @@ import pytest
 from physics_support import EPS, F64, VARIANTS, each_dim, simulate, vector
 
 import taichi_sim as ts
-from taichi_sim import diagnostics
+from taichi_sim.analysis import diagnostics
 
 G, R = 10.0, 0.05
 SOLVERS = ("gauss_seidel", "jacobi")

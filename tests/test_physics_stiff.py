@@ -7,8 +7,8 @@ import reference_stiff as slow
 from physics_support import F64, each_dim, error, simulate, vector
 
 import taichi_sim as ts
-from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler, patches
-from taichi_sim.stability import ANY_STEP
+from taichi_sim.analysis.stability import ANY_STEP
+from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler, coarse_preconditioner
 
 STIFF = ("xpbd", "implicit_euler", "tr_bdf2")
 KINDS = {"xpbd": XPBD, "implicit_euler": ImplicitEuler, "tr_bdf2": TRBDF2}
@@ -313,7 +313,7 @@ def test_patches_save_passes(monkeypatch):
     scene.pinned[sheet.balls[:20]] = True
     found = []
     for fewest in (32, 10**6):
-        monkeypatch.setattr(patches, "FEWEST", fewest)
+        monkeypatch.setattr(coarse_preconditioner, "FEWEST", fewest)
         with simulate(scene, integrator=ImplicitEuler(1e-3), dt=1e-2, contacts="off") as sim:
             sim.step(20)
             found.append((sim.solver().passes, sim.position))
@@ -324,7 +324,7 @@ def test_patches_save_passes(monkeypatch):
 
 def test_halves_of_patches_differ_by_one_ball_at_most():
     x = np.random.default_rng(3).normal(size=(203, 3))
-    part = patches.bisected(x, 16)
+    part = coarse_preconditioner.bisected(x, 16)
     assert sorted(np.bincount(part)) == [12] * 5 + [13] * 11
     spread = np.sqrt(np.mean([x[part == k].var(axis=0).sum() for k in range(16)]))
     assert spread < 0.7 * np.sqrt(x.var(axis=0).sum())  # neighbours

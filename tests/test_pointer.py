@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from taichi_sim import Pointer, Scene, SceneError, Simulation, shapes
-from taichi_sim.assembly import Room
+from taichi_sim.analysis.stability import stability
 from taichi_sim.forces.pointer import MOST, PART
-from taichi_sim.stability import stability
+from taichi_sim.simulation.assembly import Room
 
 DT = 1e-3
 HELD, FREE, PINNED = 1, 0, 2

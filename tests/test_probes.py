@@ -5,10 +5,10 @@ import pytest
 from conftest import PRECISION
 
 import taichi_sim as ts
-from taichi_sim.errors import SceneError
+from taichi_sim.analysis.probe_readings import quantity_of
+from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs import export, open_output
-from taichi_sim.probes import KINDS, Look
-from taichi_sim.readings import quantity_of
+from taichi_sim.scene.probes import KINDS, Look
 
 G = 10.0  # m/s^2
 MASS, STIFFNESS, DAMPING, SPEED = 2.0, 1e3, 40.0, 0.5

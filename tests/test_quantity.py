@@ -7,7 +7,7 @@ import pytest
 from speed_support import RATE, STIFFNESS, MadeUp, length, pair, plan
 
 import taichi_sim as ts
-from taichi_sim.errors import SceneError
+from taichi_sim.common.errors import SceneError
 from taichi_sim.reports.speed_error import budget, command, report, resolution, tune
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS

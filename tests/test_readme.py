@@ -46,7 +46,7 @@ def test_the_example_of_scene_files_loads(tmp_path):
     gap = scene.position[scene.pairs[-1]]
     assert np.linalg.norm(gap[1] - gap[0]) < 0.15  # the flag's corner and the weight's top
     for table in re.findall(r"\[\[(\w+)\]\]", docs):
-        from taichi_sim.scene_schema import TABLES
+        from taichi_sim.files.toml_schema import TABLES
 
         assert table in TABLES
 

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from taichi_sim import Box, Scene, Sphere, backend
-from taichi_sim.frame import Frame, Placed
-from taichi_sim.model import components
+from taichi_sim import Box, Scene, Sphere
+from taichi_sim.analysis.frame import Frame, Placed
+from taichi_sim.device import backend
+from taichi_sim.device.model import components
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.tiles import tile_lists
 

@@ -8,13 +8,13 @@ import pytest
 from speed_support import MadeUp, length, pair, plan
 
 import taichi_sim as ts
-from taichi_sim.errors import SceneError
+from taichi_sim.common.errors import SceneError
+from taichi_sim.files.source import open_scene, resolve
 from taichi_sim.reports.speed_error import report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings, choice
 from taichi_sim.reports.speed_error.folder import Folder
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
-from taichi_sim.scene_source import open_scene, resolve
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from taichi_sim.outputs import Output, export, open_output
 @pytest.fixture(autouse=True)
 def _renderer(monkeypatch):
     monkeypatch.setattr(
-        "taichi_sim.outputs.run._renderer", lambda frame, size, style: FakeRenderer(frame, size, **style)
+        "taichi_sim.outputs.export._renderer", lambda frame, size, style: FakeRenderer(frame, size, **style)
     )
 
 
@@ -164,7 +164,7 @@ def test_pictures_with_alpha(tmp_path, monkeypatch):
             image = super().render(frame)
             return np.concatenate([image, image[:, :, :1]], axis=2)
 
-    monkeypatch.setattr("taichi_sim.outputs.run._renderer", lambda frame, size, style: Clear(frame, size, **style))
+    monkeypatch.setattr("taichi_sim.outputs.export._renderer", lambda frame, size, style: Clear(frame, size, **style))
     style = {"transparent": True}
     export(FakeSimulation(), open_output(tmp_path / "frames"), duration=0.1, size=SIZE, style=style)
     with Image.open(tmp_path / "frames" / "frame_00003.png") as image:

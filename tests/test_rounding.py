@@ -5,7 +5,7 @@ import pytest
 from physics_support import F64, simulate
 
 import taichi_sim as ts
-from taichi_sim import accuracy
+from taichi_sim.analysis import accuracy
 from taichi_sim.reports import check
 
 G, R = 10.0, 0.05
@@ -26,7 +26,7 @@ def springs(far):
 @pytest.mark.skipif(F64, reason="single precision loses it")
 @pytest.mark.parametrize("compensated", [True, False])
 def test_single_precision_loses_what_is_said_at_a_kilometre(monkeypatch, compensated):
-    monkeypatch.setattr("taichi_sim.assembly.compensates", lambda *_: compensated)
+    monkeypatch.setattr("taichi_sim.simulation.assembly.compensates", lambda *_: compensated)
     end = {}
     for far in (0.0, 1000.0):
         scene = springs(far)

@@ -127,5 +127,5 @@ def test_a_refused_call_changes_nothing():
 
 
 def test_scene_and_shapes_import_no_taichi():
-    code = "import sys, taichi_sim.shapes, taichi_sim.scene_file; print('taichi' in sys.modules)"
+    code = "import sys, taichi_sim.shapes, taichi_sim.files.toml_reader; print('taichi' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"

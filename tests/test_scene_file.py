@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from taichi_sim import Scene, SceneError, shapes
-from taichi_sim.scene_file import load_scene, save_scene
-from taichi_sim.scene_lines import key_name, line_of
+from taichi_sim.files.toml_lines import key_name, line_of
+from taichi_sim.files.toml_reader import load_scene
 
 GOOD = """format = 1
 dim = 2
@@ -208,7 +208,7 @@ def test_round_trip_is_identical(tmp_path, dim):
 
 
 def test_a_small_scene_needs_no_array_file(tmp_path):
-    save_scene(load(tmp_path, GOOD), tmp_path / "again.toml")
+    load(tmp_path, GOOD).save(tmp_path / "again.toml")
     assert same(load_scene(tmp_path / "again.toml"), load_scene(tmp_path / "scene.toml"))
     assert not (tmp_path / "again_arrays.npz").exists()
 
@@ -349,10 +349,10 @@ def test_bad_meshes(tmp_path):
 
 
 def test_words_are_those_of_the_simulation():
-    from taichi_sim import backend
+    from taichi_sim.device import backend
+    from taichi_sim.files.toml_schema import Simulation
     from taichi_sim.integrators import BUILT_IN
-    from taichi_sim.scene_schema import Simulation
-    from taichi_sim.settings import DEFAULTS, WORDS
+    from taichi_sim.simulation.settings import DEFAULTS, WORDS
 
     fields = Simulation.model_fields
     assert set(fields) == set(DEFAULTS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_sim import Scene, SceneError, shapes
-from taichi_sim.mesh import Surface
+from taichi_sim.geometry.mesh import Surface
 
 TETRAHEDRON = Surface(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),

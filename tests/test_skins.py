@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from taichi_sim import Frame, Scene, SceneError, Simulation
+from taichi_sim.files.toml_reader import load_scene
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
-from taichi_sim.scene_file import load_scene
 
 RED, GREEN = (0.9, 0.05, 0.05), (0.05, 0.8, 0.05)
 COLUMNS = ("corners", "weights", "triangles", "covers")

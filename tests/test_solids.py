@@ -8,10 +8,10 @@ import pytest
 from statics import at_rest
 
 from taichi_sim import Scene, SceneError, shapes
-from taichi_sim.mesh import Surface, flaws, holes, volume
-from taichi_sim.scene_elements import cell_volumes
+from taichi_sim.geometry.mesh import Surface, flaws, holes, volume
+from taichi_sim.scene.elements import cell_volumes
 from taichi_sim.shapes.balloon import _sphere
-from taichi_sim.solids import box_surface, connected, inside, skin_of_tetrahedra, springs_of
+from taichi_sim.shapes.jelly_material import box_surface, connected, inside, skin_of_tetrahedra, springs_of
 
 CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 

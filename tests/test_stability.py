@@ -5,8 +5,8 @@ import pytest
 from physics_support import F64, simulate, vector
 
 import taichi_sim as ts
+from taichi_sim.analysis.stability import largest_eigenvalue, present_eigenvalue, stability
 from taichi_sim.reports import check
-from taichi_sim.stability import largest_eigenvalue, present_eigenvalue, stability
 
 EXPLICIT = ("symplectic_euler", "verlet", "rk4")
 

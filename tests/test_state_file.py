@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.stability import predicts_damping
+from taichi_sim.analysis.stability import predicts_damping
 
 
 def small_scene():

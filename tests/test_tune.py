@@ -8,11 +8,11 @@ import pytest
 from speed_support import MadeUp, pair, plan
 
 import taichi_sim as ts
-from taichi_sim.errors import SceneError
+from taichi_sim.analysis.stability import stability
+from taichi_sim.common.errors import SceneError
 from taichi_sim.reports import check
 from taichi_sim.reports.speed_error import command, tune
-from taichi_sim.settings import Settings
-from taichi_sim.stability import stability
+from taichi_sim.simulation.settings import Settings
 
 FILE = """# Two balls on a spring
 format = 1   # the only one

@@ -8,8 +8,8 @@ from physics_support import F64, simulate
 from test_stability import add_network
 
 import taichi_sim as ts
+from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators import ImplicitEuler
-from taichi_sim.stability import stability
 
 pytestmark = pytest.mark.skipif(not F64, reason="growth by 1e-4 a step drowns in the rounding of single precision")
 

@@ -9,10 +9,10 @@ import taichi as ti
 from physics_support import F64, PRECISION, each_dim, simulate, vector
 
 import taichi_sim as ts
-from taichi_sim import stepper
-from taichi_sim.gauge import Look
-from taichi_sim.stability import present_limit
-from taichi_sim.watch import Watch
+from taichi_sim.analysis.stability import present_limit
+from taichi_sim.simulation import stepper
+from taichi_sim.simulation.energy_monitor import Watch
+from taichi_sim.simulation.state_probe import Look
 
 
 def stiffening(amplitude=1.0):

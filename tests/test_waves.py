@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_sim.forces.waves import waves
+from taichi_sim.forces.spring_batches import waves
 
 
 def random_pairs(seed):

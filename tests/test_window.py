@@ -13,8 +13,8 @@ from PIL import Image
 from window_support import MISSING, Display, Window
 
 from taichi_sim import Frame
-from taichi_sim.outputs.orbit import view_of
 from taichi_sim.render import Renderer
+from taichi_sim.viewer.orbit import view_of
 
 SIZE = (320, 240)
 HELD, OTHER, PINNED = 0, 1, 2
@@ -203,7 +203,7 @@ size = [320, 240]
 
 def view(display, folder, text: str, dt: str = "1e-3") -> Window:
     (folder / "ball.toml").write_text(text.replace("DT", dt))
-    return Window(display, folder, "-m", "taichi_sim.cli", "view", "ball.toml")
+    return Window(display, folder, "-m", "taichi_sim", "view", "ball.toml")
 
 
 @needs_tools
@@ -237,7 +237,7 @@ def test_without_a_display_one_sentence(tmp_path, name, says):
     (tmp_path / "ball.toml").write_text(FALLING)
     environment = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
     environment |= {} if name is None else {"DISPLAY": name}
-    command = [sys.executable, "-m", "taichi_sim.cli", "view", "ball.toml"]
+    command = [sys.executable, "-m", "taichi_sim", "view", "ball.toml"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
     assert done.stderr.startswith(f"taichi-sim: {says}")

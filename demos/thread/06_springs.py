@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.rates import spring_from_rates
+from taichi_sim.scene.spring_units import spring_from_rates
 
 STRETCH = 1.5  # of the rest length, at the start
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.rates import spring_from_rates
+from taichi_sim.scene.spring_units import spring_from_rates
 
 spin = np.array([3.0, -2, 5])  # rad/s at the start, at 1.4 m
 drift = np.array([0.3, -0.2, -0.3])  # m/s

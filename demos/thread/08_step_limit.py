@@ -3,7 +3,7 @@
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.rates import spring_from_rates
+from taichi_sim.scene.spring_units import spring_from_rates
 
 STEP = 0.02  # s
 share = np.array([0.05, 0.3, 0.6, 0.98])  # of the largest safe step

@@ -3,7 +3,7 @@
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.rates import spring_from_rates
+from taichi_sim.scene.spring_units import spring_from_rates
 
 SPOKES, RADIUS, SPIN = 16, 1.0, 8.0  # SPIN in rad/s
 rod = spring_from_rates(10000, 200)

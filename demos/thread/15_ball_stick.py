@@ -3,7 +3,7 @@
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.rates import spring_from_rates
+from taichi_sim.scene.spring_units import spring_from_rates
 
 ALONG = np.array([0.5, 0.25, 0.0])  # where on its stick each ball hits
 

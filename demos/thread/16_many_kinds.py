@@ -3,7 +3,7 @@
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.rates import spring_from_rates
+from taichi_sim.scene.spring_units import spring_from_rates
 
 WEIGHT = 10 * (21 * 0.5 + 3 * 2 + 12 * 0.2)  # N, of all balls that are not pinned
 

@@ -1,16 +1,16 @@
 """Colliders as Taichi fields: shapes, where they are at the start of a step, and how they move until its end."""
 
 import numpy as np
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.colliders import BOX, MESH, ROUND
 from taichi_sim.contacts.distance_grid import DistanceGrid
-from taichi_sim.fields import Fields
-from taichi_sim.kernels import colliders as geometry
-from taichi_sim.kernels.groups import meets
-from taichi_sim.model import Model
-from taichi_sim.motion import TICKS
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.kernels.contacts import colliders as geometry
+from taichi_sim.kernels.contacts.collision_groups import meets
+from taichi_sim.scene.colliders import BOX, MESH, ROUND
+from taichi_sim.scene.keyframes import TICKS
 
 __all__ = ["Colliders"]
 

@@ -3,12 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.colliders import MESH, Collider
-from taichi_sim.kernels import distance_grid as loops
-from taichi_sim.scene import Scene
+from taichi_sim.device.engine import ti
+from taichi_sim.kernels.contacts import distance_grid as loops
+from taichi_sim.scene.colliders import MESH, Collider
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["DistanceGrid", "distance_grid", "distance_grids"]
 

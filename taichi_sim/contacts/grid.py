@@ -1,12 +1,12 @@
 """Grid: the spatial hash of all balls, rebuilt where they are now."""
 
 import numpy as np
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.fields import Fields
-from taichi_sim.kernels import grid as loops
-from taichi_sim.model import Model
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.kernels.contacts import spatial_hash as loops
 
 __all__ = ["Grid"]
 

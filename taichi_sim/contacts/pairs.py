@@ -1,15 +1,15 @@
 """Pairs: contacts between balls, found through the grid and kept, each once, in lists for all passes of a step."""
 
 import numpy as np
-import taichi as ti
 
 from taichi_sim.contacts.grid import Grid
 from taichi_sim.contacts.walls import SLOP, TOUCH
-from taichi_sim.fields import Fields
-from taichi_sim.kernels import pairs as loops
-from taichi_sim.kernels import survey
-from taichi_sim.kernels.direction import unit
-from taichi_sim.model import Model
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.kernels.contacts import pairs as loops
+from taichi_sim.kernels.contacts import statistics
+from taichi_sim.kernels.vectors import unit
 
 __all__ = ["Pairs"]
 
@@ -108,7 +108,7 @@ class Pairs:
     @ti.func
     def survey(self, ball: ti.template(), i):
         """Tally of the pairs that ball i lists and that touch, give or take rounding; see kernels.survey."""
-        total = survey.nothing()
+        total = statistics.nothing()
         begin = self.first[i]
         for e in range(begin, begin + self.number[i]):
             j = self.link[e].other
@@ -119,5 +119,5 @@ class Pairs:
                 held = False
                 if ti.static(self.warm):
                     held = self.link[e].impulse > 0.0
-                total = survey.join(total, survey.one(ti.max(0.0, one + two - d), ti.min(one, two), u, held, i))
+                total = statistics.join(total, statistics.one(ti.max(0.0, one + two - d), ti.min(one, two), u, held, i))
         return total

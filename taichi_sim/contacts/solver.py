@@ -7,17 +7,27 @@ one sees, which needs half the passes.
 """
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.contacts.facets import Facets
 from taichi_sim.contacts.pairs import BLOCK, Pairs
 from taichi_sim.contacts.sticks import Sticks
+from taichi_sim.contacts.triangles import Facets
 from taichi_sim.contacts.walls import Walls
-from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, held, hits, settle, sharing, surfaces, sweeps, swept, taming
-from taichi_sim.model import Model
-from taichi_sim.scene import bounciest
-from taichi_sim.state import State
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import State
+from taichi_sim.kernels.contacts import (
+    ccd_balls,
+    ccd_triangles,
+    contact_law,
+    energy_limiter,
+    impact_iterations,
+    mass_sharing,
+    pair_impacts,
+    pair_sweeps,
+    warm_start,
+)
+from taichi_sim.scene.scene import bounciest
 
 __all__ = ["ContactSolver"]
 
@@ -110,7 +120,7 @@ class ContactSolver:
                 self.offset = fields.vectors(self.n, model.dim)
             if tames:
                 self.wide = ti.f64 if fields.has_doubles else fields.real
-                self.parts_of_energy = -(-self.n // taming.PART)
+                self.parts_of_energy = -(-self.n // energy_limiter.PART)
                 self.energy = fields.table(
                     {"lost": self.wide, "linear": self.wide, "square": self.wide}, self.parts_of_energy + 1
                 )
@@ -153,11 +163,11 @@ class ContactSolver:
     @ti.kernel
     def _scale_held(self, ratio: float):
         if ti.static(self.has_grid):
-            held.scale(self.pairs.link, self.pairs.capacity, ratio, self.model.has_friction)
+            warm_start.scale(self.pairs.link, self.pairs.capacity, ratio, self.model.has_friction)
         if ti.static(self.has_sticks):
-            held.scale(self.sticks.row, self.sticks.capacity, ratio, self.model.has_friction)
+            warm_start.scale(self.sticks.row, self.sticks.capacity, ratio, self.model.has_friction)
         if ti.static(self.has_walls):
-            held.scale(self.walls.contact, self.n * self.walls.count, ratio, self.model.has_friction)
+            warm_start.scale(self.walls.contact, self.n * self.walls.count, ratio, self.model.has_friction)
 
     @ti.func
     def refresh(self, ball: ti.template()):
@@ -170,19 +180,19 @@ class ContactSolver:
         if ti.static(self.has_colliders):
             self.walls.colliders.advance()
         if ti.static(self.has_grid):
-            swept.stop(self, ball)
+            ccd_balls.stop(self, ball)
             if ti.static(self.has_facets and moved):
-                surfaces.limit(self.facets, self, ball)
+                ccd_triangles.limit(self.facets, self, ball)
             self.pairs.grid.build(ball)
         for part in ti.static(self.searched):
             part.detect(ball)
         if ti.static(self.has_facets):
-            surfaces.detect(self.facets, self, ball)
+            ccd_triangles.detect(self.facets, self, ball)
         if ti.static(self.has_grid):
             if ti.static(self.warm or self.counts or self.strikes):
                 for i in range(self.n):
                     self._clear(i)
-            sweeps.sweep(self, ball, 0.0, sweeps.MEASURE)
+            pair_sweeps.sweep(self, ball, 0.0, pair_sweeps.MEASURE)
         if ti.static(self.has_walls):
             for i in range(self.n):
                 crowded = False
@@ -190,13 +200,13 @@ class ContactSolver:
                     crowded = self.count[i] > 0
                 self.walls.measure(ball, self, i, crowded)
             if ti.static(self.strikes and self.among):
-                hits.alert(self)
+                pair_impacts.alert(self)
         if ti.static(self.loaded):
             for i in range(self.n):
                 self.still[i] = ball[i].v
         if ti.static(self.active and self.sums):
             for i in range(self.n):
-                T, count = sharing.shares(self, ball, i)
+                T, count = mass_sharing.shares(self, ball, i)
                 self.lightness[i] = (
                     contact_law.share(T, count, not self.model.has_friction) * self.model.inverse_mass[i]
                 )
@@ -207,7 +217,7 @@ class ContactSolver:
     def _clear(self, i):
         """Nothing is summed yet of what pairs do to ball i."""
         if ti.static(self.strikes):
-            self.stirred[i], self.rebounds[i], self.pairs.latest[i] = hits.CALM, 0, hits.NO_ROW
+            self.stirred[i], self.rebounds[i], self.pairs.latest[i] = pair_impacts.CALM, 0, pair_impacts.NO_ROW
         if ti.static(self.counts):
             self.count[i] = 0
         if ti.static(self.by_tensor):
@@ -215,7 +225,7 @@ class ContactSolver:
         if ti.static(self.warm):
             self.carry[i] = ti.Vector.zero(float, self.model.dim)
             if ti.static(self.spins):
-                self.carry_turn[i] = sweeps.zero_turn(self)
+                self.carry_turn[i] = pair_sweeps.zero_turn(self)
 
     @ti.func
     def prime(self, ball: ti.template()):
@@ -232,33 +242,33 @@ class ContactSolver:
         contacts are held, so that velocities reported at the end of a step are at rest where balls rest."""
         if ti.static(self.active):
             if ti.static(self.loaded):
-                hits.note_kicks(self, ball)
+                pair_impacts.note_kicks(self, ball)
             if ti.static(self.bounces and impacts):
-                hits.all_rounds(self, ball, time)
+                pair_impacts.all_rounds(self, ball, time)
             self._begin(ball, impacts)
-            self._pass(ball, time, sweeps.FIRST if impacts else sweeps.LAST)
+            self._pass(ball, time, pair_sweeps.FIRST if impacts else pair_sweeps.LAST)
             if ti.static(self.serial):
                 for _ in range(1, passes):
-                    self._pass(ball, 0.0, sweeps.NEXT)
+                    self._pass(ball, 0.0, pair_sweeps.NEXT)
             else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
                 for _ in ti.static(range(1, passes)):
-                    self._pass(ball, 0.0, sweeps.NEXT)
+                    self._pass(ball, 0.0, pair_sweeps.NEXT)
             if ti.static(self.strikes and impacts):
-                settle.settle(self, ball)
+                impact_iterations.settle(self, ball)
                 if ti.static(self.warm):
-                    sweeps.sweep(self, ball, 0.0, sweeps.LIMIT)
+                    pair_sweeps.sweep(self, ball, 0.0, pair_sweeps.LIMIT)
             if ti.static(self.tames and impacts):
-                taming.stopped(self, ball)
+                energy_limiter.stopped(self, ball)
                 if ti.static(self.serial):
                     for _ in range(passes):
-                        self._pass(ball, 0.0, sweeps.BOUNCE)
+                        self._pass(ball, 0.0, pair_sweeps.BOUNCE)
                 else:
                     for _ in ti.static(range(passes)):
-                        self._pass(ball, 0.0, sweeps.BOUNCE)
-                taming.tame(self, ball)
+                        self._pass(ball, 0.0, pair_sweeps.BOUNCE)
+                energy_limiter.tame(self, ball)
             elif ti.static(self.tames):  # what carried an impact is no load that rests: one pass may not undo it
-                taming.compare_with_before(self)
-                taming.tame(self, ball)
+                energy_limiter.compare_with_before(self)
+                energy_limiter.tame(self, ball)
             if ti.static(self.has_sticks and self.warm):
                 self.sticks.end_rows(ball)
 
@@ -273,7 +283,7 @@ class ContactSolver:
                 if ti.static(self.has_walls):
                     self.walls.begin(ball, self, i, False, False)
                 self._mark(ball, i)
-            self._pass(ball, time, sweeps.RELAX)
+            self._pass(ball, time, pair_sweeps.RELAX)
 
     @ti.func
     def _begin(self, ball: ti.template(), impacts: ti.template()):
@@ -317,15 +327,15 @@ class ContactSolver:
     @ti.func
     def _pass(self, ball: ti.template(), time, stage: ti.template()):
         """One pass over all contacts: pairs, then walls; sticks and surfaces are always accumulated from old velocities."""
-        rows = ti.static(self.has_rows and stage != sweeps.RELAX)  # that one is for soft contacts
-        closes = ti.static(self.has_grid and self.warm and stage in (sweeps.LAST, sweeps.RELAX))
+        rows = ti.static(self.has_rows and stage != pair_sweeps.RELAX)  # that one is for soft contacts
+        closes = ti.static(self.has_grid and self.warm and stage in (pair_sweeps.LAST, pair_sweeps.RELAX))
         if ti.static(rows):
             for part in ti.static(self.rows):
                 part.solve_rows(ball, self, time)
         if ti.static(self.sums):
             for i in range(self.n):
                 p = ti.Vector.zero(float, self.model.dim)
-                t = sweeps.zero_turn(self)
+                t = pair_sweeps.zero_turn(self)
                 if ti.static(rows):
                     for part in ti.static(self.rows):
                         push, twist = part.gather(ball, self, i)
@@ -343,14 +353,14 @@ class ContactSolver:
                     if ti.static(self.spins):
                         self.twist[i] = t
         if ti.static(self.has_grid):
-            sweeps.sweep(self, ball, time, stage)
+            pair_sweeps.sweep(self, ball, time, stage)
         if ti.static(self.has_walls or not self.in_turn or closes):
             for i in range(self.n):
-                p, t = ti.Vector.zero(float, self.model.dim), sweeps.zero_turn(self)
+                p, t = ti.Vector.zero(float, self.model.dim), pair_sweeps.zero_turn(self)
                 if ti.static(self.has_walls):
                     p, t = self.walls.gather(ball, self, i, time)
                 if ti.static(not self.in_turn):
-                    twist = sweeps.zero_turn(self)
+                    twist = pair_sweeps.zero_turn(self)
                     if ti.static(self.spins):
                         twist = self.twist[i]
                     self.apply(i, self.push[i], twist)
@@ -377,7 +387,7 @@ class ContactSolver:
                     d += part.offset(ball, self, i, h)
                 self.offset[i] = d
             if ti.static(self.has_grid and not self.soft):
-                sweeps.sweep(self, ball, h, sweeps.OFFSET)
+                pair_sweeps.sweep(self, ball, h, pair_sweeps.OFFSET)
             if ti.static(self.has_walls):
                 for i in range(self.n):
                     self.offset[i] = self.offset[i] + self.walls.offset(ball, self, i, h)
@@ -392,7 +402,7 @@ class ContactSolver:
             if self.model.inverse_mass[i] > 0.0:  # nothing holds a pin that is led
                 shift, drift = self.walls.move(i, ball[i].x, v, a, h, change)
         if ti.static(self.has_grid):
-            swept.note(self, i, shift)  # what only undoes overlap goes through nothing
+            ccd_balls.note(self, i, shift)  # what only undoes overlap goes through nothing
         if ti.static(self.has_offset):
             shift += self.offset[i]
         if ti.static(self.has_grid):

@@ -1,16 +1,16 @@
 """Sticks: springs that balls bounce off."""
 
 import numpy as np
-import taichi as ti
 
 from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.walls import SLOP
-from taichi_sim.fields import Fields
-from taichi_sim.kernels import along, contact_law, held, survey
-from taichi_sim.kernels import sticks as loops
-from taichi_sim.kernels.direction import cross
-from taichi_sim.kernels.sweeps import zero_turn
-from taichi_sim.model import Model
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.kernels.contacts import contact_law, statistics, stick_sweeps, warm_start
+from taichi_sim.kernels.contacts import sticks as loops
+from taichi_sim.kernels.contacts.pair_sweeps import zero_turn
+from taichi_sim.kernels.vectors import cross
 
 __all__ = ["Sticks"]
 
@@ -108,7 +108,7 @@ class Sticks:
             u = self.relative_velocity(ball, row).dot(row.normal)
             e = self.law(row).restitution
             self.row[c].target = contact_law.target_speed(u, e, solver.threshold[0], impacts)
-            held.start(self, solver, c, u, row.normal)
+            warm_start.start(self, solver, c, u, row.normal)
 
     @ti.func
     def end_rows(self, ball: ti.template()):
@@ -118,14 +118,14 @@ class Sticks:
             inverse = self.model.inverse_mass[row.ball]
             inverse += self.model.inverse_mass[self.one[row.stick]] * (1.0 - row.at) ** 2
             inverse += self.model.inverse_mass[self.two[row.stick]] * row.at**2
-            held.limit(self, c, inverse, self.relative_velocity(ball, row).dot(row.normal))
+            warm_start.limit(self, c, inverse, self.relative_velocity(ball, row).dot(row.normal))
 
     @ti.func
     def solve_rows(self, ball: ti.template(), solver: ti.template(), time):
         """Further impulses of all rows from the present velocities; viscous friction acts for `time` seconds."""
         for s in range(ti.select(self.used[0] > 0, self.m, 0)):
             if self.length[s] > 0:
-                along.solve(self, solver, ball, s, time)
+                stick_sweeps.solve(self, solver, ball, s, time)
 
     @ti.func
     def inverse_mass(self, solver: ti.template(), row):
@@ -182,13 +182,13 @@ class Sticks:
     @ti.func
     def survey(self, ball: ti.template(), i):
         """Tally of the sticks that ball i touches."""
-        total = survey.nothing()
+        total = statistics.nothing()
         for e in range(self.first[i], self.first[i] + self.number[i]):
             if self.entry[e] % 3 == 0:
                 row = self.row[self.entry[e] // 3]
                 u = self.relative_velocity(ball, row).dot(row.normal)
                 depth = self.model.radius[i] - row.distance
-                total = survey.join(total, survey.one(ti.max(0.0, depth), self.model.radius[i], u, False, i))
+                total = statistics.join(total, statistics.one(ti.max(0.0, depth), self.model.radius[i], u, False, i))
         return total
 
 

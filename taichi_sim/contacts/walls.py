@@ -1,20 +1,20 @@
 """Walls and colliders: impacts at their exact time while a ball moves, resting contact as rows of the contact solve."""
 
 import numpy as np
-import taichi as ti
 
 from taichi_sim.contacts.colliders import Colliders
-from taichi_sim.contacts.received import Received
-from taichi_sim.fields import Fields
-from taichi_sim.kernels import contact_law, impact, survey, wall_hits, wall_slots
-from taichi_sim.kernels.direction import cross, lever
-from taichi_sim.kernels.groups import meets
-from taichi_sim.kernels.hits import ALERT
-from taichi_sim.kernels.sweeps import zero_turn
-from taichi_sim.kernels.wall_slots import FAR
-from taichi_sim.model import Model
-from taichi_sim.probes import bodies_of
-from taichi_sim.state import State
+from taichi_sim.contacts.impulse_totals import Received
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import State
+from taichi_sim.kernels.contacts import contact_law, impact, nearby_colliders, statistics, wall_impacts
+from taichi_sim.kernels.contacts.collision_groups import meets
+from taichi_sim.kernels.contacts.nearby_colliders import FAR
+from taichi_sim.kernels.contacts.pair_impacts import ALERT
+from taichi_sim.kernels.contacts.pair_sweeps import zero_turn
+from taichi_sim.kernels.vectors import cross, lever
+from taichi_sim.scene.probes import bodies_of
 
 __all__ = ["Walls"]
 
@@ -209,7 +209,7 @@ class Walls:
         room = FAR + 0.0 * self.model.radius[i]
         among = self.count
         if ti.static(self.has_colliders):
-            among = wall_slots.find(self, ball[i].x, i, crowded)
+            among = nearby_colliders.find(self, ball[i].x, i, crowded)
         for k in range(among):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
@@ -298,7 +298,7 @@ class Walls:
                         # it may come to the wall, but not go on; one that rests stays: each move of a pile, however small,
                         # would be the next one's impact
                         target = ti.select(gap > touch, -gap * solver.rate[0], 0.0)
-                        closing = -(u + wall_hits.load(self, solver, i, n))
+                        closing = -(u + wall_impacts.load(self, solver, i, n))
                         bounces = e > 0.0 and (e >= 1.0 or gap * solver.rate[0] > closing)
                         if closing > self.threshold[0] and (bounces or ti.static(not impacts)):
                             self.contact[c].active = OUT  # left to the move, else the solve takes its energy
@@ -385,11 +385,11 @@ class Walls:
     @ti.func
     def survey(self, ball: ti.template(), i):
         """Tally of the walls and colliders that ball i touches; one that rests lies on the surface, give or take rounding."""
-        total = survey.nothing()
+        total = statistics.nothing()
         for k in range(ti.select(self.model.inverse_mass[i] > 0.0, self.count, 0)):
             gap = self.gap(ball[i].x, i, k)
             if gap <= self.touch(ball[i].x, i, k):
                 u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
                 held = self.contact[i * self.count + k].impulse > 0.0
-                total = survey.join(total, survey.one(ti.max(0.0, -gap), self.model.radius[i], u, held, i))
+                total = statistics.join(total, statistics.one(ti.max(0.0, -gap), self.model.radius[i], u, held, i))
         return total

@@ -1,11 +1,11 @@
 """Cells: tetrahedra, in 2D triangles, that keep their volume."""
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.fields import Fields
-from taichi_sim.forces.corners import Corners
-from taichi_sim.model import Model
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.forces.incidence import Corners
 
 __all__ = ["Cells"]
 

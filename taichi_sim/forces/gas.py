@@ -1,12 +1,12 @@
 """Gas: closed surfaces that press outward, the more the smaller they are."""
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.fields import Fields
-from taichi_sim.forces.corners import Corners
-from taichi_sim.kernels.springs import GRAIN, PART
-from taichi_sim.model import Model
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.forces.incidence import Corners
+from taichi_sim.kernels.springs.law import GRAIN, PART
 
 __all__ = ["Gases"]
 

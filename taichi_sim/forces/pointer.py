@@ -1,15 +1,15 @@
 """Pointer: a hand that drags a ball, and what hangs on it, to where a mouse points."""
 
 import numpy as np
-import taichi as ti
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_sim import checks
-from taichi_sim.errors import SceneError
-from taichi_sim.fields import Fields
-from taichi_sim.model import Model, components
-from taichi_sim.scene import Scene
-from taichi_sim.state import State
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model, components
+from taichi_sim.device.state import State
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["MOST", "RATE", "Pointer"]
 
@@ -40,7 +40,7 @@ class Pointer:
     """
 
     def __init__(self, rate: float = RATE) -> None:
-        self.rate = checks.number("rate", rate, positive=True)
+        self.rate = validation.number("rate", rate, positive=True)
         self.ball: int | None = None  # which is held
         self._target: NDArray[np.float64] | None = None
         self._fields: Fields | None = None
@@ -62,10 +62,10 @@ class Pointer:
     def grab(self, ball: int, target: ArrayLike) -> None:
         """Hold a ball, and nothing else, at a target (dim,) [m]. Raises SceneError for a pinned one."""
         scene = self._there()
-        index = int(checks.indices("ball", [ball], scene.n_balls)[0])
+        index = int(validation.indices("ball", [ball], scene.n_balls)[0])
         if scene.pinned[index]:
             raise SceneError(f"ball: {index} is pinned; only balls that move can be dragged")
-        goal = checks.vector("target", target, scene.dim)
+        goal = validation.vector("target", target, scene.dim)
         x = self._state.position
         self.ball, self._balls = index, self._around(index, x)
         self._places = x[self._balls] - x[index]
@@ -77,7 +77,7 @@ class Pointer:
 
     def move(self, target: ArrayLike) -> None:
         """Put the target (dim,) [m] elsewhere; does nothing where no ball is held."""
-        goal = checks.vector("target", target, self._there().dim)
+        goal = validation.vector("target", target, self._there().dim)
         if self.ball is not None:
             self._aim(goal)
 

@@ -3,14 +3,14 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.fields import Fields
-from taichi_sim.forces.waves import waves
-from taichi_sim.kernels import lanes, rows
-from taichi_sim.kernels import springs as loops
-from taichi_sim.model import Model, incidence
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model, incidence
+from taichi_sim.forces.spring_batches import waves
+from taichi_sim.kernels.springs import law as loops
+from taichi_sim.kernels.springs import padded_blocks, simd_batches
 
 __all__ = ["Springs"]
 
@@ -59,24 +59,29 @@ class Springs:
         if order == "waves":
             data = self._in_groups(data, fields)
         if order == "rows":
-            row = ti.types.vector(rows.width(self.dim), fields.real)
+            row = ti.types.vector(padded_blocks.width(self.dim), fields.real)
             self.row = fields.table({"x": row, "v": row}, self.n)
             # [N s]; `rest`: damping, where it is summed apart
-            self.sum = fields.vectors(self.n, rows.width(self.dim))
-            self.rest = fields.vectors(self.n if self.damped else 0, rows.width(self.dim))
+            self.sum = fields.vectors(self.n, padded_blocks.width(self.dim))
+            self.rest = fields.vectors(self.n if self.damped else 0, padded_blocks.width(self.dim))
         self.spring = fields.table(columns, self.padded, data)
         self.block = max(MINIMUM_BLOCK, bandwidth(model) + 1)
         self.blocks = -(-self.n // self.block)
-        orders = {"gather": loops.gather, "blocks": loops.blocks, "rows": rows.springs, "atomic": loops.scatter}
+        orders = {
+            "gather": loops.gather,
+            "blocks": loops.blocks,
+            "rows": padded_blocks.springs,
+            "atomic": loops.scatter,
+        }
         self.loop = orders.get(order)  # waves are for methods that take springs in turn
 
     def _in_groups(self, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
         """The same springs in groups of kernels.lanes, and idle ones from ball 0 to ball 1 where a group is not full."""
-        chosen = waves(np.stack([data["one"], data["other"]], axis=1), lanes.WIDTH).ravel()
+        chosen = waves(np.stack([data["one"], data["other"]], axis=1), simd_batches.WIDTH).ravel()
         # where the springs of `start` lie
         self.place = fields.integers(np.argsort(chosen, kind="stable")[-self.m :])
         self.padded = len(chosen)
-        self.groups = self.padded // lanes.WIDTH
+        self.groups = self.padded // simd_batches.WIDTH
         self.number = np.where(chosen < 0, -1, self.number[chosen])
         return {name: np.where(chosen < 0, name == "other", values[chosen]) for name, values in data.items()}
 

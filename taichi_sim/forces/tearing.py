@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.fields import Fields
-from taichi_sim.forces.corners import Corners
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.forces.incidence import Corners
 from taichi_sim.forces.springs import Springs
-from taichi_sim.model import Model
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["Tearing"]
 

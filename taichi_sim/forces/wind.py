@@ -1,11 +1,11 @@
 """Wind: air that presses on triangles, and drags on what moves through it."""
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.fields import Fields
-from taichi_sim.forces.corners import Corners
-from taichi_sim.model import Model
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.forces.incidence import Corners
 
 __all__ = ["Wind", "gusts"]
 

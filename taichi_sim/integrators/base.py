@@ -2,15 +2,15 @@
 
 from typing import Any, NamedTuple
 
-import taichi as ti
 from numpy.typing import NDArray
 
 from taichi_sim.contacts.solver import ContactSolver
-from taichi_sim.fields import Fields
-from taichi_sim.forces.total import TotalForce
-from taichi_sim.model import Model
-from taichi_sim.scene import Scene
-from taichi_sim.state import State
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import State
+from taichi_sim.forces.sum import TotalForce
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["Integrator", "Solver"]
 

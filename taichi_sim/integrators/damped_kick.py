@@ -3,22 +3,22 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.damping import MOST_STAGES, lone, softened, stages
-from taichi_sim.fields import Fields
-from taichi_sim.forces.total import TotalForce
-from taichi_sim.kernels.direction import unit
-from taichi_sim.model import Model
-from taichi_sim.scene import Scene
-from taichi_sim.state import State
+from taichi_sim.analysis.damping import MOST_STAGES, lone, softened, stages
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import State
+from taichi_sim.forces.sum import TotalForce
+from taichi_sim.kernels.vectors import unit
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["DampedKick"]
 
 
 @ti.data_oriented
 class DampedKick:
-    """v(tau) of dv/dt = W (F - D v) from present velocities, for tau = h / 2, see taichi_sim.damping.
+    """v(tau) of dv/dt = W (F - D v) from present velocities, for tau = h / 2, see taichi_sim.analysis.damping.
 
     A half begins with `start`, goes through stages 2 to `count`, and ends with `lone_springs`. Velocities are in ball.v, for the
     next pass over the springs; what they were is in `began`, so that the whole change is added at once, with the digits that

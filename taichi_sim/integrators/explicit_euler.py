@@ -1,7 +1,6 @@
 """Explicit Euler: x += h v, v += h a, both from old values."""
 
-import taichi as ti
-
+from taichi_sim.device.engine import ti
 from taichi_sim.integrators.base import Integrator
 
 __all__ = ["ExplicitEuler"]

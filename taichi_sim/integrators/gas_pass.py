@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.fields import Fields
-from taichi_sim.model import Model
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
 
 __all__ = ["GasPass"]
 

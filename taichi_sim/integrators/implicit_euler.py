@@ -1,8 +1,7 @@
 """Implicit (backward) Euler: x += h v, v += h a(x, v), both from new values."""
 
-import taichi as ti
-
-from taichi_sim.integrators.implicit import Implicit
+from taichi_sim.device.engine import ti
+from taichi_sim.integrators.implicit_base import Implicit
 
 __all__ = ["ImplicitEuler"]
 

@@ -3,13 +3,13 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.fields import Fields
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import State
 from taichi_sim.forces.springs import Springs
-from taichi_sim.kernels.direction import unit
-from taichi_sim.model import Model
-from taichi_sim.state import State
+from taichi_sim.kernels.vectors import unit
 
 __all__ = ["PinSlopes"]
 

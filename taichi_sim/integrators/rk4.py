@@ -1,10 +1,9 @@
 """The classical fourth-order Runge-Kutta method."""
 
-import taichi as ti
-
-from taichi_sim.fields import Fields
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import phase_type
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.model import phase_type
 
 __all__ = ["RK4"]
 

@@ -2,11 +2,10 @@
 
 from typing import Any
 
-import taichi as ti
-
-from taichi_sim.fields import Fields
-from taichi_sim.kernels import rows
-from taichi_sim.kernels.springs import GRAIN
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.kernels.springs import padded_blocks
+from taichi_sim.kernels.springs.law import GRAIN
 
 __all__ = ["StageGas"]
 
@@ -39,7 +38,7 @@ class StageGas:
             self.here[i].x = base[i].x + s * base[i].v
         self.gases.press(self.here)
         for i in range(self.n):
-            total[i] = total[i] + rows.pad(s * self.gases.force(self.here, i), 3)
+            total[i] = total[i] + padded_blocks.pad(s * self.gases.force(self.here, i), 3)
 
     @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):
@@ -56,29 +55,29 @@ class StageGas:
                 self.change[g] = self.change[g] + ti.cast(self.part[c], float)
         for i in range(self.n):
             f, s = ti.Vector.zero(float, 3), self.step[0]
-            x, q = self.here[i].x, rows.cut(p[i], 3)
+            x, q = self.here[i].x, padded_blocks.cut(p[i], 3)
             for e in range(self.gases.start[i], self.gases.start[i + 1]):
                 row = self.gases.row[e]
                 a, b = self.here[row.a].x - x, self.here[row.b].x - x
-                turned = (rows.cut(p[row.a], 3) - q).cross(b) + a.cross(rows.cut(p[row.b], 3) - q)
+                turned = (padded_blocks.cut(p[row.a], 3) - q).cross(b) + a.cross(padded_blocks.cut(p[row.b], 3) - q)
                 f += (
                     self.gases.rate[row.gas] * self.change[row.gas] * a.cross(b) - self.gases.pressure[row.gas] * turned
                 )
-            total[i] = total[i] + rows.pad(s * s / 6.0 * f, 3)
+            total[i] = total[i] + padded_blocks.pad(s * s / 6.0 * f, 3)
 
     @ti.func
     def _change(self, p: ti.template(), c):
         """Of the volume of part c along p; from the gas's first ball, as volumes are."""
         part = self.gases.part[c]
         home = self.gases.law[part.gas].home
-        x, q = self.here[home].x, rows.cut(p[home], 3)
+        x, q = self.here[home].x, padded_blocks.cut(p[home], 3)
         total = ti.cast(0.0, self.wide)
         for k in range(part.first, part.last):
             t = self.gases.triangle[k]
             one, two, three = self.here[t.a].x - x, self.here[t.b].x - x, self.here[t.c].x - x
-            change = (rows.cut(p[t.a], 3) - q).dot(two.cross(three))
-            change += (rows.cut(p[t.b], 3) - q).dot(three.cross(one))
-            change += (rows.cut(p[t.c], 3) - q).dot(one.cross(two))
+            change = (padded_blocks.cut(p[t.a], 3) - q).dot(two.cross(three))
+            change += (padded_blocks.cut(p[t.b], 3) - q).dot(three.cross(one))
+            change += (padded_blocks.cut(p[t.c], 3) - q).dot(one.cross(two))
             total += ti.cast(change, self.wide)
         self.part[c] = total / 6.0
 

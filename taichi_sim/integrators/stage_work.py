@@ -1,13 +1,13 @@
 """StageWork: the energy that an unsolved rest of an implicit stage gives to each body; what another takes may not hide it."""
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.fields import Fields
-from taichi_sim.integrators.components import Members, components, skins
-from taichi_sim.kernels import implicit as parts
-from taichi_sim.kernels.springs import GRAIN
-from taichi_sim.model import Model
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.integrators.free_bodies import Members, components, skins
+from taichi_sim.kernels.springs import newton_terms as parts
+from taichi_sim.kernels.springs.law import GRAIN
 
 __all__ = ["StageWork"]
 

@@ -1,7 +1,6 @@
 """Symplectic (semi-implicit) Euler: v += h a(x), then x += h v with the new velocity."""
 
-import taichi as ti
-
+from taichi_sim.device.engine import ti
 from taichi_sim.integrators.base import Integrator
 
 __all__ = ["SymplecticEuler"]

@@ -3,12 +3,11 @@
 import math
 from typing import Any
 
-import taichi as ti
-
-from taichi_sim.fields import Fields
-from taichi_sim.integrators.implicit import Implicit
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import phase_type
+from taichi_sim.integrators.implicit_base import Implicit
 from taichi_sim.integrators.pin_slopes import PinSlopes
-from taichi_sim.model import phase_type
 
 __all__ = ["TRBDF2"]
 

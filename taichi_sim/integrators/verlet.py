@@ -2,16 +2,16 @@
 
 from typing import Any
 
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.fields import Fields
+from taichi_sim.analysis.stability import predicts_damping
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.integrators.damped_kick import DampedKick
 from taichi_sim.integrators.pin_slopes import PinSlopes
-from taichi_sim.model import Model
-from taichi_sim.scene import Scene
-from taichi_sim.stability import predicts_damping
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["Verlet"]
 
@@ -26,9 +26,9 @@ class Verlet(Integrator):
     h^2 lambda(K + 4 D / h) < 4 (masses left out).
 
     Strong damping: B(h/2) A(h) B(h/2), B the kick and the damping together, v' = W (F - D v) with F held, see
-    taichi_sim.damping: exact for lone springs, else of order 2 by stages, each a pass over the springs. Damping apart from the
-    kick would stop for good what creeps: exp(-h D) takes all that the kick gave. With R the part of a velocity that both halves
-    of a step leave, the velocities u between the places x obey H (u+ - u) / h + D (u+ + u) / 2 + K x = 0 with
+    taichi_sim.analysis.damping: exact for lone springs, else of order 2 by stages, each a pass over the springs. Damping apart
+    from the kick would stop for good what creeps: exp(-h D) takes all that the kick gave. With R the part of a velocity that both
+    halves of a step leave, the velocities u between the places x obey H (u+ - u) / h + D (u+ + u) / 2 + K x = 0 with
     H = (h D / 2) (1 + R) / (1 - R): leapfrog with a mass H, at least that of the balls where R >= (1 - h D / 2) / (1 + h D / 2),
     as it is here. So it is stable for omega h < 2 at least, whatever the damping.
     """

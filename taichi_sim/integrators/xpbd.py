@@ -1,14 +1,14 @@
 """XPBD with small steps: each spring in turn, implicitly, once per substep."""
 
 import numpy as np
-import taichi as ti
 
-from taichi_sim.fields import Fields
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
 from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.integrators.gas_pass import GasPass
-from taichi_sim.kernels import half, lanes
-from taichi_sim.kernels.direction import unit
+from taichi_sim.kernels.springs import edge_blocks, simd_batches
+from taichi_sim.kernels.vectors import unit
 
 __all__ = ["XPBD"]
 
@@ -91,7 +91,7 @@ class XPBD(Integrator):
         """The impulse of spring e on ball i where its ends do not meet, without a branch; the square of their distance."""
         r = self._ahead(i, j, h)
         square = r.dot(r)
-        inverse = ti.rsqrt(ti.max(square, lanes.NEAR))
+        inverse = ti.rsqrt(ti.max(square, simd_batches.NEAR))
         return self._impulse(i, j, e, h, r * inverse, square * inverse, False), square
 
     @ti.func
@@ -111,13 +111,13 @@ class XPBD(Integrator):
         if ti.static(self.inflated):
             self.gas.push(self.ball, self.state, h)
         if ti.static(self.at_once):
-            half.sums(self, self.springs, h)
+            edge_blocks.sums(self, self.springs, h)
             for i in range(self.model.n):
                 self.state.kick(i, self.model.inverse_mass[i] * self.sum[i])
         elif ti.static(self.in_waves):
-            lanes.in_turn(self, self.springs, h)
+            simd_batches.in_turn(self, self.springs, h)
         elif ti.static(self.active):
-            half.in_turn(self, self.springs, h)
+            edge_blocks.in_turn(self, self.springs, h)
         self.contacts.solve(self.ball, h, self.contacts.passes, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):

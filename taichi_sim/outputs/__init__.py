@@ -4,7 +4,7 @@ from os import PathLike, fspath
 from pathlib import Path
 
 from taichi_sim.outputs.base import Output
-from taichi_sim.outputs.run import Summary, export
+from taichi_sim.outputs.export import Summary, export
 
 __all__ = ["Output", "Summary", "export", "open_output"]
 

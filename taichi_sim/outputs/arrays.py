@@ -9,8 +9,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.files import PartFile
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.outputs.base import Image, Output
 
 __all__ = ["Arrays"]

@@ -12,8 +12,8 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.errors import UnstableError
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.errors import UnstableError
 
 __all__ = ["Image", "Output"]
 

@@ -7,8 +7,8 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.files import replacing
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.atomic_file import replacing
 from taichi_sim.outputs.base import Image, Output
 
 __all__ = ["Geometry", "surface_of"]

@@ -3,8 +3,8 @@
 import io
 from os import PathLike
 
-from taichi_sim.files import PartFile
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.outputs.base import Image, Output
 
 __all__ = ["Gif"]

@@ -5,8 +5,8 @@ import re
 from os import PathLike
 from pathlib import Path
 
-from taichi_sim.files import replacing
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.atomic_file import replacing
 from taichi_sim.outputs.base import Image, Output
 
 __all__ = ["PngFolder"]

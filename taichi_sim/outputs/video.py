@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from taichi_sim.files import PartFile
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.outputs.base import Image, Output
-from taichi_sim.outputs.journal import Journal
+from taichi_sim.outputs.resume_log import Journal
 
 __all__ = ["CODECS", "Video"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.render.subdivision import Rows, compose, subdivide
-from taichi_sim.skins import Skin
+from taichi_sim.scene.embedded_surfaces import Skin
 
 __all__ = ["Binding"]
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.colliders import BOX, MESH, Collider
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.scene.colliders import BOX, MESH, Collider
 
 __all__ = ["Bodies"]
 

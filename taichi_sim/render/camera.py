@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
 
 __all__ = [
     "AZIMUTH",

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
 from taichi_sim.render.camera import robust_bounds
 from taichi_sim.render.palette import to_linear
 

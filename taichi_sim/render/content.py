@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.colliders import Collider
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
 from taichi_sim.render.binding import Binding
 from taichi_sim.render.bodies import Bodies
 from taichi_sim.render.palette import body_colours
-from taichi_sim.skins import Skin
+from taichi_sim.scene.colliders import Collider
+from taichi_sim.scene.embedded_surfaces import Skin
 
 __all__ = ["Content"]
 

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.frame import Frame
-from taichi_sim.kernels import follow, raster, resolve, shade
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.device.engine import ti
+from taichi_sim.kernels.render import raster, shade, shading_pass, vertex_binding
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
@@ -113,10 +113,10 @@ class Buffers:
         """Colour balls and the surfaces on them by values (n,) from 0 to 1 along a table of linear colours (k, 3)."""
         value = np.zeros(max(self.balls, 1), dtype=np.float32)
         value[: self.balls] = values
-        follow.paint_balls(value, table, self.colour, self.balls)
+        vertex_binding.paint_balls(value, table, self.colour, self.balls)
         if self.has_skins:
             start, entry, weight = self.bound_start, self.bound_entry, self.bound_weight
-            follow.paint_bound(value, table, self.colour, start, entry, weight, self.balls, self.bound)
+            vertex_binding.paint_bound(value, table, self.colour, start, entry, weight, self.balls, self.bound)
 
     def thin_out(self, view: NDArray, area: float) -> None:
         """Leave out the farthest spheres of a view beyond a total area (px) of all discs: buried layers deep."""
@@ -132,7 +132,9 @@ class Buffers:
         """Balls to the device, and the vertices of skins after them."""
         self.ball.from_numpy(self._upload)
         if self.has_skins:
-            follow.bind(self.ball, self.bound_start, self.bound_entry, self.bound_weight, self.balls, self.bound)
+            vertex_binding.bind(
+                self.ball, self.bound_start, self.bound_entry, self.bound_weight, self.balls, self.bound
+            )
 
     def find_normals(self) -> None:
         raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.vertices)
@@ -201,7 +203,7 @@ class Canvas:
 def finished(image: Any, alpha: Any, edges: bool, width: int, height: int, out: NDArray[np.int32]) -> NDArray[np.uint8]:
     """The picture (height, width, 3) from linear colours, or with alpha (height, width, 4); out: (pixels,) to work in."""
     transparent = alpha is not None
-    resolve.finish(image, alpha if transparent else image, transparent, edges, width, height, out)
+    shading_pass.finish(image, alpha if transparent else image, transparent, edges, width, height, out)
     shown = out[: width * height].view(np.uint8).reshape(height, width, 4)
     return np.ascontiguousarray(shown[:, :, : 4 if transparent else 3])
 

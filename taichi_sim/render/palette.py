@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.frame import Frame
-from taichi_sim.model import components
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.device.model import components
 
 __all__ = ["PALETTE", "background_colours", "body_colours", "to_linear"]
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim import backend
-from taichi_sim.camera_path import CameraPath
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.device import backend
 from taichi_sim.render.camera import Camera
 from taichi_sim.render.colouring import Colouring
+from taichi_sim.scene.camera_path import CameraPath
 
 __all__ = ["Renderer"]
 

@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.camera_path import CameraPath
-from taichi_sim.frame import Frame
-from taichi_sim.kernels import paint2d
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.device.engine import ti
+from taichi_sim.kernels.render import paint2d
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
@@ -17,6 +16,7 @@ from taichi_sim.render.fields import finished, padded
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 from taichi_sim.render.tracker import Follower
+from taichi_sim.scene.camera_path import CameraPath
 
 __all__ = ["Renderer2D"]
 

@@ -4,11 +4,11 @@ import math
 from typing import Any
 
 import numpy as np
-import taichi as ti
 from numpy.typing import NDArray
 
-from taichi_sim.frame import Frame
-from taichi_sim.kernels import raster, resolve, shade
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.device.engine import ti
+from taichi_sim.kernels.render import raster, shade, shading_pass
 from taichi_sim.render.camera import Bounds, Camera, ground_planes, near_boxes, robust_bounds, view_matrix
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
@@ -88,8 +88,8 @@ class Renderer3D:
         self._draw(keys, self._canvas.samples, view, width, height, True)
         scene = self._canvas.scene(self._buffers)
         if self._ambient_occlusion:
-            resolve.occlude(scene, keys, _mat(view), _vec(eye), _mat(matrix), 0.05, width, height)
-        resolve.resolve(
+            shading_pass.occlude(scene, keys, _mat(view), _vec(eye), _mat(matrix), 0.05, width, height)
+        shading_pass.resolve(
             scene,
             keys,
             self._canvas.image,

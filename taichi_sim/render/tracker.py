@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.camera_path import CameraPath
-from taichi_sim.frame import Frame
+from taichi_sim.analysis.frame import Frame
 from taichi_sim.render.camera import AZIMUTH, ELEVATION, FOV, Camera
+from taichi_sim.scene.camera_path import CameraPath
 
 __all__ = ["Follower", "Tracker"]
 

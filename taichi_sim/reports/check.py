@@ -5,14 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.accuracy import findings
-from taichi_sim.damping import lone, stages
-from taichi_sim.element_rates import element_rates
-from taichi_sim.scene import Scene
-from taichi_sim.settings import SAFETY, part_of_bound
-from taichi_sim.simulation import Simulation
-from taichi_sim.slow_modes import slow_decays
-from taichi_sim.stability import ANY_STEP, Stability, predicts_damping, sinking_spring, stability, without
+from taichi_sim.analysis.accuracy import findings
+from taichi_sim.analysis.damping import lone, stages
+from taichi_sim.analysis.element_rates import element_rates
+from taichi_sim.analysis.slow_modes import slow_decays
+from taichi_sim.analysis.stability import ANY_STEP, Stability, predicts_damping, sinking_spring, stability, without
+from taichi_sim.scene.scene import Scene
+from taichi_sim.simulation.settings import SAFETY, part_of_bound
+from taichi_sim.simulation.simulation import Simulation
 
 __all__ = ["lines"]
 

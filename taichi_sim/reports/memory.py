@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from taichi_sim.simulation import Simulation
+from taichi_sim.simulation.simulation import Simulation
 
 __all__ = ["breakdown"]
 

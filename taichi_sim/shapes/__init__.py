@@ -22,12 +22,12 @@ Materials. A cloth of `stretch_stiffness`, `mass_per_area` and the like, and a j
 the same thing at every resolution: they hang, bend and swing alike, and only their fine wrinkles differ.
 """
 
-from taichi_sim.shape_parts import Shape
 from taichi_sim.shapes.balloon import balloon
+from taichi_sim.shapes.base import Shape
 from taichi_sim.shapes.cloth import cloth
-from taichi_sim.shapes.frames import net, truss
-from taichi_sim.shapes.heaps import pile, tower
 from taichi_sim.shapes.jelly import jelly
+from taichi_sim.shapes.piles import pile, tower
 from taichi_sim.shapes.ropes import rope, wheel
+from taichi_sim.shapes.trusses import net, truss
 
 __all__ = ["Shape", "balloon", "cloth", "jelly", "net", "pile", "rope", "tower", "truss", "wheel"]

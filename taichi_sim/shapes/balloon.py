@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim import checks, fabric
-from taichi_sim.errors import SceneError
-from taichi_sim.mesh import Surface, surface_area
-from taichi_sim.scene import Scene
-from taichi_sim.shape_parts import Part, Shape, Springs, affordable, at_least_0, build, count, or_default
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.geometry.mesh import Surface, surface_area
+from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes import cloth_material
+from taichi_sim.shapes.base import Part, Shape, Springs, affordable, at_least_0, build, count, or_default
 
 __all__ = ["balloon"]
 
@@ -48,12 +49,12 @@ def balloon(
     """
     if scene.dim != 3:
         raise SceneError("balloon: needs a scene with dim = 3")
-    middle = checks.vectors("balloon.centre", centre, 1, 3)[0]
-    reach = checks.number("balloon.radius", radius, positive=True)
+    middle = validation.vectors("balloon.centre", centre, 1, 3)[0]
+    reach = validation.number("balloon.radius", radius, positive=True)
     cuts = count("balloon.subdivisions", subdivisions, 0)
     balls = 10 * 4**cuts + 2
     affordable("balloon.subdivisions", subdivisions, balls, 3 * balls)
-    stretch = checks.number("balloon.stretch_stiffness", stretch_stiffness, positive=True)
+    stretch = validation.number("balloon.stretch_stiffness", stretch_stiffness, positive=True)
     holds = 8 * stretch / (3 * reach)  # Pa, for each part by which the skin is stretched
     inner = at_least_0("balloon.pressure", pressure, holds * STRAIN / (1 + STRAIN))
     if inner > MOST * holds:
@@ -64,10 +65,10 @@ def balloon(
     surface = _sphere(cuts)
     surface = Surface(surface.vertices * reach, surface.triangles)
     total = or_default("balloon.mass", mass, RUBBER_DENSITY * surface_area(surface))
-    parts = fabric.of_mesh(surface, fabric.Fabric(total / surface_area(surface), stretch, 0.0, 0.0))
+    parts = cloth_material.of_mesh(surface, cloth_material.Fabric(total / surface_area(surface), stretch, 0.0, 0.0))
     pairs, strength = parts.springs[0]
     edges = surface.vertices[pairs[:, 1]] - surface.vertices[pairs[:, 0]]
-    pull = 0.5 * inner * reach * fabric.tension_shares(surface)  # N/m of the edge's length
+    pull = 0.5 * inner * reach * cloth_material.tension_shares(surface)  # N/m of the edge's length
     size = or_default("balloon.ball_radius", ball_radius, 0.4 * float(np.linalg.norm(edges, axis=1).mean()))
     drag = at_least_0("balloon.damping", damping)
     shape = build(

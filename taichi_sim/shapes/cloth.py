@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_sim import checks, fabric
-from taichi_sim import mesh as meshes
-from taichi_sim.errors import SceneError
-from taichi_sim.scene import Scene
-from taichi_sim.shape_parts import (
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.geometry import mesh as meshes
+from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes import cloth_material
+from taichi_sim.shapes.base import (
     Part,
     Pins,
     Shape,
@@ -101,7 +102,7 @@ def cloth(
     }
     exclusive("cloth", woven, {"stiffness": stiffness, "bending_stiffness": bending_stiffness})
     exclusive("cloth", {"mass_per_area": mass_per_area}, {"mass": mass})
-    factor = checks.number("cloth.scale", scale, positive=True)
+    factor = validation.number("cloth.scale", scale, positive=True)
     grid: Any
     if mesh is None:
         grid = _grid(size, resolution, any(value is not None for value in woven.values()))
@@ -132,9 +133,9 @@ def cloth(
     else:
         cotton = _fabric(woven, total / area, grid is None)
         if grid is None:
-            parts = fabric.of_mesh(meshes.Surface(surface.vertices * factor, surface.triangles), cotton)
+            parts = cloth_material.of_mesh(meshes.Surface(surface.vertices * factor, surface.triangles), cotton)
         else:
-            parts = fabric.of_sheet(grid[1], grid[2] * factor, cotton)
+            parts = cloth_material.of_sheet(grid[1], grid[2] * factor, cotton)
         masses, bends = parts.mass, parts.bends
         kinds = [Springs(pairs, 0.0, k) for pairs, k in parts.springs]
         if drag is not None:
@@ -146,11 +147,11 @@ def cloth(
     )
 
 
-def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) -> fabric.Fabric:
+def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) -> cloth_material.Fabric:
     stretch = or_default("cloth.stretch_stiffness", woven["stretch_stiffness"], STRETCH_STIFFNESS)
     if of_mesh and woven["shear_stiffness"] is not None:
         raise SceneError("cloth.shear_stiffness: a mesh has none of its own, but a third of the stretch stiffness")
-    return fabric.Fabric(
+    return cloth_material.Fabric(
         or_default("cloth.mass_per_area", woven["mass_per_area"], default_mass),
         stretch,
         at_least_0("cloth.shear_stiffness", woven["shear_stiffness"], SHEAR_PART * stretch),

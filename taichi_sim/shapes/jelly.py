@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_sim import checks, solids
-from taichi_sim import mesh as meshes
-from taichi_sim.errors import SceneError
-from taichi_sim.scene import Scene
-from taichi_sim.shape_parts import (
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.geometry import mesh as meshes
+from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes import jelly_material
+from taichi_sim.shapes.base import (
     SAFE_MARGIN,
     SAFE_STEP,
     Part,
@@ -98,7 +99,7 @@ def jelly(
     elastic = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
     exclusive("jelly", elastic, {"stiffness": stiffness})
     exclusive("jelly", {"density": density}, {"mass": mass})
-    factor = checks.number("jelly.scale", scale, positive=True)
+    factor = validation.number("jelly.scale", scale, positive=True)
     if fill not in FILLS:
         raise SceneError(f"jelly.fill: {fill!r} is not allowed; it must be one of {', '.join(map(repr, FILLS))}")
     drag = at_least_0("jelly.damping", damping)
@@ -145,7 +146,7 @@ def jelly(
     masses = body.volume * (total / float(body.volume.sum()))
     least = 1 / (scene.dim + 1)
     ratio = poisson_ratio if poisson_ratio is not None else least if mesh is None else MESH_RATIO
-    unit = solids.moduli("jelly", scene.dim, 1.0, ratio)
+    unit = jelly_material.moduli("jelly", scene.dim, 1.0, ratio)
     modulus = or_default("jelly.young_modulus", young_modulus, _wobbly(body, masses, float(extent[1]), unit, fill))
     mu, bulk = modulus * unit[0], modulus * unit[1]
     kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
@@ -189,7 +190,7 @@ def _springs(block: tuple, factor: float, mass: float | None) -> tuple:
     soft = WOBBLE * float(extent[1]) * factor * total / len(points) / (along * cell)  # c^2 = along k a^2 / m
     triangles = np.zeros((0, 3), dtype=np.int64)
     if dim == 3:
-        triangles = solids.box_surface(np.ones([n - 1 for n in number], dtype=bool))
+        triangles = jelly_material.box_surface(np.ones([n - 1 for n in number], dtype=bool))
     finest = 0.45 * float(spacing.min()) * factor
     return points, kinds, min(soft, stable_stiffness(kinds, len(points), total)), triangles, finest
 
@@ -210,14 +211,14 @@ def _lattice(number: tuple[int, ...]) -> tuple[list[Springs], float]:
     return [Springs(edges, 1.0), Springs(faces, 0.6), Springs(cells, 0.15)], 2.4
 
 
-def _solid_block(block: tuple, factor: float) -> tuple[solids.Solid, NDArray[np.float64], float]:
+def _solid_block(block: tuple, factor: float) -> tuple[jelly_material.Solid, NDArray[np.float64], float]:
     extent, number = block[0] * factor, block[1]
     spacing = extent / (np.array(number) - 1)
     filled = np.ones([n - 1 for n in number], dtype=bool)
-    return solids.lattice("jelly", filled, spacing), extent, 0.45 * float(spacing.min())
+    return jelly_material.lattice("jelly", filled, spacing), extent, 0.45 * float(spacing.min())
 
 
-def _wobbly(body: solids.Solid, masses: NDArray, height: float, unit: tuple[float, float], fill: str) -> float:
+def _wobbly(body: jelly_material.Solid, masses: NDArray, height: float, unit: tuple[float, float], fill: str) -> float:
     """The default of Young's modulus: waves at sqrt(40 g height), and never above what is stable at 1 ms with a margin.
 
     unit: mu and lambda - mu for a modulus of 1. Of tetrahedra a few small ones would make all of it soft: no bound for them.
@@ -226,13 +227,13 @@ def _wobbly(body: solids.Solid, masses: NDArray, height: float, unit: tuple[floa
     soft = WOBBLE * height * float(masses.sum() / body.volume.sum()) / (3 * mu + bulk)
     if fill == "tetrahedra":
         return soft
-    return min(soft, 4 / (SAFE_MARGIN * SAFE_STEP**2 * solids.largest_rate(body, masses, mu, bulk)))
+    return min(soft, 4 / (SAFE_MARGIN * SAFE_STEP**2 * jelly_material.largest_rate(body, masses, mu, bulk)))
 
 
 # Meshes ------------------------------------------------------------------------------------------------------------
 
 
-def _voxels(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tuple[NDArray, NDArray]]:
+def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid, tuple[NDArray, NDArray]]:
     low, extent = surface.vertices.min(axis=0), np.ptp(surface.vertices, axis=0)
     number = np.maximum(1, np.ceil(extent / step - 1e-9))
     boxes = float(np.prod(number))
@@ -241,7 +242,7 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tuple[N
     affordable("jelly.spacing", step, balls, 13 * balls, cells=2 * balls)
     shape = tuple(int(n) for n in number)
     low = low - 0.5 * (number * step - extent)
-    filled = solids.connected(solids.inside(surface, low, step, shape))
+    filled = jelly_material.connected(jelly_material.inside(surface, low, step, shape))
     if not filled.any():
         raise SceneError(
             f"jelly.spacing: {step:.4g} is not allowed; no box of that size fits into the mesh; give a smaller one"
@@ -254,11 +255,13 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tuple[N
             " result, or mend the mesh",
             stacklevel=3,
         )
-    body = solids.lattice("jelly", filled, np.full(3, step))
-    return body._replace(points=body.points + low), solids.skin_of_boxes(filled, (surface.vertices - low) / step)
+    body = jelly_material.lattice("jelly", filled, np.full(3, step))
+    return body._replace(points=body.points + low), jelly_material.skin_of_boxes(
+        filled, (surface.vertices - low) / step
+    )
 
 
-def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tuple[NDArray, NDArray]]:
+def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid, tuple[NDArray, NDArray]]:
     wrong = meshes.flaws(surface)
     if wrong:
         raise SceneError(
@@ -269,5 +272,5 @@ def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[solids.Solid, tup
         surface = meshes.Surface(surface.vertices, surface.triangles[:, ::-1])
     balls = int(abs(meshes.volume(surface)) / step**3)
     affordable("jelly.spacing", step, balls, 7 * balls, cells=6 * balls)
-    points, cells = solids.tetrahedra("jelly", surface, step)
-    return solids.springs_of(points, cells), solids.skin_of_tetrahedra(points, cells, surface.vertices)
+    points, cells = jelly_material.tetrahedra("jelly", surface, step)
+    return jelly_material.springs_of(points, cells), jelly_material.skin_of_tetrahedra(points, cells, surface.vertices)

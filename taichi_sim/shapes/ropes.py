@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taichi_sim import checks
-from taichi_sim.errors import SceneError
-from taichi_sim.scene import Scene
-from taichi_sim.shape_parts import (
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes.base import (
     Part,
     Pins,
     Shape,
@@ -49,14 +49,14 @@ def rope(
         stiffness: N/m of each piece; bending_stiffness: N/m between balls two apart, none by default.
         radius: of each ball [m]; 0.45 of their distance by default.
     """
-    a = checks.vectors("rope.start", start, 1, scene.dim)[0]
-    b = checks.vectors("rope.end", end, 1, scene.dim)[0]
+    a = validation.vectors("rope.start", start, 1, scene.dim)[0]
+    b = validation.vectors("rope.end", end, 1, scene.dim)[0]
     number = (count("rope.n", n, 2),)
     length = float(np.linalg.norm(b - a))
     if length == 0:
         raise SceneError(f"rope.end: {list(end)!r} is not allowed; it must differ from start")
     points = a + np.linspace(0.0, 1.0, number[0])[:, None] * (b - a)
-    bend = checks.number("rope.bending_stiffness", bending_stiffness, low=0)
+    bend = validation.number("rope.bending_stiffness", bending_stiffness, low=0)
     kinds = [Springs(lattice_pairs(number, (1,)), 1.0)]
     total = or_default("rope.mass", mass, ROPE_DENSITY * length)
     strength = at_least_0("rope.stiffness", stiffness, stable_stiffness(kinds, len(points), total))
@@ -97,9 +97,9 @@ def wheel(
         pinned: [0] holds the hub, about which the wheel then turns.
         ball_radius: of each ball [m]; 0.3 of the distance along the rim by default.
     """
-    reach = checks.number("wheel.radius", radius, positive=True)
+    reach = validation.number("wheel.radius", radius, positive=True)
     number = count("wheel.spokes", spokes, 3)
-    middle = checks.vectors("wheel.centre", centre, 1, scene.dim)[0]
+    middle = validation.vectors("wheel.centre", centre, 1, scene.dim)[0]
     angle = 2 * np.pi * np.arange(number) / number
     points = np.zeros((number + 1, scene.dim))
     points[1:, 0], points[1:, 1] = reach * np.cos(angle), reach * np.sin(angle)

@@ -12,7 +12,7 @@ import json
 import sys
 from pathlib import Path
 
-from taichi_sim.files import replacing
+from taichi_sim.common.atomic_file import replacing
 
 from .families import FAMILIES
 from .run import Tally, redrawn, referee, table

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.materials import used_materials
+from taichi_sim.scene.materials import used_materials
 
 from .observe import Case, Record, auto_dt
 from .relations import Relation

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim import diagnostics
-from taichi_sim.errors import UnstableError
-from taichi_sim.settings import Settings
-from taichi_sim.stability import stability
+from taichi_sim.analysis import diagnostics
+from taichi_sim.analysis.stability import stability
+from taichi_sim.common.errors import UnstableError
+from taichi_sim.simulation.settings import Settings
 
 from .scenes import Change, changed, merged, walls
 

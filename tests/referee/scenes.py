@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 import taichi_sim as ts
-from taichi_sim.colliders import shape_of
+from taichi_sim.scene.colliders import shape_of
 
 __all__ = ["Change", "NoSuchSceneError", "changed", "components", "embedded", "merged", "part", "renumbered", "walls"]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.cases import Cloth, HalfSprings, half_springs
+from taichi_sim.reports.bench.cases import Cloth, HalfSprings, half_springs
 from taichi_sim.reports.peers import PeerMissingError
 
 __all__ = ["ClothOpenMP", "compiler", "time_step"]

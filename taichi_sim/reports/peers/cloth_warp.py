@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.cases import Cloth, HalfSprings, half_springs
+from taichi_sim.reports.bench.cases import Cloth, HalfSprings, half_springs
 from taichi_sim.reports.peers.warp_start import wp
 
 __all__ = ["ClothWarp"]

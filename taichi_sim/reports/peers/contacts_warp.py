@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.cases import Pack
+from taichi_sim.reports.bench.cases import Pack
 from taichi_sim.reports.peers.warp_start import wp
 
 __all__ = ["ContactsWarp"]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.cases import Grains
+from taichi_sim.reports.bench.cases import Grains
 from taichi_sim.reports.peers import PeerMissingError
 
 __all__ = ["GranularLammps", "time_step", "write_data"]

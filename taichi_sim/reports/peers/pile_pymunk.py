@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.cases import Pile
+from taichi_sim.reports.bench.cases import Pile
 from taichi_sim.reports.peers import PeerMissingError
 
 try:

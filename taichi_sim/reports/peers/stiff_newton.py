@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.reports.peers import PeerMissingError
 from taichi_sim.reports.peers.warp_start import wp
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 try:
     import newton

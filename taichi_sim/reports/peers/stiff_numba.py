@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.reports.peers import PeerMissingError
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 try:
     from numba import njit

@@ -9,13 +9,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from taichi_sim.files import replacing
+from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error.compared import Compared, worst
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import whole
 from taichi_sim.reports.speed_error.worker import Outcome
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["Budget", "load", "made", "mesh_error", "save"]
 

@@ -4,13 +4,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-from taichi_sim import checks
-from taichi_sim.errors import SceneError
-from taichi_sim.readings import quantity_of
+from taichi_sim.analysis.probe_readings import quantity_of
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.files.source import checked_output, demos, open_scene, resolve
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan, duration_of, longest_duration
-from taichi_sim.scene import Scene
-from taichi_sim.scene_source import checked_output, demos, open_scene, resolve
-from taichi_sim.settings import Settings
+from taichi_sim.scene.scene import Scene
+from taichi_sim.simulation.settings import Settings
 
 __all__ = ["read", "require_own_file"]
 
@@ -112,6 +112,6 @@ def _share(option: str, value: float | str) -> float:
 
 def _positive(option: str, value: Any) -> float:
     try:
-        return checks.number(option, float(value), high=math.inf, positive=True)
+        return validation.number(option, float(value), high=math.inf, positive=True)
     except (TypeError, ValueError):
         raise ValueError(f"{option}: {value!r} is not allowed; it must be a number greater than 0") from None

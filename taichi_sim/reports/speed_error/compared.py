@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.readings import Quantity, quantity_of
+from taichi_sim.analysis.probe_readings import Quantity, quantity_of
 from taichi_sim.reports.speed_error.plan import Plan
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["Compared", "distance", "rms", "worst"]
 

@@ -22,7 +22,7 @@ from taichi_sim.reports.speed_error.rows import (
     tells,
 )
 from taichi_sim.reports.speed_error.statistics import Interval
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["TOLERANCES", "Findings"]
 

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from taichi_sim.files import replacing
+from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error import budget as budgets
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table

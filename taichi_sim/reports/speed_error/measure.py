@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
+from taichi_sim.analysis.stability import stability
 from taichi_sim.reports.speed_error.compared import Compared, worst
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, STABLE, UNSTABLE, Row
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
-from taichi_sim.scene import Scene
-from taichi_sim.stability import stability
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["measure", "row_of"]
 

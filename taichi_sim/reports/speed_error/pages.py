@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from taichi_sim import __version__
-from taichi_sim.files import replacing
-from taichi_sim.reports.bench import processor
+from taichi_sim.common.atomic_file import replacing
+from taichi_sim.reports.bench.main import processor
 from taichi_sim.reports.speed_error import plot
 from taichi_sim.reports.speed_error.findings import Findings, agrees, choice, in_unit
 from taichi_sim.reports.speed_error.rows import Row

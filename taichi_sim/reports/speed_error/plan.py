@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taichi_sim import __version__
-from taichi_sim.scene import Scene
-from taichi_sim.settings import Settings
-from taichi_sim.stability import ANY_STEP, stability
+from taichi_sim.analysis.stability import ANY_STEP, stability
+from taichi_sim.scene.scene import Scene
+from taichi_sim.simulation.settings import Settings
 
 __all__ = [
     "METHODS",

@@ -14,7 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.files import replacing
+from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error.compared import Compared, rms
 from taichi_sim.reports.speed_error.plan import (
     FRAME,
@@ -30,7 +30,7 @@ from taichi_sim.reports.speed_error.plan import (
 )
 from taichi_sim.reports.speed_error.rows import whole
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["APART", "PARTED", "Reference", "load", "make", "save"]
 

@@ -21,7 +21,7 @@ from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.resolution import Finer
 from taichi_sim.reports.speed_error.rows import LEFT_OUT
 from taichi_sim.reports.speed_error.worker import Outcome, Trial, Workers
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["coarse", "floor_of", "main", "progress_bar", "run_all"]
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.errors import SceneError
-from taichi_sim.scene import Scene
-from taichi_sim.scene_file import Reader
-from taichi_sim.scene_schema import SHAPES
+from taichi_sim.common.errors import SceneError
+from taichi_sim.files.toml_reader import Reader
+from taichi_sim.files.toml_schema import SHAPES
+from taichi_sim.scene.scene import Scene
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from taichi_sim.errors import SceneError
-from taichi_sim.files import replacing
+from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.errors import SceneError
 from taichi_sim.reports.speed_error.plan import METHODS
 
 __all__ = [

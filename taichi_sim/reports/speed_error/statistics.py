@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from taichi_sim.files import replacing
+from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step, fitting, halved, own_step
 from taichi_sim.reports.speed_error.reference import apart
 from taichi_sim.reports.speed_error.rows import lines_of, whole
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["QUANTITIES", "SEEDS", "Interval", "Seed", "intervals", "one_seed", "read", "steps_of_seeds", "write"]
 

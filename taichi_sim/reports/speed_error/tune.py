@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from taichi_sim.errors import SceneError
-from taichi_sim.files import PartFile
+from taichi_sim.analysis.stability import stability
+from taichi_sim.common.atomic_file import PartFile
+from taichi_sim.common.errors import SceneError
 from taichi_sim.reports.check import passes
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.compared import Compared
@@ -23,9 +24,8 @@ from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of, progress_bar
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
 from taichi_sim.reports.speed_error.worker import Workers
-from taichi_sim.scene import Scene
-from taichi_sim.settings import Settings, part_of_bound
-from taichi_sim.stability import stability
+from taichi_sim.scene.scene import Scene
+from taichi_sim.simulation.settings import Settings, part_of_bound
 
 __all__ = ["find", "main", "settings_of", "write_settings"]
 
@@ -219,7 +219,7 @@ def write_settings(file: Path, settings: dict[str, Any]) -> None:
     The file is replaced whole, or not at all."""
     import tomlkit
 
-    from taichi_sim.scene_file import load_scene
+    from taichi_sim.files.toml_reader import load_scene
 
     text = file.read_bytes().decode()
     document = tomlkit.parse(text)

@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.errors import BackendError, UnstableError
-from taichi_sim.readings import quantity_of
+from taichi_sim.analysis.probe_readings import quantity_of
+from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
-from taichi_sim.scene import Scene
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["Outcome", "Trial", "Worker", "Workers"]
 
@@ -164,7 +164,7 @@ class Track:
     """The simulation of one method after the other, each compiled once."""
 
     def __init__(self, scene: Scene, plan: Plan, precision: str) -> None:
-        from taichi_sim import backend
+        from taichi_sim.device import backend
 
         self.scene, self.duration = scene, plan.duration
         given = scene.settings
@@ -195,7 +195,7 @@ class Track:
 
     def _prepare(self, trial: Trial) -> None:
         """The compiled simulation of the trial's method with its step."""
-        from taichi_sim.simulation import Simulation
+        from taichi_sim.simulation.simulation import Simulation
 
         if self.sim is None or self.method != trial.method:
             if self.sim is not None:

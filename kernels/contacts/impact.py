@@ -1,0 +1,241 @@
+"""Moving a ball through a step with impacts on walls and colliders at their exact times.
+
+Within a step the path is a parabola from x with start velocity v - a h / 2 and acceleration a: exact for constant forces,
+so an elastic bounce loses nothing. A scheme without acceleration inside the step passes a = 0 and moves on a straight line.
+"""
+
+from taichi_sim.kernels.contacts.colliders import first_collider, surface_velocity
+from taichi_sim.kernels.contacts.contact_law import decayed
+from taichi_sim.kernels.contacts.parabola import crossing
+from taichi_sim.kernels.vectors import cross, lever
+
+from taichi_sim.device.engine import ti
+
+AT_ONCE = 1.0 / 16.0  # of a step: a flight that is shorter ends in rest
+IMPACTS = 8  # per ball and step; a wedge that asks for more stops the ball for the rest of the step
+
+
+@ti.func
+def first_wall(walls: ti.template(), i, x, v, a, remaining):
+    """Earliest wall hit by ball i within `remaining` seconds: its number or -1, and the time."""
+    hit = -1
+    time = remaining
+    for k in range(walls.planes):
+        wall = walls.wall[k]
+        gap = walls.gap(x, i, k)
+        u = wall.normal.dot(v)
+        pull = wall.normal.dot(a)
+        closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining
+        resting = walls.touched[i] > 0 and walls.contact[i * walls.count + k].active == 1
+        if gap >= -walls.tolerance(x, i, 0.0) and closest <= 0.0 and not resting:
+            t = crossing(ti.max(gap, 0.0), u, pull, 2.0 * remaining)
+            if t < time:
+                time = t
+                hit = k
+    return hit, time
+
+
+@ti.func
+def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
+    """Velocity, from the surface, and acceleration of ball i after it met a surface with the normal n, and whether it rests:
+    reflected above the threshold speed, else resting on it for the `remaining` seconds of the step. Coulomb friction is bounded
+    by all of the normal impulse: that of the impact, and that which the acceleration into the surface adds while it rests."""
+    u = n.dot(v)
+    press = ti.max(0.0, -n.dot(a))
+    rests = is_caught(law, u, press, threshold, h)
+    j = -u
+    if -u > threshold and not rests:
+        j = -(1.0 + law.restitution) * u
+    after = v + j * n
+    rest = a
+    if rests:
+        rest = a + press * n
+        j += press * remaining
+    if ti.static(walls.model.has_friction):
+        t = v - u * n
+        share = 0.0 * u + 1.0
+        if ti.static(walls.model.spins):
+            t -= lever(walls.state.turn[i], n)
+            share = walls.model.sideways(i)
+        speed = t.norm()
+        if speed > 0.0:
+            slip = ti.select(-u > threshold, decayed(law.viscous_friction * h), 0.0 * u)
+            change = ti.min(share * speed, slip * share * speed + law.friction * j) / speed * t
+            after -= change
+            if ti.static(walls.model.spins):
+                walls.state.turn[i] = walls.state.turn[i] + walls.model.turning_of(i) * cross(n, change)
+    return after, rest, rests
+
+
+@ti.func
+def is_caught(law, u, press, threshold, h):
+    """Whether a ball that arrives with the normal speed u < 0 rests: it is slow, does not bounce, or what presses it into the
+    surface [m/s^2] would bring it back at once, so that the bounces to come add up to a small part of the step."""
+    return -u <= threshold or law.restitution == 0.0 or -2.0 * law.restitution * u < AT_ONCE * h * press
+
+
+@ti.func
+def surface(walls: ti.template(), key, x, after):
+    """Direction from a collider, or a face of it, see kernels.colliders.first_collider, to a ball at x that touches it `after`
+    seconds into the step, and its velocity there."""
+    k = key // walls.faces
+    d, n, _ = walls.colliders.distance(k, key % walls.faces, x, after)
+    return n, surface_velocity(walls.colliders, k, x - d * n, after)
+
+
+@ti.func
+def strike(walls: ti.template(), i, key, x, v, a, after, threshold, h):
+    """Velocity and acceleration of ball i after it met a collider `after` seconds into the step, whether it rests on it, and
+    the normal there."""
+    n, own = surface(walls, key, x, after)
+    law = walls.law_with(i, walls.colliders.shape[key // walls.faces].surface)
+    u = n.dot(v - own)
+    speed, pull = v, a
+    rests = True  # what does not approach
+    if u < 0.0:
+        speed, pull, rests = bounce(walls, i, n, law, v - own, a, threshold, h, h - after)
+        speed += own
+    return speed, pull, rests, n
+
+
+@ti.func
+def pushed(walls: ti.template(), key, x, after, time):
+    """Displacement of a ball at x, which a collider touches `after` seconds into the step and pushes before it for `time`."""
+    n, own = surface(walls, key, x, after)
+    return time * ti.max(0.0, n.dot(own)) * n
+
+
+@ti.func
+def press(walls: ti.template(), i, v, a):
+    """Velocity and acceleration of ball i without the parts that press it into walls on which it rests.
+
+    Those are the contact solve's to undo, friction with them; the path only must not enter the wall meanwhile.
+    """
+    for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
+        if walls.contact[i * walls.count + k].active == 1:
+            n = walls.normal(i, k)
+            if ti.static(walls.has_colliders):
+                least = 0.0 * v[0]
+                if k >= walls.planes:  # a surface that falls away is followed
+                    least = ti.min(0.0, walls.contact[i * walls.count + k].target)
+                v -= ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
+            else:
+                v -= ti.min(0.0, n.dot(v)) * n
+            a -= ti.min(0.0, n.dot(a)) * n
+    return v, a
+
+
+@ti.func
+def tell_pressed(walls: ti.template(), i, v):
+    """What `press` took of the velocity of ball i, for probes: it stays away where the ball met something."""
+    for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
+        if walls.contact[i * walls.count + k].active == 1:
+            n = walls.normal(i, k)
+            least = 0.0 * v[0]
+            if ti.static(walls.has_colliders):
+                if k >= walls.planes:
+                    least = ti.min(0.0, walls.contact[i * walls.count + k].target)
+            change = -ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
+            v += change
+            walls.tell(i, k, change / walls.model.inverse_mass[i])
+
+
+@ti.func
+def move(walls: ti.template(), i, x, v, a, h, threshold):
+    """Displacement over h and drift velocity of ball i, given drift velocity v (at half the step) and acceleration a."""
+    shift = h * v
+    drift = v
+    way = ti.abs(shift).sum() + 0.5 * h * h * ti.abs(a).sum()  # at most
+    near = True
+    if ti.static(not walls.has_colliders):
+        near = way >= walls.room[i]
+    if near:
+        shift, drift = move_among(walls, i, x, v, a, h, threshold)
+    return shift, drift
+
+
+@ti.func
+def move_among(walls: ti.template(), i, x, v, a, h, threshold):
+    """`move` of a ball that may meet something."""
+    along, pressed = press(walls, i, v, a)
+    pull = pressed
+    remaining = h
+    speed = along - 0.5 * h * pull
+    shift = h * along
+    touched = False
+    settled = -1  # the collider on which it came to rest within this step, and the normal there
+    floor = 0.0 * v
+    swift = False  # it may have to stop on its way at another ball (kernels.swept), so that must be straight
+    if ti.static(walls.straight):
+        swift = shift.dot(shift) > walls.model.radius[i] ** 2
+    for _ in range(IMPACTS):
+        if remaining > 0.0:
+            start = ti.select(touched, shift, 0.0 * shift)
+            hit, t = first_wall(walls, i, x + start, speed, pull, remaining)
+            other = -1
+            if ti.static(walls.has_colliders):
+                other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled, floor)
+            far = 0.0 * t
+            if ti.static(walls.has_colliders):
+                if other >= 0:
+                    far = walls.colliders.far(other // walls.faces)
+            waits = swift and (other != -1 or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
+            if waits:
+                shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
+                if ti.static(walls.moves):
+                    if other >= 0:
+                        shift += pushed(walls, other, x + shift, h - remaining + t, remaining - t)
+                speed += remaining * pull
+                remaining = 0.0
+            elif other != -1:
+                shift = start + t * (speed + 0.5 * t * pull)
+                speed += t * pull
+                if ti.static(walls.has_colliders):
+                    if other >= 0:
+                        came, load = speed, pull
+                        speed, pull, rests, n = strike(
+                            walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
+                        )
+                        if rests:
+                            settled = other // walls.faces
+                            floor = n
+                        remaining -= t
+                        if ti.static(walls.told):
+                            change = speed - came + remaining * (pull - load)
+                            walls.received.add(
+                                i, walls.received.solid[other // walls.faces], change / walls.model.inverse_mass[i]
+                            )
+                    else:
+                        remaining = 0.0
+                touched = True
+            elif hit >= 0:
+                shift = start + t * (speed + 0.5 * t * pull)
+                came, load = speed + t * pull, pull
+                speed, pull, rests = bounce(
+                    walls,
+                    i,
+                    walls.wall[hit].normal,
+                    walls.law(i, hit),
+                    came,
+                    pull,
+                    threshold,
+                    h,
+                    remaining - t,
+                )
+                remaining -= t
+                if ti.static(walls.told):
+                    change = speed - came + remaining * (pull - load)
+                    walls.received.add(i, walls.received.plane[hit], change / walls.model.inverse_mass[i])
+                touched = True
+            elif touched:
+                shift += remaining * (speed + 0.5 * remaining * pull)
+                speed += remaining * pull
+                remaining = 0.0
+            else:
+                remaining = 0.0
+    drift = v
+    if touched:
+        if ti.static(walls.told):
+            tell_pressed(walls, i, v)
+        drift = speed - 0.5 * h * pressed  # the load on what it rested on is still the next solve's to hold
+    return shift, drift

@@ -1,0 +1,28 @@
+"""Into how many parts a ball splits its mass where contacts are summed from old velocities."""
+
+from taichi_sim.device.engine import ti
+
+
+@ti.func
+def shares(solver: ti.template(), ball: ti.template(), i):
+    """What decides into how many parts ball i splits its mass: the sums of n n^T and of 1 over all that is accumulated, with
+    "gauss_seidel" only sticks and surfaces, whose weights count."""
+    count = 0.0 * solver.model.inverse_mass[i]
+    T = ti.Matrix.zero(float, solver.model.dim, solver.model.dim)
+    if ti.static(solver.has_grid and solver.split):
+        count = solver.count[i]
+        if ti.static(solver.by_tensor):
+            T = solver.tensor[i]
+    if ti.static(solver.has_walls and solver.split):
+        t, c = solver.walls.shares(ball, i)
+        T += t
+        count += c
+    if ti.static(solver.has_sticks and solver.rule != "sum"):
+        t, c = solver.sticks.shares(i)
+        T += t
+        count += c
+    if ti.static(solver.has_facets and solver.rule != "sum"):
+        t, c = solver.facets.shares(i)
+        T += t
+        count += c
+    return T, count

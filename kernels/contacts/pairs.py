@@ -1,0 +1,261 @@
+"""Finding contacts between balls, each pair once, and what the passes need of it: normal, depth, mass.
+
+A pair is listed by that of its balls which comes first in the sorted grid. Passes take the balls in that order too, in blocks
+that are longer than any pair reaches: see kernels.sweeps.
+"""
+
+from taichi_sim.kernels.contacts.collision_groups import balls_meet
+from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
+
+from taichi_sim.device.engine import ti
+
+ENDLESS = 2**31 - 1  # what `overflow` says where cells hold so many pairs that none were looked for
+FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
+
+
+GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
+NONE = -1e30  # as an aim: the contact neither pushes nor bounced
+ONE = 0x3F800000  # the bits of 1.0
+
+
+@ti.func
+def may_touch(pairs: ti.template(), i, j):
+    """Whether two balls collide at all: not both pinned, of one body, joined by a spring, or of groups that do not."""
+    allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0
+    if ti.static(pairs.has_bodies):
+        allowed = allowed and (pairs.body[i] == 0 or pairs.body[i] != pairs.body[j])
+    if ti.static(pairs.model.has_groups):
+        allowed = allowed and balls_meet(pairs.model, i, j)
+    if ti.static(pairs.has_joints):
+        for e in range(pairs.joint_start[i], pairs.joint_start[i + 1]):
+            allowed = allowed and pairs.joint_other[e] != j
+    return allowed
+
+
+@ti.func
+def nearby(pairs: ti.template(), own, at, room):
+    """Write the sorted copies within reach of copy `own` that come after it, as links from `at` on; returns how many.
+
+    Links beyond `room` are counted; the last place holds any one of them.
+    """
+    a = pairs.grid.copy[own]
+    found = 0
+    mine = level_of(a.radius, pairs.grid)
+    for level in range(mine, pairs.grid.levels):
+        if pairs.grid.dense[level] == 0:
+            found = scan(pairs, own, a, mine, level, at, found, room, False)
+        if pairs.grid.dense[level] == 1:
+            found = scan(pairs, own, a, mine, level, at, found, room, True)
+    return found
+
+
+@ti.func
+def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.template()):
+    """`nearby` in one level, for one of the two ways to place rows in its table. Side by side, rows before the own one hold
+    none after."""
+    span = (a.radius + largest(pairs.grid, level)) * pairs.grid.enlarged * pairs.grid.margin
+    low = cell_of(a.x - span, pairs.grid, level)
+    high = cell_of(a.x + span, pairs.grid, level)
+    here = low
+    if level == mine:
+        if ti.static(dense):
+            here = cell_of(a.x, pairs.grid, level)
+    elif ti.static(pairs.grid.levels > 1):
+        low, high = clip(pairs.grid, level, low, high)
+        here = low
+    length = ti.max(0, high[0] - low[0] + 1)
+    ranked = ti.static(
+        not dense and pairs.grid.levels == 1
+    )  # listed by the one that comes first in the order of sweeps
+    rank = 0
+    if ti.static(ranked):
+        rank = pairs.grid.rank[pairs.grid.sorted[own]]
+    for z in range(
+        0 if ti.static(pairs.model.dim == 2) else here[2], 1 if ti.static(pairs.model.dim == 2) else high[2] + 1
+    ):
+        begin = low[1]
+        if ti.static(pairs.model.dim == 2) or z == here[pairs.model.dim - 1]:
+            begin = here[1]
+        for y in range(begin, high[1] + 1):
+            row = low
+            row[1] = y
+            if ti.static(pairs.model.dim == 3):
+                row[2] = z
+            bucket = bucket_of(row, pairs.grid, level)
+            for piece in ti.static(range(1 if dense else 2)):
+                first, last = run(pairs.grid, level, bucket, length, piece)
+                for k in range(first if ti.static(ranked) else ti.max(first, own + 1), last):
+                    b = pairs.grid.copy[k]
+                    r = b.x - a.x
+                    reach = (a.radius + b.radius) * pairs.grid.enlarged
+                    if r.dot(r) < reach * reach:
+                        listed = True
+                        if ti.static(not dense):
+                            listed = same_row(row, cell_of(b.x, pairs.grid, level))
+                        if ti.static(ranked):
+                            listed = listed and pairs.grid.rank[pairs.grid.sorted[k]] > rank
+                        if listed:
+                            pairs.link[at + ti.min(found, room)].other = k
+                            found += 1
+    return found
+
+
+@ti.func
+def settle(pairs: ti.template(), own, at, found):
+    """Turn `found` links to sorted copies into links to the balls that may touch; returns how many those are, and how many
+    places further on in the order the furthest is."""
+    i = pairs.grid.sorted[own]
+    kept = 0
+    furthest = 0
+    for e in range(at, at + found):
+        k = pairs.link[e].other
+        j = pairs.grid.sorted[k]
+        if may_touch(pairs, i, j):
+            distance = k - own
+            if ti.static(pairs.grid.levels == 1):
+                if pairs.grid.dense[0] == 0:
+                    distance = pairs.grid.rank[j] - pairs.grid.rank[i]
+            furthest = ti.max(furthest, distance)
+            if ti.static(pairs.warm):
+                recall(pairs, i, j, at + kept)
+            pairs.link[at + kept].other = j
+            kept += 1
+    return kept, furthest
+
+
+@ti.func
+def forget(pairs: ti.template(), e):
+    """Link e holds nothing from before."""
+    pairs.link[e].impulse = 0.0
+    if ti.static(pairs.has_aim):
+        pairs.link[e].aim = NONE
+    if ti.static(pairs.model.has_friction):
+        pairs.link[e].slide = zero_slide(pairs)
+
+
+@ti.func
+def zero_slide(pairs: ti.template()):
+    """No impulse along the surface: a scalar in 2D, a vector in 3D."""
+    if ti.static(pairs.model.dim == 2):
+        return ti.cast(0.0, float)
+    else:
+        return ti.Vector.zero(float, 3)
+
+
+@ti.func
+def store(pairs: ti.template()):
+    """Before new lists are made: keep what touches hold in `row`, whose own content only lasts until then."""
+    for i in range(pairs.grid.work[0]):
+        pairs.old_first[i] = pairs.first[i]
+        pairs.old_touching[i] = pairs.touching[i]
+        for c in range(pairs.first[i], pairs.first[i] + pairs.touching[i]):
+            link = pairs.link[c]
+            pairs.row[c].depth = link.impulse
+            if ti.static(pairs.single):  # as a normal number: others might be flushed to 0
+                pairs.row[c].mass = ti.bit_cast(link.other + ONE, ti.f32)
+            else:
+                pairs.row[c].mass = ti.cast(link.other, float)
+            if ti.static(pairs.has_aim):
+                pairs.row[c].target = link.aim
+            if ti.static(pairs.model.has_friction):
+                if ti.static(pairs.model.dim == 2):
+                    pairs.row[c].normal[0] = link.slide
+                else:
+                    pairs.row[c].normal = link.slide
+
+
+@ti.func
+def stored_other(pairs: ti.template(), c):
+    """The other ball of the link that `store` put into row c."""
+    if ti.static(pairs.single):
+        return ti.bit_cast(pairs.row[c].mass, ti.i32) - ONE
+    else:
+        return ti.cast(pairs.row[c].mass, ti.i32)
+
+
+@ti.func
+def recall(pairs: ti.template(), i, j, at):
+    """Copy into link `at` what the contact of i and j held when the lists were last made; either of them may have listed it.
+
+    Starting from these impulses, passes need not build up the load of a pile from nothing in every step.
+    """
+    forget(pairs, at)
+    for which in ti.static(range(2)):
+        one, two = i, j
+        if ti.static(which == 1):
+            one, two = j, i
+        begin = pairs.old_first[one]
+        for c in range(begin, begin + pairs.old_touching[one]):
+            if stored_other(pairs, c) == two:
+                row = pairs.row[c]
+                pairs.link[at].impulse = row.depth
+                if ti.static(pairs.has_aim):
+                    pairs.link[at].aim = row.target
+                if ti.static(pairs.model.has_friction):
+                    # a scalar along the normal turned by 90 degrees is the same seen from the other ball
+                    if ti.static(pairs.model.dim == 2):
+                        pairs.link[at].slide = row.normal[0]
+                    else:
+                        pairs.link[at].slide = row.normal if ti.static(which == 0) else -row.normal
+
+
+@ti.func
+def search(pairs: ti.template()):
+    """For each ball the list of the later balls within reach, in an order that the grid fixes; nothing where the last holds.
+
+    The lists of a block of balls lie one behind the other in the room of that block; what it cannot hold goes to a pool at
+    the end, where its place depends on the threads, but not what it holds. What does not fit there is counted and not kept;
+    the host then makes more room and repeats the steps.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        if pairs.grid.crowd[0] > pairs.grid.most[0]:
+            pairs.overflow[0] = ENDLESS
+            pairs.grid.worst[0] = ti.max(pairs.grid.worst[0], pairs.grid.crowd[0])
+            pairs.grid.work[0] = 0
+        if pairs.grid.work[0] > 0:
+            pairs.used[0] = 0
+            pairs.furthest[0] = 0
+    if ti.static(pairs.warm):
+        store(pairs)
+    for block in range((pairs.grid.work[0] + pairs.block - 1) // pairs.block):
+        at = block * pairs.room
+        end = at + pairs.room
+        furthest = 0
+        for k in range(block * pairs.block, ti.min((block + 1) * pairs.block, pairs.grid.n)):
+            first = at
+            far = 0
+            found = nearby(pairs, k, at, end - 1 - at)
+            if at + found < end:
+                found, far = settle(pairs, k, at, found)
+                at += found
+            else:
+                used = FULL
+                if pairs.used[0] < FULL - pairs.pool:
+                    used = pairs.pool + ti.atomic_add(pairs.used[0], found + 1)
+                if used + found < pairs.capacity:
+                    first = used
+                    nearby(pairs, k, first, found)
+                    found, far = settle(pairs, k, first, found)
+                else:
+                    ti.atomic_max(pairs.overflow[0], used + found + 1)
+                    found = 0
+            furthest = ti.max(furthest, far)
+            i = pairs.grid.sorted[k]
+            pairs.first[i] = first
+            pairs.number[i] = found
+        ti.atomic_max(pairs.furthest[0], furthest)
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        if pairs.grid.work[0] > 0:
+            pairs.length[0] = ti.max(pairs.block, pairs.furthest[0])
+            pairs.blocks[0] = (pairs.model.n + pairs.length[0] - 1) // pairs.length[0]
+
+
+@ti.func
+def law_of(pairs: ti.template(), i, j):
+    """Pair law of two balls."""
+    which = pairs.only_law + 0 * i
+    if ti.static(pairs.only_law < 0):
+        which = pairs.model.surface[i] * pairs.model.surfaces + pairs.model.surface[j]
+    return pairs.model.laws[which]

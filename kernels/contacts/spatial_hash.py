@@ -1,0 +1,298 @@
+"""A cell-sorted spatial hash in an unbounded world.
+
+Cells are FINE times narrower along x than across. A cell lies in bucket (cx + offset of its row) mod size, so the cells of a
+row are neighbours in the table, and any stretch of a row is one run of the sorted copies. Where the box around all balls
+holds no more cells than the table has buckets, rows follow one another and no two cells share a bucket; else the rows are
+spread by a hash, and different cells may share one. A candidate is accepted only in the row it really lies in (`same_row`),
+so that no pair is found twice; far cells that share a bucket are refused by their distance.
+
+Where radii differ much, balls lie in levels by size, the finest first, each with cells and a table of its own: small balls
+would else look at thousands of others in cells made for large ones.
+"""
+
+from taichi_sim.device.engine import ti
+
+LIMIT = 1 << 28  # cells beyond this are merged: still correct, only slower
+CROWD = 64  # balls in a cell from which on their pairs are counted
+FINE = 3  # a stretch of 2 reach + 1/3 in place of 3 whole cells: two thirds of the candidates
+
+
+@ti.func
+def level_of(radius, grid: ti.template()):
+    """Level in which a ball of this radius lies."""
+    level = 0
+    for k in ti.static(range(1, grid.levels)):
+        if radius > grid.bounds[k - 1]:
+            level = k
+    return level
+
+
+@ti.func
+def inverse_cell(grid: ti.template(), level):
+    """1/m: one over the width of a level's cells across x."""
+    if ti.static(grid.levels == 1):
+        return grid.inverse_widths[0]
+    else:
+        return grid.inverse_width[level]
+
+
+@ti.func
+def largest(grid: ti.template(), level):
+    """Largest radius in a level [m]."""
+    if ti.static(grid.levels == 1):
+        return grid.bounds[0]
+    else:
+        return grid.bound[level]
+
+
+@ti.func
+def table(grid: ti.template(), level):
+    """First bucket of a level's table, and how many it has."""
+    if ti.static(grid.levels == 1):
+        return 0, grid.size
+    else:
+        return grid.table_first[level], grid.table_size[level]
+
+
+@ti.func
+def cell_of(x, grid: ti.template(), level):
+    """Integer cell of a position in a level."""
+    cell = x * inverse_cell(grid, level)
+    cell[0] *= FINE
+    for a in ti.static(range(cell.n)):  # what is not a number is not below the limit either
+        cell[a] = ti.select(
+            cell[a] > -1.0 * LIMIT, ti.select(cell[a] < 1.0 * LIMIT, cell[a], 1.0 * LIMIT), -1.0 * LIMIT
+        )
+    return ti.cast(ti.floor(cell), ti.i32)
+
+
+@ti.func
+def row_key(cell):
+    """A mixed number for the row (all coordinates but the first)."""
+    key = ti.u32(0)
+    for a in ti.static(range(1, cell.n)):
+        key = (key ^ ti.cast(cell[a], ti.u32)) * ti.u32(2654435761)
+        key ^= key >> 15
+    return key
+
+
+@ti.func
+def bucket_of(cell, grid: ti.template(), level):
+    """Bucket of a cell of a level in its table, whose size is a power of two."""
+    key = ti.u32(0)
+    if grid.dense[level] == 1:
+        at = level * grid.dim
+        for a in ti.static(range(1, cell.n)):
+            key += ti.cast(cell[a] - grid.corner[at + a], ti.u32) * ti.cast(grid.pitch[at + a], ti.u32)
+        key -= ti.cast(grid.corner[at], ti.u32)
+    else:
+        key = row_key(cell)
+    first, size = table(grid, level)
+    return first + ti.cast((ti.cast(cell[0], ti.u32) + key) & ti.cast(size - 1, ti.u32), ti.i32)
+
+
+@ti.func
+def same_row(a, b):
+    """Whether two cells lie in one row along x."""
+    same = True
+    for k in ti.static(range(1, a.n)):
+        same = same and a[k] == b[k]
+    return same
+
+
+@ti.func
+def prefix_sum(count: ti.template(), start: ti.template(), partial: ti.template(), size, chunk):
+    """start (size + 1) = exclusive sums of count (size); size is a multiple of chunk, or 0: nothing is done. Clears count."""
+    for c in range(size // chunk):
+        total = 0
+        for b in range(c * chunk, (c + 1) * chunk):
+            total += count[b]
+        partial[c] = total
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        running = 0
+        for c in range(size // chunk):
+            total = partial[c]
+            partial[c] = running
+            running += total
+        if size > 0:
+            start[size] = running
+    for c in range(size // chunk):
+        running = partial[c]
+        for b in range(c * chunk, (c + 1) * chunk):
+            start[b] = running
+            running += count[b]
+            count[b] = 0
+
+
+@ti.func
+def sort_run(order: ti.template(), first, last):
+    """Insertion sort of order[first:last]: threads filled it in any order, and sums must not depend on that."""
+    for a in range(first + 1, last):
+        value = order[a]
+        b = a - 1
+        while b >= first and order[b] > value:
+            order[b + 1] = order[b]
+            b -= 1
+        order[b + 1] = value
+
+
+@ti.func
+def plan(grid: ti.template()):
+    """work = how many balls and buckets the loops below handle: all when some ball has moved too far, else none.
+
+    A loop inside an `if` would not be parallel; a loop over nothing is.
+    """
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        stale = grid.stale[0] if ti.static(grid.skin > 0.0) else 1
+        grid.work[0] = stale * grid.n
+        grid.work[1] = stale * grid.size
+        grid.work[2] = stale * grid.parts
+        grid.stale[0] = 0
+        grid.searches[0] = grid.searches[0] + stale
+        grid.crowd[0] = 0.0
+
+
+@ti.func
+def lay_out(ball: ti.template(), grid: ti.template()):
+    """Choose how rows are placed in each level's table, from the box of cells around all its balls."""
+    for c in range(grid.work[2]):
+        end = ti.min((c + 1) * grid.part, grid.n)
+        if ti.static(grid.levels == 1):
+            low = cell_of(ball[c * grid.part].x, grid, 0)
+            high = low
+            for i in range(c * grid.part + 1, end):
+                cell = cell_of(ball[i].x, grid, 0)
+                low = ti.min(low, cell)
+                high = ti.max(high, cell)
+            grid.low[c] = low
+            grid.high[c] = high
+        else:
+            for level in range(grid.levels):
+                grid.low[c * grid.levels + level] = LIMIT
+                grid.high[c * grid.levels + level] = -LIMIT
+            for i in range(c * grid.part, end):
+                level = level_of(grid.model.radius[i], grid)
+                cell = cell_of(ball[i].x, grid, level)
+                at = c * grid.levels + level
+                grid.low[at] = ti.min(grid.low[at], cell)
+                grid.high[at] = ti.max(grid.high[at], cell)
+    ti.loop_config(serialize=True)
+    for level in range(grid.levels):
+        if grid.work[2] > 0:
+            low = grid.low[level]
+            high = grid.high[level]
+            for c in range(1, grid.work[2]):
+                low = ti.min(low, grid.low[c * grid.levels + level])
+                high = ti.max(high, grid.high[c * grid.levels + level])
+            low = ti.min(low, high)  # a level may be empty
+            cells = ti.cast(1.0, ti.f64)
+            for a in ti.static(range(grid.dim)):
+                border = ti.static(2 * FINE if a == 0 else 2)  # what a search around a ball may look at
+                at = level * grid.dim + a
+                grid.corner[at] = low[a] - border
+                grid.pitch[at] = ti.cast(ti.min(cells, 1.0 * LIMIT), ti.i32)
+                if ti.static(grid.levels > 1):
+                    grid.top[at] = high[a] + border
+                else:
+                    grid.extent[a] = high[a] - low[a] + (2 * border + 1)
+                cells *= ti.cast(high[a], ti.f64) - low[a] + (2 * border + 1)
+            grid.dense[level] = ti.select(cells <= table(grid, level)[1], 1, 0)
+
+
+@ti.func
+def clip(grid: ti.template(), level, low, high):
+    """The part of the cells low..high that may hold balls of a level: beyond, a table's rows run into each other."""
+    for a in ti.static(range(grid.dim)):
+        low[a] = ti.max(low[a], grid.corner[level * grid.dim + a])
+        high[a] = ti.min(high[a], grid.top[level * grid.dim + a])
+    return low, high
+
+
+@ti.func
+def build(ball: ti.template(), grid: ti.template()):
+    """Sort the balls into the grid: bucket b holds sorted copies start[b] to start[b + 1], by rising index.
+
+    Where cells hold more pairs than there is memory for, they are left unsorted, and no search may follow.
+    """
+    lay_out(ball, grid)
+    for i in range(grid.work[0]):
+        level = level_of(grid.model.radius[i], grid)
+        b = bucket_of(cell_of(ball[i].x, grid, level), grid, level)
+        grid.origin[i] = ball[i].x
+        grid.bucket[i] = b
+        grid.count[b] += 1
+    prefix_sum(grid.count, grid.start, grid.partial, grid.work[1], grid.chunk)
+    for i in range(grid.work[0]):
+        b = grid.bucket[i]
+        grid.sorted[grid.start[b] + ti.atomic_add(grid.count[b], 1)] = i
+    for b in range(grid.work[1]):
+        grid.count[b] = 0
+        first = grid.start[b]
+        last = grid.start[b + 1]
+        if last - first > CROWD:
+            ti.atomic_add(grid.crowd[0], 0.5 * (last - first) * (last - first - 1.0))
+        if grid.crowd[0] <= grid.most[0]:
+            sort_run(grid.sorted, first, last)
+        for k in range(first, last):
+            grid.order[k] = grid.sorted[k]
+            grid.copy[k].x = ball[grid.sorted[k]].x
+            grid.copy[k].radius = grid.model.radius[grid.sorted[k]]
+    if ti.static(grid.levels == 1):
+        line_up(ball, grid)
+
+
+@ti.func
+def line_up(ball: ti.template(), grid: ti.template()):
+    """Where rows are spread by a hash: the order of sweeps is by slabs across the longest side of the world, lest blocks of
+    balls that can meet each other reach from one end of the order to the other."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        hashed = grid.work[0] > 0 and grid.dense[0] == 0
+        grid.work[3] = ti.select(hashed, grid.n, 0)
+        grid.work[4] = ti.select(hashed, grid.slabs, 0)
+        longest = ti.cast(0, ti.i32)
+        for a in ti.static(range(grid.dim)):
+            extent = grid.extent[a] // ti.static(FINE if a == 0 else 1)
+            if extent >= longest:
+                longest = extent
+                grid.axis[0] = a
+                grid.axis[1] = 0
+                while (grid.extent[a] >> grid.axis[1]) >= grid.slabs:
+                    grid.axis[1] += 1
+    for i in range(grid.work[3]):
+        cell = cell_of(ball[i].x, grid, 0)
+        slab = 0
+        for a in ti.static(range(grid.dim)):
+            if a == grid.axis[0]:
+                slab = (cell[a] - grid.corner[a]) >> grid.axis[1]
+        grid.bucket[i] = slab
+        grid.count[slab] += 1
+    prefix_sum(grid.count, grid.slab, grid.partial, grid.work[4], grid.chunk)
+    ti.loop_config(serialize=True)  # in the order of their numbers: a slab may hold too many balls to sort them
+    for i in range(grid.work[3]):
+        b = grid.bucket[i]
+        grid.rank[i] = grid.slab[b] + grid.count[b]
+        grid.count[b] += 1
+        grid.order[grid.rank[i]] = i
+    for b in range(grid.work[4]):
+        grid.count[b] = 0
+
+
+@ti.func
+def run(grid: ti.template(), level, bucket, length, piece: ti.template()):
+    """First and last + 1 of the sorted copies in `length` cells from `bucket` on: piece 0, and piece 1 where they go around
+    the end of the level's table."""
+    first = 0
+    last = 0
+    begin, size = table(grid, level)
+    end = bucket + ti.min(length, size)  # far from the origin single precision has cells only in large strides
+    if ti.static(piece == 0):
+        first = grid.start[bucket]
+        last = grid.start[ti.min(end, begin + size)]
+    elif end > begin + size:
+        if ti.static(grid.levels > 1):
+            first = grid.start[begin]
+        last = grid.start[end - size]
+    return first, last

@@ -1,0 +1,197 @@
+"""Contacts between balls and sticks: found by walking the grid along each stick, kept as rows with up to three balls.
+
+A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie together by stick.
+"""
+
+from taichi_sim.kernels.contacts import warm_start
+from taichi_sim.kernels.contacts.collision_groups import balls_meet
+from taichi_sim.kernels.contacts.contact_incidence import list_entries
+from taichi_sim.kernels.contacts.pairs import FULL
+from taichi_sim.kernels.contacts.spatial_hash import (
+    FINE,
+    bucket_of,
+    cell_of,
+    clip,
+    inverse_cell,
+    largest,
+    run,
+    same_row,
+    table,
+)
+from taichi_sim.kernels.vectors import unit
+
+from taichi_sim.device.engine import ti
+
+END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
+
+
+@ti.func
+def closest(x, a, b):
+    """Parameter t of the point of the line a + t (b - a) closest to x, and the vector from that point to x."""
+    d = b - a
+    square = d.dot(d)
+    t = 0.0 * square
+    if square > 0.0:
+        t = d.dot(x - a) / square
+    return t, x - a - t * d
+
+
+@ti.func
+def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
+    """Whether ball i touches the inside of a stick. A hit at an end is the ball-ball contact with the ball there."""
+    hit = False
+    if i != one and i != two:
+        t, r = closest(x, ball[one].x, ball[two].x)
+        hit = t > END and t < 1.0 - END and r.dot(r) < radius * radius
+        hit = (
+            hit and sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two] > 0.0
+        )
+        if ti.static(sticks.model.has_groups):
+            hit = hit and balls_meet(sticks.model, i, one)
+        if ti.static(sticks.pairs.has_bodies):
+            hit = hit and (sticks.pairs.body[i] == 0 or sticks.pairs.body[i] != sticks.pairs.body[one])
+    return hit
+
+
+@ti.func
+def slab(grid: ti.template(), level, a, d, axis, k):
+    """Lowest and highest cell around the piece of a stick a .. a + d that lies in slab k of its longest axis.
+
+    A slab is as thick as a cell across x; along x it holds FINE cells.
+    """
+    reach = largest(grid, level)
+    width = 1.0 / inverse_cell(grid, level)
+    t0 = 0.0 * a[0]
+    t1 = t0 + 1.0
+    for c in ti.static(range(a.n)):
+        if c == axis and d[c] != 0.0:
+            u = (k * width - reach - a[c]) / d[c]
+            v = ((k + 1) * width + reach - a[c]) / d[c]
+            t0 = ti.max(0.0, ti.min(u, v))
+            t1 = ti.min(1.0, ti.max(u, v))
+    low = cell_of(ti.min(a + t0 * d, a + t1 * d) - reach, grid, level)
+    high = cell_of(ti.max(a + t0 * d, a + t1 * d) + reach, grid, level)
+    for c in ti.static(range(a.n)):
+        if c == axis:
+            low[c] = k * ti.static(FINE if c == 0 else 1)
+            high[c] = low[c] + ti.static(FINE - 1 if c == 0 else 0)
+    return low, high
+
+
+@ti.func
+def visit(sticks: ti.template(), ball: ti.template(), level, s, low, high, at, fill: ti.template()):
+    """Count, or write as rows from `at` on, the balls in the cells low..high of a level that touch stick s."""
+    one, two = sticks.one[s], sticks.two[s]
+    found = 0
+    depth = 1
+    if ti.static(low.n == 3):
+        depth = high[2] - low[2] + 1
+    for row in range((high[1] - low[1] + 1) * depth):
+        left = low
+        left[1] = low[1] + row // depth
+        if ti.static(low.n == 3):
+            left[2] = low[2] + row % depth
+        length = high[0] - low[0] + 1
+        bucket = bucket_of(left, sticks.grid, level)
+        for piece in ti.static(range(2)):
+            first, last = run(sticks.grid, level, bucket, length, piece)
+            for k in range(first, last):
+                b = sticks.grid.copy[k]
+                i = sticks.grid.sorted[k]
+                if touches(sticks, ball, i, b.x, b.radius, one, two):
+                    cell = cell_of(b.x, sticks.grid, level)
+                    if same_row(left, cell) and cell[0] >= low[0] and cell[0] <= high[0]:
+                        if ti.static(fill):
+                            sticks.row[at + found].ball = i
+                            sticks.row[at + found].stick = s
+                        found += 1
+    return found
+
+
+@ti.func
+def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template()):
+    """All balls that touch stick s, slab by slab along its longest axis."""
+    a = ball[sticks.one[s]].x
+    d = ball[sticks.two[s]].x - a
+    axis = 0
+    for c in ti.static(range(1, d.n)):
+        if ti.abs(d[c]) > ti.abs(d[axis]):
+            axis = c
+    cells = ti.select(axis == 0, FINE, 1)  # of a slab
+    found = 0
+    for level in range(sticks.grid.levels):
+        reach = largest(sticks.grid, level)
+        from_cell = cell_of(ti.min(a, a + d) - reach, sticks.grid, level)
+        to_cell = cell_of(ti.max(a, a + d) + reach, sticks.grid, level)
+        if ti.static(sticks.grid.levels > 1):
+            from_cell, to_cell = clip(sticks.grid, level, from_cell, to_cell)
+        low, high = (from_cell // cells)[axis], (to_cell // cells)[axis]
+        begin, size = table(sticks.grid, level)
+        first_ball, last_ball = sticks.grid.start[begin], sticks.grid.start[begin + size]
+        if high - low > last_ball - first_ball:  # more slabs than balls: sooner asked one by one
+            for k in range(first_ball, last_ball):
+                b = sticks.grid.copy[k]
+                if touches(sticks, ball, sticks.grid.sorted[k], b.x, b.radius, sticks.one[s], sticks.two[s]):
+                    if ti.static(fill):
+                        sticks.row[at + found].ball = sticks.grid.sorted[k]
+                        sticks.row[at + found].stick = s
+                    found += 1
+        else:
+            for k in range(low, high + 1):
+                first, last = slab(sticks.grid, level, a, d, axis, k)
+                found += visit(sticks, ball, level, s, first, last, at + found, fill)
+    return found
+
+
+@ti.func
+def detect(sticks: ti.template(), ball: ti.template()):
+    """Rows of all sticks, with what they held under the last list, then for each ball the list of its places in them."""
+    if ti.static(sticks.warm):
+        warm_start.store(sticks)
+    sticks.used[0] = 0
+    for s in range(ti.select(sticks.grid.work[0] > 0, sticks.m, 0)):  # none where the grid gave up
+        found = walk(sticks, ball, s, 0, False)
+        first = FULL
+        if found > 0:
+            if sticks.used[0] < FULL:
+                first = ti.atomic_add(sticks.used[0], found)
+            if first + found <= sticks.capacity:
+                walk(sticks, ball, s, first, True)
+            else:
+                ti.atomic_max(sticks.overflow[0], first + found)
+                found = 0
+        for c in range(first, first + found):
+            measure(sticks, ball, c)
+            if ti.static(sticks.warm):
+                row = sticks.row[c]
+                sticks.row[c].speed = sticks.relative_velocity(ball, row).dot(row.normal)
+                warm_start.recall(sticks, s, c, row.normal)
+        sticks.begin[s], sticks.length[s] = first, found
+    list_entries(sticks)
+
+
+@ti.func
+def measure(sticks: ti.template(), ball: ti.template(), c):
+    """Where on the stick row c is, the normal from stick to ball, and the distance."""
+    row = sticks.row[c]
+    one, two = sticks.one[row.stick], sticks.two[row.stick]
+    t, r = closest(ball[row.ball].x, ball[one].x, ball[two].x)
+    n, d = unit(r, row.stick, row.ball)
+    if d == 0.0:  # the centre lies on the stick: any direction across it
+        n = across(ball[two].x - ball[one].x)
+    sticks.row[c].at = ti.max(0.0, ti.min(1.0, t))
+    sticks.row[c].normal = n
+    sticks.row[c].distance = d
+
+
+@ti.func
+def across(d):
+    """A unit vector at right angles to d."""
+    n = d * 0.0
+    if ti.static(d.n == 2):
+        n = ti.Vector([d[1], -d[0]])
+    else:
+        n = ti.Vector([d[1], -d[0], 0.0 * d[0]])
+        if ti.abs(d[2]) > ti.max(ti.abs(d[0]), ti.abs(d[1])):
+            n = ti.Vector([0.0 * d[0], d[2], -d[1]])
+    return n / n.norm()

@@ -1,0 +1,284 @@
+"""Visibility: spheres, rods, triangles and planes into a buffer of keys, one key per sample.
+
+A key is (closeness << 32) | identity, kept by atomic_max, so the nearest primitive wins whatever the order of threads.
+Closeness w is linear on the screen: 1/z in perspective, far - z in a parallel (light) view; its bits sort like it.
+The same kernels draw the picture and the shadow map. A view is a 4x4 matrix: rows right, up, forward (each with its
+offset), then (pixels per unit, centre x, centre y, far), far = 0 for perspective. Pixels count from the top left.
+"""
+
+from taichi_sim.device.engine import ti
+
+vec2 = ti.types.vector(2, ti.f32)
+vec3 = ti.types.vector(3, ti.f32)
+vec4 = ti.types.vector(4, ti.f32)
+View = ti.types.matrix(4, 4, ti.f32)
+
+SPHERE, ROD, TRIANGLE, PLANE = 1, 2, 3, 4  # kind of a primitive: identity = kind << 28 | index
+NEAR = 1e-3
+EXACT_FROM = 3.0  # px: a sphere at least this large is intersected exactly, a smaller one is drawn as a bulging disc
+SMALLEST = 0.55  # px: no sphere is drawn smaller, or it would flicker between samples
+OFFSETS = {1: ((0.0, 0.0),), 4: ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))}  # rotated grid
+
+
+@ti.func
+def to_view(view, p):
+    """The point p in the axes of the view: right, up, forward."""
+    return vec3(
+        view[0, 0] * p[0] + view[0, 1] * p[1] + view[0, 2] * p[2] + view[0, 3],
+        view[1, 0] * p[0] + view[1, 1] * p[1] + view[1, 2] * p[2] + view[1, 3],
+        view[2, 0] * p[0] + view[2, 1] * p[1] + view[2, 2] * p[2] + view[2, 3],
+    )
+
+
+@ti.func
+def screen(view, c):
+    """(x px, y px, closeness, pixels per unit) of a point in view axes; closeness 0 where it lies behind."""
+    w, scale = ti.f32(0.0), view[3, 0]
+    if view[3, 3] > 0:
+        w = ti.max(view[3, 3] - c[2], ti.f32(0.0))
+    elif c[2] > ti.f32(NEAR):
+        w = ti.f32(1.0) / c[2]
+        scale *= w
+    return vec4(view[3, 1] + c[0] * scale, view[3, 2] - c[1] * scale, w, scale)
+
+
+@ti.func
+def pack(w, identity):
+    return (ti.cast(ti.bit_cast(ti.cast(w, ti.f32), ti.i32), ti.i64) << 32) | ti.cast(identity, ti.i64)
+
+
+@ti.func
+def put(keys: ti.template(), slot, w, identity):
+    key = pack(w, identity)
+    if key > keys[slot]:
+        ti.atomic_max(keys[slot], key)
+
+
+@ti.func
+def first(a):
+    return ti.cast(ti.max(ti.floor(a), ti.f32(0.0)), ti.i32)
+
+
+@ti.func
+def last(a, size):
+    """Index after the last pixel that reaches a."""
+    return ti.cast(ti.min(ti.floor(a) + ti.f32(1.0), ti.cast(size, ti.f32)), ti.i32)
+
+
+@ti.func
+def draw_disc(keys: ti.template(), samples: ti.template(), q, r, bulge, identity, width, height):
+    """A disc of r px about q whose closeness rises by `bulge` at the middle: a sphere in a parallel view."""
+    top = pack(q[2] + bulge, identity)
+    inverse = ti.f32(1.0) / (r * r)
+    y0, y1 = first(q[1] - r), last(q[1] + r, height)
+    x0, x1 = first(q[0] - r), last(q[0] + r, width)
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            for s in ti.static(range(samples)):
+                slot = (y * width + x) * samples + s
+                dx = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0])) - q[0]
+                dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1])) - q[1]
+                h = ti.f32(1.0) - (dx * dx + dy * dy) * inverse
+                if h > 0 and top > keys[slot]:
+                    put(keys, slot, q[2] + bulge * ti.sqrt(h), identity)
+
+
+@ti.func
+def tangents(a, z, r):
+    """The slopes a/z of the two lines through the eye that touch a circle of radius r at (a, z)."""
+    root = r * ti.sqrt(ti.max(a * a + z * z - r * r, ti.f32(0.0)))
+    inverse = ti.f32(1.0) / (z * z - r * r)
+    return (a * z - root) * inverse, (a * z + root) * inverse
+
+
+@ti.func
+def draw_ball(keys: ti.template(), samples: ti.template(), view, c, r, identity, width, height):
+    """A sphere at c (view axes) in perspective, hit by the ray of every sample."""
+    f = view[3, 0]
+    left, right = tangents(c[0], c[2], r)
+    low, high = tangents(c[1], c[2], r)
+    top = pack(ti.f32(1.0) / (c[2] - r), identity)
+    for y in range(first(view[3, 2] - f * high), last(view[3, 2] - f * low, height)):
+        for x in range(first(view[3, 1] + f * left), last(view[3, 1] + f * right, width)):
+            for s in ti.static(range(samples)):
+                slot = (y * width + x) * samples + s
+                if top > keys[slot]:
+                    dx = (ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0])) - view[3, 1]) / f
+                    dy = (view[3, 2] - ti.cast(y, ti.f32) - ti.f32(ti.static(0.5 + OFFSETS[samples][s][1]))) / f
+                    scale = ti.f32(1.0) / (dx * dx + dy * dy + ti.f32(1.0))
+                    t = (dx * c[0] + dy * c[1] + c[2]) * scale
+                    miss = c - t * vec3(dx, dy, ti.f32(1.0))  # from the nearest point of the ray: no cancellation
+                    h = r * r - miss.dot(miss)
+                    if h > 0:
+                        put(keys, slot, ti.f32(1.0) / (t - ti.sqrt(h * scale)), identity)
+
+
+@ti.kernel
+def draw_spheres(
+    ball: ti.template(),
+    keys: ti.template(),
+    samples: ti.template(),
+    exact: ti.template(),
+    view: View,
+    width: ti.i32,
+    height: ti.i32,
+    count: ti.i32,
+):
+    """Balls (x, y, z, radius); radius 0: not drawn. One that crosses the near plane is left out. exact: perspective."""
+    for i in range(count):
+        b = ball[i]
+        if b[3] > 0:
+            c = to_view(view, vec3(b[0], b[1], b[2]))
+            q = screen(view, c)
+            r = b[3] * q[3]
+            identity = (SPHERE << 28) | i
+            inside = q[0] + r > -1 and q[1] + r > -1 and q[0] - r < width + 1 and q[1] - r < height + 1
+            if ti.static(exact):
+                near = q[2] > 0 and c[2] - b[3] > ti.f32(NEAR)
+                if near and r >= ti.f32(EXACT_FROM):
+                    draw_ball(keys, samples, view, c, b[3], identity, width, height)
+                elif near and inside:
+                    r = ti.max(r, ti.f32(SMALLEST))
+                    draw_disc(keys, samples, q, r, b[3] * q[2] * q[2], identity, width, height)
+            elif q[2] > 0 and inside:
+                draw_disc(keys, samples, q, ti.max(r, ti.f32(SMALLEST)), b[3], identity, width, height)
+
+
+@ti.func
+def edge(ax, ay, bx, by):
+    return ax * by - ay * bx
+
+
+@ti.func
+def draw_triangle(keys: ti.template(), samples: ti.template(), a, b, c, identity, width, height):
+    """Either winding, by barycentrics about the vertex a."""
+    bx, by, cx, cy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+    area = edge(bx, by, cx, cy)
+    if ti.abs(area) > ti.f32(1e-9):
+        inverse = ti.f32(1.0) / area
+        y0, y1 = first(ti.min(a[1], b[1], c[1])), last(ti.max(a[1], b[1], c[1]), height)
+        x0, x1 = first(ti.min(a[0], b[0], c[0])), last(ti.max(a[0], b[0], c[0]), width)
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                for s in ti.static(range(samples)):
+                    dx = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0])) - a[0]
+                    dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1])) - a[1]
+                    u = edge(dx, dy, cx, cy) * inverse
+                    v = edge(bx, by, dx, dy) * inverse
+                    if u >= 0 and v >= 0 and u + v <= 1:
+                        w = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
+                        put(keys, (y * width + x) * samples + s, w, identity)
+
+
+@ti.kernel
+def draw_triangles(
+    ball: ti.template(),
+    corner: ti.template(),
+    keys: ti.template(),
+    samples: ti.template(),
+    view: View,
+    width: ti.i32,
+    height: ti.i32,
+    count: ti.i32,
+):
+    """Triangles over balls. One that crosses the near plane is left out."""
+    for i in range(count):
+        k = corner[i]
+        a = screen(view, to_view(view, ball[k[0]].xyz))
+        b = screen(view, to_view(view, ball[k[1]].xyz))
+        c = screen(view, to_view(view, ball[k[2]].xyz))
+        if a[2] > 0 and b[2] > 0 and c[2] > 0:
+            draw_triangle(keys, samples, a, b, c, (TRIANGLE << 28) | i, width, height)
+
+
+@ti.func
+def rod_ends(view, p, q):
+    """Both ends on the screen, the segment clipped at the near plane; closeness 0 where all of it lies behind."""
+    a, b = to_view(view, p), to_view(view, q)
+    if view[3, 3] == 0:
+        near = ti.f32(4 * NEAR)
+        if a[2] < near and b[2] > near:
+            a += (b - a) * ((near - a[2]) / (b[2] - a[2]))
+        elif b[2] < near and a[2] > near:
+            b += (a - b) * ((near - b[2]) / (a[2] - b[2]))
+    return screen(view, a), screen(view, b)
+
+
+@ti.func
+def draw_rod(keys: ti.template(), samples: ti.template(), a, b, r, identity, width, height):
+    """A round rod of radius r (units) as a thick line on the screen, at least a thin line wide."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    squared = ti.max(dx * dx + dy * dy, ti.f32(1e-12))
+    widest = ti.max(r * ti.max(a[3], b[3]), ti.f32(SMALLEST))
+    half = widest * ti.sqrt(squared) / ti.max(ti.abs(dy), ti.f32(1e-6)) + ti.f32(1.0)  # half a row's span
+    slope = dx / (dy if ti.abs(dy) > ti.f32(1e-6) else ti.f32(1e-6))
+    xlow, xhigh = ti.min(a[0], b[0]) - widest, ti.max(a[0], b[0]) + widest
+    for y in range(first(ti.min(a[1], b[1]) - widest), last(ti.max(a[1], b[1]) + widest, height)):
+        middle = a[0] + (ti.cast(y, ti.f32) + ti.f32(0.5) - a[1]) * slope
+        for x in range(first(ti.max(xlow, middle - half)), last(ti.min(xhigh, middle + half), width)):
+            for s in ti.static(range(samples)):
+                ex = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0])) - a[0]
+                ey = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1])) - a[1]
+                u = ti.min(ti.max((ex * dx + ey * dy) / squared, ti.f32(0.0)), ti.f32(1.0))
+                rx, ry = ex - u * dx, ey - u * dy
+                wide = ti.max(r * (a[3] + u * (b[3] - a[3])), ti.f32(SMALLEST))
+                h = ti.f32(1.0) - (rx * rx + ry * ry) / (wide * wide)
+                if h > 0:
+                    w = a[2] + u * (b[2] - a[2])
+                    put(keys, (y * width + x) * samples + s, w, identity)
+
+
+@ti.kernel
+def draw_rods(
+    ball: ti.template(),
+    ends: ti.template(),
+    radius: ti.template(),
+    keys: ti.template(),
+    samples: ti.template(),
+    view: View,
+    width: ti.i32,
+    height: ti.i32,
+    count: ti.i32,
+):
+    for i in range(count):
+        k = ends[i]
+        a, b = rod_ends(view, ball[k[0]].xyz, ball[k[1]].xyz)
+        if a[2] > 0 and b[2] > 0:
+            draw_rod(keys, samples, a, b, radius[i], (ROD << 28) | i, width, height)
+
+
+@ti.kernel
+def clear(
+    keys: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32, height: ti.i32
+):
+    """Every key to the nearest plane, row (a, b, c): closeness a x + b y + c where positive. Otherwise 0, nothing."""
+    for pixel in range(width * height):
+        for s in ti.static(range(samples)):
+            x = ti.cast(pixel % width, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0]))
+            y = ti.cast(pixel // width, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1]))
+            nearest, which = ti.f32(0.0), 0
+            for k in range(plane_count):
+                w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
+                if w > nearest:
+                    nearest, which = w, (PLANE << 28) | k
+            keys[pixel * samples + s] = pack(nearest, which)
+
+
+@ti.kernel
+def vertex_normals(
+    ball: ti.template(),
+    corner: ti.template(),
+    start: ti.template(),
+    incident: ti.template(),
+    normal: ti.template(),
+    count: ti.i32,
+):
+    """Area-weighted normal of every ball on triangles, gathered in a fixed order (the same bits every time)."""
+    for v in range(count):
+        if start[v] < start[v + 1]:
+            total = vec3(0, 0, 0)
+            for e in range(start[v], start[v + 1]):
+                k = corner[incident[e]]
+                p = ball[k[0]].xyz
+                total += (ball[k[1]].xyz - p).cross(ball[k[2]].xyz - p)
+            normal[v] = total / ti.max(total.norm(), ti.f32(1e-20))

@@ -1,0 +1,45 @@
+"""Directions between balls, also where two of them coincide."""
+
+from taichi_sim.device.engine import ti
+
+
+@ti.func
+def unit(r, i, j):
+    """Unit vector along r (from ball i to ball j) and its length.
+
+    Coincident balls take an axis that depends on the pair alone and changes sign with its order, so that both ends
+    still get opposite impulses whichever of them asks.
+    """
+    squared = r.dot(r)
+    n = r * 0.0
+    length = r[0] * 0.0
+    if squared > 0.0:
+        inverse = ti.rsqrt(squared)
+        n = r * inverse
+        length = squared * inverse
+    else:
+        axis = (i + j) % ti.static(r.n)
+        for a in ti.static(range(r.n)):
+            if a == axis:
+                n[a] = ti.select(i < j, 1.0, -1.0)
+            else:
+                n[a] = 0.0
+    return n, length
+
+
+@ti.func
+def cross(n, p):
+    """n x p: a scalar in 2D."""
+    if ti.static(n.n == 2):
+        return n[0] * p[1] - n[1] * p[0]
+    else:
+        return n.cross(p)
+
+
+@ti.func
+def lever(s, n):
+    """s x n, for a turn s that is a scalar in 2D."""
+    if ti.static(n.n == 2):
+        return ti.Vector([-n[1], n[0]]) * s
+    else:
+        return s.cross(n)

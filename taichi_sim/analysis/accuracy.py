@@ -1,0 +1,349 @@
+"""Accuracy: what the step gets wrong in a scene, by how much, and the cure, worked out from the laws of the methods before
+anything runs. Figures are orders of magnitude: tests hold them to runs within a factor of two where no other is named. No Taichi.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.stability import stability
+from taichi_sim.scene.colliders import BOX, MESH, Collider
+from taichi_sim.scene.collision_groups import meet
+from taichi_sim.scene.scene import Scene, bounciest
+
+__all__ = [
+    "Finding",
+    "Setup",
+    "Sieve",
+    "dip",
+    "findings",
+    "holes",
+    "layers",
+    "rounding_error",
+    "sieves",
+    "single_precision",
+    "through",
+]
+
+Floats = NDArray[np.float64]
+
+LOW = 0.01  # of the smallest radius: bounces that end below it are not missed
+ASIDE = 0.05  # rad: directions after impacts that are off by less are not spoken of
+DEEP = 0.1  # of the radius: overlap at rest that shows
+VISIBLE = 0.005  # of the smallest radius: loss of single precision that shows
+SLACK = 0.25  # strain up to which cloth that hangs on something opens
+HALVES = ("verlet", "rk4", "tr_bdf2")  # solve contacts twice a step, each for half of the load
+# of the weight above, the part along each contact with the layer below: two, three contacts at 30, 35 degrees in close packs
+PART = {2: 0.577, 3: 0.408}
+FILLED = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
+
+
+class Setup(NamedTuple):
+    """How a scene is run: method, seconds per substep, precision ("f32", "f64"), contacts (`rule`, "off" where there are none).
+    compensated: sums of positions keep what rounding takes. give: depth of a soft contact as a part of h^2 F / m, F [N] being
+    the load of one solve and m [kg] the contact's mass; 0 where contacts are rigid. loses: crowds are held to their energy by
+    scaling what bounces."""
+
+    method: str
+    h: float
+    precision: str
+    rule: str = "off"
+    compensated: bool = True
+    give: float = 0.0
+    loses: bool = False
+
+
+class Finding(NamedTuple):
+    """One error: its subject, how much it is, and the cure, empty where it is small."""
+
+    subject: str
+    what: str
+    cure: str = ""
+
+
+def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
+    """All that can be said of this scene and step."""
+    if setup.rule != "off" and np.any(~scene.pinned):
+        yield from _bounces(scene, setup.h)
+        yield from _impacts(scene, setup.h)
+        yield from _overlap(scene, setup)
+        if setup.loses:
+            yield Finding(
+                "crowds",
+                "that should keep their energy, at restitution 1, lose about half of it in 2 s (measured, at any step)",
+                'take contacts = "gauss_seidel"'
+                if setup.rule == "jacobi"
+                else "leave sticks, and surfaces that collide, out of such a scene",
+            )
+        yield from _cloth(scene)
+    if setup.precision == "f32" and scene.n_balls:
+        yield from _rounding(scene, setup)
+
+
+# Bounces and impacts ---------------------------------------------------------------------------------------------------
+
+
+def _bounces(scene: Scene, h: float) -> Iterator[Finding]:
+    """A ball that arrives with less than 2 g h is held: what would bounce lower than (2 g h)^2 / (2 g) = 2 g h^2 does not. The
+    bounces left out would have taken 2 v e / (g (1 - e)) with v up to 2 g h. Another ball is hit h / 2 late, u h / 2 deep: at
+    rest against gravity it takes (1 - e^2) m g u h / 2 too much of the (e u)^2 m / 2 that bounces. Walls are hit in time."""
+    g, e = _gravity(scene), bounciest(scene)
+    if g == 0.0 or e == 0.0:
+        return
+    low, radius = 2.0 * g * h * h, float(scene.radius[~scene.pinned].min())
+    early = f"; rest comes up to {4.0 * h * e / (1.0 - e):.2g} s early" if e < 1.0 else ""
+    speed = _fastest(scene)
+    if e < 1.0 and speed > 0.0 and scene.pinned.any():
+        early += f"; off pinned balls each is lower by {(1.0 / e**2 - 1.0) * g * h / speed:.2g} of itself"
+    wanted = np.sqrt(0.5 * LOW * radius / g)
+    yield Finding(
+        "bounces",
+        f"end below {low:.2g} m, {low / radius:.2g} of the smallest radius{early}",
+        f"take substeps of {wanted:.2g} s for bounces down to {LOW:g} of the radius" if h > wanted else "",
+    )
+
+
+def _impacts(scene: Scene, h: float) -> Iterator[Finding]:
+    """Balls are found to touch up to h late. By then the line between them has turned by u sin(a) t / d, with t = h / 2 and
+    sin(a) = 1/2 (3D: 2/3) on average, and the direction in which they part by twice as much."""
+    loose = ~scene.pinned & (scene.body == 0) & ~scene.joined()
+    if np.count_nonzero(loose) < 1 or scene.n_balls < 2:
+        return
+    speed = _fastest(scene)
+    turn = {2: 0.5, 3: 2.0 / 3.0}[scene.dim] * speed * h / (2.0 * float(np.median(scene.radius[loose])))
+    if turn > 0.0:
+        yield Finding(
+            "impacts",
+            f"of balls are noticed up to {h:.2g} s late: at {speed:.3g} m/s (start and fall) they part off by {turn:.2g} rad",
+            f"take substeps of {0.5 * ASIDE / turn * h:.2g} s, or a tolerance" if turn > ASIDE else "",
+        )
+
+
+def _fastest(scene: Scene) -> float:
+    """Speed [m/s] of a ball that starts as fast as any and falls by the height of the scene."""
+    v = np.linalg.norm(scene.velocity[~scene.pinned], axis=1).max(initial=0.0)
+    drop = float(np.ptp(scene.position @ scene.gravity)) if scene.n_balls else 0.0
+    for wall in scene.walls:
+        g2 = float(scene.gravity @ scene.gravity)
+        if g2 > 0.0 and scene.gravity @ wall.normal < 0.0:  # a floor
+            gap = (scene.position @ wall.normal - wall.offset).max()
+            drop = max(drop, float(gap * g2 / -(scene.gravity @ wall.normal)))
+    return float(np.sqrt(v * v + 2.0 * drop))
+
+
+def _gravity(scene: Scene) -> float:
+    return float(np.linalg.norm(scene.gravity))
+
+
+# Piles -----------------------------------------------------------------------------------------------------------------
+
+
+def _overlap(scene: Scene, setup: Setup) -> Iterator[Finding]:
+    """A soft contact lets go of a part LEAK of its impulse F h in each pass and pushes out PUSH of its depth: they balance at
+    the depth h^2 F LEAK / (SOFT PUSH m). F is the weight of the layers above."""
+    g = _gravity(scene)
+    loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
+    if setup.give == 0.0 or g == 0.0 or np.count_nonzero(loose) < 2:
+        return
+    radius = float(np.median(scene.radius[loose]))
+    high = layers(scene, loose)
+    column = np.count_nonzero(loose) < 1.5 * high  # one ball in each
+    share = 1.0 if column else PART[scene.dim]
+    load = 0.5 if setup.method in HALVES else 1.0
+    depth = 2.0 * setup.give * share * load * high * g * setup.h**2
+    wanted = setup.h * np.sqrt(DEEP * radius / depth)
+    yield Finding(
+        "overlap at rest",
+        f"{depth:.2g} m, {depth / radius:.2g} of the radius, on average under {high:.2g} layers"
+        f"{'' if column else '; ten times that where few carry many'}",
+        f"take substeps of {wanted:.2g} s" if depth > DEEP * radius else "",
+    )
+
+
+def layers(scene: Scene, loose: NDArray[np.bool_]) -> float:
+    """Layers of a pile of these balls that is as wide, across gravity, as they lie now."""
+    across = np.linalg.svd(scene.gravity[None])[2][1:]  # (dim - 1, dim), orthonormal
+    radius = scene.radius[loose]
+    width = np.ptp(scene.position[loose] @ across.T, axis=0) + 2.0 * float(np.max(radius))
+    size = np.pi * radius**2 if scene.dim == 2 else 4.0 / 3.0 * np.pi * radius**3
+    height = float(np.sum(size)) / (FILLED[scene.dim] * float(np.prod(width)))
+    return max(1.0, height / (2.0 * float(np.median(radius))))
+
+
+# Cloth and what is finer -----------------------------------------------------------------------------------------------
+
+
+class Sieve(NamedTuple):
+    """Something that goes between the balls of a cloth: `what` it is, `width` [m] across, the strain [1] of the cloth at which it
+    fits, 0 or less at rest, and the spacing [m] of a cloth of the same balls that would hold it."""
+
+    what: str
+    width: float
+    strain: float
+    spacing: float
+
+
+def holes(scene: Scene) -> tuple[Floats, Floats, Floats]:
+    """Of each triangle (t,), as it is at the start, without the radii of its balls: the radius [m] of the widest circle that
+    passes between its corners, half the width [m] of the widest slit between rows of balls, and its shortest side [m]."""
+    x = scene.position[scene.triangles]
+    sides = np.sort(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2), axis=1)
+    a, b, c = sides.T
+    area = 0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
+    full = area > 1e-12 * c * c
+    around = np.divide(a * b * c, 4.0 * area, out=0.5 * c, where=full & (a * a + b * b > c * c))
+    slit = np.divide(area, a, out=np.zeros_like(a), where=full)
+    return around, slit, a
+
+
+def _width(collider: Collider) -> tuple[float, bool]:
+    """Half the width [m] of a solid collider where it is narrowest, and whether only between two rows of balls does it fit."""
+    if collider.kind == MESH:
+        return 0.5 * float(np.ptp(collider.vertices, axis=0).min()), True
+    return (float(collider.half.min()), True) if collider.kind == BOX else (collider.radius, False)
+
+
+def _mind(scene: Scene, collider: Collider) -> NDArray[np.bool_]:
+    """Triangles (t,) whose balls a collider collides with."""
+    return meet(scene.group, scene.mask, collider.group, collider.mask)[scene.triangles].all(axis=1)
+
+
+def sieves(scene: Scene) -> Iterator[Sieve]:
+    """Colliders, and loose balls, that the cloth of a scene lets through, at rest or where it is stretched by up to SLACK."""
+    if scene.dim == 2 or not len(scene.triangles):
+        return
+    around, slit, side = holes(scene)
+    radius = scene.radius[scene.triangles].min(axis=1)
+    for k, collider in enumerate(scene.colliders):
+        minds = _mind(scene, collider)
+        if collider.hollow > 0.0 or not minds.any():
+            continue
+        half, flat = _width(collider)
+        found = _sieve(
+            f"colliders[{k}] ({collider.name})", half, (slit if flat else around)[minds], radius[minds], side[minds]
+        )
+        if found is not None:
+            yield found
+    yield from _loose_through(scene, around, radius, side)
+
+
+def _loose_through(scene: Scene, around: Floats, radius: Floats, side: Floats) -> Iterator[Sieve]:
+    """The smallest ball that belongs to nothing; where triangles collide nothing goes through."""
+    thin = ~scene.solid
+    loose = ~scene.pinned & (scene.body == 0) & ~scene.joined()
+    loose[scene.triangles] = False
+    for material in np.unique(scene.group[loose]) if thin.any() else ():
+        some = np.flatnonzero(loose & (scene.group == material))
+        ball = int(some[np.argmin(scene.radius[some])])
+        own = meet(scene.group, scene.mask, int(scene.group[ball]), int(scene.mask[ball]))
+        minds = thin & own[scene.triangles].all(axis=1)
+        if minds.any():
+            found = _sieve(f"ball {ball}", float(scene.radius[ball]), around[minds], radius[minds], side[minds])
+            if found is not None:
+                yield found
+
+
+def _sieve(what: str, half: float, hole: Floats, radius: Floats, side: Floats) -> Sieve | None:
+    strain = (half + radius) / np.where(hole > 0.0, hole, np.inf)
+    strain = np.where(hole > 0.0, strain, np.inf) - 1.0
+    worst = int(np.argmin(strain))
+    if strain[worst] >= SLACK:
+        return None
+    spacing = half * side[worst] / ((1.0 + SLACK) * hole[worst] - radius[worst])
+    return Sieve(what, 2.0 * half, float(strain[worst]), float(spacing))
+
+
+def through(sieve: Sieve) -> str:
+    """A sieve as a sentence."""
+    how = "" if sieve.strain <= 0.0 else f" where it is stretched by {sieve.strain:.2g}"
+    ball = sieve.what.startswith("ball")
+    cure = "give the cloth surface_collision = true, or take" if ball else "take"
+    return (
+        f"{sieve.what}, {sieve.width:.2g} m across, goes between the balls of the cloth{how}: {cure} a cloth whose balls are at"
+        f" most {sieve.spacing:.2g} m apart, or larger ones"
+    )
+
+
+def dip(radius: float, ball: float, hole: float) -> float:
+    """How deep [m] triangles whose corners, balls of a radius [m], lie on a sphere of `radius` [m] reach into it: their centres
+    are sqrt((radius + ball)^2 - hole^2) from its own, hole [m] being the radius of the circle around a triangle."""
+    reach = (radius + ball) ** 2 - hole**2
+    return max(0.0, radius - float(np.sqrt(reach))) if reach > 0.0 else radius
+
+
+def _flush(radius: float, ball: float) -> float:
+    """The circle [m] around triangles whose centres just touch such a sphere."""
+    return float(np.sqrt(ball * (2.0 * radius + ball)))
+
+
+def _cloth(scene: Scene) -> Iterator[Finding]:
+    for sieve in sieves(scene):
+        what, cure = through(sieve).split(": ", 1)
+        yield Finding("cloth", what, cure)
+    if scene.dim == 2 or not len(scene.triangles):
+        return
+    around, _, side = holes(scene)
+    ball = scene.radius[scene.triangles].min(axis=1)
+    for k, collider in enumerate(scene.colliders):
+        minds = _mind(scene, collider)
+        if collider.kind in (BOX, MESH) or collider.hollow > 0.0 or not minds.any():
+            continue
+        worst = int(np.argmax(np.where(minds, around - ball, -np.inf)))
+        if collider.radius + ball[worst] <= around[worst]:  # it goes through
+            continue
+        deep = dip(collider.radius, float(ball[worst]), float(around[worst]))
+        spacing = float(side[worst] / around[worst]) * _flush(collider.radius, float(ball[worst]))
+        if deep > 0.0:
+            yield Finding(
+                "cloth",
+                f"its triangles reach up to {deep:.2g} m into colliders[{k}] ({collider.name})",
+                f"take balls at most {spacing:.2g} m apart, or larger ones",
+            )
+
+
+# Single precision ------------------------------------------------------------------------------------------------------
+
+
+def rounding_error(scene: Scene, setup: Setup) -> tuple[float, float, float]:
+    """What single precision loses: the distance [m] from the origin that counts, how far numbers are apart there [m], and the
+    error [m] after a second.
+
+    A position is off by ulp / sqrt(12). Plain sums of 1/h steps walk off by sqrt(1 / h) times that. Where sums are compensated,
+    forces still see the rounded places: springs of frequency w kick by h w^2 times it, which swings by h w sqrt(1 / h). A ball
+    rests at a wall within 4 eps of its coordinates.
+    """
+    far = float(np.abs(scene.position).max())
+    surfaces = [float(np.abs(c.motion.positions).max()) for c in scene.colliders]
+    far = max([far, *surfaces])
+    ulp = float(np.spacing(np.float32(far)))
+    error, steps = ulp / np.sqrt(12.0), 1.0 / setup.h
+    if setup.compensated:
+        safe = stability(scene, "verlet").dt_any_shape  # 2 / w, or 0.63 of it
+        error *= max(1.0, 2.0 * setup.h / safe * np.sqrt(steps)) if safe > 0.0 else 1.0
+    else:
+        error *= max(1.0, np.sqrt(steps))
+    if setup.rule != "off" and (scene.walls or scene.colliders):
+        error = max(error, 4.0 * float(np.finfo(np.float32).eps) * far)
+    return far, ulp, float(error)
+
+
+def single_precision(scene: Scene, setup: Setup) -> tuple[str, bool]:
+    """What single precision loses in this scene, as words, and whether that shows."""
+    far, ulp, error = rounding_error(scene, setup)
+    small = float(scene.radius.min())
+    still = "" if setup.compensated else f"; balls slower than {0.5 * ulp / setup.h:.2g} m/s stand still there"
+    return (
+        f"{far:.4g} m from the origin single precision tells positions {ulp:.2g} m apart, and is off by {error:.2g} m after a"
+        f" second, {error / small:.2g} of the smallest radius{still}",
+        error > VISIBLE * small,
+    )
+
+
+def _rounding(scene: Scene, setup: Setup) -> Iterator[Finding]:
+    what, shows = single_precision(scene, setup)
+    yield Finding("rounding", what, NEARER if shows else "")
+
+
+NEARER = 'use precision "f64", or build the scene nearer to the origin'

@@ -1,0 +1,189 @@
+"""Energy and momentum of a scene in a given state, in float64 NumPy: slow, plain, and independent of the kernels; and what
+a look at its contacts says."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.frame import Contacts
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.colliders import Collider
+from taichi_sim.scene.elements import cell_volumes
+from taichi_sim.scene.scene import Scene
+
+__all__ = [
+    "Energy",
+    "angular_momentum",
+    "check_tearing",
+    "collider_depth",
+    "contacts",
+    "cut",
+    "enclosed",
+    "energy",
+    "inertia",
+    "inverted",
+    "largest_speed",
+    "momentum",
+    "strain",
+]
+
+Floats = NDArray[np.float64]
+
+
+class Energy(NamedTuple):
+    """Joule. Gravity's is 0 at the origin."""
+
+    kinetic: float
+    spring: float
+    gravity: float
+    total: float
+
+
+def _moving(scene: Scene) -> Floats:
+    """Masses (n,) [kg], 0 for pinned balls: they count in no momentum or energy."""
+    return np.where(scene.pinned, 0.0, scene.mass)
+
+
+def energy(
+    scene: Scene, x: Floats, v: Floats, spin: Floats | None = None, torn: NDArray[np.bool_] | None = None
+) -> Energy:
+    """Energy of positions x and velocities v, both (n, dim), and of angular velocities (n, 1 or 3) [1/s]. torn: (m,) springs.
+    `spring` holds that of cells, bending and gas too."""
+    m = _moving(scene)
+    kinetic = 0.5 * float(np.sum(m * np.sum(v * v, axis=1)))
+    if spin is not None:
+        kinetic += 0.5 * float(np.sum(inertia(scene) * np.sum(spin * spin, axis=1)))
+    r = x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]]
+    stretch = np.linalg.norm(r, axis=1) - scene.rest_length
+    strength = scene.stiffness if torn is None else np.where(torn, 0.0, scene.stiffness)
+    pairs = scene.pairs[:0] if torn is None else scene.pairs[torn]
+    spring = 0.5 * float(np.sum(strength * stretch**2)) + _elements(scene, x, pairs)
+    gravity = 0.0 - float(np.sum(m * (x @ scene.gravity)))
+    return Energy(kinetic, spring, gravity, kinetic + spring + gravity)
+
+
+def _elements(scene: Scene, x: Floats, torn: NDArray) -> float:
+    """Energy of cells, bending and gas [J]; that of a gas is 0 at its first volume. torn: (k, 2) balls of torn springs."""
+    total = 0.0
+    if len(scene.cells):
+        whole = ~cut(scene.cells, torn, scene.n_balls)
+        cells = np.where(scene.cells_together < 0, np.arange(len(scene.cells)), len(scene.cells) + scene.cells_together)
+        one = np.unique(cells, return_inverse=True)[1]
+        volume = np.bincount(one, cell_volumes(x, scene.cells) * whole)
+        rest = np.bincount(one, scene.rest_volume * whole)
+        strength = np.bincount(one, scene.bulk_modulus * scene.rest_volume * whole)
+        strain = np.divide(volume, rest, out=np.ones_like(rest), where=rest > 0) - 1.0
+        total += 0.5 * float(np.sum(strength * strain**2))
+    if len(scene.bends):
+        curve = np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends] - x[scene.bends[:, :1]])
+        whole = ~cut(scene.bends, torn, scene.n_balls)
+        total += 0.5 * float(np.sum((scene.bend_stiffness * np.sum(curve**2, axis=1))[whole]))
+    for gas in scene.gases:
+        now = enclosed(x, gas.triangles) / gas.volume
+        inside = (gas.pressure + gas.outside) * gas.volume
+        total += gas.outside * gas.volume * (now - 1.0) - (inside * float(np.log(now)) if now > 0 else -np.inf)
+    return total
+
+
+def enclosed(x: Floats, triangles: NDArray) -> float:
+    """Volume [m^3] in a closed surface of triangles (t, 3) of the balls at x (n, 3)."""
+    a, b, c = (x[triangles[:, k]] - x[triangles[0, 0]] for k in range(3))
+    return float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
+
+
+def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
+    """Which triangles (t, 3), or elements (t, more), of n balls hold both balls of one of the pairs (k, 2)."""
+    k = triangles.shape[1]
+    sides = np.sort(triangles[:, [[a, b] for b in range(k) for a in range(b)]].astype(np.int64), axis=2)
+    pairs = np.sort(torn.astype(np.int64), axis=1)
+    gone = np.isin(sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1])
+    return np.asarray(gone.any(axis=1))
+
+
+def check_tearing(scene: Scene) -> None:
+    """Raise SceneError where a side of a triangle that collides, or holds a gas, could tear: what is left would still do so."""
+    validation.strains("springs.break_strain", scene.break_strain, scene.n_springs)  # which may have been set by hand
+    validation.strained(scene.break_strain, scene.rest_length)
+    tears = np.isfinite(scene.break_strain)
+    for number, gas in enumerate(scene.gases):
+        if cut(gas.triangles, scene.pairs[tears], scene.n_balls).any():
+            raise SceneError(
+                f"springs.break_strain: the surface of gas {number} could tear, and a gas does not flow out"
+            )
+    if tears.any() and scene.solid.any():
+        both = np.flatnonzero(cut(scene.triangles[scene.solid], scene.pairs[tears], scene.n_balls))
+        if len(both):
+            number = int(np.flatnonzero(scene.solid)[both[0]])
+            raise SceneError(
+                f"springs.break_strain: a side of triangle {number}, which collides, could tear; leave break_strain or"
+                " collides (surface_collision) out"
+            )
+
+
+def inverted(scene: Scene, x: Floats) -> int:
+    """How many cells are flat or turned inside out."""
+    return int(np.count_nonzero(cell_volumes(x, scene.cells) <= 0.0)) if len(scene.cells) else 0
+
+
+def momentum(scene: Scene, v: Floats) -> Floats:
+    """Sum of m v, (dim,) kg m/s."""
+    return _moving(scene) @ v
+
+
+def inertia(scene: Scene) -> Floats:
+    """Moments of inertia (n,) [kg m^2]: discs in 2D, solid spheres in 3D; 0 for pinned balls."""
+    return _moving(scene) * scene.radius**2 * (0.5 if scene.dim == 2 else 0.4)
+
+
+def angular_momentum(scene: Scene, x: Floats, v: Floats, spin: Floats | None = None) -> Any:
+    """Sum of m x cross v + I spin about the origin [kg m^2/s]: a float in 2D, (3,) in 3D."""
+    m = _moving(scene)
+    own = inertia(scene) @ (np.zeros((len(m), 1 if scene.dim == 2 else 3)) if spin is None else spin)
+    if scene.dim == 2:
+        return float(np.sum(m * (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0])) + own[0])
+    return np.sum(m[:, None] * np.cross(x, v), axis=0) + own
+
+
+def strain(scene: Scene, x: Floats) -> Floats:
+    """Relative stretch (m,) of each spring: (length - rest) / rest, 0 where the rest length is 0."""
+    length = np.linalg.norm(x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]], axis=1)
+    rest = scene.rest_length
+    return np.divide(length - rest, rest, out=np.zeros_like(rest), where=rest > 0)
+
+
+def largest_speed(v: Floats) -> float:
+    """Speed of the fastest ball [m/s]; 0 with none."""
+    return float(np.sqrt(np.max(np.sum(v * v, axis=1), initial=0.0)))
+
+
+def contacts(tally: Floats | None, passes: int, substeps: int, fastest: float, searches: int) -> Contacts:
+    """Contacts from a tally (9,) as kernels.survey describes it, or None for no contact at all."""
+    number, depths, parts, squares, deepest, part, left, unsolved, ball = np.zeros(9) if tally is None else tally
+    many = max(number, 1.0)
+    return Contacts(
+        number=int(number),
+        penetration=float(deepest),
+        mean_penetration=float(depths / many),
+        relative_penetration=float(part),
+        mean_relative_penetration=float(parts / many),
+        residual=float(left),
+        rms_residual=float(np.sqrt(squares / many)),
+        passes=passes,
+        substeps=substeps,
+        largest_speed=fastest,
+        searches=searches,
+        unsolved=float(unsolved),
+        ball=int(ball) if part > 0.0 else -1,
+    )
+
+
+def collider_depth(scene: Scene, collider: Collider, x: Floats, time: float) -> Floats:
+    """How deep [m] each ball (n,) lies in a collider, 0 where it does not touch it or is pinned."""
+    depth = np.zeros(scene.n_balls)
+    centre = collider.motion.at(time)[0][0]
+    reach = collider.extent + scene.radius
+    near = np.flatnonzero(~scene.pinned & (np.linalg.norm(x - centre, axis=1) < reach))
+    depth[near] = np.maximum(0.0, scene.radius[near] - collider.distance(x[near], time))
+    return depth

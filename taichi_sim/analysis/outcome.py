@@ -1,0 +1,82 @@
+"""Outcome: whether what a run says of itself is good, by scales of its own scene. Plain numbers; no Taichi."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["DEEP", "Scales", "cure_of_depth", "of_depth", "of_energy", "of_passes", "takes_nothing"]
+
+SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
+SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
+MANY = 10.0  # times what is slow
+KEPT, LOST = 0.005, 0.05  # of the energy of what moved
+KEEPS = ("verlet", "symplectic_euler", "rk4")  # methods that damp nothing of their own
+
+
+class Scales(NamedTuple):
+    """What a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. closed: nothing works on the scene; lossless: nor
+    does anything but the method take energy. motion [J]: the largest kinetic and elastic energy seen. swing: the part of it
+    that the method's own moves by. squeezes: colliders or pins move."""
+
+    slow: float
+    closed: bool
+    lossless: bool
+    motion: float
+    swing: float
+    squeezes: bool
+
+
+def takes_nothing(scene: Scene, method: str) -> bool:
+    """Whether neither restitution, friction nor damping of a scene takes energy, nor the method: of two materials the larger
+    restitution and the geometric mean of frictions count, so those of the balls decide."""
+    made_of = [scene.materials[k] for k in np.unique(scene.material)]
+    elastic = all(m.restitution == 1.0 and m.friction == 0.0 and m.viscous_friction == 0.0 for m in made_of)
+    return elastic and method in KEEPS and not scene.damping.any() and not scene.bend_damping.any()
+
+
+def _grade(value: float, good: float, wrong: float) -> str:
+    return "good" if value <= good else "look at it" if value <= wrong else "wrong"
+
+
+def cure_of_depth(squeezes: bool, passes: int) -> str:
+    """What to do where balls lie deep in something."""
+    steps = f"take shorter steps, or more contact_passes than {passes}"
+    if squeezes:
+        return f"if what moves leaves them less room than they fill, stop it sooner, else {steps}"
+    return steps
+
+
+def of_depth(part: float, squeezes: bool, passes: int) -> str:
+    """Verdict on the largest overlap as a part of the smaller radius."""
+    grade = _grade(part, SHALLOW, DEEP)
+    return grade if grade == "good" else f"{grade}; {cure_of_depth(squeezes, passes)}"
+
+
+def of_passes(left: float, scales: Scales, fastest: float, passes: int) -> str:
+    """Verdict on the approach speed [m/s] that the passes leave in most frames (a hit that runs through what is held leaves more
+    for a moment); fastest [m/s]: of a ball in the run."""
+    slow = max(scales.slow, SLOW_PART * fastest)
+    grade = _grade(left, slow, MANY * slow)
+    return grade if grade == "good" else f"{grade}; {cure_of_depth(False, passes)}"
+
+
+def of_energy(start: float, end: float, scales: Scales) -> str:
+    """Verdict on the total energy [J] of a closed scene; empty where something may work on it, or nothing moved."""
+    if not scales.closed or scales.motion <= 0.0:
+        return ""
+    part = (end - start) / scales.motion
+    much = (
+        f"{abs(part):.2g}{' times' if abs(part) >= 1.0 else ' of'} the largest energy in motion, {scales.motion:.4g} J"
+    )
+    kept = max(KEPT, scales.swing)
+    if part > kept:
+        return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; nothing explains it, take shorter steps"
+    if scales.lossless:
+        grade = _grade(abs(part), kept, max(LOST, kept))
+        cure = (
+            "" if grade == "good" else "; nothing in the scene takes it, but contacts: take shorter steps, see `check`"
+        )
+        return f"off by {much}: {grade}{cure}"
+    return f"lost {much}: restitution, friction and damping take their part" if part < -kept else ""

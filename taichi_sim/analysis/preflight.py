@@ -1,0 +1,56 @@
+"""Cautions: what a user should know before a run, as sentences."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
+from taichi_sim.analysis.stability import coarsest_spring, sinking_spring
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["cautions"]
+
+FASTEST = 4.0  # radii that a pin may move in a substep
+
+
+def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
+    """Where single precision cannot resolve the scene, something goes through cloth, or substeps let heavy balls sink."""
+    method, h = setup.method, setup.h
+    if setup.precision == "f32" and scene.n_balls:
+        lost, shows = single_precision(scene, setup)
+        if shows:
+            yield f"precision: {lost}; {NEARER}"
+        found = coarsest_spring(scene)
+        if found is not None:
+            spring, stretch, rounding = found
+            yield (
+                f"precision: the weight at spring {spring} stretches it by {stretch:.2g} m, and single precision tells positions"
+                f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin'
+            )
+    if setup.rule != "off":
+        yield from map(through, sieves(scene))
+    yield from _of_pins(scene, h)
+    if scene.wind is not None and not len(scene.triangles):
+        yield "wind: acts on triangles, and this scene has none"
+    sinking = sinking_spring(scene, h) if method == "xpbd" else None
+    if sinking is not None:  # xpbd lets each spring give once in a step what it would alone
+        spring, ball, depth = sinking
+        yield (
+            f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by at least {depth:.2g} m for want"
+            " of passes, and at the end of a chain of light balls by tens of times that; take implicit_euler, tr_bdf2"
+            " or much shorter steps"
+        )
+
+
+def _of_pins(scene: Scene, h: float) -> Iterator[str]:
+    for k, pins in enumerate(scene.moving_pins):
+        centre = pins.motion.at(0.0)[0][0]
+        arm = float(np.linalg.norm(scene.position[pins.balls] - centre, axis=1).max())
+        speed, frame = pins.motion.fastest(arm)
+        radius = float(scene.radius[pins.balls].min())
+        if speed * h > FASTEST * radius:
+            leap = speed * h / radius
+            yield (
+                f"moving_pins[{k}].path[{frame}]: from there on balls are led at {speed:.3g} m/s, {leap:.3g} radii in a substep"
+                f" of {h:.3g} s: they may pass what they meet, and tear at their springs; give more time, or a smaller dt"
+            )

@@ -1,0 +1,42 @@
+"""Survey: a look at all contacts when someone asks. Its kernel is compiled at the first look; steps know nothing of it."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.kernels.contacts import statistics
+from taichi_sim.kernels.springs.law import PART
+
+__all__ = ["Survey"]
+
+
+@ti.data_oriented
+class Survey:
+    """Asks each kind of contact in `contacts.parts` for what ball i has of it: a function `survey(ball, i)` that returns a
+    tally, see kernels.survey. A contact of two balls belongs to one of them."""
+
+    def __init__(self, fields: Fields, contacts: ContactSolver) -> None:
+        self.contacts, self.n = contacts, contacts.n
+        self.chunks = -(-self.n // PART)
+        self.tally = fields.vectors(self.chunks, statistics.SIZE)
+
+    @ti.kernel
+    def _look(self, ball: ti.template()):
+        for c in range(self.chunks):
+            total = statistics.nothing()
+            for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+                for part in ti.static(self.contacts.parts):
+                    total = statistics.join(total, part.survey(ball, i))
+            self.tally[c] = total
+
+    def look(self, ball: Any) -> NDArray[np.float64]:
+        """The tally (survey.SIZE,) of all contacts at the present positions and velocities, which the last refresh has seen."""
+        self._look(ball)
+        rows = self.tally.to_numpy().astype(np.float64)
+        whole = np.concatenate([rows[:, : statistics.SUMS].sum(axis=0), rows[:, statistics.SUMS :].max(axis=0)])
+        whole[statistics.BALL] = rows[rows[:, statistics.LARGEST_PART].argmax(), statistics.BALL]
+        return whole

@@ -1,0 +1,98 @@
+"""The only place that starts Taichi. Arch, precision and threads hold for the whole process.
+
+A second `ti.init` would silently invalidate every field that exists, so a request that differs from what runs is refused.
+"""
+
+import contextlib
+import io
+import os
+from typing import Any, NamedTuple
+
+from taichi_sim.common.errors import BackendError
+from taichi_sim.device.compile_speedup import quicken
+from taichi_sim.device.engine import ti
+
+__all__ = ["ARCHES", "PRECISIONS", "Backend", "running", "start"]
+
+ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
+PRECISIONS = ("f32", "f64")
+CACHE = 1 << 30  # bytes of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
+
+
+class Backend(NamedTuple):
+    """What runs: arch ("cpu", "cuda", ...), precision ("f32" or "f64"), threads (CPU threads; 0 on a GPU)."""
+
+    arch: str
+    precision: str
+    threads: int
+
+    @property
+    def real(self) -> Any:
+        """Taichi's type for real numbers in the simulation's fields."""
+        return ti.f64 if self.precision == "f64" else ti.f32
+
+
+_running: Backend | None = None
+
+
+def running() -> Backend | None:
+    """The backend of this process, or None before the first start."""
+    return _running
+
+
+def start(arch: str | None = None, precision: str | None = None, threads: int | None = None) -> Backend:
+    """Start Taichi, or return what runs already when it fits.
+
+    Args: what is left None takes what runs, or else arch "auto" (a GPU if one works, else the CPU), precision "f32" and
+    all CPU threads. Raises ValueError for an unknown word, BackendError for a missing device or a second, different start.
+    """
+    global _running
+    if arch is not None and arch not in ARCHES:
+        raise ValueError(f"arch: {arch!r} is not allowed; it must be one of {', '.join(ARCHES)}")
+    if precision is not None and precision not in PRECISIONS:
+        raise ValueError(f"precision: {precision!r} is not allowed; it must be f32 or f64")
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        raise ValueError(f"threads: {threads!r} is not allowed; it must be a whole number of at least 1")
+    if _running is None:
+        _running = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
+        return _running
+    for name, asked, runs in (
+        ("arch", None if arch == "auto" else arch, _running.arch),
+        ("precision", precision, _running.precision),
+        ("threads", threads if _running.arch == "cpu" else None, _running.threads),
+    ):
+        if asked is not None and asked != runs:
+            raise BackendError(
+                f"{name}: {asked!r} was asked for, but this process already runs with {runs!r}; Taichi holds one for the"
+                " whole process. Use that, or start a new process."
+            )
+    return _running
+
+
+def _init(arch: str, precision: str, threads: int) -> Backend:
+    ti.set_logging_level(ti.ERROR)
+    candidates = ["cuda", "metal", "cpu"] if arch == "auto" else [arch]
+    name = next((a for a in candidates if a == "cpu" or _works(a)), None)
+    if name is None:
+        raise BackendError(f"arch: {arch!r} was asked for, but no such device works here; use 'cpu' or 'auto'")
+    real = ti.f64 if precision == "f64" else ti.f32
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner that no option turns off
+        quicken()
+        ti.init(
+            arch=getattr(ti, name),
+            default_fp=real,
+            cpu_max_num_threads=threads,
+            offline_cache=True,
+            offline_cache_max_size_of_files=CACHE,
+            log_level=ti.ERROR,
+            fast_math=False,
+            advanced_optimization=False,  # Taichi's own passes: LLVM repeats them; compiling takes a third, running the same
+        )
+    return Backend(name, precision, threads if name == "cpu" else 0)
+
+
+def _works(arch: str) -> bool:
+    """Whether Taichi was built with this arch and finds a device for it."""
+    from taichi.lang.misc import is_arch_supported
+
+    return bool(is_arch_supported(getattr(ti, arch)))

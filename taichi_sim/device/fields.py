@@ -1,0 +1,150 @@
+"""Fields: one tree of Taichi fields that is declared piece by piece, filled once, and freed as a whole."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common.errors import SceneError
+from taichi_sim.device.engine import ti
+
+__all__ = ["Fields"]
+
+
+class Fields:
+    """Collects fields with their first values; `build()` allocates and fills them, `free()` gives the memory back.
+
+    Taichi frees memory only by whole trees, and a process holds few hundred of them: so one per simulation.
+    A field that would be empty gets one unused element, because Taichi has no empty fields.
+    """
+
+    def __init__(self, real: Any, has_doubles: bool = True) -> None:
+        self.real, self.has_doubles = real, has_doubles
+        self._builder = ti.FieldsBuilder()
+        self._first: list[tuple[Any, Any]] = []
+        self._tree: Any = None
+        self._bytes: dict[int, int] = {}  # by the identity of a field
+
+    def _place(self, field: Any, n: int, data: Any, item_bytes: int) -> Any:
+        if n == 0:
+            self._builder.place(field)
+        else:
+            self._builder.dense(ti.i, max(1, n)).place(field)
+        return self._note(field, data, max(1, n) * item_bytes)
+
+    def _note(self, field: Any, data: Any, size: int) -> Any:
+        if data is not None:
+            self._first.append((field, data))
+        self._bytes[id(field)] = size
+        return field
+
+    @property
+    def bytes(self) -> int:
+        """Memory of all fields together."""
+        return sum(self._bytes.values())
+
+    def size(self, field: Any) -> int:
+        """Bytes of one field; 0 for what is none of these."""
+        return self._bytes.get(id(field), 0)
+
+    @property
+    def _size(self) -> int:
+        return 8 if self.real == ti.f64 else 4
+
+    def _cast(self, data: NDArray, what: str = "number") -> NDArray:
+        """A copy in the precision of the run; a number that it cannot hold is refused, with a word for what it is."""
+        if self.real == ti.f64:
+            return np.ascontiguousarray(data, dtype=np.float64)
+        with np.errstate(over="ignore"):
+            array = np.ascontiguousarray(data, dtype=np.float32)
+        lost = ~np.isfinite(array) | ((array == 0) & (np.asarray(data) != 0))
+        if lost.any():
+            value = np.asarray(data)[lost].flat[0]
+            raise SceneError(
+                f'precision: the {what} {value:.4g} does not fit into single precision; use precision "f64"'
+            )
+        return array
+
+    def reals(self, data: int | NDArray) -> Any:
+        """A field of reals: n of them, zero, or a copy of data, shape (n,) or (n, dim)."""
+        if isinstance(data, int):
+            return self._place(ti.field(self.real), max(1, data), None, self._size)
+        array = self._cast(data)
+        width = array.shape[1] if array.ndim == 2 else 0
+        field = ti.Vector.field(width, self.real) if width else ti.field(self.real)
+        return self._place(field, max(1, len(array)), array if len(array) else None, self._size * max(1, width))
+
+    def doubles(self, n: int) -> Any:
+        """n zeros in double precision, for sums; in single precision where the device has no other."""
+        wide = ti.f64 if self.has_doubles else self.real
+        return self._place(ti.field(wide), max(1, n), None, 8)
+
+    def vectors(self, n: int, dim: int) -> Any:
+        """n zero vectors."""
+        return self._place(ti.Vector.field(dim, self.real), max(1, n), None, self._size * dim)
+
+    def matrices(self, n: int, dim: int) -> Any:
+        """n zero matrices (dim, dim)."""
+        return self._place(ti.Matrix.field(dim, dim, self.real), max(1, n), None, self._size * dim * dim)
+
+    def turns(self, n: int, dim: int) -> Any:
+        """n zero turns: a scalar each in 2D, a vector in 3D."""
+        return self.reals(n) if dim == 2 else self.vectors(n, 3)
+
+    def integers(self, data: int | NDArray) -> Any:
+        """A field of 32-bit integers: n zeros, or a copy of data, shape (n,)."""
+        n = data if isinstance(data, int) else len(data)
+        array = None if isinstance(data, int) or n == 0 else np.ascontiguousarray(data, dtype=np.int32)
+        return self._place(ti.field(ti.i32), max(1, n), array, 4)
+
+    def cells(self, n: int, dim: int) -> Any:
+        """n zero vectors of 32-bit integers."""
+        return self._place(ti.Vector.field(dim, ti.i32), max(1, n), None, 4 * dim)
+
+    def table(
+        self, columns: dict[str, Any], n: int, data: dict[str, NDArray] | None = None, *, by_column: bool = False
+    ) -> Any:
+        """n rows of a struct, members side by side, or column after column. columns: name to Taichi type (a scalar or a vector
+        type)."""
+        width = sum(getattr(t, "n", 1) * (4 if t == ti.i32 else self._size) for t in columns.values())
+        typed = None
+        if data is not None and n:
+            typed = {
+                name: np.ascontiguousarray(data[name], dtype=np.int32) if t == ti.i32 else self._cast(data[name], name)
+                for name, t in columns.items()
+            }
+        field = ti.Struct.field(
+            columns
+        )  # not before the cast, which may refuse: an unplaced field stops every later build
+        if by_column:
+            for name in columns:
+                self._builder.dense(ti.i, max(1, n)).place(field.get_member_field(name))
+            return self._note(field, typed, max(1, n) * width)
+        return self._place(field, max(1, n), typed, width)
+
+    def build(self) -> None:
+        """Allocate everything and copy the first values in."""
+        self._tree = self._builder.finalize()
+        for field, data in self._first:
+            field.from_numpy(data)
+        self._first.clear()
+
+    def abandon(self) -> None:
+        """Undo a construction that failed: a builder left open would make every later simulation fail."""
+        if self._tree is None:
+            field = ti.field(ti.i32)
+            self._builder.place(field)
+            self._tree = self._builder.finalize()
+            field[None] = 0  # a tree that no kernel has touched must not be destroyed
+        self.free()
+
+    @property
+    def built(self) -> bool:
+        """Whether the fields may be used: built, and not freed."""
+        return self._tree is not None
+
+    def free(self) -> None:
+        """Give the memory back. The fields must not be used after that."""
+        if self._tree is not None:
+            self._tree.destroy()
+            self._tree = None

@@ -1,0 +1,120 @@
+"""Model: what stays constant while a scene runs, as Taichi fields, and only what some part of the scene needs."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.scene.scene import Scene, used_materials
+
+__all__ = ["TURNING", "Model", "components"]
+
+TURNING = {2: 2.0, 3: 2.5}  # m r^2 / I of a disc, of a solid sphere
+
+
+@ti.data_oriented
+class Model:
+    """Constant fields of a scene with n balls in `dim` dimensions.
+
+    Attributes that kernels read: `n`, `dim`; `inverse_mass` (n) [1/kg], 0 when pinned; `gravity` (1) [m/s^2]. For contacts,
+    made on demand: `radius` (n) [m], `surface` (n) material index, `laws` (materials^2) restitution, friction, viscous friction
+    for each pair of materials; `group`, `mask` (n) bits of collision groups, where the scene has some. `spins`: whether any
+    ball turns; `turning`: m r^2 / I of those that do.
+    """
+
+    def __init__(self, scene: Scene, fields: Fields) -> None:
+        self.scene = scene
+        self.fields = fields
+        self.n = scene.n_balls
+        self.dim = scene.dim
+        self.inverse_mass_array: NDArray[np.float64] = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+        self.inverse_mass = fields.reals(self.inverse_mass_array)
+        self.has_gravity = bool(np.any(scene.gravity != 0))
+        self.gravity = fields.reals(scene.gravity[None])
+        self.surfaces = len(scene.materials)
+        self.spins = self.some_turn = False
+        self.turning = TURNING[self.dim]
+
+    def add_contact_fields(self) -> None:
+        """Radii, materials and the table of pair laws: what every contact part reads."""
+        scene, fields = self.scene, self.fields
+        self.radius = fields.reals(scene.radius)
+        self.surface = fields.integers(scene.material)
+        self.has_groups = scene.has_groups()
+        if self.has_groups:
+            self.group, self.mask = fields.integers(scene.group), fields.integers(scene.mask)
+        e = np.array([m.restitution for m in scene.materials])
+        mu = np.array([m.friction for m in scene.materials])
+        f = np.array([m.viscous_friction for m in scene.materials])
+        used = used_materials(scene)
+        self.has_viscous = any(m.viscous_friction > 0 for m in used)
+        self.has_friction = self.has_viscous or any(m.friction > 0 for m in used)
+        self.has_restitution = any(m.restitution > 0 for m in used)
+        real = fields.real
+        self.laws = fields.table(
+            {"restitution": real, "friction": real, "viscous_friction": real},
+            self.surfaces**2,
+            {
+                "restitution": np.maximum.outer(e, e).ravel(),
+                "friction": np.sqrt(np.outer(mu, mu)).ravel(),
+                "viscous_friction": np.sqrt(np.outer(f, f)).ravel(),
+            },
+        )
+
+    def let_turn(self, turns: NDArray[np.bool_]) -> None:
+        """Balls for which turns (n) is true turn under friction, the others not at all."""
+        self.spins, self.turns = bool(turns.any()), turns
+        self.some_turn = self.spins and not bool(np.all(turns | self.scene.pinned))
+        if self.some_turn:
+            self.rolling = self.fields.reals(np.where(turns, self.turning, 0.0))
+
+    @ti.func
+    def turning_of(self, i):
+        """m r^2 / I of ball i: turn per velocity that a sideways impulse gives; 0 where it does not turn."""
+        turning = ti.cast(self.turning, float)
+        if ti.static(self.some_turn):
+            turning = self.rolling[i]
+        return turning
+
+    @ti.func
+    def sideways(self, i):
+        """Mass that ball i opposes to a sideways impulse at its surface, as a part of its own."""
+        return 1.0 / (1.0 + self.turning_of(i))
+
+    def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """For each ball the balls that a spring joins it to, as (start (n + 1), other (2 m)), sorted."""
+        return incidence(self.scene.pairs, self.n)[:2]
+
+
+def incidence(pairs: NDArray[np.int32], n: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
+    """For each of n balls its springs: start (n + 1), other end (2 m), spring index (2 m), sorted by the other end."""
+    here = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    other = np.concatenate([pairs[:, 1], pairs[:, 0]])
+    spring = np.tile(np.arange(len(pairs)), 2)
+    order = np.lexsort((spring, other, here))
+    start = np.zeros(n + 1, dtype=np.int32)
+    np.cumsum(np.bincount(here, minlength=n), out=start[1:])
+    return start, other[order].astype(np.int32), spring[order]
+
+
+def components(count: int, edges: NDArray) -> NDArray[np.int64]:
+    """For each of `count` balls the lowest index that edges (m, 2) connect it to. Hooking and pointer jumping."""
+    label = np.arange(count)
+    a, b = edges[:, 0].astype(np.int64), edges[:, 1].astype(np.int64)
+    while len(a):
+        low, high = np.minimum(label[a], label[b]), np.maximum(label[a], label[b])
+        apart = low != high
+        a, b = a[apart], b[apart]
+        np.minimum.at(label, high[apart], low[apart])
+        while True:
+            above = label[label]
+            if np.array_equal(above, label):
+                break
+            label = above
+    return label
+
+
+def phase_type(dim: int, real: object) -> dict[str, object]:
+    """Members of the struct that holds a ball: x [m] and v [m/s] side by side, so that one cache line serves a spring."""
+    vector = ti.types.vector(dim, real)
+    return {"x": vector, "v": vector}

@@ -1,0 +1,150 @@
+"""State: what changes while a scene runs, as Taichi fields."""
+
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model, phase_type
+
+__all__ = ["FAR", "State"]
+
+FAR = 1e12  # m; a ball beyond this has left the world
+
+
+@ti.data_oriented
+class State:
+    """`ball` (n) struct with x [m] and v [m/s]; `kept`: the last state known to be good.
+    `compensated` keeps what single precision rounds off of x and v in `low` and gives it back with the next change
+    (Kahan's sum). `turn` (n), where balls spin: radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
+
+    order: number in the user's scene of each ball stored here, or None where they are the same. What goes in and out below
+    is in the user's order."""
+
+    def __init__(self, model: Model, fields: Fields, compensated: bool, order: np.ndarray | None = None) -> None:
+        scene = model.scene
+        self.order = order
+        self.n, self.dim = model.n, model.dim
+        phase = phase_type(model.dim, fields.real)
+        self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
+        self.kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
+        self.compensated = compensated
+        self.followers: list[Any] = []  # parts that keep and restore with the state
+        self.serial = False  # whether copies go on one thread, for which a launch that wakes none is ten times shorter
+        if compensated:
+            self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
+        self.spins = model.spins
+        self.still = ~model.turns if model.some_turn else None  # balls that never turn
+        if self.spins:
+            self.turn, self.kept_turn = fields.turns(self.n, model.dim), fields.turns(self.n, model.dim)
+
+    @ti.func
+    def shift(self, i, dx):
+        """x += dx for ball i."""
+        if ti.static(self.compensated):
+            change = dx + self.low[i].x
+            moved = self.ball[i].x + change
+            self.low[i].x = change - (moved - self.ball[i].x)
+            self.ball[i].x = moved
+        else:
+            self.ball[i].x = self.ball[i].x + dx  # a bare += would be atomic
+
+    @ti.func
+    def kick(self, i, dv):
+        """v += dv for ball i."""
+        if ti.static(self.compensated):
+            change = dv + self.low[i].v
+            faster = self.ball[i].v + change
+            self.low[i].v = change - (faster - self.ball[i].v)
+            self.ball[i].v = faster
+        else:
+            self.ball[i].v = self.ball[i].v + dv
+
+    @ti.kernel
+    def _copy(self, target: ti.template(), source: ti.template()):
+        if ti.static(self.serial):
+            ti.loop_config(serialize=True)
+            for i in range(self.n):
+                target[i] = source[i]
+        else:
+            for i in range(self.n):
+                target[i] = source[i]
+
+    def keep(self) -> None:
+        """Remember the present state as good."""
+        self._copy(self.kept, self.ball)
+        if self.spins:
+            self._copy(self.kept_turn, self.turn)
+        if self.compensated:
+            self._copy(self.kept_low, self.low)
+        for part in self.followers:
+            part.keep()
+
+    def restore(self) -> None:
+        """Return to the state last kept."""
+        self._copy(self.ball, self.kept)
+        if self.spins:
+            self._copy(self.turn, self.kept_turn)
+        if self.compensated:
+            self._copy(self.low, self.kept_low)
+        for part in self.followers:
+            part.restore()
+
+    def write(self, x: np.ndarray, v: np.ndarray, low: tuple[np.ndarray, np.ndarray] | None = None) -> None:
+        """Replace positions and velocities, both (n, dim), and what single precision rounded off of them (0)."""
+        self._copy_in(self.ball, x, v)
+        if self.compensated:
+            self._copy_in(self.low, *(low or (np.zeros_like(x), np.zeros_like(v))))
+
+    def write_turn(self, turn: np.ndarray) -> None:
+        """Replace the speeds (n, 1 or 3) [m/s] with which surfaces turn; 0 where balls do not."""
+        if self.spins:
+            stored = turn if self.order is None else turn[self.order]
+            if self.still is not None:
+                stored = np.where(self.still[:, None], 0.0, stored)
+            shaped = stored[:, 0] if self.dim == 2 else stored
+            self.turn.from_numpy(shaped.astype(np.float64 if self.turn.dtype == ti.f64 else np.float32))
+
+    def _copy_in(self, table: Any, x: np.ndarray, v: np.ndarray) -> None:
+        self.set_values(table.x, x)
+        self.set_values(table.v, v)
+
+    def set_values(self, field: Any, values: np.ndarray) -> None:
+        """Fill a field (n) from (n, dim) in the user's order."""
+        stored = values if self.order is None else values[self.order]
+        field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
+
+    def values(self, field: Any) -> np.ndarray:
+        """A field (n) as (n, dim) in the user's order, a copy."""
+        stored = field.to_numpy()[: self.n]
+        if self.order is None:
+            return stored
+        values = np.empty_like(stored)
+        values[self.order] = stored
+        return values
+
+    @property
+    def rounded_off(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """What single precision rounded off of positions and velocities, both (n, dim), or None where it is not kept."""
+        if not self.compensated:
+            return None
+        return self.values(self.low.x), self.values(self.low.v)
+
+    @property
+    def position(self) -> np.ndarray:
+        """(n, dim) m, a copy in float64."""
+        return self.values(self.ball.x).astype(np.float64)
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """(n, dim) m/s, a copy in float64."""
+        return self.values(self.ball.v).astype(np.float64)
+
+    @property
+    def surface_speed(self) -> np.ndarray:
+        """Radius times angular velocity, (n, 1) in 2D, (n, 3) in 3D [m/s], a copy in float64; 0 where balls do not spin."""
+        width = 1 if self.dim == 2 else 3
+        if not self.spins:
+            return np.zeros((self.n, width))
+        return self.values(self.turn).astype(np.float64).reshape(self.n, width)

@@ -1,0 +1,143 @@
+"""What a user may name as a SCENE: a TOML file, a Python file with scene() or simulation(), or a built-in demo."""
+
+import ast
+import difflib
+import importlib.util
+import sys
+import traceback
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.camera_path import CameraPath
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["built_in", "checked_output", "demos", "open_scene", "open_simulation", "resolve"]
+
+
+def demos() -> dict[str, Path]:
+    """The built-in scenes by name, sorted: `jelly`, `thread/springs`, ..."""
+    root = Path(str(resources.files("taichi_sim.demos")))
+    files = [f for f in root.rglob("*") if f.suffix in (".toml", ".py") and not f.name.startswith(("_", "."))]
+    return {f.relative_to(root).with_suffix("").as_posix(): f for f in sorted(files)}
+
+
+def built_in(file: Path) -> str:
+    """What a demo says about itself: its leading comment, or the first line of its docstring."""
+    text = file.read_text(encoding="utf-8")
+    if file.suffix == ".py":
+        return ((ast.get_docstring(ast.parse(text)) or "").splitlines() or [""])[0]
+    first = text.lstrip().split("\n", 1)[0]
+    return first.lstrip("# ") if first.startswith("#") else ""
+
+
+def resolve(name: str) -> Path:
+    """The file that a SCENE argument means. Raises FileNotFoundError with the closest demo's name."""
+    if Path(name).is_file():
+        return Path(name)
+    known = demos()
+    short = {key.rsplit("/", 1)[-1]: file for key, file in reversed(known.items())} | known
+    if name in short:
+        return short[name]
+    if Path(name).suffix in (".toml", ".py"):
+        raise FileNotFoundError(f"{name}: there is no such file")
+    close = difflib.get_close_matches(name, list(short), n=1)
+    hint = f"did you mean {close[0]!r}?" if close else "`taichi-sim demos` lists the demos"
+    raise FileNotFoundError(f"{name}: is neither a file nor a built-in demo; {hint}")
+
+
+def open_scene(file: Path) -> Scene | None:
+    """The scene in a file; None for a Python file that makes its own simulation()."""
+    if file.suffix == ".toml":
+        from taichi_sim.files.toml_reader import load_scene
+
+        return load_scene(file)
+    if file.suffix != ".py":
+        raise ValueError(f"{file}: {file.suffix!r} is not allowed; a scene is a .toml or a .py file")
+    module = _module(file)
+    if hasattr(module, "scene"):
+        made = _call(file, module, "scene")
+        if not isinstance(made, Scene):
+            raise SceneError(f"{file}: scene() returned {type(made).__name__}; it must return a Scene")
+        return made
+    if hasattr(module, "simulation"):
+        return None
+    raise SceneError(f"{file}: has neither scene() nor simulation(); define one of them")
+
+
+def checked_output(scene: Scene) -> dict[str, Any]:
+    """`Scene.output` as a scene in Python set it, its keys and values judged as those of [output] in a scene file are."""
+    output = scene.output
+    if not output:
+        return {}
+    from pydantic import ValidationError
+
+    from taichi_sim.files.toml_schema import Output
+
+    listed: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in output.items()}
+    try:
+        Output.model_validate(listed)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise SceneError(f"scene.output: {place}: {first['input']!r} is not allowed: {first['msg']}") from None
+    if listed.get("camera") is not None:
+        try:
+            CameraPath.of(listed["camera"], scene.dim, scene.n_balls)
+        except SceneError as error:
+            raise SceneError(f"scene.output: {error}") from None
+    return listed
+
+
+def open_simulation(file: Path) -> Any:
+    """What simulation() of a Python file returns."""
+    return _call(file, _module(file), "simulation")
+
+
+def _module(file: Path) -> ModuleType:
+    """The file, run as a module of its own name, once; its folder can be imported from, as with `python file.py`."""
+    name = f"taichi_sim_scene_{file.stem}"
+    if name in sys.modules and getattr(sys.modules[name], "__file__", None) == str(file.resolve()):
+        return sys.modules[name]
+    specification = importlib.util.spec_from_file_location(name, file.resolve())
+    if specification is None or specification.loader is None:
+        raise SceneError(f"{file}: cannot be read as Python")
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module  # Taichi looks up the source of kernels through it
+    sys.path.insert(0, str(file.resolve().parent))
+    try:
+        specification.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise _located(file, error) from error
+    return module
+
+
+def _call(file: Path, module: ModuleType, function: str) -> Any:
+    try:
+        return getattr(module, function)()
+    except Exception as error:
+        raise _located(file, error) from error
+
+
+def _located(file: Path, error: Exception) -> Exception:
+    """An error from a user's Python file as one line with the place in that file; its kind decides the exit status."""
+    from taichi_sim.common.errors import BackendError, UnstableError
+
+    if isinstance(error, (BackendError, UnstableError)):
+        return error
+    lines = list(_lines(error, file.resolve()))
+    if isinstance(error, SyntaxError) and error.lineno:
+        lines.append(error.lineno)
+    place = f"{file}, line {lines[-1]}" if lines else str(file)
+    kind = "" if isinstance(error, SceneError) else f"{type(error).__name__}: "
+    return SceneError(f"{place}: {kind}{error}")
+
+
+def _lines(error: Exception, file: Path) -> Iterator[int]:
+    for entry in traceback.extract_tb(error.__traceback__):
+        if Path(entry.filename) == file and entry.lineno:
+            yield entry.lineno

@@ -1,0 +1,165 @@
+"""TotalForce: the sum of all forces of a scene, accumulated from old positions and velocities into impulses.
+
+A force of your own is a small class with one function; it may read any field of the model:
+
+    @ti.data_oriented
+    class Drag:
+        def __init__(self, coefficient):
+            self.coefficient = coefficient  # N s/m
+
+        @ti.func
+        def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+            for i in range(model.n):
+                impulse[i] += -h * self.coefficient * ball[i].v
+
+    Simulation(scene, forces=[Drag(0.1)])
+
+It may have `allocate(model, state, fields)`, called before the simulation's fields exist, to declare fields of its own: see
+`Fields` and, for an example, `Pointer`.
+
+`verlet` asks for it at predicted velocities, where springs are not strongly damped: drag is then of order 2, and stable while
+h c / m < 1.
+"""
+
+from collections.abc import Sequence
+from inspect import signature
+from typing import Any
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import State
+from taichi_sim.forces.bending import Bending
+from taichi_sim.forces.cells import Cells
+from taichi_sim.forces.gas import Gases
+from taichi_sim.forces.springs import Springs
+from taichi_sim.forces.wind import Wind
+
+__all__ = ["TotalForce"]
+
+
+@ti.data_oriented
+class TotalForce:
+    """Gravity, springs, the scene's elements (cells, bending, gas, wind) and the user's forces. What the scene lacks compiles to
+    nothing."""
+
+    def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
+        if not isinstance(extra, (list, tuple)):
+            raise ValueError(f"forces: {extra!r} is not allowed; it must be a list of forces")
+        for force in extra:
+            function = getattr(force, "accumulate", None)
+            if not callable(function):
+                raise ValueError(f"forces: {force!r} has no function accumulate(model, ball, impulse, h, time)")
+            taken, name = list(signature(function).parameters), type(force).__name__
+            if len(taken) != 5:
+                raise ValueError(
+                    f"forces: {name}.accumulate takes ({', '.join(taken)}); it must take (model, ball, impulse, h, time)"
+                )
+            if not getattr(function, "_is_taichi_function", False):
+                raise ValueError(f"forces: {name}.accumulate is not a Taichi function; write @ti.func above it")
+        self.model, self.n = model, model.n
+        elements = [kind(model, fields) for kind in _elements(model)]
+        self.springs, self.extra = springs, [*elements, *extra]
+        self.external_forces = self.extra  # those that `external` sums
+        self.elements = elements
+        self.stores = [force for force in elements if force.elastic]  # energy, that the gauge counts
+        self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(self.extra)
+        self.impulse = fields.vectors(model.n if self.has_impulse else 0, model.dim)  # N s, summed from old values
+        self.damped = springs is not None and springs.damped
+        if self.damped:
+            self.jump = fields.vectors(model.n, model.dim)
+
+    def allocate(self, state: State, fields: Fields) -> None:
+        """Let the user's forces declare fields."""
+        for force in self.extra:
+            if hasattr(force, "allocate"):
+                force.allocate(self.model, state, fields)
+
+    def take(self, kind: Any) -> Any:
+        """The scene's elements of a kind, or None; `external` leaves them to the method that asks."""
+        taken = next((force for force in self.elements if isinstance(force, kind)), None)
+        self.external_forces = [force for force in self.extra if force is not taken]
+        return taken
+
+    def names(self) -> list[str]:
+        """What is compiled in, for `Simulation.kernels()`."""
+        names = ["gravity"] if self.model.has_gravity else []
+        names += self.springs.names() if self.springs is not None else []
+        return names + [getattr(force, "name", f"force.{type(force).__name__}") for force in self.extra]
+
+    @ti.func
+    def change(self, i, h):
+        """Velocity change of ball i over h: gravity, and the accumulated impulse of the same h."""
+        dv = ti.Vector.zero(float, self.model.dim)
+        w = self.model.inverse_mass[i]
+        if ti.static(self.model.has_gravity):
+            if w > 0.0:
+                dv += h * self.model.gravity[0]
+        if ti.static(self.has_impulse):
+            dv += w * self.impulse[i]
+        return dv
+
+    @ti.func
+    def _extra(self, ball: ti.template(), h, time):
+        """Add the user's forces; clear first where no springs have written."""
+        if ti.static(self.has_impulse and not self.has_springs):
+            for i in range(self.n):
+                self.impulse[i] = ti.Vector.zero(float, self.model.dim)
+        for force in ti.static(self.extra):
+            force.accumulate(self.model, ball, self.impulse, h, time)
+
+    @ti.func
+    def external(self, ball: ti.template(), h, time):
+        """impulse = h times the user's forces and all elements that no method has taken; `external_change` adds gravity."""
+        if ti.static(bool(self.external_forces)):
+            for i in range(self.n):
+                self.impulse[i] = ti.Vector.zero(float, self.model.dim)
+            for force in ti.static(self.external_forces):
+                force.accumulate(self.model, ball, self.impulse, h, time)
+
+    @ti.func
+    def external_change(self, i, h):
+        """Velocity change of ball i over h by gravity and the user's forces, for methods that treat springs apart."""
+        dv = ti.Vector.zero(float, self.model.dim)
+        w = self.model.inverse_mass[i]
+        if ti.static(self.model.has_gravity):
+            if w > 0.0:
+                dv += h * self.model.gravity[0]
+        if ti.static(bool(self.external_forces)):
+            dv += w * self.impulse[i]
+        return dv
+
+    @ti.func
+    def elastic(self, ball: ti.template(), h, time):
+        """impulse = h times all forces but spring damping."""
+        if ti.static(self.has_springs):
+            self.springs.elastic(ball, self.impulse, h)
+        self._extra(ball, h, time)
+
+    @ti.func
+    def elastic_and_jump(self, ball: ti.template(), h, tau, time):
+        """impulse = h times all forces but spring damping; jump = tau times spring damping; one pass for both."""
+        if ti.static(self.damped):
+            self.springs.both(ball, self.impulse, self.jump, h, tau)
+        elif ti.static(self.has_springs):
+            self.springs.elastic(ball, self.impulse, h)
+        self._extra(ball, h, time)
+
+    @ti.func
+    def total(self, ball: ti.template(), h, time):
+        """impulse = h times all forces, spring damping among them."""
+        if ti.static(self.has_springs):
+            self.springs.total(ball, self.impulse, h)
+        self._extra(ball, h, time)
+
+
+def _elements(model: Model) -> list[Any]:
+    """The kinds of force that the scene has besides gravity and springs."""
+    scene = model.scene
+    wanted = (
+        (Cells, len(scene.cells)),
+        (Bending, len(scene.bends)),
+        (Gases, len(scene.gases)),
+        (Wind, scene.wind is not None and len(scene.triangles)),
+    )
+    return [kind for kind, there in wanted if there]

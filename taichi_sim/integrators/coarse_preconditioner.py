@@ -1,0 +1,153 @@
+"""Patches: the coarse part of the preconditioner of conjugate gradients.
+
+A block of the diagonal sees a ball and its neighbours, so what moves many balls together takes as many turns as there are
+balls across. Patches of neighbouring balls that move as wholes see just that: z = D^-1 r + P (P^T A P)^-1 P^T r, P from the
+movement of patches to that of balls. The matrix of patches is small and solved directly; springs within a patch drop out of it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.forces.springs import Springs
+from taichi_sim.kernels.springs.law import GRAIN
+
+__all__ = ["Patches", "bisected"]
+
+FEWEST = 32  # free balls for which patches pay
+COST = 8.0  # cube of the number of patches over that of balls: factors then cost about a turn
+
+
+def bisected(x: NDArray[np.float64], parts: int) -> NDArray[np.int64]:
+    """A part, of `parts`, a power of two, for each of the points x (n, dim): boxes halved across their longest side."""
+    part, n = np.zeros(len(x), dtype=np.int64), len(x)
+    for _ in range(parts.bit_length() - 1):
+        count = np.bincount(part)
+        first = np.cumsum(count) - count
+        grouped = np.argsort(part, kind="stable")
+        side = np.maximum.reduceat(x[grouped], first) - np.minimum.reduceat(x[grouped], first)
+        along = x[np.arange(n), side.argmax(axis=1)[part]]
+        rank = np.empty(n, dtype=np.int64)
+        rank[np.lexsort((along, part))] = np.arange(n)
+        part = 2 * part + (rank - first[part] >= (count[part] + 1) // 2)
+    return part
+
+
+@ti.data_oriented
+class Patches:
+    """The patches of a scene's free balls. `row`: the block of each spring, see kernels.implicit."""
+
+    def __init__(self, model: Model, springs: Springs, row: ti.StructField, fields: Fields) -> None:
+        scene = model.scene
+        self.row, self.dim = row, model.dim
+        free = np.flatnonzero(~scene.pinned)
+        self.active = len(free) >= FEWEST and springs.order != "atomic"  # one thread of a GPU is slow
+        if not self.active:
+            return
+        self.count = 1 << int(np.log2(np.cbrt(COST * len(free))))
+        patch = np.full(model.n, -1)
+        patch[free] = bisected(scene.position[free], self.count)
+        self.patch = fields.integers(patch)
+        self.member = fields.integers(free[np.argsort(patch[free], kind="stable")])
+        mass = np.bincount(patch[free], scene.mass[free], self.count)
+        self.mass, self.least = fields.reals(mass), float(mass.min())
+        self.begin = fields.integers(np.append(0, np.cumsum(np.bincount(patch[free], minlength=self.count))))
+        ends = patch[scene.pairs[springs.number]]
+        slots = np.flatnonzero(ends[:, 0] != ends[:, 1])
+        here, there = ends[slots].ravel(), ends[slots][:, ::-1].ravel()
+        order = np.lexsort((np.repeat(slots, 2), there, here))
+        order = order[here[order] >= 0]
+        self.link = fields.table(
+            {"spring": ti.i32, "other": ti.i32},
+            len(order),
+            {"spring": np.repeat(slots, 2)[order], "other": there[order]},
+        )
+        self.first = fields.integers(np.append(0, np.cumsum(np.bincount(here[order], minlength=self.count))))
+        self.size = self.count * self.dim
+        self.matrix = fields.doubles(self.size**2)  # its lower factor, rows one after another
+        self.load, self.answer = fields.doubles(self.size), fields.doubles(self.size)
+        self.wide = self.load.dtype
+
+    @ti.func
+    def factor(self):
+        """The matrix of the springs as they are, and its Cholesky factor."""
+        size, dim = ti.static(self.size, self.dim)
+        for k in range(self.count * GRAIN):
+            if k % GRAIN == 0:
+                c = k // GRAIN
+                for e in range(c * dim * size, (c + 1) * dim * size):
+                    self.matrix[e] = 0.0
+                own = ti.cast(self.mass[c], self.wide) * ti.Matrix.identity(self.wide, dim)
+                for e in range(self.first[c], self.first[c + 1]):
+                    link = self.link[e]
+                    row = self.row[link.spring]
+                    for a in ti.static(range(dim)):
+                        for b in ti.static(range(dim)):
+                            value = ti.cast(row.r[a], self.wide) * ti.cast(row.r[b], self.wide)
+                            value *= ti.cast(row.along, self.wide)
+                            if ti.static(a == b):
+                                value += ti.cast(row.across, self.wide)
+                            own[a, b] += value
+                            if link.other >= 0:
+                                at = (c * dim + a) * size + link.other * dim + b
+                                self.matrix[at] = self.matrix[at] - value
+                for a in ti.static(range(dim)):
+                    for b in ti.static(range(dim)):
+                        self.matrix[(c * dim + a) * size + c * dim + b] = own[a, b]
+        ti.loop_config(serialize=True)
+        for j in range(size):
+            for i in range(j, size):
+                total = self.matrix[i * size + j]
+                for q in range(j):
+                    total -= self.matrix[i * size + q] * self.matrix[j * size + q]
+                if i == j:
+                    # what is added to the masses is positive semidefinite: less than the least is rounding
+                    self.matrix[j * size + j] = ti.sqrt(ti.max(total, self.least))
+                else:
+                    self.matrix[i * size + j] = total / self.matrix[j * size + j]
+
+    @ti.func
+    def solve(self, residual: ti.template()):
+        """What patches make of a residual (n); its scalar product with that is `product`."""
+        size, dim = ti.static(self.size, self.dim)
+        for k in range(self.count * GRAIN):
+            if k % GRAIN == 0:
+                c = k // GRAIN
+                total = ti.Vector.zero(float, dim)
+                for e in range(self.begin[c], self.begin[c + 1]):
+                    total += residual[self.member[e]]
+                for a in ti.static(range(dim)):
+                    self.load[c * dim + a] = ti.cast(total[a], self.wide)
+        ti.loop_config(serialize=True)
+        for i in range(size):
+            total = self.load[i]
+            for q in range(i):
+                total -= self.matrix[i * size + q] * self.answer[q]
+            self.answer[i] = total / self.matrix[i * size + i]
+        ti.loop_config(serialize=True)
+        for k in range(size):
+            i = size - 1 - k
+            total = self.answer[i]
+            for q in range(i + 1, size):
+                total -= self.matrix[q * size + i] * self.answer[q]
+            self.answer[i] = total / self.matrix[i * size + i]
+
+    @ti.func
+    def product(self):
+        """Of the last residual and what patches made of it."""
+        total = ti.cast(0.0, self.wide)
+        for k in range(self.size):
+            total += self.load[k] * self.answer[k]
+        return total
+
+    @ti.func
+    def shift(self, i):
+        """What the patch of ball i makes of the last residual."""
+        v = ti.Vector.zero(float, self.dim)
+        c = self.patch[i]
+        if c >= 0:
+            for a in ti.static(range(self.dim)):
+                v[a] = ti.cast(self.answer[c * self.dim + a], float)
+        return v

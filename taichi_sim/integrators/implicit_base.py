@@ -1,0 +1,116 @@
+"""What implicit methods share."""
+
+from collections.abc import Callable
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.forces.gas import Gases
+from taichi_sim.integrators.base import Integrator, Solver
+from taichi_sim.integrators.host_launch import Launched
+from taichi_sim.integrators.newton_cg import StageSolver
+from taichi_sim.kernels.springs import newton_terms as numbers
+
+__all__ = ["Implicit"]
+
+
+@ti.data_oriented
+class Implicit(Integrator):
+    """A method of stages, each solved implicitly; springs and their damping are stable at any step.
+
+    A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finish(h)`, which moves.
+    `part`: the length of a stage in steps. `takes_gas`: gas is solved for together with springs. `opening`: how many of the
+    `stages` run only in a step after `prime`.
+    tolerance: of each solution, see StageSolver.
+    """
+
+    each_once = True
+    hosted = True
+    stages = 1
+    opening = 0
+    part = 1.0
+    takes_gas = False
+    tolerance = 1e-3
+    begin: Callable[..., None]
+    end: Callable[..., None]
+    finish: Callable[..., None]
+
+    def __init__(self, tolerance: float | None = None) -> None:
+        if tolerance is not None:
+            self.tolerance = tolerance
+        if not 0.0 < self.tolerance < 1.0:
+            raise ValueError(f"tolerance: {tolerance!r} is not allowed; it must be between 0 and 1")
+
+    def allocate(self, fields: Fields) -> None:
+        """The solver and its fields."""
+        self.fresh = fields.integers(1)
+        self.has_springs = self.forces.springs is not None
+        gases = self.forces.take(Gases) if self.takes_gas and self.has_springs else None
+        self.solver = StageSolver(self.model, self.forces.springs, gases, fields, self)
+        self.launched = Launched(self.solver)
+
+    def solver_report(self) -> Solver | None:
+        """From the numbers that the solver keeps; None without springs, where there is nothing to solve."""
+        if not self.has_springs:
+            return None
+        n = self.solver.number.to_numpy()
+        stages, passes, misses = (int(n[k]) for k in (numbers.SOLVED, numbers.PASSES, numbers.MISSES))
+        return Solver(self.tolerance, stages, passes, float(n[numbers.WORST]), misses)
+
+    def remembers(self) -> bool:
+        """Not before the first step."""
+        return bool(self.fresh[0] == 0)
+
+    @ti.func
+    def prime(self, h, time):
+        """Contacts at the present positions; what the step before left is void."""
+        self.fresh[0] = 1
+        if ti.static(self.has_springs):
+            for i in range(self.model.n * self.stages):
+                self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
+        self.contacts.prime(self.ball)
+
+    @ti.func
+    def substep(self, h, time):
+        """All on one thread; see `advance`."""
+        for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
+            self.begin(stage, h, time)
+            if ti.static(self.has_springs):
+                self.solver.solve(self.part * h, stage)
+            else:
+                self._free()
+            self.end(stage, h)
+        self.finish(h)
+
+    def advance(self, h: float, time: float) -> None:
+        """The same from the host, with loops that run in parallel."""
+        for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
+            self._begin(stage, h, time)
+            if self.has_springs:
+                self.launched.solve(self.part * h, stage)
+            else:
+                self._launch_free()
+            self._end(stage, h)
+        self._finish(h)
+
+    @ti.func
+    def _free(self):
+        """Without springs."""
+        for i in range(self.model.n):
+            self.solver.first[i] = self.solver.base[i].v
+            self.solver.base[i].v = self.solver.q[i]
+
+    @ti.kernel
+    def _launch_free(self):
+        self._free()
+
+    @ti.kernel
+    def _begin(self, stage: int, h: float, time: float):
+        self.begin(stage, h, time)
+
+    @ti.kernel
+    def _end(self, stage: int, h: float):
+        self.end(stage, h)
+
+    @ti.kernel
+    def _finish(self, h: float):
+        self.finish(h)

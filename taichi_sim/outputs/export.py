@@ -1,0 +1,236 @@
+"""From a simulation to an output: the loop over frames, its progress bar and its summary."""
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.analysis.frame import Contacts, Frame
+from taichi_sim.analysis.outcome import Scales, of_depth, of_energy, of_passes
+from taichi_sim.analysis.probe_readings import units_of
+from taichi_sim.outputs.background_writer import Behind
+from taichi_sim.outputs.base import Image, Output
+
+__all__ = ["Summary", "export"]
+
+
+@dataclass(slots=True)
+class Summary:
+    """What a run did. Energies in J (kinetic, spring, gravity, total), momentum in kg m/s, times in s."""
+
+    frames: int = 0
+    duration: float = 0.0  # simulated
+    wall: float = 0.0  # all of it
+    simulating: float = 0.0
+    drawing: float = 0.0
+    writing: float = 0.0  # where a thread writes, what was waited for it
+    energy_start: tuple[float, ...] = ()
+    energy_end: tuple[float, ...] = ()
+    momentum: tuple[float, ...] = ()  # at the end
+    contacts: Contacts | None = None  # at the end; None where the scene has none
+    most_contacts: int = 0  # the largest values seen at a frame
+    penetration: float = 0.0  # m
+    relative_penetration: float = 0.0  # of the smaller radius
+    residual: float = 0.0  # m/s
+    unsolved: list[float] = field(default_factory=list)  # m/s, see Contacts: of each frame with contacts
+    scales: Scales | None = None  # what all this is judged by, at the end
+    largest_speed: float = 0.0  # m/s
+    probes: dict[str, tuple[float, float, float]] = field(
+        default_factory=dict
+    )  # at the end, least and largest at a frame
+    units: dict[str, str] = field(default_factory=dict)  # of probes
+    error: Any = None  # see Simulation.error, at the end
+    solver: Any = None  # see Simulation.solver
+
+    def _seen(self, scales: Scales) -> Scales:
+        """With the start and the end, which looks between steps may miss."""
+        ends = (sum(energy[:2]) for energy in (self.energy_start, self.energy_end))
+        return scales._replace(motion=max(scales.motion, *ends))
+
+    def lines(self) -> list[str]:
+        """The summary in words, one line per subject."""
+        lines = [f"frames       {self.frames}, {self.duration:.4g} s simulated"]
+        if self.energy_start:
+            kinetic, spring, gravity, total = self.energy_end
+            lines.append(
+                f"energy       {self.energy_start[3]:.6g} J at the start, {total:.6g} J at the end"
+                f" (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
+            )
+            if self.scales is not None and (said := of_energy(self.energy_start[3], total, self._seen(self.scales))):
+                lines.append(f"             {said}")
+        lines.append(f"momentum     ({', '.join(f'{p:.4g}' for p in self.momentum)}) kg m/s at the end")
+        if self.contacts is not None and self.most_contacts:
+            now, scales = self.contacts, self.scales
+            lines.append(
+                f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.passes} passes in each of"
+                f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
+            )
+            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes, now.passes)
+            lines.append(
+                f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
+                f" mean {now.mean_penetration:.3g} m at the end: {depth}"
+            )
+            if scales is not None:
+                left = float(np.median(self.unsolved))
+                lines.append(
+                    f"residual     passes leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
+                    f" {of_passes(left, scales, self.largest_speed, now.passes)}"
+                )
+        for name, (last, least, most) in self.probes.items():
+            unit = f" {self.units.get(name, '')}".rstrip()
+            lines.append(f"{name:12} {last:.5g}{unit} in the last frame, {least:.5g} to {most:.5g}{unit} in all")
+        if self.error is not None:
+            e = self.error
+            lines.append(
+                f"error        {e.estimate:.2g} of {e.size:.3g} m so far, {e.tolerance:g} a second asked;"
+                f" {e.least} to {e.most} substeps"
+                + (f", begun anew {e.repeated} times" if e.repeated else "")
+                + (f"; no promise from t = {e.unsure:.4g} s on, many contacts at once" if e.unsure is not None else "")
+                + (f"; not kept from t = {e.lost:.4g} s on" if e.lost is not None else "")
+            )
+        if self.solver is not None:
+            s = self.solver
+            lines.append(
+                f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
+                f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
+            )
+        ratio = (
+            f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration > 0 else ""
+        )
+        parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
+        lines.append(f"wall time    {self.wall:.2f} s ({parts}){ratio}")
+        return lines
+
+
+class _Clock:
+    """Adds the time since the last call to one of the summary's fields."""
+
+    def __init__(self, summary: Summary) -> None:
+        self._summary = summary
+        self._last = time.perf_counter()
+
+    def charge(self, field: str) -> None:
+        now = time.perf_counter()
+        setattr(self._summary, field, getattr(self._summary, field) + now - self._last)
+        self._summary.wall += now - self._last
+        self._last = now
+
+
+def export(
+    simulation: Any,
+    output: Output | None,
+    *,
+    fps: float = 60.0,
+    duration: float = 5.0,
+    size: tuple[int, int] = (1280, 720),
+    progress: bool = False,
+    style: Mapping[str, Any] | None = None,
+) -> Summary:
+    """Run a simulation and give its frames to an output, or to none for the summary alone.
+
+    Args:
+        simulation: a `Simulation`; it is run for `duration` [s] from where it is, round(fps x duration) frames.
+        size: of the pictures, (width, height) px. style: further arguments of `Renderer`.
+        progress: a bar on standard error with the time left and the speed against real time.
+    The output is finished here, also when the simulation becomes unstable, and discarded on any other error.
+    """
+    summary = Summary()
+    clock = _Clock(summary)
+    style = style or {}
+    with ExitStack() as stack:
+        if output is not None:
+            stack.enter_context(output)
+            if style.get("transparent") and output.needs_image and not output.alpha:
+                name = getattr(output, "path", "this output")
+                raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
+            write = stack.enter_context(Behind(output)).write if output.apart else partial(_write, output)
+        advance = stack.enter_context(_bar(max(1, round(fps * duration)))) if progress else _no_bar
+        renderer: Any = None
+        frame: Frame | None = None
+        for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
+            clock.charge("simulating")
+            frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
+            _observe(summary, frame)
+            if output is not None:
+                if output.needs_image and renderer is None:
+                    renderer = stack.enter_context(_renderer(frame, size, style))
+                if output.wants(index):
+                    image = None if renderer is None else renderer.render(frame)
+                    clock.charge("drawing")
+                    write(index, frame, image)
+                    clock.charge("writing")
+                elif renderer is not None:
+                    renderer.skip(frame)
+                    clock.charge("drawing")
+            advance(frame.time)
+        summary.duration, summary.units = duration, units_of(simulation.scene)
+        if frame is not None and frame.energy is not None:
+            summary.energy_end = tuple(frame.energy)
+        summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()
+        summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
+    clock.charge("writing")
+    return summary
+
+
+def _write(output: Output, index: int, frame: Frame, image: Image | None) -> None:
+    output.write(index, frame, image)
+    output.frames += 1
+
+
+def _no_bar(simulated: float) -> None:
+    pass
+
+
+def _observe(summary: Summary, frame: Frame) -> None:
+    summary.frames += 1
+    now = frame.contacts
+    if now is not None and now.passes:
+        summary.contacts = now
+        summary.most_contacts = max(summary.most_contacts, now.number)
+        if now.number:
+            summary.unsolved.append(now.unsolved)
+        for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
+            setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
+    for name, value in frame.probes.items():
+        _, least, most = summary.probes.get(name, (value, value, value))
+        summary.probes[name] = (
+            value,
+            float(np.fmin(least, value)),
+            float(np.fmax(most, value)),
+        )  # a mean has none at first
+    if summary.frames == 1 and frame.energy is not None:  # of the first and the last: it takes long
+        summary.energy_start = tuple(frame.energy)
+
+
+def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> Any:
+    from taichi_sim.render import Renderer
+
+    return Renderer(frame, size=size, **style)
+
+
+@contextmanager
+def _bar(total: int) -> Iterator[Any]:
+    """A progress bar on standard error; calling what it yields with the simulated time advances it by one frame."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames,"),
+        TimeRemainingColumn(compact=True),
+        TextColumn("left, {task.fields[speed]:.3g} x real time"),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=total, speed=0.0)
+        begin = time.perf_counter()
+
+        def advance(simulated: float) -> None:
+            progress.update(task, advance=1, speed=simulated / max(1e-9, time.perf_counter() - begin))
+
+        yield advance

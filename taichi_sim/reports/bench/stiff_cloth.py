@@ -1,0 +1,211 @@
+"""The benchmark's stiff cloth: wall time against error of the program's methods and of its peers, in the same run."""
+
+import statistics
+import time
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.reports.bench.table import Report
+from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["SIDE", "StiffReport", "T", "converged", "stiff_report", "stiff_scene"]
+
+Floats = NDArray[np.float64]
+
+SIDE, T = 16, 0.5  # balls along an edge; s
+MASS = 0.3  # kg
+REPEATS = 5
+
+
+class Task(NamedTuple):
+    """What is asked, and with how many steps each contestant just does it (found by trying)."""
+
+    stiffness: float  # N/m
+    error: float  # m
+    steps: dict[str, int]
+    reference: int  # steps of the reference
+
+
+OURS = {
+    "taichi_sim, Verlet": "verlet",
+    "taichi_sim, TR-BDF2": "tr_bdf2",
+    "taichi_sim, implicit Euler": "implicit_euler",
+}
+TASKS = (
+    Task(
+        1e3,
+        1e-3,
+        {
+            "taichi_sim, Verlet": 800,
+            "Verlet in numba": 800,
+            "symplectic Euler in numba": 800,
+            "Newton, semi-implicit": 800,
+        },
+        4000,
+    ),
+    Task(1e3, 3e-5, {"taichi_sim, Verlet": 1280, "Verlet in numba": 1400}, 4000),
+    Task(
+        1e5,
+        1e-2,
+        {
+            "taichi_sim, TR-BDF2": 40,
+            "taichi_sim, implicit Euler": 160,
+            "Verlet in numba": 8000,
+            "Newton, semi-implicit": 8000,
+        },
+        16_000,
+    ),
+)
+
+
+def stiff_scene(stiffness: float) -> Scene:
+    """A sheet of 1 m and 0.3 kg, 1378 springs of one stiffness [N/m], damped by a hundredth of sqrt(k m), one edge pinned."""
+    from taichi_sim.shapes import cloth
+
+    scene = Scene(dim=3, gravity=(0, -10, 0))
+    cloth(scene, size=(1, 1), resolution=(SIDE, SIDE), mass=MASS, stiffness=stiffness, pinned=range(SIDE))
+    scene.stiffness[:] = stiffness
+    scene.damping[:] = 0.01 * np.sqrt(stiffness * MASS / SIDE**2)
+    return scene
+
+
+def converged(scene: Scene, steps: int) -> Floats:
+    """Positions (n, 3) at T, in double precision by RK4 in NumPy."""
+    i, j = scene.pairs.T
+    ends, w = np.concatenate([i, j]), np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+
+    def rate(x: Floats, v: Floats) -> Floats:
+        r, u = x[j] - x[i], v[j] - v[i]
+        d = np.sqrt(np.sum(r * r, axis=1))
+        pull = scene.stiffness * (d - scene.rest_length) + scene.damping * np.sum(u * r, axis=1) / d
+        force = (pull / d)[:, None] * r
+        both = np.concatenate([force, -force])
+        total = np.stack([np.bincount(ends, both[:, a], len(x)) for a in range(3)], axis=1)
+        result: Floats = w[:, None] * total + scene.gravity * (w > 0)[:, None]
+        return result
+
+    x, v, h = scene.position.copy(), scene.velocity.copy(), T / steps
+    for _ in range(steps):
+        a1 = rate(x, v)
+        v2 = v + h / 2 * a1
+        a2 = rate(x + h / 2 * v, v2)
+        v3 = v + h / 2 * a2
+        a3 = rate(x + h / 2 * v2, v3)
+        v4 = v + h * a3
+        a4 = rate(x + h * v3, v4)
+        x, v = x + h / 6 * (v + 2 * v2 + 2 * v3 + v4), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    return x
+
+
+@dataclass
+class StiffReport(Report):
+    """Rows with the task they belong to, the steps and the error [m]; times are seconds per simulated second."""
+
+    tasks: list[Task] = field(default_factory=list)  # of each row
+    counts: list[int] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+
+    def show(self) -> None:
+        """Print it."""
+        from rich.console import Console
+        from rich.table import Table
+
+        table = Table(title=self.title, title_justify="left")
+        for column in ("k, N/m", "asked, m", "", "steps", "error, m", "s per simulated s", "its time / our best"):
+            table.add_column(column, justify="right" if column else "left", no_wrap=True)
+        for (name, seconds, _), task, steps, error in zip(self.rows, self.tasks, self.counts, self.errors):
+            middle = statistics.median(seconds)
+            cells = (f"{steps}", f"{error:.2g}", f"{middle:.4f}", f"{middle / self.best(task):.2f}")
+            table.add_row(f"{task.stiffness:g}", f"{task.error:g}", name, *cells)
+        console = Console()
+        console.width = max(console.width, 120)  # a pipe says 80, which would cut the columns
+        console.print(table)
+        for note in self.notes:
+            print(f"  {note}")
+        print()
+
+    def best(self, task: Task) -> float:
+        """Our shortest median time for a task."""
+        ours = [
+            statistics.median(seconds)
+            for (name, seconds, _), t in zip(self.rows, self.tasks)
+            if t == task and name in OURS
+        ]
+        return min(ours)
+
+
+class _Method:
+    """One of our methods, in single precision."""
+
+    def __init__(self, scene: Scene, method: str, steps: int) -> None:
+        from taichi_sim.simulation.simulation import Simulation
+
+        self.steps, self.scene = steps, scene
+        self.simulation = Simulation(
+            scene, integrator=method, dt=T / steps, contacts="off", arch="cpu", precision="f32"
+        )
+
+    def reset(self) -> None:
+        """Back to the start."""
+        self.simulation.resume(self.scene.position, self.scene.velocity, 0.0)
+        self.simulation.step(0)
+
+    def run(self) -> None:
+        """All steps."""
+        self.simulation.step(self.steps)
+
+    def position(self) -> Floats:
+        """Where the balls are, (n, 3) m."""
+        return self.simulation.position
+
+    def close(self) -> None:
+        """Free its fields."""
+        self.simulation.close()
+
+
+def _contestant(name: str, scene: Scene, steps: int) -> Any:
+    if name in OURS:
+        return _Method(scene, OURS[name], steps)
+    if name.startswith("Newton"):
+        from taichi_sim.reports.peers.stiff_newton import StiffNewton
+
+        return StiffNewton(scene, steps, T)
+    from taichi_sim.reports.peers.stiff_numba import StiffNumba
+
+    return StiffNumba(scene, steps, T, verlet=name.startswith("Verlet"))
+
+
+def stiff_report(quick: bool) -> StiffReport:
+    """All tasks; each contestant is warm, then all take turns."""
+    report = StiffReport(
+        f"stiff: a cloth of {SIDE} x {SIDE} balls and 1378 springs hung at one edge, let go flat, after {T:g} s; ours in f32",
+        samples=1 if quick else REPEATS,
+    )
+    for task in TASKS[:1] if quick else TASKS:
+        scene = stiff_scene(task.stiffness)
+        exact = converged(scene, task.reference)
+        runners: dict[str, Any] = {}
+        for name, steps in task.steps.items():
+            try:
+                runners[name] = _contestant(name, scene, steps)
+            except PeerMissingError as reason:
+                report.notes.append(f"{name}: not measured. {reason}")
+        seconds: dict[str, list[float]] = {name: [] for name in runners}
+        for turn in range(1 + report.samples):
+            for name, runner in runners.items():
+                runner.reset()
+                start = time.perf_counter()
+                runner.run()
+                if turn:
+                    seconds[name].append((time.perf_counter() - start) / T)
+        for name, runner in runners.items():
+            report.rows.append((name, seconds[name], float(scene.n_springs)))
+            report.tasks.append(task)
+            report.counts.append(task.steps[name])
+            report.errors.append(float(np.sqrt(np.mean(np.sum((runner.position() - exact) ** 2, axis=1)))))
+            runner.close()
+    return report

@@ -1,0 +1,146 @@
+"""CameraPath: how the camera of pictures stands and moves, as [output.camera] of a scene file says it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+
+__all__ = ["CameraPath", "eased"]
+
+Vector = tuple[float, ...]
+FLAT = ("centre", "width", "follow")  # what a camera of a scene in 2D has
+KEY = ("time", "eye", "target", "fov")  # what a keyframe has
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPath:
+    """Where the camera stands, and how it moves. What is left out is chosen so that the scene fills the picture.
+
+    In 3D: eye and target [m], or azimuth and elevation [degrees] about the target and the distance from it [m]; up; fov, the
+    vertical angle of view [degrees]; orbit: turning about the target [degrees per second]. Or path: keyframes, each with time
+    [s], eye, target and, if all have it, fov; the camera passes through them without overshooting, and rests before the first
+    and after the last. In 2D: centre [m] and width [m] of what the picture shows. follow: a ball or several, whose middle the
+    camera moves along with, smoothly.
+    """
+
+    eye: Vector | None = None
+    target: Vector | None = None
+    up: Vector = (0.0, 1.0, 0.0)
+    fov: float | None = None
+    azimuth: float | None = None
+    elevation: float | None = None
+    distance: float | None = None
+    orbit: float = 0.0
+    path: tuple[dict[str, Any], ...] = ()
+    follow: NDArray[np.int32] | None = None
+    centre: Vector | None = None
+    width: float | None = None
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any], dim: int, n_balls: int) -> "CameraPath":
+        """From the keys of [output.camera]. Raises SceneError that names the key, the value and what is allowed."""
+        known = FLAT if dim == 2 else [f.name for f in fields(cls) if f.name not in FLAT[:2]]
+        if not isinstance(given, Mapping):
+            raise SceneError(f"camera: {given!r} is not allowed; it must be a table of {', '.join(known)}")
+        for key in given:
+            if key not in known:
+                near = get_close_matches(str(key), known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"in {dim}D there are {', '.join(known)}"
+                raise SceneError(f"camera.{key}: is not a known key; {hint}")
+        values = {key: _value(key, value, dim, n_balls) for key, value in given.items()}
+        for key, others in (
+            ("path", ("eye", "target", "azimuth", "elevation", "distance", "orbit", "follow", "fov")),
+            ("eye", ("azimuth", "elevation", "distance")),
+        ):
+            for other in others:
+                if key in values and other in values:
+                    raise SceneError(f"camera.{other}: does not go together with {key}; leave one of them out")
+        if "eye" in values and values["eye"] == values.get("target"):
+            raise SceneError(f"camera.target: {list(values['target'])} is not allowed; it must differ from eye")
+        return cls(**values)
+
+    def place(self, time: float) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
+        """eye, target and fov at a time [s] along `path`."""
+        times = np.array([key["time"] for key in self.path])
+        columns = [[*key["eye"], *key["target"], *([key["fov"]] if "fov" in key else [])] for key in self.path]
+        now = eased(times, np.array(columns, dtype=float), time)
+        return now[:3], now[3:6], float(now[6]) if len(now) == 7 else None
+
+
+def eased(times: NDArray, values: NDArray, time: float) -> NDArray[np.float64]:
+    """Values (k, width) at rising times (k,), between them: a cubic with continuous slope that is 0 at both ends and overshoots
+    no value (slopes are harmonic means, or 0 at an extremum; F. Fritsch, J. Butland, 1984)."""
+    if time <= times[0] or time >= times[-1]:
+        return np.array(values[0 if time <= times[0] else -1], dtype=float)
+    span = np.diff(times)
+    rise = np.diff(values, axis=0) / span[:, None]
+    slope = np.zeros_like(values, dtype=float)
+    before, after = rise[:-1], rise[1:]
+    a, b = span[:-1, None] + 2 * span[1:, None], 2 * span[:-1, None] + span[1:, None]
+    same = before * after > 0
+    slope[1:-1][same] = ((a + b) * before * after)[same] / (a * after + b * before)[same]
+    k = int(np.searchsorted(times, time, side="right")) - 1
+    t, h = (time - times[k]) / span[k], span[k]
+    start, end = values[k] * (1 + 2 * t) * (1 - t) ** 2, values[k + 1] * t**2 * (3 - 2 * t)
+    return start + end + slope[k] * (h * t * (1 - t) ** 2) - slope[k + 1] * (h * t**2 * (1 - t))
+
+
+def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
+    where = f"camera.{key}"
+    if key in ("eye", "target", "up", "centre"):
+        vector = tuple(validation.vector(where, value, dim).tolist())
+        if key == "up" and not any(vector):
+            raise SceneError(f"{where}: {list(vector)} is not allowed; it must have a direction")
+        return vector
+    if key == "fov":
+        return validation.number(where, value, low=1, high=170)
+    if key == "elevation":
+        return validation.number(where, value, low=-90, high=90)
+    if key in ("distance", "width"):
+        return validation.number(where, value, positive=True)
+    if key in ("azimuth", "orbit"):
+        return validation.number(where, value)
+    if key == "follow":
+        balls = validation.indices(where, np.atleast_1d(np.asarray(value)), n_balls)
+        if not len(balls):
+            raise SceneError(f"{where}: {value!r} is not allowed; it must name at least one ball")
+        return balls
+    return _keyframes(where, value)
+
+
+def _keyframes(where: str, value: Any) -> tuple[dict[str, Any], ...]:
+    if not isinstance(value, (list, tuple)) or len(value) < 2:
+        raise SceneError(f"{where}: {value!r} is not allowed; it must be two keyframes or more")
+    frames: list[dict[str, Any]] = []
+    for k, key in enumerate(value):
+        place = f"{where}[{k}]"
+        if not isinstance(key, Mapping):
+            raise SceneError(
+                f"{place}: {key!r} is not allowed; a keyframe has time, eye, target and, if all have it, fov"
+            )
+        for name in key:
+            if name not in KEY:
+                raise SceneError(f"{place}.{name}: is not a known key; a keyframe has {', '.join(KEY)}")
+        for name in KEY[:3]:
+            if name not in key:
+                raise SceneError(f"{place}.{name}: is missing; each keyframe needs it")
+        frame: dict[str, Any] = {"time": validation.number(f"{place}.time", key["time"])}
+        frame |= {
+            name: tuple(validation.vector(f"{place}.{name}", key[name], 3).tolist()) for name in ("eye", "target")
+        }
+        if frame["eye"] == frame["target"]:
+            raise SceneError(f"{place}.target: {list(frame['target'])} is not allowed; it must differ from eye")
+        if "fov" in key:
+            frame["fov"] = validation.number(f"{place}.fov", key["fov"], low=1, high=170)
+        if frames and frame["time"] <= frames[-1]["time"]:
+            raise SceneError(f"{place}.time: {frame['time']:g} is not allowed; it must be later than the one before")
+        if frames and ("fov" in frame) != ("fov" in frames[0]):
+            raise SceneError(f"{place}.fov: give one to all keyframes or to none")
+        frames.append(frame)
+    return tuple(frames)

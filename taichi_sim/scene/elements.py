@@ -1,0 +1,359 @@
+"""What a scene can have besides balls, springs and walls: cells that keep their volume, bending, gas, wind, moving pins."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import Table
+from taichi_sim.scene.keyframes import Motion, keyframe
+from taichi_sim.scene.probes import Probed
+
+__all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
+
+AIR = 1.2  # kg/m^3
+PLATE = 1.28  # drag of a flat plate across the flow
+SKIN_FRICTION = 0.05  # the same along it
+FLAT = 1e-9  # of the cube of its longest edge: a cell of less volume is flat
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """Air that moves, or stands still and drags, see `Elements.add_wind`."""
+
+    velocity: tuple[float, ...]  # m/s
+    density: float  # kg/m^3
+    drag: float
+    skin_friction: float
+    gust: float  # part of the speed
+    gust_length: float  # m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gas:
+    """Gas in a closed surface: (pressure + outside) V = const against `outside`."""
+
+    triangles: NDArray[np.int32]  # (t, 3) balls, counter-clockwise from outside
+    pressure: float  # Pa, over that outside, at the volume of the start
+    outside: float  # Pa
+    volume: float  # m^3, at the start
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingPins:
+    """Pinned balls that are led along a path as one rigid body."""
+
+    balls: NDArray[np.int32]  # (k,)
+    motion: Motion  # of their centre
+    given: Mapping[str, Any]  # the arguments, for saving
+
+
+class Elements(Probed):
+    """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
+
+    def _begin_elements(self, dim: int) -> None:
+        whole = np.int32
+        self._cells = Table(
+            corners=np.zeros((0, dim + 1), dtype=whole),
+            bulk_modulus=np.zeros(0),
+            rest_volume=np.zeros(0),
+            together=np.zeros(0, dtype=whole),
+        )
+        self._bends = Table(
+            corners=np.zeros((0, 4), dtype=whole), weights=np.zeros((0, 4)), stiffness=np.zeros(0), damping=np.zeros(0)
+        )
+        self.wind: Wind | None = None
+        self.gases: list[Gas] = []
+        self.moving_pins: list[MovingPins] = []
+        self._begin_probes()
+
+    cells = property(lambda self: self._cells["corners"], doc="(c, dim + 1) balls of each cell")
+    bulk_modulus = property(lambda self: self._cells["bulk_modulus"], doc="(c,) Pa, in 2D N/m")
+    rest_volume = property(lambda self: self._cells["rest_volume"], doc="(c,) m^3, in 2D m^2; positive")
+    cells_together = property(lambda self: self._cells["together"], doc="(c,) a number that cells in one have, or -1")
+    bends = property(lambda self: self._bends["corners"], doc="(b, 4) balls of each bending element")
+    bend_weights = property(lambda self: self._bends["weights"], doc="(b, 4) sum 0 for each")
+    bend_stiffness = property(lambda self: self._bends["stiffness"], doc="(b,) N/m")
+    bend_damping = property(lambda self: self._bends["damping"], doc="(b,) N s/m")
+
+    def has_elements(self) -> bool:
+        """Whether forces besides gravity, springs and contacts act."""
+        return bool(self._cells.rows or self._bends.rows or self.wind is not None or self.gases)
+
+    def joined(self: Any) -> NDArray[np.bool_]:
+        """Which balls (n,) belong to a spring, a cell, a bending element or the skin of a gas."""
+        joined = np.zeros(self.n_balls, dtype=bool)
+        for balls in (self.pairs, self.cells, self.bends, *(gas.triangles for gas in self.gases)):
+            joined[balls] = True
+        return joined
+
+    def add_cells(
+        self: Any,
+        corners: ArrayLike,
+        *,
+        bulk_modulus: ArrayLike,
+        rest_volume: ArrayLike | None = None,
+        together: ArrayLike | None = None,
+    ) -> NDArray[np.int32]:
+        """Add c cells that resist a change of volume and return their indices, shape (c,).
+
+        A cell, a tetrahedron in 3D and a triangle in 2D, stores bulk_modulus V0 (V / V0 - 1)^2 / 2, V with its sign: one that
+        is turned inside out is driven back through flatness.
+
+        Args:
+            corners: (c, dim + 1) balls, or one cell, in any order.
+            bulk_modulus: Pa (in 2D N/m), >= 0; one or one per cell.
+            rest_volume: V0 [m^3, in 2D m^2], positive; None: the present volume, whose orientation then counts as positive.
+            together: (c,) whole numbers: cells with the same one, from 0 on, resist a change of their volumes' sum alone, as one
+                of their mean modulus; -1 or None: each its own.
+        """
+        ij = validation.indices("cells.corners", validation.many(corners, 1), self.n_balls, width=self.dim + 1)
+        c = len(ij)
+        ordered = np.sort(ij, axis=1)
+        twice = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
+        if twice.any():
+            k = int(np.argmax(twice))
+            raise SceneError(f"cells.corners[{k}]: {ij[k].tolist()} names a ball twice; give {self.dim + 1} different")
+        modulus = validation.per_item("cells.bulk_modulus", bulk_modulus, c, low=0)
+        present = cell_volumes(self.position, ij)
+        if rest_volume is None:
+            edge = np.abs(self.position[ij] - self.position[ij[:, :1]]).max(axis=(1, 2), initial=0.0)
+            flat = np.abs(present) <= FLAT * edge**self.dim
+            if flat.any():
+                k = int(np.argmax(flat))
+                raise SceneError(
+                    f"cells.corners[{k}]: {ij[k].tolist()} is flat now; give a rest_volume, or corners that span a volume"
+                )
+            ij[present < 0] = ij[present < 0][:, [1, 0, *range(2, self.dim + 1)]]
+            rest = np.abs(present)
+        else:
+            rest = validation.per_item("cells.rest_volume", rest_volume, c, positive=True)
+        shared = validation.per_item("cells.together", -1 if together is None else together, c, low=-1)
+        if np.any(shared != np.round(shared)):
+            raise SceneError(f"cells.together[{int(np.argmax(shared != np.round(shared)))}]: must be a whole number")
+        before = int(self.cells_together.max(initial=-1)) + 1
+        shared = np.where(shared < 0, -1, shared + before).astype(np.int32)
+        first = self._cells.rows
+        self._cells.append(c, corners=ij, bulk_modulus=modulus, rest_volume=rest, together=shared)
+        return np.arange(first, first + c, dtype=np.int32)
+
+    def add_bending(
+        self: Any, corners: ArrayLike, *, weights: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+    ) -> None:
+        """Add b bending elements: forces -w_i sum_j w_j (stiffness x_j + damping v_j) on four balls each.
+
+        The energy is stiffness |sum w_j x_j|^2 / 2, 0 where the element is flat; quadratic, so its force is linear (Bergou et
+        al. 2006, "A quadratic bending model for inextensible surfaces").
+
+        Args:
+            corners: (b, 4) balls; weights: (b, 4), the sum of each row 0.
+            stiffness: N/m, >= 0; damping: N s/m, >= 0; one or one per element.
+        """
+        ij = validation.indices("bending.corners", validation.many(corners, 1), self.n_balls, width=4)
+        w = validation.vectors("bending.weights", validation.many(weights, 1), None, 4)
+        if w.shape != ij.shape:
+            raise SceneError(f"bending.weights: shape {w.shape} does not fit; it must be {ij.shape}, as corners")
+        off = np.abs(w.sum(axis=1)) > 1e-9 * np.abs(w).max(axis=1, initial=1e-300)
+        if off.any():
+            k = int(np.argmax(off))
+            raise SceneError(f"bending.weights[{k}]: {w[k].tolist()} is not allowed; the sum of the four must be 0")
+        strength = validation.per_item("bending.stiffness", stiffness, len(ij), low=0)
+        loss = validation.per_item("bending.damping", damping, len(ij), low=0)
+        self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss)
+
+    def add_wind(
+        self: Any,
+        velocity: ArrayLike,
+        *,
+        density: float = AIR,
+        drag: float = PLATE,
+        skin_friction: float = SKIN_FRICTION,
+        gust: float = 0.0,
+        gust_length: float = 1.0,
+    ) -> None:
+        """Let air act on all triangles of a 3D scene: density / 2 times area times the square of the relative speed.
+
+        Args:
+            velocity: of the air [m/s]; zeros for still air that only drags.
+            density: kg/m^3; drag: coefficient for flow across a triangle; skin_friction: along it.
+            gust: 0 to 1, part of the speed by which it varies in waves that travel with the wind.
+            gust_length: of the longest of them [m].
+        """
+        if self.dim != 3:
+            raise SceneError("wind: acts on triangles, which a scene with dim = 3 has; this one has dim = 2")
+        if self.wind is not None:
+            raise SceneError("wind: there is one already; a scene has one at most")
+        self.wind = Wind(
+            tuple(validation.vector("wind.velocity", velocity, 3).tolist()),
+            validation.number("wind.density", density, low=0),
+            validation.number("wind.drag", drag, low=0),
+            validation.number("wind.skin_friction", skin_friction, low=0),
+            validation.number("wind.gust", gust, low=0, high=1),
+            validation.number("wind.gust_length", gust_length, positive=True),
+        )
+
+    def add_gas(self: Any, triangles: ArrayLike, *, pressure: float, outside: float = 0.0) -> None:
+        """Fill a closed surface with gas: (pressure + outside) times the volume stays what it is now.
+
+        Args:
+            triangles: (t, 3) balls, counter-clockwise seen from outside, that enclose a volume without a hole.
+            pressure: over that outside, now [Pa]; outside: Pa. With 0 outside the gas is as soft as it can be; air at
+                101325 Pa hardly lets the volume change, and wants short steps.
+        """
+        if self.dim != 3:
+            raise SceneError("gas: fills closed surfaces of triangles, in a scene with dim = 3; this one has dim = 2")
+        t = validation.indices("gas.triangles", triangles, self.n_balls, width=3)
+        sides = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]).astype(np.int64)
+        forth, back = sides[:, 0] * self.n_balls + sides[:, 1], sides[:, 1] * self.n_balls + sides[:, 0]
+        open_ = ~np.isin(forth, back)
+        if not len(t) or open_.any():
+            where = f": the edge from ball {sides[open_][0, 0]} to {sides[open_][0, 1]} has one" if len(t) else ""
+            raise SceneError(
+                f"gas.triangles: must close a volume, with two triangles, turned alike, at every edge{where}"
+            )
+        a, b, c = (self.position[t[:, k]] - self.position[t[0, 0]] for k in range(3))
+        volume = float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
+        if volume <= 0.0:
+            raise SceneError(f"gas.triangles: enclose {volume:.4g} m^3; give them counter-clockwise seen from outside")
+        p = validation.number("gas.pressure", pressure, low=0)
+        self.gases.append(Gas(t, p, validation.number("gas.outside", outside, low=0), volume))
+
+    def add_moving_pins(
+        self: Any,
+        balls: ArrayLike,
+        *,
+        velocity: ArrayLike | None = None,
+        angular_velocity: Any = None,
+        pivot: ArrayLike | None = None,
+        path: Sequence[Any] | None = None,
+        repeat: bool = False,
+    ) -> None:
+        """Pin balls (k,) and lead them as one rigid body; they push what they meet and take nothing.
+
+        Args:
+            velocity: m/s, for ever; angular_velocity: 1/s, a number in 2D, a vector in 3D, about `pivot` [m], by default the
+                mean of the balls.
+            path: in place of these, keyframes (time, position[, rotation]), or tables with these keys: by how far they have
+                moved from where they start [m], and how far turned about their mean (degrees, see colliders), with
+                straight lines between. The first is where they start: 0. They stay where the last one leaves them,
+                unless the path repeats.
+        """
+        where = f"moving_pins[{len(self.moving_pins)}]"
+        index = validation.indices(f"{where}.balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
+        if not len(index):
+            raise SceneError(f"{where}.balls: is empty; name at least one ball")
+        taken = np.concatenate([np.zeros(0, dtype=np.int32), *(pins.balls for pins in self.moving_pins)])
+        both = index[np.isin(index, taken)]
+        if len(both) or len(np.unique(index)) < len(index):
+            k = int(both[0]) if len(both) else int(np.sort(index)[:-1][np.diff(np.sort(index)) == 0][0])
+            raise SceneError(f"{where}.balls: ball {k} is named twice; a ball can be led along one path only")
+        given = {
+            "velocity": None
+            if velocity is None
+            else validation.vector(f"{where}.velocity", velocity, self.dim).tolist(),
+            "angular_velocity": np.asarray(angular_velocity).tolist() if angular_velocity is not None else None,
+            "pivot": None if pivot is None else validation.vector(f"{where}.pivot", pivot, self.dim).tolist(),
+            "path": path,
+            "repeat": repeat,
+        }
+        centre = self.position[index].mean(axis=0)
+        if isinstance(path, (list, tuple)):
+            given["path"] = self._displacements(where, path)
+            path = [{**key, "position": centre + key["position"]} for key in self._displacements(where, path)]
+        motion = Motion.of(where, self.dim, centre, {**given, "rotation": None, "path": path})
+        if not motion.moves:
+            raise SceneError(f"{where}: does not move; give a velocity, an angular_velocity or a path, or use `pinned`")
+        self.pinned[index] = True
+        self.velocity[index] = 0.0
+        self.moving_pins.append(MovingPins(index, motion, {k: v for k, v in given.items() if v is not None}))
+
+    def _displacements(self: Any, where: str, path: Sequence[Any]) -> list[dict[str, Any]]:
+        """The keyframes of a path as tables of plain values."""
+        result = []
+        turns = any(keyframe(f"{where}.path[{k}]", one).get("rotation") is not None for k, one in enumerate(path))
+        for k, one in enumerate(path):
+            key = dict(keyframe(f"{where}.path[{k}]", one))
+            by = validation.vector(f"{where}.path[{k}].position", key.get("position", np.zeros(self.dim)), self.dim)
+            time = validation.number(f"{where}.path[{k}].time", key["time"])
+            if k == 0 and (
+                np.any(by != 0) or (key.get("rotation") is not None and np.any(np.asarray(key["rotation"]) != 0))
+            ):
+                raise SceneError(
+                    f"{where}.path[0]: begins at {by.tolist()} from where the balls are, and they would jump; it must begin at 0"
+                )
+            turn = key.get("rotation")
+            if turn is None and turns and k == 0:  # so that the next one is seen to turn from there
+                turn = 0.0 if self.dim == 2 else [0.0, 0.0, 0.0]
+            turned = {} if turn is None else {"rotation": np.asarray(turn).tolist()}
+            result.append({"time": time, "position": by.tolist(), **turned})
+        return result
+
+    def attach(
+        self: Any,
+        one: ArrayLike,
+        other: ArrayLike,
+        *,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        rest_length: ArrayLike | None = None,
+        break_strain: ArrayLike | None = None,
+    ) -> NDArray[np.int32]:
+        """Join balls of two objects, the k-th of `one` to the k-th of `other`, and return the springs, shape (k,).
+
+        Args: one, other: (k,) balls; the rest as for `add_springs`. Balls that a spring joins do not collide.
+        """
+        a = validation.indices("attachments.one", np.atleast_1d(np.asarray(one)), self.n_balls)
+        b = validation.indices("attachments.other", np.atleast_1d(np.asarray(other)), self.n_balls)
+        if len(a) != len(b):
+            raise SceneError(
+                f"attachments.other: names {len(b)} balls and attachments.one {len(a)}; each needs its partner"
+            )
+        return self.add_springs(
+            np.stack([a, b], axis=1),
+            stiffness=stiffness,
+            damping=damping,
+            rest_length=rest_length,
+            break_strain=break_strain,
+        )
+
+    def elements(self) -> dict[str, Any]:
+        """Wind, gases, moving pins and probes as plain values, arrays apart, for files and digests."""
+        return {
+            "wind": None if self.wind is None else asdict(self.wind),
+            "gases": [{"pressure": g.pressure, "outside": g.outside, "volume": g.volume} for g in self.gases],
+            "moving_pins": [dict(pins.given) for pins in self.moving_pins],
+            "probes": [{"name": one.name, "kind": one.kind, **one.plain()} for one in self.probes],
+        }
+
+    def element_arrays(self) -> dict[str, NDArray]:
+        """The arrays that go with `elements`."""
+        arrays = {f"gases.{k}.triangles": gas.triangles for k, gas in enumerate(self.gases)}
+        arrays |= {f"moving_pins.{k}.balls": pins.balls for k, pins in enumerate(self.moving_pins)}
+        return arrays | {
+            f"probes.{one.name}.{key}": array for one in self.probes for key, array in one.arrays().items()
+        }
+
+    def set_elements(self, about: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> None:
+        """Add what `elements` and `element_arrays` gave."""
+        if about["wind"] is not None:
+            self.wind = Wind(**{**about["wind"], "velocity": tuple(about["wind"]["velocity"])})
+        for k, gas in enumerate(about["gases"]):
+            self.gases.append(Gas(arrays[f"gases.{k}.triangles"].astype(np.int32), **gas))
+        for k, given in enumerate(about["moving_pins"]):
+            self.add_moving_pins(arrays[f"moving_pins.{k}.balls"], **given)
+        for given in about.get("probes", []):  # older versions had none
+            start = f"probes.{given['name']}."
+            own: dict[str, Any] = {k.removeprefix(start): array for k, array in arrays.items() if k.startswith(start)}
+            self.add_probe(**given, **own)
+
+
+def cell_volumes(x: NDArray, corners: NDArray) -> NDArray[np.float64]:
+    """Signed volumes (c,) [m^3, in 2D m^2] of tetrahedra (triangles) with `corners` (c, dim + 1) at x (n, dim) [m]."""
+    sides = x[corners[:, 1:]] - x[corners[:, :1]]
+    if x.shape[1] == 2:
+        return 0.5 * (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    return np.einsum("ci,ci->c", sides[:, 0], np.cross(sides[:, 1], sides[:, 2])) / 6.0

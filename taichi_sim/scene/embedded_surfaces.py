@@ -1,0 +1,85 @@
+"""Skins: surfaces to look at whose vertices follow balls, finer than the springs and tetrahedra that are simulated."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+
+__all__ = ["Skin", "build_skin", "skins_from", "skins_to"]
+
+SUM = 1e-6  # how far the weights of a vertex may sum up to something else than 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """A surface of s vertices, each at the weighted mean of k balls. Two are equal if they are the same object."""
+
+    corners: NDArray[np.int32]  # (s, k) balls
+    weights: NDArray[np.float64]  # (s, k), 1 in sum for each vertex
+    triangles: NDArray[np.int32]  # (t, 3) vertices of this skin, counter-clockwise from outside
+    covers: NDArray[np.int32]  # (b,) balls that it is drawn in place of, besides those that its vertices follow
+    colour: tuple[float, ...] | None = None  # sRGB, 0 to 1; None: that of the balls
+
+    def covered(self, n: int) -> NDArray[np.bool_]:
+        """Which of n balls it is drawn in place of, (n,)."""
+        covered = np.zeros(n, dtype=bool)
+        covered[self.corners[self.weights != 0]] = True
+        covered[self.covers] = True
+        return covered
+
+
+def build_skin(
+    where: str,
+    n_balls: int,
+    corners: ArrayLike,
+    weights: ArrayLike,
+    triangles: ArrayLike,
+    covers: ArrayLike | None,
+    colour: tuple[float, ...] | None,
+) -> Skin:
+    """A checked skin on n_balls balls. Raises SceneError that names the argument of `where`."""
+    try:
+        shape = np.shape(corners)
+    except ValueError:  # rows of different lengths
+        shape = ()
+    if len(shape) != 2 or 0 in shape:
+        raise SceneError(
+            f"{where}.corners: shape {shape} does not fit; it must be (s, k), k balls for each of s vertices"
+        )
+    balls = validation.indices(f"{where}.corners", corners, n_balls, width=shape[1])
+    shares = validation.vectors(f"{where}.weights", weights, None, shape[1])
+    if len(shares) != len(balls):
+        raise SceneError(
+            f"{where}.weights: {len(shares)} rows do not fit; there must be {len(balls)}, as many as corners"
+        )
+    wrong = np.abs(shares.sum(axis=1) - 1.0) > SUM
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise SceneError(f"{where}.weights[{row}]: {shares[row].tolist()} is not allowed; it must sum up to 1")
+    faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the skin")
+    hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
+    return Skin(balls, shares, faces, hidden, colour)
+
+
+def skins_to(skins: Sequence[Skin]) -> dict[str, NDArray]:
+    """All columns of skins under "skins.0.corners" and the like."""
+    columns = {}
+    for k, skin in enumerate(skins):
+        for name in ("corners", "weights", "triangles", "covers"):
+            columns[f"skins.{k}.{name}"] = getattr(skin, name)
+        columns[f"skins.{k}.colour"] = np.array(() if skin.colour is None else skin.colour, dtype=np.float64)
+    return columns
+
+
+def skins_from(arrays: Mapping[str, NDArray]) -> list[Skin]:
+    """The skins that `skins_to` wrote, without checks."""
+    skins: list[Skin] = []
+    while f"skins.{len(skins)}.corners" in arrays:
+        own = {name: arrays[f"skins.{len(skins)}.{name}"] for name in ("corners", "weights", "triangles", "covers")}
+        colour = arrays[f"skins.{len(skins)}.colour"].tolist()
+        skins.append(Skin(**own, colour=tuple(colour) if colour else None))
+    return skins

@@ -1,0 +1,392 @@
+"""Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.colliders import Collider, build
+from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
+from taichi_sim.scene.columns import Table
+from taichi_sim.scene.elements import Elements
+from taichi_sim.scene.embedded_surfaces import Skin, build_skin, skins_from, skins_to
+from taichi_sim.scene.materials import Material, Wall, bounciest, used_materials
+from taichi_sim.scene.toml_writer import save_scene
+
+__all__ = ["Material", "Scene", "Wall", "bounciest", "used_materials"]
+
+
+NEWER = {
+    "break_strain": np.inf,
+    "collides": False,
+    "together": np.int32(-1),
+}  # columns that files of older versions may lack
+
+
+class Scene(Elements):
+    """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
+
+    Args:
+        dim: 2 or 3.
+        gravity: acceleration (dim,) [m/s^2]; none by default. In 3D the y axis points up.
+
+    Raises SceneError for anything that is not allowed, naming the field and the index; the scene is then unchanged.
+    """
+
+    def __init__(self, dim: int = 2, gravity: ArrayLike | None = None) -> None:
+        if isinstance(dim, bool) or dim not in (2, 3):
+            raise SceneError(f"dim: {dim!r} is not allowed; it must be 2 or 3")
+        self.dim = int(dim)
+        dim = self.dim
+        self.gravity = np.zeros(dim) if gravity is None else validation.vector("gravity", gravity, self.dim)
+        self.materials: list[Material] = [Material("default")]
+        self.walls: list[Wall] = []
+        self.colliders: list[Collider] = []
+        self.skins: list[Skin] = []
+        self.groups = Groups()
+        self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
+        self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
+        self._balls = Table(
+            position=np.zeros((0, dim)),
+            velocity=np.zeros((0, dim)),
+            mass=np.zeros(0),
+            radius=np.zeros(0),
+            pinned=np.zeros(0, dtype=bool),
+            material=np.zeros(0, dtype=np.int32),
+            body=np.zeros(0, dtype=np.int32),
+            group=np.zeros(0, dtype=np.int32),
+            mask=np.zeros(0, dtype=np.int32),
+            colour=np.zeros((0, 3)),
+        )
+        self._springs = Table(
+            pairs=np.zeros((0, 2), dtype=np.int32),
+            stiffness=np.zeros(0),
+            damping=np.zeros(0),
+            rest_length=np.zeros(0),
+            collides=np.zeros(0, dtype=bool),
+            break_strain=np.zeros(0),
+        )
+        self._triangles = Table(triangles=np.zeros((0, 3), dtype=np.int32), collides=np.zeros(0, dtype=bool))
+        self._bodies = 0
+        self._begin_elements(dim)
+
+    # What there is -------------------------------------------------------------------------------------------------
+
+    @property
+    def n_balls(self) -> int:
+        """Number of balls."""
+        return self._balls.rows
+
+    @property
+    def n_springs(self) -> int:
+        """Number of springs, sticks included."""
+        return self._springs.rows
+
+    position = property(lambda self: self._balls["position"], doc="(n, dim) m")
+    velocity = property(lambda self: self._balls["velocity"], doc="(n, dim) m/s; 0 for pinned balls")
+    mass = property(lambda self: self._balls["mass"], doc="(n,) kg")
+    radius = property(lambda self: self._balls["radius"], doc="(n,) m")
+    pinned = property(lambda self: self._balls["pinned"], doc="(n,) bool")
+    material = property(lambda self: self._balls["material"], doc="(n,) index into materials")
+    body = property(lambda self: self._balls["body"], doc="(n,) balls of one body > 0 do not collide; 0: no body")
+    group = property(lambda self: self._balls["group"], doc="(n,) bits of the groups each is in, see groups.names")
+    mask = property(lambda self: self._balls["mask"], doc="(n,) bits of the groups each collides with; -1: all")
+    colour = property(lambda self: self._balls["colour"], doc="(n, 3) sRGB in 0..1; nan: the renderer chooses")
+    pairs = property(lambda self: self._springs["pairs"], doc="(m, 2) the balls of each spring")
+    stiffness = property(lambda self: self._springs["stiffness"], doc="(m,) N/m")
+    damping = property(lambda self: self._springs["damping"], doc="(m,) N s/m")
+    rest_length = property(lambda self: self._springs["rest_length"], doc="(m,) m")
+    collides = property(lambda self: self._springs["collides"], doc="(m,) bool; True: a stick that balls bounce off")
+    break_strain = property(lambda self: self._springs["break_strain"], doc="(m,) strain at which it tears; inf: never")
+    triangles = property(lambda self: self._triangles["triangles"], doc="(t, 3) balls, counter-clockwise from outside")
+    solid = property(
+        lambda self: self._triangles["collides"], doc="(t,) bool; True: triangles that nothing goes through"
+    )
+
+    # What can be added ---------------------------------------------------------------------------------------------
+
+    def add_material(
+        self,
+        name: str,
+        restitution: float = 0.0,
+        friction: float = 0.0,
+        viscous_friction: float = 0.0,
+        colour: Sequence[float] | None = None,
+    ) -> str:
+        """Add a material and return its name. restitution 0..1, friction >= 0 (Coulomb), viscous_friction >= 0 [1/s]."""
+        if not isinstance(name, str) or not name:
+            raise SceneError(f"material: {name!r} is not allowed as a name; it must be a text")
+        if any(m.name == name for m in self.materials[1:]):
+            raise SceneError(f"material: {name!r} exists already")
+        where = f"material {name!r}: "
+        new = Material(
+            name,
+            validation.number(where + "restitution", restitution, low=0, high=1),
+            validation.number(where + "friction", friction, low=0),
+            validation.number(where + "viscous_friction", viscous_friction, low=0),
+            None if colour is None else _colour(where + "colour", colour),
+        )
+        if name == "default":
+            self.materials[0] = new
+        else:
+            self.materials.append(new)
+        return name
+
+    def add_balls(
+        self,
+        position: ArrayLike,
+        *,
+        radius: ArrayLike,
+        velocity: ArrayLike = 0.0,
+        mass: ArrayLike = 1.0,
+        material: str = "default",
+        pinned: bool | Sequence[int] | Sequence[bool] | NDArray = False,
+        colour: Sequence[float] | None = None,
+        body: int = 0,
+        group: str | Sequence[str] = "default",
+        collides_with: str | Sequence[str] | None = None,
+    ) -> NDArray[np.int32]:
+        """Add n balls and return their indices, shape (n,).
+
+        Args:
+            position: (n, dim) m, or one vector (dim,) for one ball.
+            radius: m, one or one per ball; mass: kg, one or one per ball; both positive.
+            velocity: m/s, one vector or one per ball.
+            material: name of a material added before.
+            pinned: a bool, a bool per ball, or integer positions within this call. A pinned ball never moves.
+            colour: sRGB in 0..1 for all of them.
+            body: balls of the same body > 0 (see new_body) do not collide with each other.
+            group: name or names of the collision groups that they are in, 32 different ones in a scene at most.
+            collides_with: names of the groups that they collide with; None: all, []: none. Two things collide where each is
+                in a group that the other collides with. A stick is in the groups of its first ball.
+        """
+        x = validation.vectors("balls.position", validation.many(position, 1), None, self.dim)
+        n = len(x)
+        if isinstance(body, bool) or not isinstance(body, (int, np.integer)) or not 0 <= body < 2**31:
+            raise SceneError(f"balls.body: {body!r} is not allowed; it must be a whole number, 0 or more")
+        held = self._pins(pinned, n)
+        rest = isinstance(velocity, (int, float)) and velocity == 0
+        v = np.zeros_like(x) if rest else validation.vectors("balls.velocity", velocity, n, self.dim)
+        v[held] = 0.0
+        member, mask = self._groups("balls", group, collides_with)
+        columns = {
+            "position": x,
+            "velocity": v,
+            "mass": validation.per_item("balls.mass", mass, n, positive=True),
+            "radius": validation.per_item("balls.radius", radius, n, positive=True),
+            "pinned": held,
+            "material": np.full(n, self._material("balls.material", material), dtype=np.int32),
+            "body": np.full(n, body, dtype=np.int32),
+            "group": np.full(n, member, dtype=np.int32),
+            "mask": np.full(n, mask, dtype=np.int32),
+            "colour": np.tile(np.full(3, np.nan) if colour is None else _colour("balls.colour", colour), (n, 1)),
+        }
+        first = self.n_balls
+        self._balls.append(n, **columns)
+        return np.arange(first, first + n, dtype=np.int32)
+
+    def add_springs(
+        self,
+        pairs: ArrayLike,
+        *,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        rest_length: ArrayLike | None = None,
+        collides: bool | Sequence[bool] | NDArray = False,
+        break_strain: ArrayLike | None = None,
+    ) -> NDArray[np.int32]:
+        """Add m springs and return their indices, shape (m,).
+
+        Args:
+            pairs: (m, 2) ball indices, or one pair.
+            stiffness: N/m, >= 0; damping: N s/m along the spring, >= 0; one or one per spring.
+            rest_length: m, >= 0; None: the present distance.
+            collides: True makes it a stick that balls bounce off; one or one per spring.
+            break_strain: (length - rest_length) / rest_length at which it tears for good, > 0; None or inf: never.
+        """
+        ij = validation.indices("springs.pairs", validation.many(pairs, 1), self.n_balls, width=2)
+        m = len(ij)
+        itself = ij[:, 0] == ij[:, 1]
+        if itself.any():
+            k = int(np.argmax(itself))
+            raise SceneError(f"springs.pairs[{k}]: {ij[k].tolist()} joins a ball to itself; give two different balls")
+        if rest_length is None:
+            x = self.position
+            rest = np.linalg.norm(x[ij[:, 1]] - x[ij[:, 0]], axis=1)
+        else:
+            rest = validation.per_item("springs.rest_length", rest_length, m, low=0)
+        columns = {
+            "pairs": ij,
+            "stiffness": validation.per_item("springs.stiffness", stiffness, m, low=0),
+            "damping": validation.per_item("springs.damping", damping, m, low=0),
+            "rest_length": rest,
+            "collides": validation.flags("springs.collides", collides, m),
+            "break_strain": validation.strains("springs.break_strain", break_strain, m),
+        }
+        both = columns["collides"] & np.isfinite(columns["break_strain"])
+        if both.any():
+            raise SceneError(f"springs.break_strain[{int(np.argmax(both))}]: a stick, which collides, cannot tear")
+        validation.strained(columns["break_strain"], columns["rest_length"])
+        first = self.n_springs
+        self._springs.append(m, **columns)
+        return np.arange(first, first + m, dtype=np.int32)
+
+    def add_wall(
+        self,
+        normal: ArrayLike,
+        offset: float = 0.0,
+        material: str = "default",
+        group: str | Sequence[str] = "default",
+        collides_with: str | Sequence[str] | None = None,
+    ) -> None:
+        """Add a wall, solid where normal . x < offset [m along the normal]. The normal is normalised.
+
+        group, collides_with: as for balls.
+        """
+        n = validation.vector("wall.normal", normal, self.dim)
+        largest = float(np.max(np.abs(n)))
+        if largest == 0.0:
+            raise SceneError(f"wall.normal: {n.tolist()} is not allowed; it must have a direction")
+        n = n / largest  # so that squares of huge or tiny numbers stay finite
+        length = float(np.linalg.norm(n))
+        self.walls.append(
+            Wall(
+                tuple((n / length).tolist()),
+                validation.number("wall.offset", offset),
+                self._material("wall.material", material),
+                *self._groups("wall", group, collides_with),
+            )
+        )
+
+    def add_collider(self, shape: Any) -> int:
+        """Add a solid body of infinite mass, a Sphere, Box, Capsule or Mesh, and return its number.
+
+        It stands where it is or moves along its path and pushes balls; pinned balls ignore it.
+        """
+        where = f"colliders[{len(self.colliders)}]"
+        material = self._material(f"{where}.material", getattr(shape, "material", "default"))
+        collider = build(shape, self.dim, where, material)
+        group, mask = self._groups(where, shape.group, shape.collides_with)
+        self.colliders.append(replace(collider, group=group, mask=mask))
+        return len(self.colliders) - 1
+
+    def add_triangles(self, triangles: ArrayLike, collides: bool | Sequence[bool] | NDArray = False) -> None:
+        """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface.
+
+        collides: True, in 3D, makes a surface, as thick as its balls, that no ball and no other such triangle goes through.
+        """
+        t = validation.indices("triangles", triangles, self.n_balls, width=3)
+        solid = validation.flags("triangles.collides", collides, len(t))
+        if solid.any() and self.dim != 3:
+            raise SceneError("triangles.collides: needs a scene with dim = 3; in 2D use springs that collide")
+        for k in np.flatnonzero(solid & np.any(t == np.roll(t, 1, axis=1), axis=1)):
+            raise SceneError(f"triangles[{k}]: {t[k].tolist()} may not collide; it must be three different balls")
+        self._triangles.append(len(t), triangles=t, collides=solid)
+
+    def add_skin(
+        self,
+        corners: ArrayLike,
+        weights: ArrayLike,
+        triangles: ArrayLike,
+        *,
+        covers: ArrayLike | None = None,
+        colour: Sequence[float] | None = None,
+    ) -> int:
+        """Add a surface that pictures show in place of balls, their springs and triangles, and return its number.
+
+        Args:
+            corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares, 1 in sum for each vertex.
+            triangles: (t, 3) vertices of the skin, counter-clockwise seen from outside.
+            covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1; None: that of the balls.
+        """
+        where = f"skins[{len(self.skins)}]"
+        tint = None if colour is None else _colour(f"{where}.colour", colour)
+        self.skins.append(build_skin(where, self.n_balls, corners, weights, triangles, covers, tint))
+        return len(self.skins) - 1
+
+    def new_body(self) -> int:
+        """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
+        self._bodies = max(self._bodies, int(self.body.max(initial=0))) + 1
+        return self._bodies
+
+    def set_group(
+        self, balls: ArrayLike, group: str | Sequence[str], collides_with: str | Sequence[str] | None = None
+    ) -> None:
+        """Put balls (k,) that were added before, a shape's for instance, into other collision groups."""
+        index = validation.indices("balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
+        self.group[index], self.mask[index] = self._groups("balls", group, collides_with)
+
+    def has_groups(self) -> bool:
+        """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
+        groups = {*bits_of(self.group), *(wall.group for wall in self.walls), *(c.group for c in self.colliders)}
+        masks = [("balls", bits) for bits in bits_of(self.mask)]
+        masks += [(f"walls[{k}]", wall.mask) for k, wall in enumerate(self.walls)]
+        masks += [(f"colliders[{k}]", collider.mask) for k, collider in enumerate(self.colliders)]
+        self.groups.check(groups, masks)
+        return any(bits != EVERY for _, bits in masks)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the scene as TOML; large arrays go to an .npz beside it."""
+        save_scene(self, path)
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """All columns of balls, springs, triangles, cells, bends and skins under "balls.mass" and the like: what a state file
+        keeps."""
+        columns = {f"{name}.{key}": table[key] for name, table in self._tables().items() for key in table.names}
+        return columns | skins_to(self.skins)
+
+    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
+        """Add what `to_arrays` gave, without checks."""
+        for name, table in self._tables().items():
+            columns = {key: arrays[f"{name}.{key}"] for key in table.names if f"{name}.{key}" in arrays}
+            if columns:  # an older version had fewer tables and columns
+                rows = len(next(iter(columns.values())))
+                table.append(
+                    rows, **{key: np.full(rows, new) for key, new in NEWER.items() if key in table.names} | columns
+                )
+        self.skins += skins_from(arrays)
+
+    def _tables(self) -> dict[str, Table]:
+        tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
+        return tables | {"cells": self._cells, "bends": self._bends}
+
+    # Checks --------------------------------------------------------------------------------------------------------
+
+    def _material(self, where: str, name: str) -> int:
+        for index, material in enumerate(self.materials):
+            if material.name == name:
+                return index
+        known = ", ".join(repr(m.name) for m in self.materials)
+        raise SceneError(f"{where}: {name!r} is not a material of this scene; there are {known}")
+
+    def _groups(
+        self, where: str, group: str | Sequence[str], collides_with: str | Sequence[str] | None
+    ) -> tuple[int, int]:
+        member = self.groups.bits(f"{where}.group", group if group is not None else [])
+        if member == 0:
+            raise SceneError(f"{where}.group: {group!r} is not allowed; it must be a name, or a list of names")
+        return member, self.groups.bits(f"{where}.collides_with", collides_with)
+
+    @staticmethod
+    def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:
+        try:
+            array = np.asarray(pinned)
+        except ValueError:  # rows of different lengths
+            raise SceneError(
+                f"balls.pinned: {pinned!r} is not a bool, a bool per ball, or a list of positions"
+            ) from None
+        if array.dtype == np.bool_:
+            return validation.flags("balls.pinned", array, n)
+        held = np.zeros(n, dtype=bool)
+        held[validation.indices("balls.pinned", array, n)] = True
+        return held
+
+
+def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:
+    rgb = validation.per_item(where, value, 3, low=0, high=1)
+    return (float(rgb[0]), float(rgb[1]), float(rgb[2]))

@@ -1,0 +1,281 @@
+"""What the shapes are made of: checked sizes, lattices, placing, a stiffness that is stable, and the handle."""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.common.memory import available
+from taichi_sim.geometry import mesh as meshes
+from taichi_sim.scene.scene import Scene
+
+__all__ = [
+    "Part",
+    "Pins",
+    "Shape",
+    "Springs",
+    "affordable",
+    "at_least_0",
+    "build",
+    "count",
+    "counts",
+    "exclusive",
+    "given_surface",
+    "lattice_pairs",
+    "lengths",
+    "moved",
+    "named",
+    "or_default",
+    "stable_stiffness",
+    "surface_part",
+]
+
+Pins = bool | Sequence[int] | Sequence[bool] | NDArray
+
+SURFACE_PART = (
+    5 / 9
+)  # of the usual radius, 0.45 of a spacing: triangles that collide need no balls without gaps between
+SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
+SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
+BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = 800, 130, 250, 400  # at most, while built and made to run
+DAMPING_RATIO = 0.1  # of critical, for the pair of balls at each spring
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """What a shape added to the scene, as indices into it."""
+
+    balls: NDArray[np.int32]  # (n,)
+    springs: NDArray[np.int32]  # (m,)
+    triangles: NDArray[np.int32]  # (t, 3) balls, counter-clockwise from outside
+    cells: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))  # (c,)
+
+
+@dataclass(frozen=True, slots=True)
+class Springs:
+    """Springs of one kind within a shape: pairs (m, 2) of its balls, and their stiffness relative to the shape's."""
+
+    pairs: NDArray
+    weight: float
+    stiffness: float | NDArray | None = None  # N/m, one or one per spring; in place of weight times the shape's
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What every shape is told about its balls. radius is that of each [m]."""
+
+    mass: float | NDArray  # kg, of all of them together, or (n,) of each
+    radius: float
+    pinned: Any
+    material: str
+    colour: Sequence[float] | None
+    self_collision: bool
+    surface_collision: bool = False
+
+
+def surface_part(shape: str, surface_collision: Any) -> float:
+    """The part of its usual radius that a ball has by default: 1, or less where triangles collide. Raises SceneError."""
+    return SURFACE_PART if validation.flags(f"{shape}.surface_collision", surface_collision, 1)[0] else 1.0
+
+
+@contextmanager
+def named(shape: str) -> Iterator[None]:
+    """Let the scene's errors speak of the shape's arguments: `cloth.pinned[3]` in place of `balls.pinned[3]`."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(re.sub(r"^(balls|springs|mesh|jelly)(?=[.:])", shape, str(error))) from error
+
+
+def counts(where: str, value: Any, n: int, low: int) -> tuple[int, ...]:
+    """n whole numbers of at least `low`. Raises SceneError."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "iu" or array.shape != (n,) or (array < low).any():
+        raise SceneError(f"{where}: {value!r} is not allowed; it must be {n} whole numbers of at least {low}")
+    return tuple(int(k) for k in array)
+
+
+def count(where: str, value: Any, low: int) -> int:
+    """A whole number of at least `low`. Raises SceneError."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
+        raise SceneError(f"{where}: {value!r} is not allowed; it must be a whole number of at least {low}")
+    return int(value)
+
+
+def or_default(where: str, value: float | None, default: float) -> float:
+    """A positive number, or what it is where none is given. Raises SceneError."""
+    return default if value is None else validation.number(where, value, positive=True)
+
+
+def at_least_0(where: str, value: float | None, default: Any = None) -> Any:
+    """A number of 0 or more, or what it is where none is given. Raises SceneError."""
+    return default if value is None else validation.number(where, value, low=0)
+
+
+def lengths(where: str, value: Sequence[float], n: int) -> NDArray[np.float64]:
+    """n positive lengths. Raises SceneError."""
+    if np.shape(value) != (n,):
+        raise SceneError(f"{where}: {value!r} is not allowed; it must be {n} lengths")
+    return validation.per_item(where, value, n, positive=True)
+
+
+def exclusive(shape: str, one: dict[str, Any], other: dict[str, Any]) -> None:
+    """Raise SceneError where an argument of each is given: they say the same in two ways."""
+    first, second = ([name for name, value in group.items() if value is not None] for group in (one, other))
+    if first and second:
+        raise SceneError(f"{shape}.{first[0]}: does not go with {second[0]}; give one or the other")
+
+
+def given_surface(shape: str, mesh: Any) -> meshes.Surface:
+    """The surface that an argument `mesh` names, or is. Raises SceneError."""
+    if isinstance(mesh, (str, PathLike)):
+        with named(f"{shape}.mesh"):
+            return meshes.read_surface(mesh)
+    surface = meshes.by_hand(f"{shape}.mesh", mesh)
+    if not len(surface.triangles):
+        raise SceneError(f"{shape}.mesh: has no triangle")
+    return surface
+
+
+def affordable(where: str, value: Any, balls: int, springs: int, cells: int = 0, bends: int = 0) -> None:
+    """Raise SceneError where building and running a shape of so many parts needs more memory than there is."""
+    need = balls * BALL_BYTES + springs * SPRING_BYTES + cells * CELL_BYTES + bends * BEND_BYTES
+    free = available()
+    if need > free:
+        raise SceneError(
+            f"{where}: {value!r} is not allowed; {balls:.3g} balls and {springs:.3g} springs need about {need / 1e9:.3g} GB"
+            f" of memory, and {free / 1e9:.3g} GB are free; make it coarser"
+        )
+
+
+def lattice_pairs(resolution: tuple[int, ...], *offsets: tuple[int, ...]) -> NDArray[np.int64]:
+    """All pairs of points of a lattice that lie one of the offsets apart, (m, 2); the last axis counts fastest."""
+    index = np.arange(int(np.prod(resolution))).reshape(resolution)
+    pairs = [np.zeros((0, 2), dtype=np.int64)]
+    for offset in offsets:
+        here = index[tuple(slice(max(0, -o), max(0, n - max(0, o))) for o, n in zip(offset, resolution))]
+        there = index[tuple(slice(max(0, o), max(0, n - max(0, -o))) for o, n in zip(offset, resolution))]
+        if here.shape == there.shape:
+            pairs.append(np.stack([here.ravel(), there.ravel()], axis=1))
+    return np.concatenate(pairs)
+
+
+def moved(shape: str, points: NDArray, position: Any, rotation: Any, scale: Any) -> NDArray[np.float64]:
+    """Points (n, dim), scaled, then turned about the x, the y and the z axis in this order, then shifted.
+
+    rotation is in degrees, about the shape's own origin: three numbers in 3D, one in 2D.
+    """
+    dim = points.shape[1]
+    factor = validation.number(f"{shape}.scale", scale, positive=True)
+    shift = np.zeros(dim) if position is None else validation.vectors(f"{shape}.position", position, 1, dim)[0]
+    return points * factor @ _turn(f"{shape}.rotation", rotation, dim).T + shift
+
+
+def _turn(where: str, rotation: Any, dim: int) -> NDArray[np.float64]:
+    turn = np.eye(dim)
+    if rotation is None:
+        return turn
+    angles = (
+        [validation.number(where, rotation)]
+        if dim == 2
+        else validation.vectors(where, rotation, 1, 3)[0].tolist()  # degrees
+    )
+    for axis, angle in enumerate(angles):
+        first, second = (0, 1) if dim == 2 else ((axis + 1) % 3, (axis + 2) % 3)
+        cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        one = np.eye(dim)
+        one[first, first] = one[second, second] = cosine
+        one[first, second], one[second, first] = -sine, sine
+        turn = one @ turn
+    return turn
+
+
+def stable_stiffness(kinds: Sequence[Springs], n: int, mass: float) -> float:
+    """The stiffness k [N/m] of weight 1 that is stable at SAFE_STEP with a margin, for n balls of total mass [kg].
+
+    The bound that holds for every shape (physics section 5) is h^2 max (S_i / m_i + S_j / m_j) < 4 over the springs,
+    S_i the sum of the stiffness at ball i. With S_i = k R_i and all masses mass / n, k = 4 mass / (margin n h^2
+    max(R_i + R_j)).
+    """
+    ends = np.concatenate([kind.pairs for kind in kinds])
+    if not len(ends):
+        return 1.0
+    weight = np.repeat([kind.weight for kind in kinds], [len(kind.pairs) for kind in kinds])
+    row = np.bincount(ends.ravel(), np.repeat(weight, 2), minlength=n)
+    return float(4 * mass / (SAFE_MARGIN * n * SAFE_STEP**2 * row[ends].sum(axis=1).max()))
+
+
+def build(
+    scene: Scene,
+    shape: str,
+    points: NDArray,
+    kinds: Sequence[Springs],
+    triangles: NDArray,
+    part: Part,
+    stiffness: float,
+    damping: float | NDArray | None,
+    *,
+    stretched: NDArray | None = None,
+    bends: tuple[NDArray, NDArray, NDArray] | None = None,
+    cells: tuple[NDArray, NDArray, NDArray, NDArray | None] | None = None,
+    break_strain: float | None = None,
+) -> Shape:
+    """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls.
+
+    stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
+    corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`.
+    """
+    n = len(points)
+    each = part.mass if isinstance(part.mass, np.ndarray) else part.mass / n
+    strength = np.concatenate(
+        [
+            np.broadcast_to(kind.weight * stiffness if kind.stiffness is None else kind.stiffness, (len(kind.pairs),))
+            for kind in kinds
+        ]
+        or [np.zeros(0)]
+    )
+    pairs = np.concatenate([kind.pairs for kind in kinds] or [np.zeros((0, 2), dtype=np.int64)])
+    if isinstance(each, np.ndarray):
+        reduced: Any = each[pairs[:, 0]] * each[pairs[:, 1]] / (each[pairs[:, 0]] + each[pairs[:, 1]])
+    else:
+        reduced = each / 2
+    rest = None
+    if stretched is not None:
+        rest = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1) / (1 + stretched)
+    critical = 2 * np.sqrt(strength * reduced)
+    with named(shape):
+        balls = scene.add_balls(
+            points,
+            radius=part.radius,
+            mass=each,
+            material=part.material,
+            pinned=part.pinned,
+            colour=part.colour,
+            body=0 if part.self_collision else scene.new_body(),
+        )
+        springs = scene.add_springs(
+            balls[pairs].reshape(-1, 2),
+            stiffness=strength,
+            damping=DAMPING_RATIO * critical if damping is None else damping,
+            rest_length=rest,
+            break_strain=break_strain,
+        )
+        faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
+        scene.add_triangles(faces, collides=part.surface_collision)
+        if bends is not None and len(bends[0]):
+            scene.add_bending(balls[bends[0]], weights=bends[1], stiffness=bends[2])
+        if cells is None or not len(cells[0]):
+            return Shape(balls, springs, faces)
+        return Shape(
+            balls,
+            springs,
+            faces,
+            scene.add_cells(balls[cells[0]], bulk_modulus=cells[1], rest_volume=cells[2], together=cells[3]),
+        )

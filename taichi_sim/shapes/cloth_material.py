@@ -1,0 +1,204 @@
+"""Cloth as a material: springs, masses and bending of a sheet that is the same at every resolution. Imports no Taichi.
+
+A sheet has a mass per area [kg/m^2], a stretch stiffness [N/m] (force per width and strain, C11, its width kept), a shear
+stiffness C44 [N/m] and a bending rigidity [N m]; see physics.md, "Elastic bodies".
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common.errors import SceneError
+from taichi_sim.geometry.mesh import Surface, hinges, unique_edges
+
+__all__ = ["Bends", "Fabric", "Parts", "of_mesh", "of_sheet", "tension_shares"]
+
+FLAT = 1e-4  # rad: a hinge folded less is flat
+
+
+class Fabric(NamedTuple):
+    """What a sheet is made of."""
+
+    mass_per_area: float  # kg/m^2
+    stretch: float  # N/m
+    shear: float  # N/m
+    rigidity: float  # N m
+
+
+class Bends(NamedTuple):
+    """Bending elements within a shape, as `Scene.add_bending` takes them."""
+
+    corners: NDArray[np.int64]  # (b, 4) of its balls
+    weights: NDArray[np.float64]  # (b, 4)
+    stiffness: NDArray[np.float64]  # (b,) N/m
+
+
+class Parts(NamedTuple):
+    """A sheet of fabric in pieces."""
+
+    mass: NDArray  # (n,) kg of each ball
+    springs: list[tuple[NDArray, NDArray]]  # pairs (m, 2) and stiffness (m,) [N/m]
+    bends: Bends
+
+
+def of_sheet(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> Parts:
+    """A grid of balls. Raises SceneError for a shear stiffness that it cannot have."""
+    return Parts(
+        _sheet_masses(number, spacing, fabric),
+        _sheet_springs(number, spacing, fabric),
+        _sheet_bends(number, spacing, fabric.rigidity),
+    )
+
+
+def of_mesh(surface: Surface, fabric: Fabric) -> Parts:
+    """A triangle mesh; its shear stiffness is a third of the stretch stiffness. Raises SceneError for triangles without area."""
+    area = _areas(surface)
+    third = np.repeat(area / 3, 3)
+    mass = fabric.mass_per_area * np.bincount(surface.triangles.ravel(), third, minlength=len(surface.vertices))
+    bends, across, strength = _mesh_bends(surface, fabric)
+    return Parts(mass, [_mesh_springs(surface, area, fabric), (across, strength)], bends)
+
+
+def _borders(number: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """For each line of balls along x and along z what it has of a spacing beside it: 1, or 1/2 at the ends."""
+    parts = []
+    for n in number:
+        part = np.ones(n)
+        part[0] = part[-1] = 0.5
+        parts.append(part)
+    return parts[0], parts[1]
+
+
+def _sheet_masses(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> NDArray[np.float64]:
+    """Mass (n,) [kg] of each ball of a grid: that of the area around it."""
+    return fabric.mass_per_area * float(np.prod(spacing)) * np.outer(*_borders(number)).ravel()
+
+
+def _sheet_springs(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> list[tuple[NDArray, NDArray]]:
+    """Pairs (m, 2) and stiffness (m,) [N/m] of the sides and the diagonals of a grid.
+
+    Both diagonals of a rectangle a x b, L long, with k each, give C12 = C44 = 2 k a b / L^2 and C11 = C44 (a/b)^2 along a; the
+    sides give k a / b more. Sides at the border count half. Raises SceneError for a shear stiffness that leaves nothing for the
+    sides.
+    """
+    index = np.arange(number[0] * number[1]).reshape(number)
+    a, b = spacing
+    sides = []
+    for axis, along, across in ((0, a, b), (1, b, a)):
+        k = across / along * (fabric.stretch - fabric.shear * (along / across) ** 2)
+        if k < 0:
+            raise SceneError(
+                f"cloth.shear_stiffness: {fabric.shear:g} is not allowed; it must be at most"
+                f" {fabric.stretch * (across / along) ** 2:.4g}, the stretch stiffness times the square of the ratio of the"
+                " sides of a mesh of the grid"
+            )
+        part = _borders(number)[1 - axis]
+        grid = index if axis == 0 else index.T
+        pairs = np.stack([grid[:-1].ravel(), grid[1:].ravel()], axis=1)
+        sides.append((pairs, k * np.broadcast_to(part, grid[1:].shape).ravel()))
+    diagonals = np.concatenate(
+        [
+            np.stack([index[:-1, :-1].ravel(), index[1:, 1:].ravel()], axis=1),
+            np.stack([index[1:, :-1].ravel(), index[:-1, 1:].ravel()], axis=1),
+        ]
+    )
+    each = fabric.shear * (a * a + b * b) / (2 * a * b)
+    return [*sides, (diagonals, np.full(len(diagonals), each))]
+
+
+def _sheet_bends(number: tuple[int, int], spacing: NDArray, rigidity: float) -> Bends:
+    """A plate with Poisson's ratio 0, energy rigidity / 2 (w_xx^2 + w_zz^2 + 2 w_xz^2) per area.
+
+    Each three balls in a row have the second difference, each four of a mesh the twist; a row at the border counts half. The
+    fourth ball of a second difference, in the next row, has the weight 0.
+    """
+    index = np.arange(number[0] * number[1]).reshape(number)
+    a, b = spacing
+    corners, weights, stiffness = [], [], []
+    for axis, along, across in ((0, a, b), (1, b, a)):
+        grid, part = (index, _borders(number)[1]) if axis == 0 else (index.T, _borders(number)[0])
+        beside = np.concatenate([grid[:, 1:2], grid[:, :-1]], axis=1)
+        four = np.stack([grid[:-2], grid[1:-1], grid[2:], beside[1:-1]], axis=-1).reshape(-1, 4)
+        corners.append(four)
+        weights.append(np.tile([1.0, -2.0, 1.0, 0.0], (len(four), 1)))
+        stiffness.append(
+            np.broadcast_to(rigidity * across / along**3 * part, (max(0, len(grid) - 2), len(part))).ravel()
+        )
+    four = np.stack([index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]], axis=-1).reshape(-1, 4)
+    corners.append(four)
+    weights.append(np.tile([1.0, -1.0, -1.0, 1.0], (len(four), 1)))
+    stiffness.append(np.full(len(four), 2 * rigidity / (a * b)))
+    return Bends(np.concatenate(corners), np.concatenate(weights), np.concatenate(stiffness))
+
+
+def _areas(surface: Surface) -> NDArray[np.float64]:
+    a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
+    normal = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.maximum(
+        np.maximum(np.sum((b - a) ** 2, axis=1), np.sum((c - b) ** 2, axis=1)), np.sum((a - c) ** 2, axis=1)
+    )
+    thin = np.flatnonzero(normal <= 1e-6 * longest)
+    if len(thin):
+        names = ", ".join(str(t) for t in thin[:3]) + (f" and {len(thin) - 3} more" if len(thin) > 3 else "")
+        raise SceneError(f"cloth.mesh: triangles {names} (from 0) have no area; take them out, or merge their corners")
+    return 0.5 * normal
+
+
+def _mesh_springs(surface: Surface, area: NDArray, fabric: Fabric) -> tuple[NDArray, NDArray]:
+    """The edges (m, 2) and k = Y A / L^2 [N/m], A the area of the triangles at each (Van Gelder 1998).
+
+    Where edges point everywhere alike Poisson's ratio is 1/3 and Y = 8/9 of the stretch stiffness.
+    """
+    edges = unique_edges(surface.triangles)
+    sides = np.sort(np.concatenate([surface.triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1).astype(np.int64)
+    n = len(surface.vertices)
+    keys = edges.astype(np.int64) @ np.array([n, 1])
+    around = np.bincount(np.searchsorted(keys, sides @ np.array([n, 1])), np.tile(area, 3), minlength=len(edges))
+    square = np.sum((surface.vertices[edges[:, 1]] - surface.vertices[edges[:, 0]]) ** 2, axis=1)
+    return edges, 8 / 9 * fabric.stretch * around / square
+
+
+def tension_shares(surface: Surface) -> NDArray[np.float64]:
+    """Of each edge (m,) of a closed mesh: what a tension of 1 N/m in the sheet is along it, over its length.
+
+    Half the sum of the cotangents of the angles that face it, which makes the forces those of a soap film.
+    """
+    edge, opposite = hinges(surface.triangles)
+    x0, x1 = surface.vertices[edge[:, 0]], surface.vertices[edge[:, 1]]
+    facing = (surface.vertices[opposite[:, k]] for k in range(2))
+    return 0.5 * np.sum([_cotangent(at, x0, x1) for at in facing], axis=0)
+
+
+def _cotangent(at: NDArray, one: NDArray, other: NDArray) -> NDArray[np.float64]:
+    u, v = one - at, other - at
+    return np.einsum("hi,hi->h", u, v) / np.linalg.norm(np.cross(u, v), axis=1)
+
+
+def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArray]:
+    """Bending of a mesh: elements where it is flat at rest, and springs (m, 2), (m,) [N/m] across the edges where it is folded.
+
+    Elements: rigidity / (A0 + A1) |K . x|^2 / 2 with K of cotangents (Bergou et al. 2006; the factor is what a cylinder stores).
+    A spring across an edge of length e stores the same, rigidity e^2 / (A0 + A1) times half the square of a small change of the
+    angle; it is never stiffer than the sheet.
+    """
+    edge, opposite = hinges(surface.triangles)
+    x = surface.vertices
+    x0, x1, x2, x3 = x[edge[:, 0]], x[edge[:, 1]], x[opposite[:, 0]], x[opposite[:, 1]]
+    at_0 = _cotangent(x0, x1, x2), _cotangent(x0, x1, x3)
+    at_1 = _cotangent(x1, x0, x2), _cotangent(x1, x0, x3)
+    weights = np.stack([at_1[0] + at_1[1], at_0[0] + at_0[1], -at_0[0] - at_1[0], -at_0[1] - at_1[1]], axis=1)
+    along = x1 - x0
+    length = np.linalg.norm(along, axis=1)
+    normals = np.cross(along, x2 - x0), np.cross(x3 - x0, along)
+    double = np.linalg.norm(normals[0], axis=1), np.linalg.norm(normals[1], axis=1)
+    strength = 2 * fabric.rigidity / (double[0] + double[1])
+    sine = np.linalg.norm(np.cross(*normals), axis=1) / (double[0] * double[1])
+    flat = (sine < FLAT) & (np.einsum("hi,hi->h", *normals) > 0)
+    corners = np.concatenate([edge, opposite], axis=1)
+    bends = Bends(corners[flat].astype(np.int64), weights[flat], strength[flat])
+    reach = double[0] * double[1] / length**2 * sine  # of the distance across, times that, for each radian
+    folded = ~flat
+    change = np.maximum(reach[folded] ** 2, 1e-300)
+    k = strength[folded] * length[folded] ** 2 * np.sum((x3 - x2)[folded] ** 2, axis=1) / change
+    return bends, opposite[folded], np.minimum(k, fabric.stretch)

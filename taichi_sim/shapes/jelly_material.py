@@ -1,0 +1,365 @@
+"""What fills a body: lattices of springs with given moduli, cells that keep its volume, tetrahedra in a mesh. Imports no Taichi.
+
+A spring network has Lame's first constant lambda = mu (in 3D Poisson's ratio 1/4, in 2D 1/3): its springs give mu, and cells
+with the bulk modulus lambda - mu what a larger ratio asks for. See physics.md, "Elastic bodies".
+"""
+
+import itertools
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.geometry.mesh import Surface
+from taichi_sim.scene.elements import cell_volumes
+
+__all__ = [
+    "Solid",
+    "box_surface",
+    "connected",
+    "inside",
+    "largest_rate",
+    "lattice",
+    "moduli",
+    "skin_of_boxes",
+    "skin_of_tetrahedra",
+    "springs_of",
+    "tetrahedra",
+]
+
+CELL_DIAGONALS = (
+    0.25  # their part of mu, along the sides where it is largest: a cubic lattice then has k, 0.6 k, 0.15 k
+)
+ENVELOPE = (
+    0.1  # of the spacing, how far tetrahedra may leave a surface: nearer ones are thin and many, and the skin hides it
+)
+NEAR = 32  # tetrahedra that are looked at for each vertex of a skin
+CROSSING: dict[
+    int, tuple[tuple[tuple[int, ...], ...], ...]
+] = {  # the corners of the cells in a box, all of positive volume
+    2: (((0, 0), (1, 0), (1, 1)), ((1, 0), (1, 1), (0, 1)), ((1, 1), (0, 1), (0, 0)), ((0, 1), (0, 0), (1, 0))),
+    3: (((0, 0, 0), (1, 1, 0), (0, 1, 1), (1, 0, 1)), ((1, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1))),
+}
+
+
+class Solid(NamedTuple):
+    """A body: n points, m springs, c cells. What is given per unit modulus is multiplied by mu, or by lambda - mu [Pa]."""
+
+    points: NDArray[np.float64]  # (n, dim) m
+    volume: NDArray[np.float64]  # (n,) m^dim, of each point
+    pairs: NDArray[np.int64]  # (m, 2)
+    stiffness: NDArray[np.float64]  # (m,) N/m for mu = 1
+    cells: NDArray[np.int64]  # (c, dim + 1), of positive volume
+    cell_volume: NDArray[np.float64]  # (c,) m^dim
+    cell_share: float  # of the bulk modulus, in each cell: cells that cross share it
+    triangles: NDArray[np.int64]  # (t, 3) the surface; none in 2D
+    together: NDArray[np.int64] | None = None  # (c,) cells with the same number act as one
+
+
+def moduli(where: str, dim: int, young_modulus: float, poisson_ratio: float) -> tuple[float, float]:
+    """mu and lambda - mu [Pa, in 2D N/m] of an elastic body. Raises SceneError for a ratio that springs cannot have."""
+    least, most = 1 / (dim + 1), 1 / (dim - 1)
+    nu = validation.number(f"{where}.poisson_ratio", poisson_ratio)
+    if not least - 1e-9 <= nu < most:
+        raise SceneError(
+            f"{where}.poisson_ratio: {poisson_ratio:g} is not allowed; it must be at least {least:.4g}, that of springs alone,"
+            f" and less than {most:g}"
+        )
+    mu = young_modulus / (2 * (1 + nu))
+    return mu, max(0.0, mu * (2 * nu / (1 - (dim - 1) * nu) - 1))
+
+
+# Lattices ----------------------------------------------------------------------------------------------------------
+
+
+def lattice(where: str, filled: NDArray[np.bool_], spacing: NDArray[np.float64]) -> Solid:
+    """The springs and cells of those boxes of a lattice, `filled` (a, b[, c]), that belong to the body. spacing: (dim,) m.
+
+    Each box gives its sides and diagonals their share, so that what lies on the surface counts by its part of the boxes around.
+    Two tetrahedra cross in each box, its even and its odd corners, which share its bulk modulus: the five or six that tile it
+    stiffen against bending several times as much. In 2D the four triangles of both diagonals do, together: what changes is the
+    volume of the box alone, since a triangle that keeps its own would not let it bend.
+    """
+    dim, a = filled.ndim, spacing
+    number = tuple(n + 1 for n in filled.shape)
+    index = np.arange(int(np.prod(number))).reshape(number)
+    strength = _strengths(where, a)
+    pairs, stiffness = [], []
+    for step in itertools.product((-1, 0, 1), repeat=dim):
+        if step <= (0,) * dim:
+            continue  # each direction once
+        share = filled.astype(np.float64)
+        for axis, s in enumerate(step):
+            if s == 0:
+                share = _averaged(share, axis)
+        here = index[tuple(slice(1, None) if s < 0 else slice(0, n - (s > 0)) for s, n in zip(step, number))]
+        there = index[tuple(slice(0, -1) if s < 0 else slice(s, None) for s in step)]
+        some = share > 0
+        pairs.append(np.stack([here[some], there[some]], axis=1))
+        stiffness.append(strength[tuple(abs(s) for s in step)] * share[some])
+    part = filled.astype(np.float64)
+    for axis in range(dim):
+        part = _averaged(part, axis)
+    used = np.flatnonzero(part.ravel() > 0)
+    new = np.zeros(index.size, dtype=np.int64)
+    new[used] = np.arange(len(used))
+    box = float(np.prod(a))
+    first = np.argwhere(filled)
+    shapes = CROSSING[dim]
+    cells = np.concatenate([np.stack([index[tuple((first + c).T)] for c in corners], axis=1) for corners in shapes])
+    return Solid(
+        np.stack(np.unravel_index(used, number), axis=1) * a,
+        part.ravel()[used] * box,
+        new[np.concatenate(pairs)],
+        np.concatenate(stiffness),
+        new[cells],
+        np.full(len(cells), box / (3 if dim == 3 else 2)),
+        1.5 if dim == 3 else 0.5,
+        new[box_surface(filled)] if dim == 3 else np.zeros((0, 3), dtype=np.int64),
+        None if dim == 3 else np.tile(np.arange(len(first)), len(shapes)),
+    )
+
+
+def _averaged(values: NDArray, axis: int) -> NDArray:
+    """At the n + 1 planes between n layers the mean of both sides, with nothing beyond the ends."""
+    wide = np.pad(values, [(1, 1) if k == axis else (0, 0) for k in range(values.ndim)])
+    ends = [slice(None)] * values.ndim
+    lower, upper = list(ends), list(ends)
+    lower[axis], upper[axis] = slice(None, -1), slice(1, None)
+    return 0.5 * (wide[tuple(lower)] + wide[tuple(upper)])
+
+
+def _strengths(where: str, a: NDArray[np.float64]) -> dict[tuple[int, ...], float]:
+    """Stiffness for mu = 1 by direction (1 for each axis along which a spring runs) of an isotropic lattice of boxes a (dim,) m.
+
+    A box of volume V adds k L^2 n_i n_j n_k n_l / V for each spring to C_ijkl: that must be 3 mu for C_iiii and mu for C_iijj.
+    """
+    dim, volume, square = len(a), float(np.prod(a)), a * a
+    planes = [(i, j) for i in range(dim) for j in range(i + 1, dim)]
+    result: dict[tuple[int, ...], float] = {}
+    along = np.zeros(dim)  # of C_iiii, in the diagonals
+    diagonal = 0.0
+    if dim == 3:
+        length = float(square.sum())
+        diagonal = CELL_DIAGONALS * volume * length / (4 * max(square[i] * square[j] for i, j in planes))
+        result[1, 1, 1] = diagonal
+        along += 4 * diagonal * square**2 / (length * volume)
+    for i, j in planes:
+        length = float(square[i] + square[j])
+        left = 1.0 - (4 * diagonal * square[i] * square[j] / (square.sum() * volume) if dim == 3 else 0.0)
+        k = left * length * volume / (2 * square[i] * square[j])
+        result[tuple(int(axis in (i, j)) for axis in range(dim))] = float(k)
+        along[i] += 2 * k * square[i] ** 2 / (length * volume)
+        along[j] += 2 * k * square[j] ** 2 / (length * volume)
+    for i in range(dim):
+        k = (3.0 - along[i]) * volume / square[i]
+        if k < 0:
+            raise SceneError(
+                f"{where}.resolution: gives boxes of {' x '.join(f'{side:.3g}' for side in a)} m, too unlike in their sides for"
+                " an elastic lattice; choose one with sides about equal"
+            )
+        result[tuple(int(axis == i) for axis in range(dim))] = float(k)
+    return result
+
+
+def box_surface(filled: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The triangles (t, 3) between boxes of a 3D lattice that are filled and others, counter-clockwise from outside."""
+    number = tuple(n + 1 for n in filled.shape)
+    index = np.arange(int(np.prod(number))).reshape(number)
+    triangles = []
+    for axis in range(3):
+        # with the axes (axis, axis + 1, axis + 2) in cyclic order, the far side's outward normal is first x second
+        order = (axis, (axis + 1) % 3, (axis + 2) % 3)
+        layers, solid = np.moveaxis(index, order, (0, 1, 2)), np.moveaxis(filled, order, (0, 1, 2))
+        wide = np.pad(solid, ((1, 1), (0, 0), (0, 0)))
+        for outward, border in ((True, wide[:-1] & ~wide[1:]), (False, wide[1:] & ~wide[:-1])):
+            plane, b, c = np.nonzero(border)
+            four = [layers[plane, b + u, c + v] for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]
+            for three in ((0, 1, 2), (0, 2, 3)):
+                turned = three if outward else three[::-1]
+                triangles.append(np.stack([four[k] for k in turned], axis=1))
+    return np.concatenate(triangles)
+
+
+# Meshes ------------------------------------------------------------------------------------------------------------
+
+
+def inside(surface: Surface, low: NDArray, spacing: float, number: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which boxes (a, b, c) of a lattice have their centre inside a mesh; box 0 begins at `low` (3,) m.
+
+    Rays through the centres along each axis count the triangles that they leave and enter through; two axes of three decide,
+    so that a hole or a wrong face here and there does no harm.
+    """
+    edges = np.concatenate([surface.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    turned = len(np.unique(edges, axis=0)) < len(edges)  # faces that do not agree: count crossings alone
+    votes = np.zeros(number, dtype=np.int8)
+    for axis in range(3):
+        order = ((axis + 1) % 3, (axis + 2) % 3, axis)
+        corners = ((surface.vertices - low) / spacing)[surface.triangles][:, :, order]
+        count = _crossings(corners, tuple(number[k] for k in order), turned)
+        votes += np.moveaxis(count % 2 == 1 if turned else count != 0, (0, 1, 2), order)
+    return votes >= 2
+
+
+def _crossings(corners: NDArray, number: tuple[int, ...], turned: bool) -> NDArray[np.int64]:
+    """How often the ray upward from each box's centre leaves the triangles `corners` (t, 3, 3) less how often it enters."""
+    shift = np.array([1.4142e-5, 1.7321e-5])  # no ray meets an edge of a mesh made of round numbers
+    a, b, c = (corners[:, k, :2] - 0.5 + shift for k in range(3))
+    low = np.clip(np.ceil(np.minimum(np.minimum(a, b), c)), 0, number[:2]).astype(np.int64)
+    high = np.clip(np.floor(np.maximum(np.maximum(a, b), c)) + 1, 0, number[:2]).astype(np.int64)
+    wide = np.maximum(high - low, 0)
+    many = wide.prod(axis=1)
+    face = np.repeat(np.arange(len(corners)), many)
+    place = np.arange(len(face)) - np.repeat(np.cumsum(many) - many, many)
+    ray = low[face] + np.stack(np.divmod(place, np.maximum(wide[face, 1], 1)), axis=1)
+
+    def cross(u: NDArray, v: NDArray) -> NDArray:
+        return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+    area = cross(b - a, c - a)[face]
+    a, b, c = a[face] - ray, b[face] - ray, c[face] - ray
+    shares = np.stack([cross(b, c), cross(c, a), cross(a, b)]) * np.sign(area)
+    hit = (shares > 0).all(axis=0)
+    face, ray, shares, area = face[hit], ray[hit], shares[:, hit], area[hit]
+    height = np.einsum("kf,fk->f", shares, corners[face, :, 2]) / np.abs(area)
+    below = np.clip(np.ceil(height - 0.5), 0, number[2]).astype(np.int64)  # centres under the crossing
+    steps = np.zeros((*number[:2], number[2] + 1), dtype=np.int64)
+    np.add.at(steps, (ray[:, 0], ray[:, 1], below), 1 if turned else np.sign(area).astype(np.int64))
+    return np.cumsum(steps[:, :, :0:-1], axis=2)[:, :, ::-1]
+
+
+def connected(filled: NDArray[np.bool_], least: float = 0.02) -> NDArray[np.bool_]:
+    """Those boxes that hang together by their faces, without crumbs smaller than `least` of the largest piece."""
+    from scipy.ndimage import label
+
+    names, _ = label(filled)
+    sizes = np.bincount(names.ravel())
+    sizes[0] = 0
+    return (sizes >= max(1, least * sizes.max(initial=0)))[names]
+
+
+def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points (n, 3) m and tetrahedra (c, 4), of positive volume and about `edge` m long, that fill a closed mesh (fTetWild)."""
+    try:
+        import pytetwild
+    except ImportError:
+        raise SceneError(
+            f'{where}.fill: tetrahedra need one more package: pip install "taichi-sim[mesh]"; or use fill = "voxels"'
+        ) from None
+    size, low = float(np.ptp(surface.vertices, axis=0).max()), surface.vertices.min(axis=0)
+    unit = (surface.vertices - low) / size  # what is very small ends it without a word
+    edge = edge / size
+    across = float(np.linalg.norm(np.ptp(unit, axis=0)))
+    try:
+        with _elsewhere():
+            points, cells = pytetwild.tetrahedralize(
+                unit, surface.triangles, edge_length_abs=edge, epsilon=ENVELOPE * edge / across
+            )
+    except Exception as error:  # foreign code may raise anything
+        raise SceneError(f'{where}.mesh: cannot be filled with tetrahedra: {error}; use fill = "voxels"') from error
+    points, cells = np.asarray(points, dtype=np.float64) * size + low, np.asarray(cells, dtype=np.int64)
+    if not len(cells):
+        raise SceneError(f'{where}.mesh: no tetrahedron fits into it; use fill = "voxels", or a smaller spacing')
+    used, new = np.unique(cells, return_inverse=True)
+    points, compact = points[used], new.reshape(-1, 4).astype(np.int32)
+    turned = cell_volumes(points, compact) < 0
+    return points, np.where(turned[:, None], compact[:, [1, 0, 2, 3]], compact).astype(np.int64)
+
+
+@contextmanager
+def _elsewhere() -> Iterator[None]:
+    """In a folder that vanishes: fTetWild leaves a file __tracked_surface.stl where it runs."""
+    before = os.getcwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            yield
+        finally:
+            os.chdir(before)
+
+
+def largest_rate(body: Solid, masses: NDArray, mu: float, bulk: float) -> float:
+    """A bound on the square of the highest frequency [1/s^2]: of the springs (physics.md, "Methods") and of the rows of cells."""
+    at = np.bincount(body.pairs.ravel(), np.repeat(mu * body.stiffness, 2), minlength=len(masses)) / masses
+    rate = float(at[body.pairs].sum(axis=1).max(initial=0.0))
+    if bulk == 0:
+        return rate
+    x = body.points[body.cells]
+    size = np.stack([_opposite(np.delete(x, k, axis=1)) for k in range(x.shape[1])], axis=1)  # |dV/dx|
+    row = bulk * body.cell_share / body.cell_volume[:, None] * size * size.sum(axis=1, keepdims=True)
+    return rate + float((np.bincount(body.cells.ravel(), row.ravel(), minlength=len(masses)) / masses).max())
+
+
+def _opposite(x: NDArray) -> NDArray[np.float64]:
+    """A third of the area of triangles (c, 3, 3), half the length of lines (c, 2, 2)."""
+    sides = x[:, 1:] - x[:, :1]
+    if x.shape[2] == 2:
+        return 0.5 * np.linalg.norm(sides[:, 0], axis=1)
+    return np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 6.0
+
+
+def springs_of(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Solid:
+    """The same body for tetrahedra: springs along their edges, each k = 2.5 V / L^2 for mu = 1, V the volume around it.
+
+    Where edges point everywhere alike that is E = 2.5 mu exactly, before points move against their neighbours (Van Gelder 1998).
+    """
+    volume = cell_volumes(points, cells)
+    ends = np.concatenate([cells[:, pair] for pair in itertools.combinations(range(4), 2)])
+    pairs, same = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+    around = np.bincount(same.reshape(-1), np.tile(volume, 6))
+    square = np.sum((points[pairs[:, 1]] - points[pairs[:, 0]]) ** 2, axis=1)
+    each: NDArray = np.bincount(cells.ravel(), np.repeat(volume / 4, 4), minlength=len(points))
+    return Solid(points, each, pairs, 2.5 * around / square, cells, volume, 1.0, surface_of(cells))
+
+
+def surface_of(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The triangles (t, 3) that one tetrahedron of positive volume alone has, counter-clockwise from outside."""
+    faces = np.concatenate([cells[:, three] for three in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[np.sort(first[count == 1])]
+
+
+# Skins -------------------------------------------------------------------------------------------------------------
+
+
+def skin_of_boxes(filled: NDArray[np.bool_], places: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The points (v, 8) of `lattice(filled)`, and their weights, that vertices at `places` (v, 3), in boxes, follow.
+
+    The box around a vertex, or the nearest filled one, moves it trilinearly.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    nearest = distance_transform_edt(~filled, return_distances=False, return_indices=True)
+    box = np.clip(np.floor(places).astype(np.int64), 0, np.array(filled.shape) - 1)
+    box = nearest[:, box[:, 0], box[:, 1], box[:, 2]].T
+    t = places - box
+    corners = np.array(list(itertools.product((0, 1), repeat=3)))
+    weights = np.where(corners[None] == 1, t[:, None], 1.0 - t[:, None]).prod(axis=2)
+    number = tuple(n + 1 for n in filled.shape)
+    part = filled.astype(np.float64)
+    for axis in range(3):
+        part = _averaged(part, axis)
+    new = np.cumsum(part.ravel() > 0) - 1
+    points = np.ravel_multi_index(tuple(np.moveaxis(box[:, None] + corners, 2, 0)), number)
+    return new[points], weights
+
+
+def skin_of_tetrahedra(
+    points: NDArray, cells: NDArray, vertices: NDArray
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The points (v, 4), and their weights, that `vertices` (v, 3) follow: of the tetrahedron around each, or the nearest."""
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(points[cells].mean(axis=1)).query(vertices, k=min(NEAR, len(cells)))[1].reshape(len(vertices), -1)
+    back = np.linalg.inv(np.swapaxes(points[cells[:, 1:]] - points[cells[:, :1]], 1, 2))
+    shares = np.einsum("vkij,vkj->vki", back[near], vertices[:, None] - points[cells[near, 0]])
+    shares = np.concatenate([1.0 - shares.sum(axis=2, keepdims=True), shares], axis=2)
+    best = np.argmax(shares.min(axis=2), axis=1)
+    rows = np.arange(len(vertices))
+    return cells[near[rows, best]], shares[rows, best]

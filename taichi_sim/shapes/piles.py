@@ -1,0 +1,114 @@
+"""Pile and tower."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from taichi_sim.common import validation
+from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes.base import (
+    Part,
+    Pins,
+    Shape,
+    affordable,
+    at_least_0,
+    build,
+    count,
+    counts,
+    lengths,
+    moved,
+    named,
+    or_default,
+)
+from taichi_sim.shapes.jelly import jelly
+
+__all__ = ["pile", "tower"]
+
+
+def pile(
+    scene: Scene,
+    resolution: Sequence[int],
+    radius: float,
+    *,
+    spacing: float | None = None,
+    jitter: float = 0.05,
+    seed: int = 0,
+    mass: float = 1.0,
+    pinned: Pins = False,
+    material: str = "default",
+    position: Sequence[float] | None = None,
+    rotation: float | Sequence[float] | None = None,
+    colour: Sequence[float] | None = None,
+) -> Shape:
+    """A heap of loose balls on a lattice from the origin toward the positive axes. They collide with each other.
+
+    Args:
+        resolution: balls per axis; radius: of each [m]; mass: of each [kg].
+        spacing: between centres [m]; 2.2 radii by default.
+        jitter: the balls are moved at random by up to this fraction of a radius per axis, so that no column stands by
+            luck; the same seed gives the same heap.
+    """
+    dim = scene.dim
+    number = counts("pile.resolution", resolution, dim, 1)
+    size = validation.number("pile.radius", radius, positive=True)
+    step = or_default("pile.spacing", spacing, 2.2 * size)
+    shake = validation.number("pile.jitter", jitter, low=0, high=1) * size
+    points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * step
+    points = points + np.random.default_rng(count("pile.seed", seed, 0)).uniform(-shake, shake, points.shape)
+    points = moved("pile", points, position, rotation, 1.0)
+    total = or_default("pile.mass", mass, 1.0) * len(points)
+    part = Part(total, size, pinned, material, colour, self_collision=True)
+    return build(scene, "pile", points, [], np.zeros((0, 3)), part, 0.0, None)
+
+
+def tower(
+    scene: Scene,
+    levels: int = 3,
+    size: Sequence[float] | None = None,
+    resolution: Sequence[int] | None = None,
+    *,
+    gap: float = 0.0,
+    mass: float | None = None,
+    young_modulus: float | None = None,
+    poisson_ratio: float | None = None,
+    damping: float | None = None,
+    radius: float | None = None,
+    material: str = "default",
+    position: Sequence[float] | None = None,
+    colour: Sequence[float] | None = None,
+) -> Shape:
+    """Blocks of jelly on each other, along y, the corner of the lowest at `position`. Blocks collide with each other.
+
+    Args:
+        levels: how many; size, resolution, young_modulus, poisson_ratio: of each, as for a jelly.
+        gap: between the balls of a block and of the next [m]. mass: of each block [kg].
+        radius: of each ball [m]; 0.45 of the smallest spacing by default.
+    """
+    dim = scene.dim
+    number = count("tower.levels", levels, 1)
+    extent = lengths("tower.size", (0.4,) * dim if size is None else size, dim)
+    many = counts("tower.resolution", (4,) * dim if resolution is None else resolution, dim, 2)
+    reach = or_default("tower.radius", radius, 0.45 * float((extent / (np.array(many) - 1)).min()))
+    step = float(extent[1]) + 2 * reach + at_least_0("tower.gap", gap)
+    low = np.zeros(dim) if position is None else validation.vectors("tower.position", position, 1, dim)[0]
+    affordable("tower.levels", levels, number * int(np.prod(many)), 13 * number * int(np.prod(many)))
+    blocks = []
+    for level in range(number):
+        with named("tower"):
+            block = jelly(
+                scene,
+                extent,  # type: ignore[arg-type]
+                many,
+                mass=mass,
+                young_modulus=young_modulus,
+                poisson_ratio=1 / (dim + 1) if poisson_ratio is None else poisson_ratio,
+                damping=damping,
+                radius=reach,
+                material=material,
+                position=low + level * step * np.eye(dim)[1],  # type: ignore[arg-type]
+                colour=colour,
+            )
+        blocks.append(block)
+    return Shape(
+        *(np.concatenate([getattr(b, name) for b in blocks]) for name in ("balls", "springs", "triangles", "cells"))
+    )

@@ -1,0 +1,349 @@
+"""Controlled: the number of substeps is chosen by the error, measured over the whole run by a second solution.
+
+Each step is made twice: with n substeps by the solution that is kept, and by a companion whose substeps are twice as long. Both
+go on by themselves from the start, so that the largest distance D of a ball between them has all that was added to the error and
+all that the motion made of it since, in positions, as the user will see it.
+
+Smooth motion: with errors e and 2^p e, p the order of the method, D = (2^p - 1) e. The order is not trusted to the last power of
+two, for what is not resolved shows less of it: e <= MARGIN D / (2^(p - 1) - 1), or MARGIN D for p < 2.
+
+Contacts: one may be noticed at the end of the substep h in which it begins, up to h late, and both solutions would notice it at
+the same instant wherever they share one: D would be 0, however wrong both are. So the companion's instants, 2 h apart, lie in the
+middle between the others: it is LAG h behind. Whenever a contact begins, the two notice it h/2 apart at least, and the error is
+h at most: e <= 2 D. What has begun in the last substep moves nothing yet, so both are compared one substep later, each brought
+there by one that is thrown away.
+
+Asked: at most tolerance x size of the scene for each simulated second, of any ball, from the first quarter of one on; size: the
+longest side of the box around all balls. Where the estimate is more than that by now, both go back to where they began and repeat
+all steps, with as many substeps as the order asks for; what was shown meanwhile was within the tolerance. They began at the
+start, or where the state was last set from outside, or, with forces of one's own, which may have been changed meanwhile, where
+`step` was last called. Where substeps are as short as they may become, or what was there when they began is too much, the
+tolerance cannot be kept: that is said once, and the run goes on with fewer substeps.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.stability import Stability, coarsest_spring
+from taichi_sim.kernels.contacts import statistics
+from taichi_sim.scene.colliders import MESH
+from taichi_sim.scene.scene import Scene
+from taichi_sim.simulation.assembly import Assembly
+from taichi_sim.simulation.energy_monitor import size
+from taichi_sim.simulation.settings import Settings
+from taichi_sim.simulation.state_probe import Look
+from taichi_sim.simulation.step_doubling import AHEAD, BEGUN, COARSE, FINE, LIVE, NEXT, START, Companion
+from taichi_sim.simulation.stepper import Stepper
+
+__all__ = ["Controlled", "StepError", "check_digits", "size"]
+
+HEAD = 0.25  # s, for which a run may be off as much from its start on
+LAG = 1.5  # substeps by which the companion is behind where there are contacts
+AIM = 0.5  # of what is allowed, after going back
+MARGIN = 1.25
+FEWEST, MOST_TIMES = 2.0, 16.0  # times as many substeps after going back
+DOUBLINGS = 16  # of the substeps, from what stability asks
+WORK = 1 << 27  # balls and springs gone through in a simulated second: the most, or 4 times what stability asks
+ALONE = 16  # balls' worth of what a substep of none would take
+AFTER = 8  # times what stability asks: the most once the tolerance is lost
+WINDOW = 64  # steps in which rounding may not use up what is allowed
+MANY_CONTACTS = 3  # at once, or one of what springs join: both solutions may decide alike, and wrongly, how they act
+ROUNDINGS = 4.0  # units of rounding that a window, or a substep, may add by itself
+
+KEPT = ("many", "error", "past", "taken", "least", "most", "repeated", "lost", "unsure", "remembers", "began", "lag")
+
+
+class StepError(NamedTuple):
+    """What error control found. `tolerance`: asked, parts of `size` [m] a simulated second; `estimate`: the largest error of a
+    ball so far, in parts of `size`; `lost`: since when the tolerance is not kept [s], or None; `unsure`: since when so many
+    contacts act at once that the estimate is no promise [s], or None; `least`, `most`: substeps of a step; `repeated`: how often
+    the run went back to repeat its steps with more of them."""
+
+    tolerance: float
+    size: float
+    estimate: float
+    lost: float | None
+    unsure: float | None
+    least: int
+    most: int
+    repeated: int
+
+
+def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, substeps: int, compensated: bool) -> None:
+    """Raise ValueError where rounding alone adds more than the tolerance: a window about the rounding of positions, and, where
+    sums are not compensated, each substep as much, in random directions; and where springs are so stiff that their load does not
+    show in single precision, so that both solutions are off alike and their distance tells nothing."""
+    eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
+    far = float(np.max(np.abs(scene.position), initial=0.0))
+    least = ROUNDINGS * eps * far * np.sqrt(1 if compensated else WINDOW * substeps) / (WINDOW * dt * size(scene))
+    if tolerance < least:
+        cure = 'use precision "f64"' if precision == "f32" else "build the scene nearer to the origin"
+        raise ValueError(
+            f"tolerance: {tolerance:g} is less than what rounding leaves in {precision}, {least:.2g} of the scene's size a"
+            f" second; {cure}"
+        )
+    found = coarsest_spring(scene) if precision == "f32" else None
+    if found is not None:
+        spring, stretch, rounding = found
+        raise ValueError(
+            f"tolerance: cannot be met in f32: the weight at spring {spring} stretches it by {stretch:.2g} m, and positions there"
+            f' are told {rounding:.2g} m apart; use precision "f64", or softer springs'
+        )
+
+
+class Controlled(Stepper):
+    """See above. `substeps`: of the solution that is kept, an even number."""
+
+    def __init__(
+        self, scene: Scene, settings: Settings, parts: Assembly, dt: float, substeps: int, safe: Stability, own: bool
+    ) -> None:
+        super().__init__(scene, settings, parts, dt, substeps, safe, own)
+        assert settings.tolerance is not None
+        self.own = own
+        self.may_shorten = False  # it does so all the time
+        self.size = size(scene)
+        self.share = settings.tolerance * self.size * dt  # m, of one step
+        self.floor = substeps  # stability, and what piles need
+        many = WORK * dt / (ALONE + scene.n_balls + scene.n_springs)
+        self.ceiling = int(min(self.floor << DOUBLINGS, max(4 * self.floor, many)))
+        order = max(1, settings.integrator.order)
+        if (
+            settings.integrator.implicit_damping
+            and np.bincount(scene.pairs[scene.damping > 0].ravel()).max(initial=0) > 1
+        ):
+            order = 1  # of the damping halves in a network
+        self.order = 1 if parts.contacts.active else order
+        self.scale = 2.0 if parts.contacts.active else MARGIN / (2.0 ** max(1, order - 1) - 1.0)
+        self.many = substeps
+        self.error = self.past = 0.0  # m: since the start of both solutions, and before
+        self.taken = 0  # steps in all
+        self.least, self.most, self.repeated = substeps, substeps, 0
+        self.lost: float | None = None
+        self.unsure: float | None = None
+        self.remembers = self.began = False  # whether there is a memory of the method's, now and when both began
+        self.lag = 0.0  # s, by which the companion is behind
+        self._ahead = 0.0  # the same one step on
+        self._mark: tuple[Any, ...] = ()
+
+    def report(self) -> StepError:
+        """What was asked and what was found."""
+        unit = self.size
+        return StepError(
+            self.share / (unit * self.dt),
+            unit,
+            max(self.past, self.error) / unit,
+            self.lost,
+            self.unsure,
+            self.least,
+            self.most,
+            self.repeated,
+        )
+
+    # One step --------------------------------------------------------------------------------------------------------
+
+    def prime(self) -> None:
+        """Where positions were set from outside, both begin there."""
+        if not self.primed:
+            super().prime()
+            self._companion.h[LIVE] = self.h
+            self._companion.store(FINE)
+            self._companion.store(COARSE)
+            self.remembers, self.lag = False, 0.0
+            self.past = max(self.past, self.error)
+            self._begin()
+
+    def set_time(self, time: float) -> None:
+        """Another run begins, which nothing is known of."""
+        super().set_time(time)
+        self.many = self.least = self.most = self.floor
+        self.error, self.past, self.taken, self.repeated = 0.0, 0.0, 0, 0
+        self.lost = self.unsure = None
+
+    def _begin(self) -> None:
+        """Here is where both go back to."""
+        self._companion.copy(START, FINE)
+        self._companion.copy(BEGUN, COARSE)
+        self.began = self.remembers
+        self._note()
+
+    def _note(self) -> None:
+        watch = self.watch
+        own = (self.steps, self.taken, self.error, self.lag, self.least, self.most)
+        self._mark = (*own, watch.least, watch.most, watch.last)
+
+    def _back_to_begin(self) -> None:
+        self._companion.copy(FINE, START)
+        self._companion.copy(COARSE, BEGUN)
+        self.remembers = self.began
+        watch = self.watch
+        self.steps, self.taken, self.error, self.lag, self.least, self.most = self._mark[:6]
+        watch.least, watch.most, watch.last = self._mark[6:]
+
+    def step(self, n: int) -> None:
+        """Advance by n steps; 0 only compiles."""
+        if self.own and self.primed:
+            self._begin()
+        super().step(n)
+
+    def advance(self, steps: int) -> None:
+        """Each step by itself, and those before it again where that needs more substeps."""
+        end = self.steps + steps
+        while self.steps < end:
+            look, error = self._try()
+            if error <= self._allowed() or self.lost is not None or self._lose(look, error):
+                self._take(error, look)
+            else:
+                self._go_back(error)
+
+    def _allowed(self) -> float:
+        """The error [m] that there may be after this step."""
+        return self.share * max(self.taken + 1, HEAD / self.dt)
+
+    def _lose(self, look: Any, error: float) -> bool:
+        """Whether nothing can be done about this error."""
+        before = max(self.past, self._mark[2])
+        if self.many < self.ceiling and (before < AIM * self._allowed() or not np.isfinite(error)):
+            return False
+        if not np.isfinite(error):
+            self._fail(0 if look.bad is None else look.bad)
+        self.lost = self.time + self.dt
+        self._warn(
+            "tolerance",
+            f"the tolerance of {self.share / (self.size * self.dt):g} a second cannot be kept from t = {self.lost:.6g} s on: the"
+            f" error there is about {error / self.size:.2g} of the scene's size, more than {self._allowed() / self.size:.2g},"
+            f" with substeps of {self.dt / self.many:.2g} s; where small differences grow, as where many balls meet, no step is"
+            " short enough",
+        )
+        return True
+
+    def _go_back(self, error: float) -> None:
+        """All steps once more, with more substeps."""
+        times = MOST_TIMES
+        if np.isfinite(error):
+            times = (error / (AIM * self._allowed())) ** (1.0 / self.order)
+        wanted = self.many * float(np.clip(times, FEWEST, MOST_TIMES))
+        self.repeated += 1
+        self._back_to_begin()
+        self.many = min(2 * int(np.ceil(0.5 * wanted)), self.ceiling)
+
+    def _try(self) -> tuple[Any, float]:
+        """The companion goes one step ahead, then the solution; a look at it, and the error [m] by then."""
+        h = self.dt / self.many
+        begin = self.time - self.lag
+        self._ahead = LAG * h if self.parts.contacts.active else 0.0
+        way = self.dt + self.lag - self._ahead
+        many = max(1, int(np.ceil(way / (2.0 * h) * (1.0 - 1e-9))))
+        self._from(COARSE, begin, many, way / many)
+        self._companion.store(AHEAD)
+        if self._ahead > 0.0:
+            self._from(AHEAD, begin + way, 1, self._ahead + h)
+        self._companion.show()
+        self._from(FINE, self.time, self.many, h)
+        self._companion.store(NEXT)
+        self.substeps, look = self.many, self.parts.gauge.look()
+        if self._ahead > 0.0:
+            self._from(NEXT, self.time + self.dt, 1, h)
+        apart = self.scale * self._companion.apart()
+        if self._ahead > 0.0:
+            self._at(NEXT, self.time + self.dt, h)
+        return look, max(self.error, self.past + apart)
+
+    @property
+    def _companion(self) -> Companion:
+        assert self.parts.companion is not None
+        return self.parts.companion
+
+    def _from(self, moment: int, time: float, many: int, h: float) -> None:
+        """From a stored moment at `time`, in so many substeps of h seconds; anew where contacts did not fit."""
+        needed: Any = True
+        while needed is not None:
+            self._at(moment, time, h)
+            self.parts.run(many, h, time)
+            needed = self.parts.lacking()
+            if needed is not None:
+                self.parts = self.parts.with_room(needed)
+
+    def _at(self, moment: int, time: float, h: float) -> None:
+        """All as in a stored moment at `time`, before substeps of h seconds."""
+        self.parts.set_step(h, anew=True, holds=False)
+        self._companion.load(moment, h)
+        self.parts.prime(h, time)
+        if (self.remembers or moment in (NEXT, AHEAD)) and self.parts.integrator.memory():
+            self._companion.remember(moment)  # lists may have grown: all but the state is new then
+            self.parts.integrator.recall()
+
+    def _take(self, error: float, look: Any) -> None:
+        """Accept the step."""
+        if look.bad is not None:
+            self._fail(look.bad)
+        self._companion.copy(FINE, NEXT)
+        self._companion.copy(COARSE, AHEAD)
+        self.lag = self._ahead
+        self.remembers = bool(self.parts.integrator.memory())
+        growth = self.watch.judge(look)
+        if growth is not None:
+            self._warn_of(growth, self.time + self.dt)
+        self._accept(1)
+        first = self.taken == self._mark[1] == 0
+        self.least = self.many if first else min(self.least, self.many)
+        self.most = self.many if first else max(self.most, self.many)
+        self.error = error
+        self.taken += 1
+        if self.unsure is None and self.parts.contacts.active:
+            self._doubt()
+        if self.lost is not None:
+            self.many = min(self.many, AFTER * self.floor)
+
+    def _doubt(self) -> None:
+        """Say once where contacts act together, or on bodies that shake: thresholds that go with h choose between bouncing,
+        sticking and sliding, and both solutions may choose alike where much shorter substeps choose otherwise."""
+        number = int(self.parts.survey()[statistics.NUMBER])
+        joined = self.scene.joined() & ~self.scene.pinned
+        if number >= (1 if joined.any() else MANY_CONTACTS) or self._may_have_met(joined):
+            what = (
+                f"{number} contacts act at once" if number >= MANY_CONTACTS else "what springs join touches something"
+            )
+            self.unsure = self.time
+            self._warn(
+                "unsure",
+                f"the tolerance is no promise from t = {self.time:.6g} s on, where {what}: whether contacts bounce, stick or"
+                " slide may be decided alike at both steps that are compared. Of 160 such runs 155 kept it, the others were"
+                " over by up to 4 times",
+            )
+
+    def _may_have_met(self, which: NDArray[np.bool_]) -> bool:
+        """Whether any of these balls was as near to a wall or a collider in this step as it moves in one: what bounces in between
+        leaves no contact at the end."""
+        scene, state = self.scene, self.parts.state
+        x, speed = state.position[which], np.linalg.norm(state.velocity[which], axis=1)
+        reach = scene.radius[which] + (speed + self.dt * float(np.linalg.norm(scene.gravity))) * self.dt
+        for wall in scene.walls:
+            if np.any(x @ np.asarray(wall.normal) - wall.offset < reach):
+                return True
+        for collider in scene.colliders:
+            centre, _ = collider.motion.at(self.time)
+            near = np.linalg.norm(x - centre[0], axis=1) < collider.extent + reach
+            if near.any() and (collider.kind == MESH or np.any(collider.distance(x[near], self.time) < reach[near])):
+                return True
+        return False
+
+    # To a file and back ----------------------------------------------------------------------------------------------
+
+    def state(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
+        """Where both solutions are, where they began, and a method's own memory in them."""
+        self.prime()
+        mark = [*self._mark[:-1], list(self._mark[-1])]
+        return {"mark": mark} | {name: getattr(self, name) for name in KEPT}, self._companion.arrays(
+            self.remembers, self.began
+        )
+
+    def set_state(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+        """The same."""
+        self.prime()
+        if set(state) == {"mark", *KEPT} and self._companion.write(arrays):
+            for name in KEPT:
+                setattr(self, name, state[name])
+            *mark, last = state["mark"]
+            self._mark = (*mark, Look(*last))

@@ -1,0 +1,392 @@
+"""Assembly: from a scene and settings to model, state, forces, contacts, integrator and drivers, with only what is needed."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.accuracy import Setup
+from taichi_sim.analysis.contact_needs import may_collide, may_gain, slowest_bounce
+from taichi_sim.common import memory
+from taichi_sim.common.errors import SceneError
+from taichi_sim.contacts.colliders import Colliders
+from taichi_sim.contacts.distance_grid import distance_grids
+from taichi_sim.contacts.grid import SKIN, Grid
+from taichi_sim.contacts.pairs import GAP, Pairs
+from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.contacts.statistics import Survey
+from taichi_sim.contacts.sticks import Sticks
+from taichi_sim.contacts.triangles import Facets
+from taichi_sim.contacts.walls import Walls
+from taichi_sim.device.backend import Backend
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.spatial_sort import in_order, spatial_order
+from taichi_sim.device.state import State
+from taichi_sim.forces.driven_pins import Pins
+from taichi_sim.forces.springs import Springs, fixed_order
+from taichi_sim.forces.sum import TotalForce
+from taichi_sim.forces.tearing import Tearing
+from taichi_sim.integrators import BUILT_IN
+from taichi_sim.kernels.contacts import contact_law, statistics
+from taichi_sim.kernels.contacts.pairs import ENDLESS
+from taichi_sim.scene.keyframes import TICKS
+from taichi_sim.scene.probes import bodies_of
+from taichi_sim.scene.scene import Scene, used_materials
+from taichi_sim.simulation.drivers import Drivers
+from taichi_sim.simulation.settings import Settings
+from taichi_sim.simulation.state_probe import Gauge
+from taichi_sim.simulation.step_doubling import Companion
+
+__all__ = ["Assembly", "compensates"]
+
+FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
+UNEQUAL = 4.0  # times in mass: from here on passes converge slowly
+FINE = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
+MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
+GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
+PAIR_BYTES = 64  # about what a listed pair takes
+SPARE = 1.5  # room made, in units of what was found too much
+
+
+class Room(NamedTuple):
+    """Entries that contacts are known to need: links of pairs, rows of sticks and of surfaces."""
+
+    pairs: int = 0
+    sticks: int = 0
+    facets: int = 0
+
+
+USUAL = Room()
+
+
+class Assembly:
+    """All parts of one simulation. h: seconds per substep; `set_step` changes it."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Settings,
+        backend: Backend,
+        h: float,
+        forces: Sequence[Any],
+        room: Room = USUAL,
+    ) -> None:
+        self.arguments = (scene, settings, backend, h, forces)
+        self.backend, self.h = backend, h
+        self.room = room
+        cpu = backend.arch == "cpu"
+        if settings.driver == "fused" and not cpu:
+            raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
+        self._grids = distance_grids(scene)  # kernels cannot run while fields are being declared
+        self.fields = Fields(backend.real, backend.arch in ("cpu", "cuda"))
+        try:
+            self._assemble(scene, settings, backend, h, forces)
+            self.fields.build()
+            self.integrator.set_step(h)
+        except BaseException:
+            self.fields.abandon()
+            raise
+
+    def _assemble(self, scene: Scene, settings: Settings, backend: Backend, h: float, forces: Sequence[Any]) -> None:
+        """All parts in the order in which they need each other."""
+        cpu = backend.arch == "cpu"
+        own_parts = bool(forces) or type(settings.integrator) not in BUILT_IN  # they may know balls by their number
+        order = None if own_parts else spatial_order(scene)
+        if order is not None:
+            scene = in_order(scene, order)
+        self.model = Model(scene, self.fields)
+        self.model.let_turn(turning(scene, settings))
+        small = _is_small(scene)
+        self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
+        self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
+        self.atomic = settings.accumulate == "atomic"
+        self.integrator = settings.integrator
+        self.integrator.fit(scene)
+        springs = self._springs(scene, cpu, small, h)
+        self.forces = TotalForce(self.model, self.fields, springs, forces)
+        self.forces.allocate(self.state, self.fields)
+        self.contacts = self._contacts(scene, settings, h, cpu)
+        self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
+        self.state.serial = self.fused
+        self.gauge = Gauge(self.model, self.state, springs, self.forces.stores, self.fields, self.fused)
+        self.pins = Pins(self.model, self.state, self.fields) if scene.moving_pins else None
+        self.tearing: Tearing | None = None
+        if springs is not None and np.isfinite(scene.break_strain).any():
+            self.tearing = Tearing(self.model, springs, self.forces.elements, self.fields)
+            self.state.followers.append(self.tearing)
+        moves = self.colliders is not None and self.colliders.moves
+        self.led = [part for part in (self.colliders if moves else None, self.pins) if part is not None]
+        self.integrator.pins = self.pins
+        self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
+        self.companion: Companion | None = None
+        if settings.tolerance is not None:
+            self.companion = Companion(self.state, self.integrator, self.contacts, self.fields, self.fused)
+        self.drivers = Drivers(self.integrator, self.pins, self.tearing)
+
+    def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
+        if scene.n_springs == 0:
+            return None
+        once = self.integrator.each_once  # in blocks or rows; for a GPU there are too few blocks
+        order = fixed_order(self.model, cpu, small)
+        if self.atomic or (once and not cpu):
+            order = "atomic"
+        elif once and order == "gather":
+            order = "blocks"
+        elif self.integrator.in_turn and order == "rows":
+            order = "waves"
+        return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
+
+    def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactSolver:
+        on = settings.contacts != "off" and bool(np.any(~scene.pinned))
+        sticks = on and bool(np.any(scene.collides)) and scene.n_balls > 2
+        facets = on and bool(np.any(scene.solid)) and scene.n_balls > 3
+        pairs = on and (sticks or facets or may_collide(scene))
+        walled = on and bool(scene.walls or scene.colliders)
+        if pairs or walled:
+            self.model.add_contact_fields()
+        # fields, so that another step compiles nothing anew
+        self.threshold = self.fields.reals(np.array([slowest_bounce(scene, h)])) if pairs or walled else None
+        # these look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
+        skin = 0.0 if sticks or facets or type(settings.integrator) not in BUILT_IN else SKIN
+        pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0))
+        warm = self.model.has_gravity or pulls or bool(self.forces.extra) or bool(scene.moving_pins)
+        # only what rests is soft, and that takes gravity: a rigid contact is exact for two balls
+        soft = self.model.has_gravity and pairs and settings.integrator.relaxes and settings.contacts != "sum"
+        rule = self._rule(settings, cpu)
+        mass = scene.mass[~scene.pinned]
+        unequal = rule == "gauss_seidel" and len(mass) > 0 and bool(mass.max() > UNEQUAL * mass.min())
+        most = self._spare_bytes() // PAIR_BYTES
+        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
+        strikes = pairs and rule == "gauss_seidel" and not sticks and not facets  # impacts one by one
+        pair_part = (
+            Pairs(self.model, self.fields, grid, warm, soft, unequal, strikes, self.room.pairs)
+            if grid is not None
+            else None
+        )
+        self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
+        # they may do work
+        pushed = (self.colliders is not None and self.colliders.moves) or bool(scene.moving_pins)
+        tames = pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets))
+        # walls take their turn with pairs
+        among = soft or strikes
+        wall_part = (
+            Walls(self.model, self.state, self.fields, self.threshold, among, pairs, self.colliders, tames)
+            if walled
+            else None
+        )
+        if wall_part is not None and wall_part.told:
+            self.state.followers.append(wall_part.received)
+        stick_part = (
+            Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
+        )
+        facet_part = (
+            Facets(self.model, self.fields, pair_part, self.room.facets) if facets and pair_part is not None else None
+        )
+        return ContactSolver(
+            self.model,
+            self.state,
+            self.fields,
+            wall_part,
+            pair_part,
+            stick_part,
+            facet_part,
+            threshold=self.threshold,
+            h=h,
+            passes=settings.passes(scene, rule),
+            rule=rule,
+            atomic=self.atomic or (settings.accumulate == "auto" and not cpu),  # blocks are too few for a GPU
+            serial=self.fused,
+            warm=warm,
+            soft=soft,
+            loaded=pulls or bool(self.forces.extra) or self.model.has_gravity,
+            tames=tames,
+        )
+
+    def _rule(self, settings: Settings, cpu: bool) -> str:
+        """A fixed order of pairs is what Gauss-Seidel is made of; atomics and GPUs take all at once. It needs half the passes,
+        and impacts one by one keep the energy of what bounces."""
+        if settings.contacts != "auto":
+            if settings.contacts == "gauss_seidel" and (self.atomic or not cpu):
+                why = "accumulate: 'atomic'" if self.atomic else "a GPU"
+                raise ValueError(
+                    f"contacts: 'gauss_seidel' changes velocities in a fixed order, which {why} does not have"
+                )
+            return settings.contacts
+        return "gauss_seidel" if cpu and not self.atomic else "jacobi"
+
+    @property
+    def setup(self) -> Setup:
+        """How the scene is run, for what can be said of its accuracy."""
+        scene, settings, backend, _, _ = self.arguments
+        contacts = self.contacts
+        give = contact_law.LEAK / (contact_law.SOFT * contact_law.PUSH) if contacts.soft else 0.0
+        if contacts.split:  # masses in two parts, those of a ball between two others
+            give *= 2.0 / contacts.relaxation
+        rule = contacts.rule if contacts.active else "off"
+        rounds = compensates(scene, backend)
+        return Setup(settings.integrator.name, self.h, backend.precision, rule, rounds, give, contacts.tames)
+
+    def names(self) -> list[str]:
+        """What was compiled in."""
+        driver = "driver.fused" if self.fused else "driver.parallel"
+        return [driver, f"integrator.{self.integrator.name}", *self.forces.names(), *self.contacts.names()]
+
+    def prime(self, h: float, time: float) -> None:
+        """Forces and contacts at the present positions."""
+        for part in self.led:
+            part.load(time, h, 0)
+        self.drivers.prime(h, time, self.fused)
+
+    def run(self, substeps: int, h: float, time: float) -> None:
+        """Advance the fields. 0 substeps compile the fused driver; the parallel one compiles with its first."""
+        if not self.led:
+            self.drivers.run(substeps, h, time, self.fused)
+            return
+        for first in range(0, max(1, substeps), TICKS):
+            now = min(TICKS, substeps - first)
+            for part in self.led:
+                part.load(time + first * h, h, now)
+            self.drivers.run(now, h, time + first * h, self.fused)
+
+    def set_step(self, h: float, *, anew: bool = False, holds: bool = True) -> None:
+        """Take substeps of h seconds from now on; nothing is compiled, and `prime` is due. What is fitted to a step is fitted
+        anew: the stages of strong damping, the rate at which overlap is left, the impulses that contacts hold. The speed
+        below which nothing bounces stays that of the step that the simulation began with, a law of the scene and not of the
+        method, unless it begins `anew`. holds: what contacts hold belongs to the step before."""
+        if anew:
+            scene, settings, backend, _, forces = self.arguments
+            self.arguments = (scene, settings, backend, h, forces)
+            if self.threshold is not None:
+                self.threshold[0] = slowest_bounce(scene, h)
+        if h == self.h:
+            return
+        if self.forces.springs is not None and self.integrator.implicit_damping:
+            self.forces.springs.set_damping(self.integrator.damping(self.model, h))
+        self.integrator.set_step(h)
+        if holds:
+            self.contacts.set_step(h, h / self.h)
+        elif self.contacts.active:
+            self.contacts.rate[0] = 1.0 / h
+        self.h = h
+
+    def survey(self) -> NDArray[np.float64]:
+        """Tally (survey.SIZE,) of all contacts, see kernels.survey, with the user's number of the ball; they must be active."""
+        assert self._survey is not None
+        tally = self._survey.look(self.state.ball)
+        if self.state.order is not None:
+            tally[statistics.BALL] = self.state.order[int(tally[statistics.BALL])]
+        return tally
+
+    def impulses(self) -> NDArray[np.float64]:
+        """(b, dim) N s that walls and colliders have received since the start, those of `probes.bodies_of`."""
+        scene, walls = self.arguments[0], self.contacts.walls
+        if walls is None or not walls.told:
+            return np.zeros((len(bodies_of(scene)), scene.dim))
+        return walls.received.value()
+
+    def set_impulses(self, total: NDArray[np.float64]) -> None:
+        """Go on from there."""
+        if self.contacts.walls is not None and self.contacts.walls.told:
+            self.contacts.walls.received.set(total)
+
+    def searches(self) -> int:
+        """How often neighbours were looked for."""
+        pairs = self.contacts.pairs
+        return 0 if pairs is None else int(pairs.grid.searches[0])
+
+    def lacking(self) -> Room | None:
+        """Entries that contacts need where they did not all fit since the last call, else None."""
+        found = {}
+        for name in Room._fields:
+            part = getattr(self.contacts, name)
+            if part is not None and (entries := int(part.overflow[0])) > part.capacity:
+                part.overflow[0] = 0
+                found[name] = entries
+        return self.room._replace(**found) if found else None
+
+    def with_room(self, needed: Room) -> "Assembly":
+        """The same parts, compiled anew, with lists for what is needed and half as much again. This one is freed.
+
+        Positions, velocities and spin go over; impulses that contacts hold do not. Raises SceneError, and changes nothing,
+        where that takes more than MEMORY_SHARE of the free memory, or more entries than numbers of 32 bits count.
+        """
+        room = {}
+        for name in Room._fields:
+            part, entries = getattr(self.contacts, name), getattr(needed, name)
+            if part is not None and entries > part.capacity:
+                if entries == ENDLESS:
+                    raise SceneError(self._endless())
+                limit = max(part.capacity, int(min(part.most, self._spare_bytes() // part.bytes_each)))
+                if entries > limit:
+                    raise SceneError(
+                        f"contacts: {part.what} need {entries} entries, but there is memory for {limit}"
+                        f" ({limit * part.bytes_each / 2**30:.3g} GiB): too many balls lie in each other"
+                    )
+                entries = min(limit, int(SPARE * entries))
+            room[name] = entries
+        state = self.state
+        x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
+        torn = None if self.tearing is None else self.tearing.springs_torn
+        given = self.impulses()
+        if self.companion is None:  # else both are there for a moment
+            self.free()
+        larger = Assembly(*self.arguments, room=Room(**room))
+        if self.companion is not None and larger.companion is not None:
+            larger.companion.take(self.companion)
+            self.free()
+        larger.set_step(self.h)
+        larger.state.write(x, v, low)
+        larger.state.write_turn(turn)
+        larger.set_impulses(given)
+        if torn is not None and larger.tearing is not None:
+            larger.tearing.tear(torn)
+        return larger
+
+    def _endless(self) -> str:
+        """What to say where counting itself would take too long."""
+        pairs = self.contacts.pairs
+        assert pairs is not None
+        width = max(pairs.grid.widths)
+        return (
+            f"contacts: {float(pairs.grid.worst[0]):.2g} pairs of balls lie in the same cells, up to {width:.3g} m"
+            f" wide, but there is memory for {float(pairs.grid.most[0]):.2g}: too many balls lie in each other"
+        )
+
+    def _spare_bytes(self) -> int:
+        """Bytes that lists of contacts may take."""
+        if self.backend.arch != "cpu":
+            return GPU_MEMORY
+        return int(MEMORY_SHARE * (memory.available() + self.fields.bytes))
+
+    def free(self) -> None:
+        """Give all memory back."""
+        self.fields.free()
+
+
+def _is_small(scene: Scene) -> bool:
+    return scene.n_balls + scene.n_springs + 4 * (len(scene.cells) + len(scene.bends)) <= FUSED_UP_TO
+
+
+def compensates(scene: Scene, backend: Backend) -> bool:
+    """Whether sums keep what rounding takes from them. Large scenes are bound by memory, where that would cost a tenth of the
+    speed."""
+    return _is_small(scene) and _rounds(scene, backend)
+
+
+def _rounds(scene: Scene, backend: Backend) -> bool:
+    """Whether sums of many small steps lose digits that show: in single precision, or far from the origin."""
+    if backend.precision == "f32" or not scene.n_balls:
+        return backend.precision == "f32"
+    return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINE * float(np.min(scene.radius))
+
+
+def turning(scene: Scene, settings: Settings) -> NDArray[np.bool_]:
+    """Which balls turn (n): "auto" where Coulomb friction can make them the loose ones. Those of cloth and jelly, which springs,
+    cells and the like join at their centres, would only roll under it like casters."""
+    if settings.contacts == "off" or settings.spin is False:
+        return np.zeros(scene.n_balls, dtype=bool)
+    if settings.spin is True:
+        return np.ones(scene.n_balls, dtype=bool)
+    return ~scene.pinned & ~scene.joined() & any(m.friction > 0 for m in used_materials(scene))

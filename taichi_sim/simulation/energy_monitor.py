@@ -1,0 +1,109 @@
+"""Watch: whether the energy of a run is still what its motion explains. Plain numbers; no Taichi.
+
+In a closed scene (gravity, springs, walls, contacts: nothing that works on it) energy E may only stay or fall. The energy that a
+method computes does not stay: Verlet keeps v^2 + w^2 x^2 (1 - s^2) of an oscillation, s = w h / 2, so that kinetic plus elastic
+energy swings by up to 1 / (1 - s^2); symplectic Euler keeps v^2 + w^2 x^2 - h w^2 x v: (1 + s) / (1 - s). Runge-Kutta and the
+implicit methods only lose. Where springs stretch far their stiffness changes within a step, and resonances of the step itself
+exchange up to 6 times the energy of undamped networks that recover. So what moves, W = kinetic + elastic energy, is watched
+against what it would be had E stayed at the least that it was: W - gain, gain = E - least. A run is unhealthy when
+W > limit (W - gain), the limit 8, or one and a half of the method's own swing where that is more.
+
+Not energy that appeared: what rounding makes of the sums, and, where there are contacts, what overlap holds, which no sum
+counts: what is pushed out may lift all balls by the height of the scene, and stretch each spring by a diameter.
+
+Where forces of one's own or moving colliders do work, any energy may be right. There only growth a hundredfold above all
+that came before raises the question. The bound on the step for the present shape answers it, or, where the program may choose
+the step, a run of half of it: work that was done is done again. Forces of one's own have no bound; where a ball goes further in
+a step than the scene is wide, such a run answers, too.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["LARGEST_PART", "Growth", "Watch", "size", "swing"]
+
+MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
+SWINGS = 1.5  # of a method's own swing, for springs that pull at once
+LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it there is none
+WORK = 100.0  # times what a driven scene had before: worth a look at the bound
+DIGITS = 64.0  # units of rounding that sums and positions may differ by
+
+
+def size(scene: Scene) -> float:
+    """The longest side [m] of the box around all balls."""
+    if not scene.n_balls:
+        return 1.0
+    low = (scene.position - scene.radius[:, None]).min(axis=0)
+    return float(((scene.position + scene.radius[:, None]).max(axis=0) - low).max())
+
+
+class Growth(NamedTuple):
+    """Energy that nothing explains [J]: the least there was, and what there is. `sure`: False where something may do work."""
+
+    before: float
+    after: float
+    sure: bool
+
+
+class Watch:
+    """Judges looks at one run (see gauge.Look), one after another; `begin` forgets those before.
+
+    part: the substep as a part of the bound for every shape. closed: nothing works on the scene. contacts: there are some.
+    """
+
+    def __init__(self, scene: Scene, method: str, part: float, *, closed: bool, contacts: bool, precision: str) -> None:
+        self.closed = closed
+        self.limit = max(MOST_GROWTH, SWINGS * swing(method, min(part, LARGEST_PART)))
+        eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
+        self.digits = DIGITS * eps
+        far = float(np.max(np.abs(scene.position), initial=0.0))
+        self.jitter = 0.5 * float(np.sum(scene.stiffness)) * (self.digits * far) ** 2
+        self.slack = _overlap(scene) if contacts else 0.0
+        self.least, self.most, self.last = np.inf, 0.0, None
+
+    def begin(self, look: Any) -> None:
+        """Go on from here."""
+        self.least, self.most, self.last = look.total, look.motion, look
+
+    def judge(self, look: Any) -> Growth | None:
+        """The growth that a look shows, or None: then it is noted."""
+        growth = self._growth(look)
+        if growth is None:
+            self.least, self.most, self.last = min(self.least, look.total), max(self.most, look.motion), look
+        return growth
+
+    def _growth(self, look: Any) -> Growth | None:
+        if not self.closed:
+            grown = 0.0 < WORK * self.most < look.motion
+            return Growth(self.most, look.motion, False) if grown else None
+        gain = look.total - self.least - self.slack - self._rounding(look)
+        if gain > 0.0 and look.motion > self.limit * (look.motion - gain):
+            return Growth(self.least, look.total, True)
+        return None
+
+    def _rounding(self, look: Any) -> float:
+        """Joule by which sums may be off. Elastic: each stretch by the rounding of positions, (s + ds)^2 - s^2."""
+        return (
+            self.digits * (look.weight + look.motion) + self.jitter + 2.0 * float(np.sqrt(look.elastic * self.jitter))
+        )
+
+
+def swing(method: str, part: float) -> float:
+    """Largest over least kinetic plus elastic energy of one oscillation, at a part of the bound."""
+    if method == "verlet":
+        return 1.0 / (1.0 - part**2)
+    return (1.0 + part) / (1.0 - part) if method == "symplectic_euler" else 1.0
+
+
+def _overlap(scene: Scene) -> float:
+    """Most energy [J] that overlaps may give back: every ball lifted by the height of the scene, every spring by a diameter."""
+    if not scene.n_balls:
+        return 0.0
+    across = 2.0 * float(np.max(scene.radius))
+    g = float(np.linalg.norm(scene.gravity))
+    height = float(np.ptp(scene.position @ scene.gravity)) / g if g > 0 else 0.0
+    mass = float(np.sum(np.where(scene.pinned, 0.0, scene.mass)))
+    return mass * g * (height + across) + 0.5 * float(np.sum(scene.stiffness)) * across**2

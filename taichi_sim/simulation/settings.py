@@ -1,0 +1,196 @@
+"""Settings: the arguments of Simulation, checked and with every "auto" that depends on the scene alone resolved."""
+
+import math
+from copy import copy
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.analysis.accuracy import layers
+from taichi_sim.analysis.stability import Stability
+from taichi_sim.common import validation
+from taichi_sim.device import backend
+from taichi_sim.scene.scene import Scene, bounciest
+
+__all__ = ["Settings", "part_of_bound"]
+
+DEFAULTS: dict[str, Any] = {
+    "integrator": "verlet",
+    "dt": "auto",
+    "tolerance": None,
+    "substeps": "auto",
+    "precision": None,
+    "arch": None,
+    "threads": None,
+    "contacts": "auto",
+    "contact_passes": "auto",
+    "accumulate": "auto",
+    "driver": "auto",
+    "spin": "auto",
+}
+WORDS: dict[str, tuple[Any, ...]] = {
+    "contacts": ("auto", "gauss_seidel", "jacobi", "sum", "off"),
+    "accumulate": ("auto", "ordered", "atomic"),
+    "driver": ("auto", "fused", "parallel"),
+    "spin": ("auto", True, False),
+}
+LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
+# s, the longest step between two looks at the error; it divides frames of 24, 30 and 60 a second
+STRIDE = 1.0 / 240.0
+MOST_PARTS = 256  # of such a step, where springs need short ones
+SHORTEST_DT, LONGEST_DT = 1e-12, 1e6  # s
+MOST_THREADS = 4096
+SAFETY = 0.9  # of the stability bound
+# The same for a symplectic method where a spring is undamped: small motion is stable up to the bound, but large motion meets
+# resonances of the step itself from omega h = 1.2 on, and gains energy.
+UNDAMPED = 0.4
+SYMPLECTIC = ("verlet", "symplectic_euler")
+SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
+MOST_SUBSTEPS = 8
+MANY = 1000  # balls, fewer of which can afford two passes
+SURFACE_PASSES = (
+    10  # what folds lies in several layers, each ball in many contacts; finding these takes far longer than a pass
+)
+UNEQUAL = 10.0  # ratio of masses from which one Gauss-Seidel pass is not enough
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Checked arguments. None for precision, arch, threads: what the process runs, or the default."""
+
+    integrator: Any
+    dt: float | str
+    tolerance: float | None
+    substeps: int | str
+    precision: str | None
+    arch: str | None
+    threads: int | None
+    contacts: str
+    contact_passes: int | str
+    accumulate: str
+    driver: str
+    spin: Any
+
+    @classmethod
+    def resolve(cls, scene: Scene, given: dict[str, Any]) -> "Settings":
+        """Arguments, else scene.settings, else defaults. Raises ValueError that names the argument and what is allowed."""
+        for name in (*scene.settings, *given):
+            if name not in DEFAULTS:
+                near = get_close_matches(name, DEFAULTS, n=1)
+                hint = f"; did you mean {near[0]!r}?" if near else ""
+                raise ValueError(f"{name}: no such argument; there are {', '.join([*DEFAULTS, 'forces'])}{hint}")
+        for source in (scene.settings, given):
+            if source.get("tolerance") is not None:
+                for name in ("dt", "substeps"):
+                    if source.get(name, "auto") != "auto":
+                        raise ValueError(
+                            f"tolerance: chooses the step, but {name} = {source[name]!r} is given too; leave one out"
+                        )
+        values = {**DEFAULTS, **_over(scene.settings, given)}
+        for name, allowed in WORDS.items():
+            if not any(values[name] is word or values[name] == word for word in allowed):
+                words = ", ".join(str(word) for word in allowed)
+                raise ValueError(f"{name}: {values[name]!r} is not allowed; it must be one of {words}")
+        _check_backend(values)
+        values["integrator"] = _integrator(values["integrator"])
+        for name in ("contact_passes", "substeps"):
+            if values[name] != "auto":
+                values[name] = _whole(name, values[name])
+        if values["dt"] != "auto":
+            values["dt"] = validation.number("dt", values["dt"], high=math.inf, positive=True)
+            if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
+                raise ValueError(
+                    f"dt: {values['dt']:g} is not allowed; it must be from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds"
+                )
+        if values["tolerance"] is not None:
+            values["tolerance"] = validation.number("tolerance", values["tolerance"], positive=True)
+            if values["tolerance"] >= 1.0:
+                raise ValueError(f"tolerance: {values['tolerance']:g} is not allowed; it must be less than 1")
+        return cls(**values)
+
+    def passes(self, scene: Scene, rule: str) -> int:
+        """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where they
+        differ tenfold in mass: a light ball under a heavy one trembles with 1; 10 where surfaces collide; with these or sticks
+        up to 4 more for balls that bounce well. With split masses 4 for small scenes to 8 for those whose piles can be high, and
+        up to 12 more where balls bounce well: what has not converged then takes energy for good."""
+        if self.contact_passes != "auto":
+            return int(self.contact_passes)
+        surfaces = SURFACE_PASSES if scene.solid.any() else 0
+        if rule == "gauss_seidel":
+            mass = scene.mass[~scene.pinned]
+            few = 1 if len(mass) > MANY and mass.max() <= UNEQUAL * mass.min() else 2
+            few = max(few, surfaces)
+            rows = scene.solid.any() or scene.collides.any()  # else impacts are resolved one by one
+            return few + (round(4 * max(0.0, 2.0 * bounciest(scene) - 1.0)) if rows else 0)
+        more = round(12 * max(0.0, 2.0 * bounciest(scene) - 1.0))
+        return max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8))) + more
+
+    def time_step(self, scene: Scene, safe: Stability) -> tuple[float, int]:
+        """dt [s] and the number of substeps, with "auto" resolved."""
+        if self.dt != "auto":
+            dt = float(self.dt)
+            return dt, self._substeps(scene, dt)
+        if safe.dt_any_shape == 0.0:
+            raise ValueError(f'dt: "auto" finds no safe step: {safe.reason}; give a number, or take another integrator')
+        longest = part_of_bound(scene, getattr(self.integrator, "name", "")) * safe.dt_any_shape
+        if self.tolerance is not None:
+            dt = float(np.minimum(STRIDE, MOST_PARTS * longest))
+            return dt, 2 * max(1, int(np.ceil(dt / longest)), self._substeps(scene, dt))
+        limit = longest * (1 if self.substeps == "auto" else int(self.substeps))
+        dt = float(np.minimum(LONGEST_STEP, limit))
+        return dt, self._substeps(scene, dt)
+
+    def _substeps(self, scene: Scene, dt: float) -> int:
+        """ "auto": as many as loose balls need to lie on each other firmly, should they pile up as wide as they start."""
+        if self.substeps != "auto":
+            return int(self.substeps)
+        loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
+        g = float(np.linalg.norm(scene.gravity))
+        if self.contacts == "off" or np.count_nonzero(loose) < 2 or g == 0.0:
+            return 1
+        radius = float(np.median(scene.radius[loose]))
+        longest = np.sqrt(SINKING[scene.dim] * radius / (g * layers(scene, loose)))
+        return int(np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS))
+
+
+def part_of_bound(scene: Scene, method: str) -> float:
+    """Part of the stability bound that is safe in the long run."""
+    return UNDAMPED if method in SYMPLECTIC and not np.all(scene.damping > 0) else SAFETY
+
+
+def _over(settings: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    """Arguments over the scene's own; a tolerance takes the place of a step, and a step that of a tolerance."""
+    left = dict(settings)
+    if given.get("tolerance") is not None:
+        left.update(dt="auto", substeps="auto")
+    elif given.get("dt", "auto") != "auto":
+        left["tolerance"] = None
+    return left | given
+
+
+def _check_backend(values: dict[str, Any]) -> None:
+    for name, allowed in (("arch", backend.ARCHES), ("precision", backend.PRECISIONS)):
+        if values[name] is not None and values[name] not in allowed:
+            raise ValueError(f"{name}: {values[name]!r} is not allowed; it must be one of {', '.join(allowed)}")
+    if values["threads"] is not None:
+        _whole("threads", values["threads"], MOST_THREADS)
+
+
+def _whole(name: str, value: Any, most: int = 2**31 - 1) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
+        raise ValueError(f"{name}: {value!r} is not allowed; it must be a whole number from 1 to {most}")
+    return int(value)
+
+
+def _integrator(value: Any) -> Any:
+    from taichi_sim.integrators import BUILT_IN, Integrator  # brings Taichi: only when a simulation is made
+
+    if isinstance(value, Integrator):
+        return copy(value)  # one object may serve several simulations
+    for kind in BUILT_IN:
+        if kind.name == value:
+            return kind()
+    names = ", ".join(kind.name for kind in BUILT_IN)
+    raise ValueError(f"integrator: {value!r} is not allowed; it must be one of {names}, or an Integrator")

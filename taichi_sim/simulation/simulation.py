@@ -1,0 +1,402 @@
+"""Simulation: a scene in motion."""
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim.analysis import diagnostics
+from taichi_sim.analysis.accuracy import Setup
+from taichi_sim.analysis.collider_checks import check_colliders
+from taichi_sim.analysis.frame import Contacts, Frame, Placed
+from taichi_sim.analysis.lazy_frame import Moment
+from taichi_sim.analysis.outcome import Scales
+from taichi_sim.analysis.preflight import cautions
+from taichi_sim.analysis.probe_readings import Reader
+from taichi_sim.analysis.stability import Stability, stability
+from taichi_sim.common import validation
+from taichi_sim.device import backend
+from taichi_sim.device.state import State
+from taichi_sim.geometry.intersections import crossings
+from taichi_sim.integrators import BUILT_IN
+from taichi_sim.integrators.base import Solver
+from taichi_sim.scene.probes import bodies_of
+from taichi_sim.scene.scene import Scene
+from taichi_sim.simulation.adaptive_stepper import Controlled, StepError, check_digits
+from taichi_sim.simulation.assembly import Assembly, compensates
+from taichi_sim.simulation.settings import Settings
+from taichi_sim.simulation.stepper import Stepper
+
+__all__ = ["Simulation"]
+
+MOST_FRAMES = 10_000_000
+Low = tuple[NDArray, NDArray] | None
+
+
+class Simulation(Reader):
+    """Steps a scene through time.
+
+    Args, all optional; what is left out is taken from scene.settings, then from the defaults in parentheses:
+        integrator: a name ("explicit_euler", "symplectic_euler", "verlet", "rk4", and, for stiff springs, "xpbd",
+            "implicit_euler", "tr_bdf2") or an Integrator ("verlet").
+        dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape, 0.4 where
+            a spring is undamped and the method symplectic ("auto").
+        tolerance: in place of dt: the error allowed in a simulated second, as a part of the scene's size; see `error` (None).
+        substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
+            ("auto").
+        precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
+        contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU, jacobi on a GPU).
+        contact_passes: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8 by
+            jacobi; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with sticks or surfaces ("auto").
+        accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
+        driver: "auto", "fused", "parallel" ("auto": by size).
+        spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
+        forces: your own force objects.
+        threads: CPU threads.
+
+    Precision, arch and threads hold for the whole process. Raises ValueError, SceneError, BackendError; warns when dt is
+    above the safe bound.
+    """
+
+    def __init__(self, scene: Scene, *, forces: Sequence[Any] = (), **settings: Any) -> None:
+        self.scene = scene
+        self.settings = Settings.resolve(scene, settings)
+        scene.has_groups()  # a mistyped name is an error, whatever collides
+        self._stability = stability(scene, self.settings.integrator.name)
+        self.dt, substeps = self.settings.time_step(scene, self._stability)
+        h = self.dt / substeps
+        self._warn(h)
+        if self.settings.contacts != "off":
+            check_colliders(scene, h)
+        s = self.settings
+        self.backend = backend.start(s.arch, s.precision, s.threads)
+        self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
+        diagnostics.check_tearing(scene)
+        if s.tolerance is not None and np.isfinite(scene.break_strain).any():
+            raise ValueError("tolerance: cannot be kept where springs tear; give dt, or leave break_strain out")
+        if s.tolerance is not None:
+            check_digits(
+                scene, s.tolerance, self.backend.precision, self.dt, substeps, compensates(scene, self.backend)
+            )
+        if s.tolerance is not None and bodies_of(scene):
+            raise ValueError(
+                "tolerance: cannot be kept together with probes of force or impulse; give dt, or leave them out"
+            )
+        parts = Assembly(scene, s, self.backend, h, forces)
+        kind = Stepper if s.tolerance is None else Controlled
+        self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
+        for caution in cautions(scene, parts.setup):
+            warnings.warn(caution, stacklevel=2)
+        self._closed, self._probed = False, tuple(scene.probes)
+        self._still = scene.n_balls == 0
+        self._begin_readings()
+
+    def _warn(self, h: float) -> None:
+        safe = self._stability.dt_any_shape
+        if h > safe * (1.0 + 1e-9):
+            warnings.warn(
+                f"dt = {h:.6g} s is above the safe bound of {safe:.6g} s for every shape of this scene:"
+                f" {self._stability.reason}",
+                stacklevel=3,
+            )
+
+    @property
+    def substeps(self) -> int:
+        """Parts that each step is divided into; with dt = "auto" more, once energy has grown that nothing explains."""
+        return self._stepper.substeps
+
+    @property
+    def _parts(self) -> Assembly:
+        if self._closed:  # its memory is gone: touching it would end the process
+            raise RuntimeError("this simulation is closed; make a new one")
+        return self._stepper.parts
+
+    @property
+    def _state(self) -> State:
+        return self._parts.state
+
+    # Moving on -----------------------------------------------------------------------------------------------------
+
+    def step(self, n: int = 1) -> None:
+        """Advance by n steps of dt. step(0) only compiles; on several threads the step itself compiles with the first. Raises
+        UnstableError, leaving the last good state."""
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
+            raise ValueError(f"step: {n!r} is not allowed; it must be a whole number, 0 or more")
+        if self._still:
+            self._stepper.steps += int(n)
+        elif self._state is not None:  # not closed
+            self._stepper.step(int(n))
+
+    def run(self, duration: float) -> None:
+        """Advance by round(duration / dt) steps; duration in seconds."""
+        self.step(round(validation.number("duration", duration, low=0) / self.dt))
+
+    def frames(self, fps: float = 60.0, duration: float = 5.0) -> Iterator[Frame]:
+        """round(fps x duration) frames, the first the present state, each at the step nearest to its time.
+
+        Steps made between two frames count towards the next one.
+        """
+        rate = validation.number("fps", fps, positive=True)
+        count = round(min(rate * validation.number("duration", duration, low=0), 2.0 * MOST_FRAMES))
+        if count > MOST_FRAMES:
+            raise ValueError(
+                f"frames: {rate:g} a second for {duration:g} s are more than {MOST_FRAMES}, the most allowed"
+            )
+        if rate * self.dt > 1.0 + 1e-9:
+            warnings.warn(
+                f"dt = {self.dt:.6g} s is longer than a frame, 1/{rate:g} s: some frames repeat", stacklevel=2
+            )
+        start = self._stepper.steps
+        for k in range(count):
+            self.step(max(0, start + round(k / rate / self.dt) - self._stepper.steps))
+            yield self.frame()
+
+    # Looking at it -------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Seconds since the start: steps x dt."""
+        return self._stepper.time
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """(n, dim) m, a copy."""
+        return self._state.position
+
+    @property
+    def velocity(self) -> NDArray[np.float64]:
+        """(n, dim) m/s, a copy; belongs to the same moment as `position`, after contacts."""
+        return self._state.velocity
+
+    def _spin(self) -> NDArray[np.float64]:
+        return self.surface_speed / self.scene.radius[:, None]
+
+    @property
+    def angular_velocity(self) -> NDArray[np.float64]:
+        """1/s, counter-clockwise: (n,) in 2D, (n, 3) in 3D, a copy; 0 where balls do not spin."""
+        spin = self._spin()
+        return spin[:, 0] if self.scene.dim == 2 else spin
+
+    def energy(self) -> diagnostics.Energy:
+        """Kinetic, spring, gravity and total energy [J], computed in float64."""
+        return diagnostics.energy(self.scene, self.position, self.velocity, self._spin(), self.torn)
+
+    def momentum(self) -> NDArray[np.float64]:
+        """(dim,) kg m/s."""
+        return diagnostics.momentum(self.scene, self.velocity)
+
+    def angular_momentum(self) -> Any:
+        """About the origin [kg m^2/s]: a float in 2D, (3,) in 3D."""
+        return diagnostics.angular_momentum(self.scene, self.position, self.velocity, self._spin())
+
+    def contacts(self) -> Contacts:
+        """Number and depth of the contacts, what the solver left of approach speeds, and what it did; all 0 where contacts
+        are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile. Warns, once,
+        where steps have brought balls deep into something."""
+        fastest = diagnostics.largest_speed(self.velocity)
+        if self._still or not self._parts.contacts.active:
+            return diagnostics.contacts(None, 0, self.substeps, fastest, 0)
+        self._stepper.prime()
+        parts = self._parts  # after priming, for which lists may have grown
+        return diagnostics.contacts(
+            self._stepper.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches()
+        )
+
+    def penetration(self) -> float:
+        """Largest overlap of a ball with a wall, a collider, a stick or another ball, or of surfaces [m]; 0 with contacts off."""
+        return self.contacts().penetration
+
+    def crossings(self) -> int:
+        """How often an edge of the triangles pierces one of them, all of the scene's taken together; 0 in 2D. A look in NumPy."""
+        return len(crossings(self.position, self.scene.triangles)) if self.scene.dim == 3 else 0
+
+    def frame(self) -> Frame:
+        """The present moment as NumPy arrays."""
+        scene, x, v = self.scene, self.position, self.velocity
+        torn = self.torn
+        whole, triangles = self._whole(torn)
+        return Moment(
+            scene,
+            self._spin(),
+            torn,
+            time=self.time,
+            position=x,
+            velocity=v,
+            radius=scene.radius,
+            springs=scene.pairs[whole],
+            sticks=scene.collides[whole],
+            triangles=triangles,
+            colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
+            pinned=scene.pinned,
+            walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
+            colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(self.time))) for c in scene.colliders),
+            skins=tuple(scene.skins),
+            gravity=scene.gravity,
+        )
+
+    @property
+    def torn(self) -> NDArray[np.bool_] | None:
+        """(m,) springs that have torn, a copy; None where none can."""
+        tearing = None if self._still else self._parts.tearing
+        return None if tearing is None else tearing.springs_torn
+
+    def _whole(self, torn: NDArray[np.bool_] | None) -> tuple[Any, NDArray]:
+        """The springs that are whole, as an index, and the triangles none of whose sides has torn."""
+        scene = self.scene
+        if torn is None or not torn.any():
+            return slice(None), scene.triangles
+        return ~torn, scene.triangles[~diagnostics.cut(scene.triangles, scene.pairs[torn], scene.n_balls)]
+
+    def inverted(self) -> int:
+        """How many cells are flat or turned inside out."""
+        return diagnostics.inverted(self.scene, self.position)
+
+    def error(self) -> StepError | None:
+        """What the control of the error found so far; None without `tolerance`."""
+        return self._stepper.report() if isinstance(self._stepper, Controlled) else None
+
+    def scales(self) -> Scales:
+        """What a run is judged by."""
+        return self._stepper.scales()
+
+    def solver(self) -> Solver | None:
+        """How well an implicit method solved its stages so far; None for methods that solve nothing."""
+        return self._parts.integrator.solver_report() if self._state is not None else None
+
+    def stability(self) -> Stability:
+        """The largest safe step, in every shape and in the present one, and what limits it."""
+        if self._still:
+            return self._stability
+        return stability(self.scene, self.settings.integrator.name, self.position)
+
+    @property
+    def setup(self) -> Setup:
+        """How the scene is run, as `taichi_sim.analysis.accuracy.findings` wants it."""
+        return self._parts.setup
+
+    def kernels(self) -> list[str]:
+        """The parts that were compiled for this scene; what it lacks is not among them."""
+        return self._parts.names()
+
+    # Changing it ---------------------------------------------------------------------------------------------------
+
+    def set_dt(self, dt: float | str) -> None:
+        """Go on with steps of dt seconds, or as "auto" finds; nothing is compiled anew. Raises ValueError; warns as at first."""
+        if self.settings.tolerance is not None:
+            raise ValueError("dt: the tolerance chooses the step of this simulation; make another one")
+        parts, time = self._parts, self.time
+        settings = replace(
+            self.settings, dt=dt if dt == "auto" else validation.number("dt", dt, high=math.inf, positive=True)
+        )
+        seconds, substeps = settings.time_step(self.scene, self._stability)
+        h = seconds / substeps
+        self._warn(h)
+        if settings.contacts != "off":
+            check_colliders(self.scene, h)
+        parts.set_step(h, anew=True)
+        self.settings, self.dt = settings, seconds
+        self._stepper = Stepper(self.scene, settings, parts, seconds, substeps, self._stability, self.has_own_parts)
+        self._stepper.set_time(time)
+
+    def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:
+        """Add an impulse (dim,) or (k, dim) [N s] to the balls (k,). Pinned ones do not move."""
+        index = validation.indices("balls", np.atleast_1d(np.asarray(balls)), self.scene.n_balls)
+        p = validation.vectors("impulse", impulse, len(index), self.scene.dim)
+        v = self.velocity
+        np.add.at(v, index, np.where(self.scene.pinned, 0.0, 1.0 / self.scene.mass)[index, None] * p)
+        self._write(self.position, v)
+
+    def set_position(self, position: ArrayLike) -> None:
+        """Replace all positions (n, dim) [m], pinned balls' too. Contacts find the load that they carry anew."""
+        x = validation.vectors("position", position, self.scene.n_balls, self.scene.dim)
+        self._write(x, self.velocity, moved=True)
+
+    def set_velocity(self, velocity: ArrayLike) -> None:
+        """Replace all velocities (n, dim) [m/s]; pinned balls keep 0."""
+        v = validation.vectors("velocity", velocity, self.scene.n_balls, self.scene.dim)
+        v[self.scene.pinned] = 0.0
+        self._write(self.position, v)
+
+    @property
+    def rounded_off(self) -> Low:
+        """What single precision rounded off of position and velocity, both (n, dim), or None where it is not kept."""
+        return self._state.rounded_off
+
+    @property
+    def surface_speed(self) -> NDArray[np.float64]:
+        """Radius times angular velocity [m/s], (n, 1) in 2D, (n, 3) in 3D, a copy; 0 where balls do not spin."""
+        return self._state.surface_speed
+
+    def resume(
+        self,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        time: float,
+        low: Low = None,
+        surface_speed: NDArray | None = None,
+        torn: NDArray | None = None,
+        impulses: NDArray | None = None,
+    ) -> None:
+        """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
+
+        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. torn: (m,) springs; none by default.
+        impulses: what was `impulses`; 0 by default.
+        The impulses that contacts held are found anew in the first steps: a pile that rests goes on resting, but not with the
+        same bits.
+        """
+        n, dim = self.scene.n_balls, self.scene.dim
+        self._stepper.set_time(time)
+        if n:
+            x, v = validation.vectors("position", position, n, dim), validation.vectors("velocity", velocity, n, dim)
+            self._write(x, v, low, moved=True)
+            if self._parts.tearing is not None:
+                self._parts.tearing.tear(np.zeros(self.scene.n_springs, dtype=bool) if torn is None else torn)
+            if surface_speed is not None:
+                self._state.write_turn(surface_speed)
+        self._begin_readings(impulses)
+
+    def stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
+        """What a saved run needs besides its state to go on with the same steps."""
+        return self._stepper.state()
+
+    def set_stepping(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+        """Go on as `stepping` said, after `resume`."""
+        if not self._still:
+            self._stepper.set_state(state, arrays)
+
+    def _write(self, x: NDArray, v: NDArray, low: Low = None, *, moved: bool = False) -> None:
+        if not self._still:
+            self._state.write(x, v, low)
+            if moved:
+                self._parts.contacts.forget()
+            self._stepper.primed = False
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the scene, all arguments and the present state to an .npz file."""
+        from taichi_sim.files.checkpoint import save_state  # an outer room: no import at load time
+
+        save_state(self, path)
+
+    @classmethod
+    def restore(cls, path: str | PathLike[str], **overrides: Any) -> "Simulation":
+        """A simulation as `save` left it; any argument may be replaced."""
+        from taichi_sim.files.checkpoint import restore_state
+
+        return restore_state(cls, path, overrides)
+
+    def close(self) -> None:
+        """Free all fields. The simulation cannot be used after that; closing twice does nothing."""
+        if not self._closed:
+            self._parts.free()
+            self._closed = True
+
+    def __enter__(self) -> "Simulation":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

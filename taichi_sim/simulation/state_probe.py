@@ -1,0 +1,133 @@
+"""Gauge: one look at a state after a chunk of steps: is every ball where it can be, how fast is the fastest, how much energy."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import FAR, State
+from taichi_sim.forces.springs import Springs
+from taichi_sim.kernels import reductions
+from taichi_sim.kernels.springs.law import GRAIN, PART
+
+__all__ = ["Gauge", "Look"]
+
+
+class Look(NamedTuple):
+    """`bad`: lowest index of a ball that is not finite or has left the world, or None; then the rest says nothing. Energies
+    in J; `weight`: the sum of the sizes of what `gravity` sums, which its rounding goes with."""
+
+    bad: int | None
+    speed: float  # m/s, of the fastest ball
+    kinetic: float
+    elastic: float
+    gravity: float
+    weight: float
+
+    @property
+    def total(self) -> float:
+        """What friction, damping and contacts may only lessen [J]."""
+        return self.kinetic + self.elastic + self.gravity
+
+    @property
+    def motion(self) -> float:
+        """Kinetic and elastic energy [J]: the part that does not depend on where the origin is."""
+        return self.kinetic + self.elastic
+
+
+@ti.data_oriented
+class Gauge:
+    """Looks at the balls of a state. stores: forces that hold energy besides springs. serial: all on one thread, as the fused
+    driver runs; else parts go to all threads."""
+
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        springs: Springs | None,
+        stores: Sequence[Any],
+        fields: Fields,
+        serial: bool,
+    ) -> None:
+        self.model, self.state, self.springs, self.serial = model, state, springs, serial
+        self.stores = list(stores)
+        self.has_springs = springs is not None
+        self.share = 0.5 if springs is not None and springs.order == "gather" else 1.0  # both ends list a spring
+        self.n, self.parts = model.n, -(-model.n // PART)
+        self.wide = ti.f64 if fields.has_doubles else fields.real
+        self.row = np.zeros((self.parts, reductions.SIZE), dtype=np.float64 if self.wide == ti.f64 else np.float32)
+
+    @ti.func
+    def _part(self, row: ti.template(), c):
+        """Row c: of balls from c PART on."""
+        bad, fastest = self.n, ti.cast(0.0, self.wide)
+        kinetic, elastic = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+        gravity, weight = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+            ball = self.state.ball[i]
+            if not reductions.good(ball, FAR):
+                bad = ti.min(bad, i)
+            w = ti.cast(self.model.inverse_mass[i], self.wide)
+            if w > 0.0:
+                square = ti.cast(0.0, self.wide)
+                for a in ti.static(range(self.model.dim)):
+                    square += ti.cast(ball.v[a], self.wide) ** 2
+                fastest = ti.max(fastest, square)
+                if ti.static(self.state.spins):
+                    square += ti.cast(self._turn(i), self.wide)
+                kinetic += 0.5 * square / w
+                if ti.static(self.model.has_gravity):
+                    height = ti.cast(0.0, self.wide)
+                    for a in ti.static(range(self.model.dim)):
+                        height -= ti.cast(self.model.gravity[0][a], self.wide) * ti.cast(ball.x[a], self.wide)
+                    gravity += height / w
+                    weight += ti.abs(height) / w
+            if ti.static(self.has_springs):
+                elastic += self.share * reductions.stored(self.state.ball, self.springs, i, self.wide)
+            for force in ti.static(self.stores):
+                elastic += force.stored(self.state.ball, i, self.wide)
+        row[c, reductions.BAD] = ti.cast(bad, self.wide)
+        row[c, reductions.SPEED] = fastest
+        row[c, reductions.KINETIC] = kinetic
+        row[c, reductions.ELASTIC] = elastic
+        row[c, reductions.GRAVITY] = gravity
+        row[c, reductions.WEIGHT] = weight
+
+    @ti.func
+    def _turn(self, i):
+        """I omega^2 / m of ball i [m^2/s^2]."""
+        turn = self.state.turn[i]
+        if ti.static(self.model.dim == 2):
+            return turn * turn / self.model.turning
+        else:
+            return turn.dot(turn) / self.model.turning
+
+    @ti.kernel
+    def _look(self, row: ti.types.ndarray()):
+        if ti.static(self.serial):
+            ti.loop_config(serialize=True)
+            for c in range(self.parts):
+                self._part(row, c)
+        else:
+            for k in range(self.parts * GRAIN):
+                if k % GRAIN == 0:
+                    self._part(row, k // GRAIN)
+
+    def look(self) -> Look:
+        """The present state; a pass over balls and springs."""
+        if self.n == 0:
+            return Look(None, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._look(self.row)
+        return _whole(self.row, self.n, self.state.order)
+
+
+def _whole(row: Any, n: int, order: Any) -> Look:
+    """One look from the rows of all parts."""
+    bad = int(row[:, reductions.BAD].min())
+    sums = row[:, reductions.KINETIC :].sum(axis=0, dtype=np.float64)
+    fastest = float(np.sqrt(row[:, reductions.SPEED].max(), dtype=np.float64))
+    user = None if bad == n else bad if order is None else int(order[bad])
+    return Look(user, fastest, *sums.tolist())
