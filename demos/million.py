@@ -13,7 +13,7 @@ def scene():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     view = {"azimuth": 25, "elevation": 24, "distance": 11, "target": (LONG, 0.1, WIDE / 2)}
     scene.output = {"fps": 60, "duration": 1.5, "size": (1280, 720), "camera": view}
-    scene.settings = {"dt": 0.002, "substeps": 2, "contact_passes": 1, "spin": False}
+    scene.settings = {"dt": 0.002, "substeps": 2, "contact_iterations": 1, "spin": False}
     scene.add_material("marble", friction=0.02)
     for k, colour in enumerate(((0.75, 0.35, 0.25), (0.92, 0.7, 0.35), (0.3, 0.5, 0.55), (0.9, 0.86, 0.78))):
         place = (1.5 * RADIUS, HIGH * k + 1.5 * RADIUS, 1.5 * RADIUS)

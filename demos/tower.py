@@ -16,7 +16,7 @@ def scene():
         "spin": False,
         "dt": 0.001,
         "substeps": 2,
-        "contact_passes": 4,
+        "contact_iterations": 4,
     }  # the balls of a brick do not turn
     scene.add_material("jelly", friction=0.7)
     scene.add_material("ice", friction=0.0)

@@ -20,7 +20,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 import taichi_sim as ts
-from taichi_sim.simulation.adaptive_stepper import Controlled
+from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.stepper import Stepper
 
@@ -252,7 +252,7 @@ def rows(name: str, builds: int, starts: int, seed: int, integrator: str | None 
                 begin = time.perf_counter()
                 with warnings.catch_warnings(record=True) as warned:
                     warnings.simplefilter("always")
-                    end = _run(sim, x, v, Controlled, settings, settings.time_step(scene, sim._stability)[1])
+                    end = _run(sim, x, v, AdaptiveStepper, settings, settings.time_step(scene, sim._stability)[1])
                 wall = time.perf_counter() - begin
                 found = sim._stepper.report()
                 unit = tolerance * found.size * DURATION

@@ -32,7 +32,7 @@ ONCE = (
     "scene",
     "scene_file",
     "shapes",
-    "skins",
+    "embedded_surfaces",
     "solids",
     "surfaces",
     "tune",

@@ -65,6 +65,6 @@ if __name__ == "__main__":
             "accumulate": "ordered",
             "threads": threads,
             "contacts": contacts,
-            "contact_passes": 2,
+            "contact_iterations": 2,
         }
         print(digest(scene, steps, precision, **settings))

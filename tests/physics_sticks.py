@@ -87,7 +87,7 @@ def stick_scene(dim):
 def stick_run(dim, variant):
     """States after one step and after CROWD_STEPS, momentum and a hash of the last bits."""
     scene, at = stick_scene(dim)
-    with simulate(scene, variant, dt=H, contact_passes=4) as sim:
+    with simulate(scene, variant, dt=H, contact_iterations=4) as sim:
         before = sim.velocity
         sim.step()
         one = SimpleNamespace(x=sim.position, v=sim.velocity)

@@ -261,7 +261,7 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
 def test_verdicts_go_with_the_scene():
     scales = Scales(slow=0.02, closed=True, lossless=True, motion=10.0, swing=0.0, squeezes=False)
     assert of_passes(0.01, scales, 1.0, 2) == "good"
-    assert of_passes(0.1, scales, 1.0, 2) == "look at it; take shorter steps, or more contact_passes than 2"
+    assert of_passes(0.1, scales, 1.0, 2) == "look at it; take shorter steps, or more contact_iterations than 2"
     assert of_passes(1.0, scales, 1.0, 2).startswith("wrong")
     assert of_passes(1.0, scales, 100.0, 2) == "good"  # of a fast crowd
     assert [of_depth(part, False, 2).split(";")[0] for part in (0.05, 0.3, 2.5)] == ["good", "look at it", "wrong"]

@@ -14,7 +14,7 @@ SLOW = pytest.mark.slow
 
 def changes(clusters: Clusters, contacts: str, passes: int) -> np.ndarray:
     """Relative change of energy of each configuration in one step from rest impulses."""
-    settings = {"contacts": contacts, "contact_passes": passes, "integrator": "symplectic_euler", "dt": 1e-3}
+    settings = {"contacts": contacts, "contact_iterations": passes, "integrator": "symplectic_euler", "dt": 1e-3}
     with simulate(clusters.scene, **settings) as sim:
         return clusters.gains(sim, BATCHES)
 
@@ -86,7 +86,7 @@ def test_packs_thrown_together(dim):
     assert touching.max() == (6 if dim == 2 else 12)
     left, ends = {}, {}
     for contacts, passes in (("jacobi", 30), ("jacobi", 1500), ("gauss_seidel", 1500), ("sum", 1), ("sum", 30)):
-        settings = {"dt": 1e-6, "integrator": "symplectic_euler", "contacts": contacts, "contact_passes": passes}
+        settings = {"dt": 1e-6, "integrator": "symplectic_euler", "contacts": contacts, "contact_iterations": passes}
         with simulate(scene, **settings) as sim:
             start = sim.energy().kinetic
             sim.step()

@@ -73,7 +73,7 @@ def stack():
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
     scene.add_balls([[0.3, (2 * k + 1) * R] for k in range(5)], radius=R)
     scene.add_wall((0.0, 1.0), 0.0)
-    with simulate(scene, dt=1e-3, substeps=2, contact_passes=3) as sim:
+    with simulate(scene, dt=1e-3, substeps=2, contact_iterations=3) as sim:
         yield sim
 
 

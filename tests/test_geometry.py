@@ -18,7 +18,7 @@ def frame(scene):
         scene.velocity,
         scene.radius,
         triangles=scene.triangles,
-        skins=tuple(scene.skins),
+        embedded_surfaces=tuple(scene.embedded_surfaces),
     )
 
 

@@ -48,7 +48,7 @@ def test_balls_walls_and_sticks_meet_only_what_they_collide_with():
     for k, kind in enumerate(near):
         scene.add_balls([[20.5 + 0.5 * (k % 6), 3.0 * (k // 6) + 0.05]], radius=0.1, **kind)
     first_near = scene.n_balls - len(near)
-    with simulate(scene, dt=1e-3, contacts="jacobi", contact_passes=1, integrator="symplectic_euler") as sim:
+    with simulate(scene, dt=1e-3, contacts="jacobi", contact_iterations=1, integrator="symplectic_euler") as sim:
         sim.penetration()
         parts, x = sim._parts.contacts, sim.position
         lists = parts.pairs

@@ -43,7 +43,7 @@ def test_a_pile_moves_the_same_in_either_order(dim, monkeypatch):
     ends = []
     for first in (spatial_sort.FROM, 1):
         monkeypatch.setattr(spatial_sort, "FROM", first)
-        with simulate(scene, dt=H, contacts="jacobi", contact_passes=2) as sim:
+        with simulate(scene, dt=H, contacts="jacobi", contact_iterations=2) as sim:
             assert np.array_equal(sim.position, scene.position if F64 else scene.position.astype(np.float32))
             sim.step(20)
             ends.append((sim.position, sim.velocity))

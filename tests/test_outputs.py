@@ -294,12 +294,12 @@ def test_a_summary_without_contacts_does_not_speak_of_them():
 
 @pytest.mark.parametrize("name", NAMES[:3])
 def test_nothing_under_the_final_name_before_the_end(tmp_path, name):
-    class Watch(FakeSimulation):
+    class EnergyMonitor(FakeSimulation):
         def contacts(self) -> Contacts:
             assert not (tmp_path / name).exists()
             return super().contacts()
 
-    export(Watch(), open_output(tmp_path / name), fps=20, duration=0.5, size=SIZE)
+    export(EnergyMonitor(), open_output(tmp_path / name), fps=20, duration=0.5, size=SIZE)
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 

@@ -162,8 +162,8 @@ def test_row_8_many_contacts_share_the_mass(dim):
     for _ in range(2):
         scene.add_wall(vector(dim, 0.0, 1.0), 0.0, "ideal")
     scene.add_balls([vector(dim, 0.0, 0.9 * R)], radius=R, velocity=vector(dim, 0.0, -3.0), material="ideal")
-    assert abs(one_step(scene, contacts="sum", contact_passes=1)[0, 1] - 9.0) < 1e-5  # energy x 9
-    assert abs(one_step(scene, contact_passes=1)[0, 1] - 3.0) < 1e-5
+    assert abs(one_step(scene, contacts="sum", contact_iterations=1)[0, 1] - 9.0) < 1e-5  # energy x 9
+    assert abs(one_step(scene, contact_iterations=1)[0, 1] - 3.0) < 1e-5
 
     rng = np.random.default_rng(2)
     scene = ts.Scene(dim=dim)
@@ -172,8 +172,8 @@ def test_row_8_many_contacts_share_the_mass(dim):
     x = rng.uniform(0, side, (120, dim))
     scene.add_balls(x, radius=R, velocity=rng.normal(size=(120, dim)), material="ideal")
     start = np.sum(scene.velocity**2)
-    assert np.sum(one_step(scene, contacts="sum", contact_passes=1) ** 2) > 1.5 * start
-    assert np.sum(one_step(scene, contacts="jacobi", contact_passes=1) ** 2) < start * (1 + NEAR)
+    assert np.sum(one_step(scene, contacts="sum", contact_iterations=1) ** 2) > 1.5 * start
+    assert np.sum(one_step(scene, contacts="jacobi", contact_iterations=1) ** 2) < start * (1 + NEAR)
 
 
 @each_dim

@@ -77,7 +77,7 @@ def test_a_thousand_scenes(dim, driver, kind):
     ratios = list(SIZES[kind].values())
     made_for = LARGEST * (1000.0 ** -np.linspace(0.0, 1.0, N) if kind == "levels" else np.ones(N))
     scene.add_balls(np.zeros((N, dim)) + np.arange(N)[:, None], radius=made_for)
-    settings = {"dt": H, "integrator": "symplectic_euler", "contact_passes": 1, "contacts": "jacobi"}
+    settings = {"dt": H, "integrator": "symplectic_euler", "contact_iterations": 1, "contacts": "jacobi"}
     met, hashed = np.zeros((len(CROWDS), len(ratios)), dtype=int), 0
     with simulate(scene, ("ordered", driver), **settings) as sim:
         grid = sim._parts.contacts.pairs.grid

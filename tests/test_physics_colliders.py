@@ -254,7 +254,7 @@ def test_same_bits_in_either_driver_and_however_a_run_is_divided(dim, contacts):
     """Moving colliders, a pile, 300 steps."""
     ends = []
     for driver, parts in (("fused", 1), ("fused", 60), ("parallel", 5)):
-        with simulate(drum_scene(dim), ("ordered", driver), dt=2e-3, contacts=contacts, contact_passes=2) as sim:
+        with simulate(drum_scene(dim), ("ordered", driver), dt=2e-3, contacts=contacts, contact_iterations=2) as sim:
             for _ in range(parts):
                 sim.step(300 // parts)
             ends.append((sim.position, sim.velocity))

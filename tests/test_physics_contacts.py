@@ -82,7 +82,7 @@ def hit(request):
     dim, method, variant = request.param
     scene, at = collision_scene(dim)
     with simulate(
-        scene, variant, integrator=method, dt=H, contact_passes=2
+        scene, variant, integrator=method, dt=H, contact_iterations=2
     ) as sim:  # lone pairs need no more to be exact
         x, v = record(sim, 20, 1)
     return SimpleNamespace(dim=dim, method=method, scene=scene, at=at, x=x, v=v)

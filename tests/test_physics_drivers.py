@@ -53,7 +53,7 @@ def test_blocks_have_the_same_bits_in_both_drivers(monkeypatch):
 )
 def test_pile_has_the_same_bits_in_both_drivers_and_every_run(dim, contacts):
     scene = physics_bits.pile(dim)
-    settings = {"accumulate": "ordered", "contacts": contacts, "contact_passes": 2}
+    settings = {"accumulate": "ordered", "contacts": contacts, "contact_iterations": 2}
     first = physics_bits.digest(scene, 100, PRECISION, driver="fused", **settings)
     for driver in ("parallel", "parallel") if dim == 2 else ("parallel",):
         assert physics_bits.digest(scene, 100, PRECISION, driver=driver, **settings) == first, driver
@@ -103,7 +103,7 @@ def test_atomic_agrees_with_ordered_in_a_pile(dim):
     scene = physics_bits.pile(dim)
     ends = []
     for accumulate in ("ordered", "atomic"):
-        with simulate(scene, (accumulate, "parallel"), dt=H, contacts="jacobi", contact_passes=2) as sim:
+        with simulate(scene, (accumulate, "parallel"), dt=H, contacts="jacobi", contact_iterations=2) as sim:
             sim.step(20)
             ends.append((sim.position, sim.velocity))
     assert error(ends[1][0], ends[0][0]) < (1e-10 if F64 else 2e-6)
@@ -131,7 +131,7 @@ def searching(request):
     scene.pinned[[3, 4, 5]] = True
     joined = [(0, 1), (2, 7), (8, 30), (30, 31)]
     scene.add_springs(joined, stiffness=0.0)
-    with simulate(scene, variant, integrator="symplectic_euler", dt=H, contacts="jacobi", contact_passes=1) as sim:
+    with simulate(scene, variant, integrator="symplectic_euler", dt=H, contacts="jacobi", contact_iterations=1) as sim:
         yield dim, scene, sim, rng
 
 

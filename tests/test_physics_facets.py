@@ -58,7 +58,7 @@ def key(edge, balls):
 @pytest.fixture(scope="module", params=["fused", pytest.param("parallel", marks=pytest.mark.slow)])
 def soup_run(request):
     scene = soup()
-    settings = {"dt": H, "integrator": "symplectic_euler", "contacts": "jacobi", "contact_passes": 1}
+    settings = {"dt": H, "integrator": "symplectic_euler", "contacts": "jacobi", "contact_iterations": 1}
     with simulate(scene, ("ordered", request.param), **settings) as sim:
         yield sim
 
@@ -149,7 +149,7 @@ SMOOTH = pytest.param(False, id="smooth-gauss_seidel", marks=pytest.mark.slow)
 def cluster_run(request):
     scene, at = clusters(request.param)
     contacts = "jacobi" if request.param else "gauss_seidel"
-    settings = {"dt": H, "integrator": "symplectic_euler", "contacts": contacts, "contact_passes": 1}
+    settings = {"dt": H, "integrator": "symplectic_euler", "contacts": contacts, "contact_iterations": 1}
     with simulate(scene, **settings) as sim:
         yield sim, at
 

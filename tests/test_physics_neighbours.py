@@ -119,7 +119,7 @@ def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
     monkeypatch.setattr(pairs, "PER_BALL", {2: 1})
     monkeypatch.setattr(pairs, "POOL", 0)
     spin = np.random.default_rng(0).standard_normal((100, 1))
-    settings = {"dt": H, "spin": True, "contact_passes": 1}
+    settings = {"dt": H, "spin": True, "contact_iterations": 1}
     with simulate(scene, **settings) as sim:
         first = sim._parts
         sim.resume(x, -2.0 * x, 0.0, None, spin)
@@ -206,7 +206,7 @@ def test_own_integrator_that_moves_balls_itself_still_meets_contacts():
             for i in range(self.model.n):
                 self.ball[i].x += h * self.ball[i].v
             self.contacts.refresh(self.ball)
-            self.contacts.solve(self.ball, h, self.contacts.passes, True)
+            self.contacts.solve(self.ball, h, self.contacts.iterations, True)
 
     scene = ts.Scene(dim=2)
     scene.add_balls([[-1.0, 0.0], [1.0, 0.0]], radius=0.1, velocity=[[1.0, 0.0], [-1.0, 0.0]])

@@ -82,7 +82,7 @@ def test_both_solvers_converge_to_the_same_velocities():
     scene.add_balls(rng.uniform(0, 0.8, (60, 2)), radius=R, velocity=rng.normal(size=(60, 2)))
     ends = []
     for contacts in SOLVERS:
-        with simulate(scene, dt=1e-3, integrator="symplectic_euler", contacts=contacts, contact_passes=3000) as sim:
+        with simulate(scene, dt=1e-3, integrator="symplectic_euler", contacts=contacts, contact_iterations=3000) as sim:
             sim.step(1)
             ends.append(sim.velocity)
     assert np.max(np.abs(ends[0] - scene.velocity)) > 0.5
@@ -213,4 +213,4 @@ def test_settings_of_the_solver():
         scene = box_of_balls(2, count, count)
         scene.add_balls([[0.0, 1.0]], radius=R, mass=mass)
         with simulate(scene, dt=1e-3) as sim:
-            assert sim._parts.contacts.passes == passes
+            assert sim._parts.contacts.iterations == passes

@@ -28,7 +28,7 @@ class Throw:
 
 def thrown(scene, throw, driver="fused"):
     """A simulation whose solve settles little, so that ways have to be cut short."""
-    settings = {"integrator": "symplectic_euler", "contacts": "jacobi", "contact_passes": 1}
+    settings = {"integrator": "symplectic_euler", "contacts": "jacobi", "contact_iterations": 1}
     return simulate(scene, ("ordered", driver), dt=H, forces=[throw], spin=False, **settings)
 
 

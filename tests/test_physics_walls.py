@@ -65,7 +65,7 @@ def floor_scene(dim):
 def floor(request):
     dim, method, variant = request.param
     scene, at = floor_scene(dim)
-    with simulate(scene, variant, integrator=method, dt=H, spin=False, contact_passes=4) as sim:
+    with simulate(scene, variant, integrator=method, dt=H, spin=False, contact_iterations=4) as sim:
         x, v = record(sim, STEPS, EVERY)
     return SimpleNamespace(dim=dim, method=method, at=at, x=x, v=v, t=np.arange(len(x)) * EVERY * H)
 
@@ -201,7 +201,7 @@ def test_incline_slides_iff_steeper_than_friction(dim, method, variant):
             b = scene.add_balls([R * n - 5.0 * down], radius=R, material=material, body=body, mass=2.0)
             found.append((int(b[0]), max(0.0, G * (np.sin(angle) - mu * np.cos(angle))), down))
     steps = 500
-    with simulate(scene, variant, integrator=method, dt=H, spin=False, contact_passes=2) as sim:
+    with simulate(scene, variant, integrator=method, dt=H, spin=False, contact_iterations=2) as sim:
         start = sim.position
         sim.step(steps)
         way, v = sim.position - start, sim.velocity
@@ -226,7 +226,7 @@ def test_corner_brings_to_rest_in_two_passes(dim, method):
     body = scene.new_body()
     x = [np.full(dim, R), R + np.arange(1, dim + 1) * 0.02]
     scene.add_balls(x, radius=R, velocity=[-np.arange(1.0, dim + 1), -np.ones(dim)], body=body)
-    with simulate(scene, integrator=method, dt=H, contact_passes=2) as sim:
+    with simulate(scene, integrator=method, dt=H, contact_iterations=2) as sim:
         sim.step(2)
         assert np.max(np.abs(sim.velocity[0])) < (1e-9 if F64 else 1e-6)
         sim.step(498)

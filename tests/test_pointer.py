@@ -121,7 +121,7 @@ def test_it_holds_on_where_a_simulation_is_made_anew_inside(held, precision):
     pointer.move(TARGET)
     sim.step(30)
     stepper = sim._stepper
-    stepper.parts = stepper.parts.with_room(Room())
+    stepper.parts = stepper.parts.with_capacity(Room())
     stepper.primed = False
     sim.step(30)
     x, _ = reference(60)

@@ -230,7 +230,7 @@ def lost(sim, start):
 
 
 def crowd():
-    """Sixteen balls that nearly touch, which split masses and restitution would give energy (kernels.taming)."""
+    """Sixteen balls that nearly touch, which split masses and restitution would give energy (kernels.energy_limiter)."""
     scene, rng = boxed(1.0, 0.5), np.random.default_rng(1)
     crowd = ts.Scene(dim=2, gravity=(0, -G))
     crowd.materials[:], crowd.walls[:] = scene.materials, scene.walls
@@ -245,7 +245,7 @@ def crowd():
 @pytest.mark.parametrize(
     ("make", "settings"),
     [
-        (crowd, {"dt": 5e-3, "contacts": "jacobi", "contact_passes": 1}),
+        (crowd, {"dt": 5e-3, "contacts": "jacobi", "contact_iterations": 1}),
         (lambda: boxed(0.3, 0.3), {"dt": 1e-3, "integrator": "xpbd", "driver": "parallel"}),
     ],
     ids=["tamed", "parallel"],

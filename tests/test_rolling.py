@@ -75,7 +75,7 @@ def test_a_loose_ball_rolls_on_one_that_does_not(dim, contacts):
     loose, held, far = scene.add_balls(at, mass=[m, M, 1.0], radius=[r, R, r], material="sticky")
     scene.velocity[loose, :2] = 2.0, 0.6
     scene.add_springs([(held, far)], stiffness=1e-9)
-    with simulate(scene, contacts=contacts, dt=1e-4, contact_passes=4) as sim:
+    with simulate(scene, contacts=contacts, dt=1e-4, contact_iterations=4) as sim:
         sim.step(20)
         v, turn = sim.velocity, sim.surface_speed
     turning = {2: 2.0, 3: 2.5}[dim]

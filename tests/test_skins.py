@@ -23,7 +23,9 @@ def tetrahedron(colour=None, covers=None):
     scene.add_triangles([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
     weights = np.full((4, 4), 0.1) + 0.6 * np.eye(4)
     corners = np.tile(np.arange(4), (4, 1))
-    scene.add_skin(corners, weights, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], covers=covers, colour=colour)
+    scene.add_embedded_surface(
+        corners, weights, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], covers=covers, colour=colour
+    )
     return scene
 
 
@@ -38,29 +40,59 @@ def frame_of(scene, position=None):
         sticks=scene.collides,
         triangles=scene.triangles,
         colour=scene.colour,
-        skins=tuple(scene.skins),
+        embedded_surfaces=tuple(scene.embedded_surfaces),
     )
 
 
 @pytest.mark.parametrize(
     ("corners", "weights", "triangles", "more", "message"),
     [
-        ([[0, 9]], [[0.5, 0.5]], [[0, 0, 0]], {}, r"skins\[0\]\.corners\[0\]: \[0, 9\] .* a ball, from 0 to 1"),
-        ([0, 1], [0.5, 0.5], [[0, 0, 0]], {}, r"skins\[0\]\.corners: shape \(2,\) does not fit; it must be \(s, k\)"),
-        ([[0, 1]], [[0.5, 0.4]], [[0, 0, 0]], {}, r"skins\[0\]\.weights\[0\]: \[0.5, 0.4\] .* sum up to 1"),
-        ([[0, 1]], [[0.5, np.nan]], [[0, 0, 0]], {}, r"skins\[0\]\.weights\[0\]\[1\]: nan"),
-        ([[0, 1]], [[0.5, 0.5]] * 2, [[0, 0, 0]], {}, r"skins\[0\]\.weights: 2 rows do not fit; there must be 1"),
-        ([[0, 1]], [[0.5, 0.5]], [[0, 0, 1]], {}, r"skins\[0\]\.triangles\[0\]: .* a vertex of the skin, from 0 to 0"),
-        ([[0, 1]], [[0.5, 0.5]], [[0, 0, 0]], {"covers": [2]}, r"skins\[0\]\.covers\[0\]: 2 is not allowed"),
-        ([[0, 1]], [[0.5, 0.5]], [[0, 0, 0]], {"colour": (2, 0, 0)}, r"skins\[0\]\.colour\[0\]: 2"),
+        (
+            [[0, 9]],
+            [[0.5, 0.5]],
+            [[0, 0, 0]],
+            {},
+            r"embedded_surfaces\[0\]\.corners\[0\]: \[0, 9\] .* a ball, from 0 to 1",
+        ),
+        (
+            [0, 1],
+            [0.5, 0.5],
+            [[0, 0, 0]],
+            {},
+            r"embedded_surfaces\[0\]\.corners: shape \(2,\) does not fit; it must be \(s, k\)",
+        ),
+        ([[0, 1]], [[0.5, 0.4]], [[0, 0, 0]], {}, r"embedded_surfaces\[0\]\.weights\[0\]: \[0.5, 0.4\] .* sum up to 1"),
+        ([[0, 1]], [[0.5, np.nan]], [[0, 0, 0]], {}, r"embedded_surfaces\[0\]\.weights\[0\]\[1\]: nan"),
+        (
+            [[0, 1]],
+            [[0.5, 0.5]] * 2,
+            [[0, 0, 0]],
+            {},
+            r"embedded_surfaces\[0\]\.weights: 2 rows do not fit; there must be 1",
+        ),
+        (
+            [[0, 1]],
+            [[0.5, 0.5]],
+            [[0, 0, 1]],
+            {},
+            r"embedded_surfaces\[0\]\.triangles\[0\]: .* a vertex of the skin, from 0 to 0",
+        ),
+        (
+            [[0, 1]],
+            [[0.5, 0.5]],
+            [[0, 0, 0]],
+            {"covers": [2]},
+            r"embedded_surfaces\[0\]\.covers\[0\]: 2 is not allowed",
+        ),
+        ([[0, 1]], [[0.5, 0.5]], [[0, 0, 0]], {"colour": (2, 0, 0)}, r"embedded_surfaces\[0\]\.colour\[0\]: 2"),
     ],
 )
 def test_refused(corners, weights, triangles, more, message):
     scene = Scene(dim=2)
     scene.add_balls([[0, 0], [1, 0]], radius=0.1)
     with pytest.raises(SceneError, match=message):
-        scene.add_skin(corners, weights, triangles, **more)
-    assert not scene.skins
+        scene.add_embedded_surface(corners, weights, triangles, **more)
+    assert not scene.embedded_surfaces
 
 
 def same(a, b):
@@ -73,12 +105,12 @@ def same(a, b):
 def test_kept_in_scene_and_state_files(tmp_path, colour, covers):
     scene = tetrahedron(colour, covers)
     scene.save(tmp_path / "x.toml")
-    same(load_scene(tmp_path / "x.toml").skins, scene.skins)
+    same(load_scene(tmp_path / "x.toml").embedded_surfaces, scene.embedded_surfaces)
     with Simulation(scene) as sim:
         sim.save(tmp_path / "x.npz")
-        assert sim.frame().skins == tuple(scene.skins)
+        assert sim.frame().embedded_surfaces == tuple(scene.embedded_surfaces)
     with Simulation.restore(tmp_path / "x.npz") as again:
-        same(again.scene.skins, scene.skins)
+        same(again.scene.embedded_surfaces, scene.embedded_surfaces)
 
 
 def test_a_skin_in_a_scene_file_counts_within_its_group(tmp_path):
@@ -90,7 +122,7 @@ radius = 0.1
 name = "pair"
 position = [[0.0, 0.0], [1.0, 0.0]]
 radius = 0.1
-[[skins]]
+[[embedded_surfaces]]
 balls = "pair"
 corners = [[0, 1], [1, 0]]
 weights = [[0.5, 0.5], [1.0, 0.0]]
@@ -98,11 +130,11 @@ triangles = [[0, 1, 1]]
 covers = [1]
 """
     (tmp_path / "x.toml").write_text(text)
-    skin = load_scene(tmp_path / "x.toml").skins[0]
+    skin = load_scene(tmp_path / "x.toml").embedded_surfaces[0]
     assert skin.corners.tolist() == [[1, 2], [2, 1]]
     assert skin.covers.tolist() == [2]
     (tmp_path / "x.toml").write_text(text.replace("[[0, 1], [1, 0]]", "[[0, 1], [1, 7]]"))
-    with pytest.raises(SceneError, match=r"line 11: skins\[0\]\.corners\[1\]: \[1, 7\] is not allowed"):
+    with pytest.raises(SceneError, match=r"line 11: embedded_surfaces\[0\]\.corners\[1\]: \[1, 7\] is not allowed"):
         load_scene(tmp_path / "x.toml")
 
 
@@ -114,7 +146,7 @@ def test_what_is_drawn():
     assert len(content.rods) == 0
     assert (content.triangles >= 5).all()
     x = np.random.default_rng(3).normal(size=(5, 3))
-    skin = scene.skins[0]
+    skin = scene.embedded_surfaces[0]
     wanted = np.einsum("sk,skd->sd", skin.weights, x[skin.corners])
     assert content.binding.apply(x) == pytest.approx(wanted, rel=1e-14)
     assert content.colour[5:] == pytest.approx(np.tile(GREEN, (4, 1)))
@@ -129,7 +161,7 @@ def test_vertices_on_the_device_are_the_weighted_means():
         renderer.render(frame_of(scene, x))
         painter = renderer._painter
         vertices = painter._buffers.ball.to_numpy()[5:9, :3] * painter._unit + painter._origin
-    skin = scene.skins[0]
+    skin = scene.embedded_surfaces[0]
     assert vertices == pytest.approx(np.einsum("sk,skd->sd", skin.weights, x[skin.corners]), abs=1e-5)
 
 
@@ -141,7 +173,7 @@ def test_in_pictures():
         scene.add_balls(points, radius=0.1, colour=GREEN)
         scene.add_triangles([[0, 1, 2]])
         middle = 0.5 * np.eye(3) + 0.5 / 3
-        scene.add_skin(np.tile(np.arange(3), (3, 1)), middle, [[0, 1, 2]], colour=RED)
+        scene.add_embedded_surface(np.tile(np.arange(3), (3, 1)), middle, [[0, 1, 2]], colour=RED)
         options = {"camera": Camera(eye=(0.0, 0.0, 10.0), target=(0.0, 0.0, 0.0), fov=30.0)} if dim == 3 else {}
         with Renderer(frame_of(scene), size=SIZE, **options) as renderer:
             image = renderer.render(frame_of(scene)).astype(int)
@@ -151,6 +183,6 @@ def test_in_pictures():
         assert green == 0
         with Renderer(frame_of(scene), size=SIZE, **options) as renderer:
             frame = frame_of(scene)
-            frame.skins = ()
+            frame.embedded_surfaces = ()
             image = renderer.render(frame).astype(int)
         assert (image[:, :, 1] > 1.12 * image[:, :, 0]).sum() == pytest.approx(4 * red, rel=0.15)

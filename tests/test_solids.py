@@ -1,4 +1,4 @@
-"""What fills bodies: lattices with given moduli, meshes filled with boxes or tetrahedra, and their skins. No Taichi."""
+"""What fills bodies: lattices with given moduli, meshes filled with boxes or tetrahedra, and their surfaces. No Taichi."""
 
 import itertools
 import warnings
@@ -164,7 +164,7 @@ def test_a_mesh_filled_with_boxes(surface):
     assert len(made.cells) == scene.rest_volume.size
     assert not len(holes(made.triangles))
     assert volume(Surface(scene.position, made.triangles)) == pytest.approx(8 * volume(surface), rel=0.08)
-    skin = scene.skins[0]
+    skin = scene.embedded_surfaces[0]
     for x in (scene.position, scene.position @ np.array([[1, 0.2, 0], [0, 1.5, 0], [0.1, 0, 0.7]]) + [1, 2, 3]):
         here = np.einsum("sk,ski->si", skin.weights, x[skin.corners])
         want = 2 * surface.vertices
@@ -304,6 +304,6 @@ def test_a_mesh_filled_with_tetrahedra(tmp_path, monkeypatch):
     assert scene.mass.sum() == pytest.approx(10 * volume(ball))
     assert (cell_volumes(scene.position, scene.cells) > 0).all()
     assert volume(Surface(scene.position, made.triangles)) == pytest.approx(volume(ball), rel=0.02)
-    skin = scene.skins[0]
+    skin = scene.embedded_surfaces[0]
     assert np.einsum("sk,ski->si", skin.weights, scene.position[skin.corners]) == pytest.approx(ball.vertices, abs=1e-9)
     assert not list(tmp_path.iterdir())  # fTetWild writes a file where it runs

@@ -81,7 +81,9 @@ def cloth(colour=None, skin=False):
     sheet = shapes.cloth(scene, size=(1, 1), resolution=(5, 5), colour=colour)
     if skin:
         shares = np.full((25, 2), 0.5)
-        scene.add_skin(np.stack([sheet.balls, sheet.balls[::-1]], 1), shares, sheet.triangles, colour=colour)
+        scene.add_embedded_surface(
+            np.stack([sheet.balls, sheet.balls[::-1]], 1), shares, sheet.triangles, colour=colour
+        )
     return scene
 
 

@@ -125,7 +125,7 @@ def hand(scene, **settings):
 
 
 def test_what_a_hand_did_before_is_not_repeated():
-    """With forces of one's own, steps go back no further than to where they were last asked for."""
+    """With user-defined forces, steps go back no further than to where they were last asked for."""
     scene = pair()
     end, found = hand(scene, tolerance=1e-3)
     exact, _ = hand(scene, dt=2e-5)

@@ -11,7 +11,7 @@ from physics_support import F64, PRECISION, each_dim, simulate, vector
 import taichi_sim as ts
 from taichi_sim.analysis.stability import present_limit
 from taichi_sim.simulation import stepper
-from taichi_sim.simulation.energy_monitor import Watch
+from taichi_sim.simulation.energy_monitor import EnergyMonitor
 from taichi_sim.simulation.state_probe import Look
 
 
@@ -165,21 +165,21 @@ def look(kinetic, elastic=0.0, gravity=0.0):
 
 def test_the_rule():
     scene = stiffening()
-    watch = Watch(scene, "verlet", 0.5, closed=True, contacts=False, precision="f64")
+    watch = EnergyMonitor(scene, "verlet", 0.5, closed=True, contacts=False, precision="f64")
     assert watch.limit == 8.0
     watch.begin(look(0.0, 0.0, 10.0))
     assert watch.judge(look(9.0, 1.0, 0.0)) is None  # fell, and none is lost
     assert watch.judge(look(1.0, 0.0, 0.0)) is None  # damped
     assert watch.judge(look(7.9)) is None  # a method's own swing
     assert watch.judge(look(8.1)) == (1.0, 8.1, True)
-    assert Watch(scene, "symplectic_euler", 0.9, closed=True, contacts=False, precision="f64").limit == pytest.approx(
-        28.5
-    )
-    driven = Watch(scene, "verlet", 0.5, closed=False, contacts=False, precision="f64")
+    assert EnergyMonitor(
+        scene, "symplectic_euler", 0.9, closed=True, contacts=False, precision="f64"
+    ).limit == pytest.approx(28.5)
+    driven = EnergyMonitor(scene, "verlet", 0.5, closed=False, contacts=False, precision="f64")
     driven.begin(look(1.0))
     assert driven.judge(look(99.0)) is None
     assert driven.judge(look(9901.0)) == (99.0, 9901.0, False)
-    crowd = Watch(net(), "verlet", 0.5, closed=True, contacts=True, precision="f64")
+    crowd = EnergyMonitor(net(), "verlet", 0.5, closed=True, contacts=True, precision="f64")
     crowd.begin(look(0.0))
     assert crowd.judge(look(0.9 * crowd.slack)) is None
 

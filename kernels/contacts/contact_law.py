@@ -66,11 +66,11 @@ def sliding_impulse_2d(model: ti.template(), u, mass, slide, bound, slip):
 def sideways(solver: ti.template(), i, j):
     """Mass that balls i and j oppose to an impulse along their surfaces, as a part of that along the normal."""
     part = solver.model.sideways(i)
-    if ti.static(solver.model.some_turn):  # else both are alike
+    if ti.static(solver.model.some_spin):  # else both are alike
         a, b = solver.model.inverse_mass[i], solver.model.inverse_mass[j]
         if ti.static(solver.split):
             a, b = solver.lightness[i], solver.lightness[j]
-        part = (a + b) / (a * (1.0 + solver.model.turning_of(i)) + b * (1.0 + solver.model.turning_of(j)))
+        part = (a + b) / (a * (1.0 + solver.model.spin_response(i)) + b * (1.0 + solver.model.spin_response(j)))
     return part
 
 

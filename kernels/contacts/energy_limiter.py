@@ -21,7 +21,7 @@ def stopped(solver: ti.template(), ball: ti.template()):
             if ti.static(solver.walls.told):
                 solver.walls.received.note(i)
         if ti.static(solver.spins):
-            solver.stop_turn[i] = solver.state.turn[i]
+            solver.stopped_spin[i] = solver.state.spin[i]
 
 
 @ti.func
@@ -30,7 +30,7 @@ def compare_with_before(solver: ti.template()):
     for i in range(solver.n):
         solver.stop_v[i] = solver.before[i]
         if ti.static(solver.spins):
-            solver.stop_turn[i] = solver.before_turn[i]
+            solver.stopped_spin[i] = solver.before_spin[i]
 
 
 @ti.func
@@ -48,12 +48,12 @@ def tame(solver: ti.template(), ball: ti.template()):
                 linear += v1.dot(d) / w
                 square += d.dot(d) / w
                 if ti.static(solver.spins):  # I omega^2 = m turn^2 / turning
-                    t0 = ti.cast(solver.before_turn[i], solver.wide)
-                    t1 = ti.cast(solver.stop_turn[i], solver.wide)
-                    t = ti.cast(solver.state.turn[i], solver.wide) - t1
-                    lost += 0.5 * product(solver, t0 - t1, t0 + t1) / (w * solver.model.turning)
-                    linear += product(solver, t1, t) / (w * solver.model.turning)
-                    square += product(solver, t, t) / (w * solver.model.turning)
+                    t0 = ti.cast(solver.before_spin[i], solver.wide)
+                    t1 = ti.cast(solver.stopped_spin[i], solver.wide)
+                    t = ti.cast(solver.state.spin[i], solver.wide) - t1
+                    lost += 0.5 * product(solver, t0 - t1, t0 + t1) / (w * solver.model.spin_inertia_ratio)
+                    linear += product(solver, t1, t) / (w * solver.model.spin_inertia_ratio)
+                    square += product(solver, t, t) / (w * solver.model.spin_inertia_ratio)
         solver.energy[c].lost = lost
         solver.energy[c].linear = linear
         solver.energy[c].square = square
@@ -81,7 +81,7 @@ def tame(solver: ti.template(), ball: ti.template()):
                 if ti.static(solver.walls.told):
                     solver.walls.received.scale(i, less)
             if ti.static(solver.spins):
-                solver.state.turn[i] = solver.state.turn[i] + less * (solver.state.turn[i] - solver.stop_turn[i])
+                solver.state.spin[i] = solver.state.spin[i] + less * (solver.state.spin[i] - solver.stopped_spin[i])
 
 
 @ti.func

@@ -55,7 +55,7 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
         t = v - u * n
         share = 0.0 * u + 1.0
         if ti.static(walls.model.spins):
-            t -= lever(walls.state.turn[i], n)
+            t -= lever(walls.state.spin[i], n)
             share = walls.model.sideways(i)
         speed = t.norm()
         if speed > 0.0:
@@ -63,7 +63,7 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
             change = ti.min(share * speed, slip * share * speed + law.friction * j) / speed * t
             after -= change
             if ti.static(walls.model.spins):
-                walls.state.turn[i] = walls.state.turn[i] + walls.model.turning_of(i) * cross(n, change)
+                walls.state.spin[i] = walls.state.spin[i] + walls.model.spin_response(i) * cross(n, change)
     return after, rest, rests
 
 

@@ -161,7 +161,7 @@ def one_ball(solver: ti.template(), ball: ti.template(), i, now, time):
                         mass = 1.0 / (w + other)
                         slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
                         if ti.static(solver.spins):
-                            u -= solver.pairs.row[c].arm * lever(solver.state.turn[i] + solver.state.turn[j], n)
+                            u -= solver.pairs.row[c].arm * lever(solver.state.spin[i] + solver.state.spin[j], n)
                             mass *= contact_law.sideways(solver, i, j)
                         change, _ = contact_law.sliding_impulse(
                             solver.model, u, n, mass, 0.0 * p, law.friction * total, slip

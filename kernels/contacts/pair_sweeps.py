@@ -13,7 +13,7 @@ from taichi_sim.device.engine import ti
 
 # What a sweep does. MEASURE finds which pairs touch and sums what they hold from before; FIRST is the first pass of a solve, NEXT
 # a later one, SETTLE one of those of kernels.settle; BOUNCE one of those that follow where restitution is a matter of its own,
-# see kernels.taming; LIMIT bounds what contacts keep of it; LAST belongs to the short solve at the end of a step, RELAX follows a
+# see energy_limiter; LIMIT bounds what contacts keep of it; LAST belongs to the short solve at the end of a step, RELAX follows a
 # move without one; OFFSET undoes overlap.
 MEASURE, FIRST, NEXT, SETTLE, BOUNCE, LIMIT, LAST, RELAX, OFFSET = range(9)
 
@@ -83,7 +83,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
     begin = pairs.first[i]
     end = begin
-    total, twist = ti.Vector.zero(float, solver.model.dim), zero_turn(solver)
+    total, twist = ti.Vector.zero(float, solver.model.dim), zero_spin(solver)
     for e in range(begin, begin + pairs.number[i]):
         link = pairs.link[e]
         j = link.other
@@ -119,7 +119,9 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
                 if ti.static(solver.spins):
                     t = torque(solver, end, p)
                     twist += t
-                    add(solver, solver.carry_turn, j, (solver.model.turning_of(j) * solver.model.inverse_mass[j]) * t)
+                    add(
+                        solver, solver.carry_spin, j, (solver.model.spin_response(j) * solver.model.inverse_mass[j]) * t
+                    )
             if ti.static(solver.counts):
                 add(solver, solver.count, j, 1)
             if ti.static(solver.by_tensor):
@@ -133,7 +135,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
     if ti.static(solver.warm):
         add(solver, solver.carry, i, w * total)
         if ti.static(solver.spins):
-            add(solver, solver.carry_turn, i, (solver.model.turning_of(i) * w) * twist)
+            add(solver, solver.carry_spin, i, (solver.model.spin_response(i) * w) * twist)
     if ti.static(solver.counts):
         add(solver, solver.count, i, end - begin)
     return fast
@@ -143,7 +145,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
 def held_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
     """Impulse [N s] on ball i that its contact with j in link e holds from before, along the present normal."""
     held = solver.pairs.link[e].impulse
-    if ti.static((solver.split or solver.tames) and solver.model.has_restitution):
+    if ti.static((solver.split or solver.limits_energy) and solver.model.has_restitution):
         aim = solver.pairs.link[e].aim
         if NONE < aim < 0.0:  # it bounced, nothing presses it together: a split mass could not take the impulse back
             if (ball[j].v - ball[i].v).dot(n) > 0.0:
@@ -181,9 +183,9 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
     most = ti.cast(0.0, float)
     v = ball[i].v
     w = solver.model.inverse_mass[i]
-    turn = zero_turn(solver)
+    turn = zero_spin(solver)
     if ti.static(solver.spins):
-        turn = solver.state.turn[i]
+        turn = solver.state.spin[i]
     for c in range(begin, end):
         j = solver.pairs.link[c].other
         p = pair(solver, ball, i, j, c, v, turn, time, stage)
@@ -192,12 +194,12 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
         most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
         if ti.static(solver.spins):
             t = torque(solver, c, p)
-            turn += w * (solver.model.turning_of(i) * t)
-            t = solver.model.turning_of(j) * t
-            solver.state.turn[j] = solver.state.turn[j] + solver.model.inverse_mass[j] * t
+            turn += w * (solver.model.spin_response(i) * t)
+            t = solver.model.spin_response(j) * t
+            solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * t
     ball[i].v = v
     if ti.static(solver.spins):
-        solver.state.turn[i] = turn
+        solver.state.spin[i] = turn
     return most
 
 
@@ -206,9 +208,9 @@ def solve_at_once(solver: ti.template(), ball: ti.template(), i, begin, end, tim
     """All pairs see the old velocities; impulses are summed in `push` and `twist`, to be applied at the end."""
     v = ball[i].v
     total = ti.Vector.zero(float, solver.model.dim)
-    turn, twist = zero_turn(solver), zero_turn(solver)
+    turn, twist = zero_spin(solver), zero_spin(solver)
     if ti.static(solver.spins):
-        turn = solver.state.turn[i]
+        turn = solver.state.spin[i]
     for c in range(begin, end):
         j = solver.pairs.link[c].other
         p = pair(solver, ball, i, j, c, v, turn, time, stage)
@@ -224,7 +226,7 @@ def solve_at_once(solver: ti.template(), ball: ti.template(), i, begin, end, tim
 
 
 @ti.func
-def zero_turn(solver: ti.template()):
+def zero_spin(solver: ti.template()):
     """A turn of nothing: a scalar in 2D."""
     if ti.static(solver.model.dim == 2):
         return ti.cast(0.0, float)
@@ -282,14 +284,14 @@ def pair(solver: ti.template(), ball: ti.template(), i, j, c, v, turn, time, sta
         if ti.static(solver.model.dim == 2):
             s = tangent(n).dot(u)
             if ti.static(solver.spins):
-                s -= arm * (turn + solver.state.turn[j])
+                s -= arm * (turn + solver.state.spin[j])
             change, slide = contact_law.sliding_impulse_2d(solver.model, s, mass, slide, bound, slip)
             solver.pairs.link[c].slide = slide
             p -= change * tangent(n)
         else:
             if total > 0.0 or slide.dot(slide) > 0.0:
                 if ti.static(solver.spins):
-                    u -= arm * lever(turn + solver.state.turn[j], n)
+                    u -= arm * lever(turn + solver.state.spin[j], n)
                 change, slide = contact_law.sliding_impulse(solver.model, u, n, mass, slide, bound, slip)
                 p -= change
             solver.pairs.link[c].slide = slide
@@ -368,7 +370,7 @@ def normal(solver: ti.template(), c, u, held, stage: ti.template()):
             target = ti.min(0.0, solver.pairs.row[c].depth * solver.rate[0])
     elif ti.static(solver.pairs.has_aim):
         target = solver.pairs.row[c].target
-        if ti.static(solver.tames and stage in (FIRST, NEXT)):  # what touches is stopped first
+        if ti.static(solver.limits_energy and stage in (FIRST, NEXT)):  # what touches is stopped first
             target = ti.select(solver.pairs.row[c].depth > 0.0, 0.0, target)
     total = contact_law.normal_impulse(u, target, mass, held)
     if ti.static(solver.soft and stage != SETTLE):

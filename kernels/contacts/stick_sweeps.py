@@ -61,8 +61,8 @@ def one_row(sticks: ti.template(), solver: ti.template(), ball: ti.template(), c
         law = sticks.law(row)
         slip = contact_law.viscous_share(sticks.model, law, total, mass, solver.threshold[0], u, time)
         if ti.static(solver.spins):
-            rolling = sticks.model.turning_of(row.ball) * w
-            u -= lever(solver.state.turn[row.ball] - rolling * cross(n, sticks.push[c]), n)
+            rolling = sticks.model.spin_response(row.ball) * w
+            u -= lever(solver.state.spin[row.ball] - rolling * cross(n, sticks.push[c]), n)
             mass = 1.0 / (inverse + rolling)
         change, slide = contact_law.sliding_impulse(sticks.model, u, n, mass, row.slide, law.friction * total, slip)
         sticks.row[c].slide = slide

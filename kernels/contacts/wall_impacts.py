@@ -55,7 +55,7 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
                 if ti.static(walls.model.has_friction):
                     slip = contact_law.viscous_share(walls.model, law, total, mass, walls.threshold[0], u, time)
                     if ti.static(solver.spins):
-                        u -= lever(solver.state.turn[i], n)
+                        u -= lever(solver.state.spin[i], n)
                         mass *= walls.model.sideways(i)
                     change, _ = contact_law.sliding_impulse(
                         walls.model, u, n, mass, 0.0 * p, law.friction * total, slip

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.stability import stability
 from taichi_sim.scene.colliders import BOX, MESH, Collider
 from taichi_sim.scene.collision_groups import meet
-from taichi_sim.scene.scene import Scene, bounciest
+from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = [
     "Finding",
@@ -89,7 +89,7 @@ def _bounces(scene: Scene, h: float) -> Iterator[Finding]:
     """A ball that arrives with less than 2 g h is held: what would bounce lower than (2 g h)^2 / (2 g) = 2 g h^2 does not. The
     bounces left out would have taken 2 v e / (g (1 - e)) with v up to 2 g h. Another ball is hit h / 2 late, u h / 2 deep: at
     rest against gravity it takes (1 - e^2) m g u h / 2 too much of the (e u)^2 m / 2 that bounces. Walls are hit in time."""
-    g, e = _gravity(scene), bounciest(scene)
+    g, e = _gravity(scene), max_restitution(scene)
     if g == 0.0 or e == 0.0:
         return
     low, radius = 2.0 * g * h * h, float(scene.radius[~scene.pinned].min())

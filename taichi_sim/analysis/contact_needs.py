@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from taichi_sim.scene.scene import Scene, bounciest
+from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = ["may_collide", "may_gain", "slowest_bounce"]
 
@@ -18,7 +18,7 @@ def slowest_bounce(scene: Scene, h: float) -> float:
 def may_gain(scene: Scene, rule: str, warm: bool, rows: bool) -> bool:
     """Whether a contact solve could add energy: not where little bounces, nor with split masses from nothing, nor where pairs
     in turn bounce one by one; they do without rows, contacts of more than two balls."""
-    return bounciest(scene) > MOST_BOUNCE and (rows if rule == "gauss_seidel" else rule == "jacobi" and warm)
+    return max_restitution(scene) > MOST_BOUNCE and (rows if rule == "gauss_seidel" else rule == "jacobi" and warm)
 
 
 def may_collide(scene: Scene) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.scene.colliders import MESH, Collider
-from taichi_sim.scene.embedded_surfaces import Skin
+from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 
 __all__ = ["Contacts", "Frame", "Placed"]
 
@@ -80,7 +80,7 @@ class Frame:
     pinned: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (n,)
     walls: Floats = field(default_factory=lambda: _empty(0, 0))  # (w, dim + 1): unit normal, offset; solid below it
     colliders: tuple[Placed, ...] = ()  # where they are at `time`
-    skins: tuple[Skin, ...] = ()  # surfaces drawn in place of balls
+    embedded_surfaces: tuple[EmbeddedSurface, ...] = ()  # surfaces drawn in place of balls
     gravity: Floats = field(default_factory=lambda: _empty(0))  # (dim,) m/s^2; (0,): not known
     energy: tuple[float, float, float, float] | None = None  # J: kinetic, spring, gravity, total
     contacts: Contacts | None = None  # what `Simulation.contacts` said; only exports ask

@@ -42,7 +42,7 @@ def _grade(value: float, good: float, wrong: float) -> str:
 
 def cure_of_depth(squeezes: bool, passes: int) -> str:
     """What to do where balls lie deep in something."""
-    steps = f"take shorter steps, or more contact_passes than {passes}"
+    steps = f"take shorter steps, or more contact_iterations than {passes}"
     if squeezes:
         return f"if what moves leaves them less room than they fill, stop it sooner, else {steps}"
     return steps

@@ -27,7 +27,7 @@ from taichi_sim.kernels.contacts import (
     pair_sweeps,
     warm_start,
 )
-from taichi_sim.scene.scene import bounciest
+from taichi_sim.scene.scene import max_restitution
 
 __all__ = ["ContactSolver"]
 
@@ -47,7 +47,8 @@ class ContactSolver:
         threshold: field (1) [m/s], approach speed below which nothing bounces. h: seconds per substep.
         passes: of the solve before the move. rule: "gauss_seidel", "jacobi" or "sum". atomic: add impulses with atomics.
         serial: one thread runs all. warm: start from what the step before held, the load of piles. soft: pairs are damped
-        springs, else rigid and pushed apart. loaded: forces may press single balls together. tames: see kernels.taming.
+        springs, else rigid and pushed apart. loaded: forces may press single balls together.
+        limits_energy: see kernels.contacts.energy_limiter.
     """
 
     def __init__(
@@ -62,14 +63,14 @@ class ContactSolver:
         *,
         threshold: ti.Field,
         h: float,
-        passes: int,
+        iterations: int,
         rule: str,
         atomic: bool,
         serial: bool,
         warm: bool,
         soft: bool,
         loaded: bool,
-        tames: bool,
+        limits_energy: bool,
     ) -> None:
         self.model, self.state, self.n = model, state, model.n
         self.walls, self.pairs, self.sticks, self.facets = walls, pairs, sticks, facets
@@ -78,10 +79,10 @@ class ContactSolver:
         self.rows = [part for part in (sticks, facets) if part is not None]  # of more than two balls
         self.active, self.threshold, self.relaxation = bool(self.parts), threshold, RELAXATION
         self.push_out, self.fastest_push = PUSH_OUT, FASTEST_PUSH
-        if passes < FEW:  # one pass changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
-            self.relaxation = min(RELAXATION, 2.0 / (1.0 + bounciest(model.scene)))
-        self.rule, self.passes, self.serial, self.atomic = rule, passes, serial, atomic
-        self.warm, self.soft, self.tames = warm, soft and pairs is not None, tames
+        if iterations < FEW:  # one pass changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
+            self.relaxation = min(RELAXATION, 2.0 / (1.0 + max_restitution(model.scene)))
+        self.rule, self.iterations, self.serial, self.atomic = rule, iterations, serial, atomic
+        self.warm, self.soft, self.limits_energy = warm, soft and pairs is not None, limits_energy
         self.in_turn, self.split = rule == "gauss_seidel", rule == "jacobi"
         self.has_walls, self.has_grid, self.has_sticks = walls is not None, pairs is not None, sticks is not None
         self.has_facets, self.has_rows = facets is not None, bool(self.rows)
@@ -118,7 +119,7 @@ class ContactSolver:
                 self.thin = fields.reals(np.array([(THIN * float(np.min(model.scene.radius))) ** 2]))
             if self.has_offset:
                 self.offset = fields.vectors(self.n, model.dim)
-            if tames:
+            if limits_energy:
                 self.wide = ti.f64 if fields.has_doubles else fields.real
                 self.parts_of_energy = -(-self.n // energy_limiter.PART)
                 self.energy = fields.table(
@@ -126,20 +127,20 @@ class ContactSolver:
                 )
                 self.stop_v = fields.vectors(self.n, model.dim)  # velocities where all that touched has stopped
                 if self.spins:
-                    self.before_turn, self.stop_turn = (fields.turns(self.n, model.dim) for _ in range(2))
+                    self.before_spin, self.stopped_spin = (fields.spins(self.n, model.dim) for _ in range(2))
             if self.sums:
                 self.push = fields.vectors(self.n, model.dim)
                 self.lightness = fields.reals(self.n)  # 1/kg: inverse mass of the part of a ball that each contact gets
                 if self.by_tensor:
                     self.tensor = fields.matrices(self.n, model.dim)
                 if self.spins:
-                    self.twist = fields.turns(self.n, model.dim)
+                    self.twist = fields.spins(self.n, model.dim)
             if self.counts:
                 self.count = fields.integers(self.n)
             if self.warm and self.has_grid:
                 self.carry = fields.vectors(self.n, model.dim)  # changes of velocity by what pairs hold from before
                 if self.spins:
-                    self.carry_turn = fields.turns(self.n, model.dim)
+                    self.carry_spin = fields.spins(self.n, model.dim)
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
@@ -225,7 +226,7 @@ class ContactSolver:
         if ti.static(self.warm):
             self.carry[i] = ti.Vector.zero(float, self.model.dim)
             if ti.static(self.spins):
-                self.carry_turn[i] = pair_sweeps.zero_turn(self)
+                self.carry_spin[i] = pair_sweeps.zero_spin(self)
 
     @ti.func
     def prime(self, ball: ti.template()):
@@ -257,7 +258,7 @@ class ContactSolver:
                 impact_iterations.settle(self, ball)
                 if ti.static(self.warm):
                     pair_sweeps.sweep(self, ball, 0.0, pair_sweeps.LIMIT)
-            if ti.static(self.tames and impacts):
+            if ti.static(self.limits_energy and impacts):
                 energy_limiter.stopped(self, ball)
                 if ti.static(self.serial):
                     for _ in range(passes):
@@ -266,7 +267,9 @@ class ContactSolver:
                     for _ in ti.static(range(passes)):
                         self._pass(ball, 0.0, pair_sweeps.BOUNCE)
                 energy_limiter.tame(self, ball)
-            elif ti.static(self.tames):  # what carried an impact is no load that rests: one pass may not undo it
+            elif ti.static(
+                self.limits_energy
+            ):  # what carried an impact is no load that rests: one pass may not undo it
                 energy_limiter.compare_with_before(self)
                 energy_limiter.tame(self, ball)
             if ti.static(self.has_sticks and self.warm):
@@ -292,8 +295,8 @@ class ContactSolver:
             part.begin_rows(ball, self, impacts)
         for i in range(self.n):
             self.before[i] = ball[i].v
-            if ti.static(self.tames and self.spins):
-                self.before_turn[i] = self.state.turn[i]
+            if ti.static(self.limits_energy and self.spins):
+                self.before_spin[i] = self.state.spin[i]
             if ti.static(self.has_walls):
                 self.walls.begin(ball, self, i, impacts, True)
             if ti.static(self.has_sticks and self.warm):
@@ -302,7 +305,7 @@ class ContactSolver:
             if ti.static(self.has_grid and self.warm):
                 self.state.kick(i, self.carry[i])
                 if ti.static(self.spins):
-                    self.state.turn[i] = self.state.turn[i] + self.carry_turn[i]
+                    self.state.spin[i] = self.state.spin[i] + self.carry_spin[i]
                 if ti.static(not impacts):
                     self._mark(ball, i)
 
@@ -315,14 +318,14 @@ class ContactSolver:
         if ti.static(self.warm):
             self.carry[i] = ball[i].v - self.carry[i]
             if ti.static(self.spins):
-                self.carry_turn[i] = self.state.turn[i] - self.carry_turn[i]
+                self.carry_spin[i] = self.state.spin[i] - self.carry_spin[i]
 
     @ti.func
     def _carry(self, ball: ti.template(), i):
         """After the sweep: what pairs hold now."""
         self.carry[i] = ball[i].v - self.carry[i]
         if ti.static(self.spins):
-            self.carry_turn[i] = self.state.turn[i] - self.carry_turn[i]
+            self.carry_spin[i] = self.state.spin[i] - self.carry_spin[i]
 
     @ti.func
     def _pass(self, ball: ti.template(), time, stage: ti.template()):
@@ -335,7 +338,7 @@ class ContactSolver:
         if ti.static(self.sums):
             for i in range(self.n):
                 p = ti.Vector.zero(float, self.model.dim)
-                t = pair_sweeps.zero_turn(self)
+                t = pair_sweeps.zero_spin(self)
                 if ti.static(rows):
                     for part in ti.static(self.rows):
                         push, twist = part.gather(ball, self, i)
@@ -344,8 +347,8 @@ class ContactSolver:
                 if ti.static(closes):  # no pair holds these
                     self.carry[i] = self.carry[i] + self.model.inverse_mass[i] * p
                     if ti.static(self.spins):
-                        ease = self.model.turning_of(i) * self.model.inverse_mass[i]
-                        self.carry_turn[i] = self.carry_turn[i] + ease * t
+                        ease = self.model.spin_response(i) * self.model.inverse_mass[i]
+                        self.carry_spin[i] = self.carry_spin[i] + ease * t
                 if ti.static(self.in_turn):
                     self.apply(i, p, t)
                 else:
@@ -356,11 +359,11 @@ class ContactSolver:
             pair_sweeps.sweep(self, ball, time, stage)
         if ti.static(self.has_walls or not self.in_turn or closes):
             for i in range(self.n):
-                p, t = ti.Vector.zero(float, self.model.dim), pair_sweeps.zero_turn(self)
+                p, t = ti.Vector.zero(float, self.model.dim), pair_sweeps.zero_spin(self)
                 if ti.static(self.has_walls):
                     p, t = self.walls.gather(ball, self, i, time)
                 if ti.static(not self.in_turn):
-                    twist = pair_sweeps.zero_turn(self)
+                    twist = pair_sweeps.zero_spin(self)
                     if ti.static(self.spins):
                         twist = self.twist[i]
                     self.apply(i, self.push[i], twist)
@@ -375,7 +378,7 @@ class ContactSolver:
         w = self.model.inverse_mass[i]
         self.state.kick(i, w * p)
         if ti.static(self.spins):
-            self.state.turn[i] = self.state.turn[i] + (self.model.turning_of(i) * w) * t
+            self.state.spin[i] = self.state.spin[i] + (self.model.spin_response(i) * w) * t
 
     @ti.func
     def separate(self, ball: ti.template(), h):

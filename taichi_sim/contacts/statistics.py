@@ -1,4 +1,4 @@
-"""Survey: a look at all contacts when someone asks. Its kernel is compiled at the first look; steps know nothing of it."""
+"""ContactStatistics: all contacts, when someone asks. Its kernel is compiled at the first call; steps know nothing of it."""
 
 from typing import Any
 
@@ -11,11 +11,11 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.kernels.springs.law import PART
 
-__all__ = ["Survey"]
+__all__ = ["ContactStatistics"]
 
 
 @ti.data_oriented
-class Survey:
+class ContactStatistics:
     """Asks each kind of contact in `contacts.parts` for what ball i has of it: a function `survey(ball, i)` that returns a
     tally, see kernels.survey. A contact of two balls belongs to one of them."""
 

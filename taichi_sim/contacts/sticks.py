@@ -9,7 +9,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import contact_law, statistics, stick_sweeps, warm_start
 from taichi_sim.kernels.contacts import sticks as loops
-from taichi_sim.kernels.contacts.pair_sweeps import zero_turn
+from taichi_sim.kernels.contacts.pair_sweeps import zero_spin
 from taichi_sim.kernels.vectors import cross
 
 __all__ = ["Sticks"]
@@ -155,7 +155,7 @@ class Sticks:
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i):
         """Impulse and twist on ball i from all rows it takes part in. The ends of a stick, being points of it, take no twist."""
-        p, t = ti.Vector.zero(float, self.model.dim), zero_turn(solver)
+        p, t = ti.Vector.zero(float, self.model.dim), zero_spin(solver)
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c = self.entry[e] // 3
             p += self.weight(self.entry[e]) * self.push[c]

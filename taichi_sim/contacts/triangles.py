@@ -10,7 +10,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model, components
 from taichi_sim.kernels.contacts import contact_law, statistics
 from taichi_sim.kernels.contacts import triangle_pairs as loops
-from taichi_sim.kernels.contacts.pair_sweeps import zero_turn
+from taichi_sim.kernels.contacts.pair_sweeps import zero_spin
 from taichi_sim.kernels.vectors import cross, lever
 from taichi_sim.scene.scene import Scene
 
@@ -193,11 +193,11 @@ class Facets:
                     if ti.static(solver.spins):
                         i = self.member[4 * c]
                         if row.kind == 0 and self.turns[i] == 1:
-                            u -= lever(solver.state.turn[i], n)
+                            u -= lever(solver.state.spin[i], n)
                             own = self.ease[i]
                             if ti.static(solver.rule == "sum"):
                                 own = self.model.inverse_mass[i]
-                            mass = 1.0 / (inverse + self.model.turning_of(i) * own)
+                            mass = 1.0 / (inverse + self.model.spin_response(i) * own)
                     change, slide = contact_law.sliding_impulse(
                         self.model, u, n, mass, self.slide[c], law.friction * total, slip
                     )
@@ -208,7 +208,7 @@ class Facets:
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i):
         """Impulse and twist on ball i from all contacts it takes part in. Only a ball that is in no surface takes a twist."""
-        p, t = ti.Vector.zero(float, 3), zero_turn(solver)
+        p, t = ti.Vector.zero(float, 3), zero_spin(solver)
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c = self.entry[e] // 4
             if self.row[c].thickness >= 0.0:

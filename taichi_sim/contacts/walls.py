@@ -12,7 +12,7 @@ from taichi_sim.kernels.contacts import contact_law, impact, nearby_colliders, s
 from taichi_sim.kernels.contacts.collision_groups import meets
 from taichi_sim.kernels.contacts.nearby_colliders import FAR
 from taichi_sim.kernels.contacts.pair_impacts import ALERT
-from taichi_sim.kernels.contacts.pair_sweeps import zero_turn
+from taichi_sim.kernels.contacts.pair_sweeps import zero_spin
 from taichi_sim.kernels.vectors import cross, lever
 from taichi_sim.scene.probes import bodies_of
 
@@ -48,7 +48,7 @@ class Walls:
         crowds: bool,
         straight: bool,
         colliders: Colliders | None = None,
-        tames: bool = False,
+        limits_energy: bool = False,
     ) -> None:
         self.straight = straight  # the way of what is fast within a step, see kernels.swept
         self.model, self.state, self.colliders, self.threshold = model, state, colliders, threshold
@@ -88,7 +88,7 @@ class Walls:
             self.room = fields.reals(model.n)  # m to the nearest wall: most balls cannot reach any in a step
         self.told = bool(bodies_of(model.scene))
         if self.told:
-            self.received = Received(model, fields, tames)
+            self.received = Received(model, fields, limits_energy)
         self.touched = fields.integers(model.n)  # walls that a ball touches: most touch none and are passed over
 
     def names(self) -> list[str]:
@@ -326,10 +326,10 @@ class Walls:
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i, time):
         """Further impulse and twist on ball i from the walls it rests on or is inside of. Fast arrivals are left to `move`."""
-        total, twist = ti.Vector.zero(float, self.model.dim), zero_turn(solver)
-        v, turn = ball[i].v, zero_turn(solver)
+        total, twist = ti.Vector.zero(float, self.model.dim), zero_spin(solver)
+        v, turn = ball[i].v, zero_spin(solver)
         if ti.static(solver.spins):
-            turn = solver.state.turn[i]
+            turn = solver.state.spin[i]
         w = self.model.inverse_mass[i]
         for k in range(ti.select(self.touched[i] > 0 and w > 0.0, self.count, 0)):
             c = i * self.count + k

@@ -87,8 +87,8 @@ class Fields:
         """n zero matrices (dim, dim)."""
         return self._place(ti.Matrix.field(dim, dim, self.real), max(1, n), None, self._size * dim * dim)
 
-    def turns(self, n: int, dim: int) -> Any:
-        """n zero turns: a scalar each in 2D, a vector in 3D."""
+    def spins(self, n: int, dim: int) -> Any:
+        """n zero spins: a scalar each in 2D, a vector in 3D."""
         return self.reals(n) if dim == 2 else self.vectors(n, 3)
 
     def integers(self, data: int | NDArray) -> Any:

@@ -32,8 +32,8 @@ class Model:
         self.has_gravity = bool(np.any(scene.gravity != 0))
         self.gravity = fields.reals(scene.gravity[None])
         self.surfaces = len(scene.materials)
-        self.spins = self.some_turn = False
-        self.turning = TURNING[self.dim]
+        self.spins = self.some_spin = False
+        self.spin_inertia_ratio = TURNING[self.dim]
 
     def add_contact_fields(self) -> None:
         """Radii, materials and the table of pair laws: what every contact part reads."""
@@ -61,25 +61,25 @@ class Model:
             },
         )
 
-    def let_turn(self, turns: NDArray[np.bool_]) -> None:
+    def set_spinning(self, turns: NDArray[np.bool_]) -> None:
         """Balls for which turns (n) is true turn under friction, the others not at all."""
-        self.spins, self.turns = bool(turns.any()), turns
-        self.some_turn = self.spins and not bool(np.all(turns | self.scene.pinned))
-        if self.some_turn:
-            self.rolling = self.fields.reals(np.where(turns, self.turning, 0.0))
+        self.spins, self.spinning = bool(turns.any()), turns
+        self.some_spin = self.spins and not bool(np.all(turns | self.scene.pinned))
+        if self.some_spin:
+            self.spin_ratios = self.fields.reals(np.where(turns, self.spin_inertia_ratio, 0.0))
 
     @ti.func
-    def turning_of(self, i):
+    def spin_response(self, i):
         """m r^2 / I of ball i: turn per velocity that a sideways impulse gives; 0 where it does not turn."""
-        turning = ti.cast(self.turning, float)
-        if ti.static(self.some_turn):
-            turning = self.rolling[i]
+        turning = ti.cast(self.spin_inertia_ratio, float)
+        if ti.static(self.some_spin):
+            turning = self.spin_ratios[i]
         return turning
 
     @ti.func
     def sideways(self, i):
         """Mass that ball i opposes to a sideways impulse at its surface, as a part of its own."""
-        return 1.0 / (1.0 + self.turning_of(i))
+        return 1.0 / (1.0 + self.spin_response(i))
 
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """For each ball the balls that a spring joins it to, as (start (n + 1), other (2 m)), sorted."""

@@ -35,9 +35,9 @@ class State:
         if compensated:
             self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
         self.spins = model.spins
-        self.still = ~model.turns if model.some_turn else None  # balls that never turn
+        self.still = ~model.spinning if model.some_spin else None  # balls that never turn
         if self.spins:
-            self.turn, self.kept_turn = fields.turns(self.n, model.dim), fields.turns(self.n, model.dim)
+            self.spin, self.kept_spin = fields.spins(self.n, model.dim), fields.spins(self.n, model.dim)
 
     @ti.func
     def shift(self, i, dx):
@@ -75,7 +75,7 @@ class State:
         """Remember the present state as good."""
         self._copy(self.kept, self.ball)
         if self.spins:
-            self._copy(self.kept_turn, self.turn)
+            self._copy(self.kept_spin, self.spin)
         if self.compensated:
             self._copy(self.kept_low, self.low)
         for part in self.followers:
@@ -85,7 +85,7 @@ class State:
         """Return to the state last kept."""
         self._copy(self.ball, self.kept)
         if self.spins:
-            self._copy(self.turn, self.kept_turn)
+            self._copy(self.spin, self.kept_spin)
         if self.compensated:
             self._copy(self.low, self.kept_low)
         for part in self.followers:
@@ -97,14 +97,14 @@ class State:
         if self.compensated:
             self._copy_in(self.low, *(low or (np.zeros_like(x), np.zeros_like(v))))
 
-    def write_turn(self, turn: np.ndarray) -> None:
+    def write_spin(self, turn: np.ndarray) -> None:
         """Replace the speeds (n, 1 or 3) [m/s] with which surfaces turn; 0 where balls do not."""
         if self.spins:
             stored = turn if self.order is None else turn[self.order]
             if self.still is not None:
                 stored = np.where(self.still[:, None], 0.0, stored)
             shaped = stored[:, 0] if self.dim == 2 else stored
-            self.turn.from_numpy(shaped.astype(np.float64 if self.turn.dtype == ti.f64 else np.float32))
+            self.spin.from_numpy(shaped.astype(np.float64 if self.spin.dtype == ti.f64 else np.float32))
 
     def _copy_in(self, table: Any, x: np.ndarray, v: np.ndarray) -> None:
         self.set_values(table.x, x)
@@ -147,4 +147,4 @@ class State:
         width = 1 if self.dim == 2 else 3
         if not self.spins:
             return np.zeros((self.n, width))
-        return self.values(self.turn).astype(np.float64).reshape(self.n, width)
+        return self.values(self.spin).astype(np.float64).reshape(self.n, width)

@@ -31,7 +31,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     What contacts hold from the last step is not kept: a pile that is restored finds it anew within a few steps.
     """
     scene = simulation.scene
-    if simulation.has_own_parts:
+    if simulation.has_custom_parts:
         raise ValueError("save: forces, or an integrator with settings of your own, cannot be written to a file")
     own = simulation.settings
     settings = {name.name: getattr(own, name.name) for name in fields(own)}

@@ -2,7 +2,7 @@
 
 Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
 wheel, pile, truss, net, balloon, tower), springs, attachments, cells, bending, gases, moving pins, wind, walls, colliders,
-triangles, skins, probes. Springs that name no group therefore count all balls in this order.
+triangles, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
 """
 
 import difflib
@@ -111,14 +111,14 @@ class Reader:
                 arguments = self._with_file(("triangles", index), table, ("triangles",))
                 arguments["triangles"] = self._members(scene, "triangles.triangles", arguments, 3)
                 scene.add_triangles(**arguments)
-        for index, table in enumerate(model.skins):
-            with self._at("skins", index):
-                arguments = self._with_file(("skins", index), table, ("corners", "weights", "triangles"))
+        for index, table in enumerate(model.embedded_surfaces):
+            with self._at("embedded_surfaces", index):
+                arguments = self._with_file(("embedded_surfaces", index), table, ("corners", "weights", "triangles"))
                 balls = self._group(scene, arguments)
                 for name in ("corners", "covers"):
                     if name in arguments:
-                        arguments[name] = _within(balls, f"skins.{name}", arguments[name])
-                scene.add_skin(**arguments)
+                        arguments[name] = _within(balls, f"embedded_surfaces.{name}", arguments[name])
+                scene.add_embedded_surface(**arguments)
         for index, table in enumerate(model.probes):
             with self._at("probes", index):
                 arguments = self._with_file(("probes", index), table, ())

@@ -66,7 +66,7 @@ class Simulation(Strict):
     precision: Literal["f32", "f64"] = "f32"
     arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = "auto"
     contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = "auto"
-    contact_passes: PositiveInt | Literal["auto"] = "auto"
+    contact_iterations: PositiveInt | Literal["auto"] = "auto"
     accumulate: Literal["auto", "ordered", "atomic"] = "auto"
     driver: Literal["auto", "fused", "parallel"] = "auto"
     spin: Literal["auto", True, False] = "auto"
@@ -161,7 +161,9 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "colliders": _colliders(),
     "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
     "probes": _arguments(Scene.add_probe, **_led, **_file),
-    "skins": _optional(_arguments(Scene.add_skin, **_group, **_file), "corners", "weights", "triangles"),
+    "embedded_surfaces": _optional(
+        _arguments(Scene.add_embedded_surface, **_group, **_file), "corners", "weights", "triangles"
+    ),
 }
 
 Wind = _arguments(Scene.add_wind)

@@ -1,4 +1,4 @@
-"""Pins: pinned balls that are led along paths."""
+"""DrivenPins: pinned balls that are led along paths."""
 
 import numpy as np
 
@@ -8,11 +8,11 @@ from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.scene.keyframes import TICKS, moments
 
-__all__ = ["Pins"]
+__all__ = ["DrivenPins"]
 
 
 @ti.data_oriented
-class Pins:
+class DrivenPins:
     """Puts moving pins where they belong at the start of each substep, with the velocity that leads to where they belong next.
 
     Motions are worked out on the host in float64, for up to TICKS substeps at a time: `row`, of which `tick` is the present one.

@@ -24,4 +24,4 @@ class ExplicitEuler(Integrator):
             self.state.shift(i, shift)
             self.state.kick(i, (drift - v) + dv)
         self.contacts.refresh(self.ball)
-        self.contacts.solve(self.ball, h, self.contacts.passes, True)
+        self.contacts.solve(self.ball, h, self.contacts.iterations, True)

@@ -10,7 +10,7 @@ from taichi_sim.device.model import Model
 from taichi_sim.kernels.springs.law import GRAIN, PART
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["FreeBodies", "Members", "components", "skins"]
+__all__ = ["FreeBodies", "Members", "components", "gas_surfaces"]
 
 
 def components(pairs: NDArray[np.integer], n: int) -> NDArray[np.int64]:
@@ -27,7 +27,7 @@ def components(pairs: NDArray[np.integer], n: int) -> NDArray[np.int64]:
         label = after
 
 
-def skins(scene: Scene) -> NDArray[np.int64]:
+def gas_surfaces(scene: Scene) -> NDArray[np.int64]:
     """Pairs of balls (k, 2) that the gases of a scene join."""
     pairs = [np.stack([np.full(g.triangles.size, g.triangles[0, 0]), g.triangles.ravel()], axis=1) for g in scene.gases]
     return np.concatenate([np.zeros((0, 2), dtype=np.int64), *pairs])
@@ -53,7 +53,7 @@ class FreeBodies:
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        label = components(np.concatenate([scene.pairs, skins(scene)]), model.n)
+        label = components(np.concatenate([scene.pairs, gas_surfaces(scene)]), model.n)
         held = np.zeros(model.n, dtype=bool)
         held[label[scene.pinned]] = True
         single = np.bincount(label, minlength=model.n) == 1  # solved exactly anyway

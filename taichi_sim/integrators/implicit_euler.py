@@ -33,7 +33,7 @@ class ImplicitEuler(Implicit):
         self.fresh[0] = 0
         for i in range(self.model.n):
             self.state.kick(i, self.solver.base[i].v - self.ball[i].v)
-        self.contacts.solve(self.ball, h, self.contacts.passes, True)
+        self.contacts.solve(self.ball, h, self.contacts.iterations, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
             v = self.ball[i].v

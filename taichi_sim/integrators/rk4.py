@@ -48,7 +48,7 @@ class RK4(Integrator):
             kick = self.sum[i].x / h - self.ball[i].v  # to the mean velocity of the step, with which it moves
             self.stage[i].v = self.sum[i].v - kick
             self.state.kick(i, kick)
-        self.contacts.solve(self.ball, 0.5 * h, self.contacts.passes, True)
+        self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
             shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, self.sum[i].v / h, h, 0.0 * self.ball[i].v)

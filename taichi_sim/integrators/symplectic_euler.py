@@ -20,7 +20,7 @@ class SymplecticEuler(Integrator):
         if ti.static(self.contacts.active):
             for i in range(self.model.n):
                 self.state.kick(i, self.forces.change(i, h))
-            self.contacts.solve(self.ball, h, self.contacts.passes, True)
+            self.contacts.solve(self.ball, h, self.contacts.iterations, True)
             self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
             if ti.static(not self.contacts.active):

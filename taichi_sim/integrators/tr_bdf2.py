@@ -39,8 +39,8 @@ class TRBDF2(Implicit):
         self.slope, self.kick, self.pull, self.rest = (fields.vectors(n, dim) for _ in range(4))
         if self.forces.extra:
             self.here = fields.table(phase_type(dim, fields.real), n)
-        self.led = self.pins is not None and self.forces.damped
-        if self.led:
+        self.driven = self.pins is not None and self.forces.damped
+        if self.driven:
             assert self.forces.springs is not None
             self.corners = PinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
 
@@ -96,7 +96,7 @@ class TRBDF2(Implicit):
             self.pull[i] = (after - v) / h
             self.rest[i] = after - mean
             self.state.kick(i, mean - v)
-        self.contacts.solve(self.ball, 0.5 * h, self.contacts.passes, True)
+        self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
             shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, self.pull[i], h, 0.0 * self.ball[i].v)
@@ -106,5 +106,5 @@ class TRBDF2(Implicit):
         for i in range(self.model.n):
             self.state.kick(i, self.rest[i])
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
-        if ti.static(self.led):
+        if ti.static(self.driven):
             self.corners.renew(self.slope)

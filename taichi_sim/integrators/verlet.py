@@ -48,7 +48,7 @@ class Verlet(Integrator):
     def allocate(self, fields: Fields) -> None:
         """`pull` [m/s^2]: what acted at the end of the step before, where it depends on velocities."""
         self.predicts = self.predicts or (bool(self.forces.extra) and not self.forces.damped)
-        self.led = self.predicts and self.pins is not None
+        self.driven = self.predicts and self.pins is not None
         self.splits = self.forces.damped and not self.predicts
         self.held = self.splits and bool(self.forces.extra)
         self.pull = fields.vectors(self.model.n if self.predicts or self.held else 0, self.model.dim)
@@ -151,7 +151,7 @@ class Verlet(Integrator):
         if ti.static(not self.network):
             self.kick.undamped(h, self.pull, self.held)
         self.kick.lone_springs(h, self.pull, self.held)
-        self.contacts.solve(self.ball, 0.5 * h, self.contacts.passes, True)
+        self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
             a = self.forces.change(i, h) / h
@@ -181,7 +181,7 @@ class Verlet(Integrator):
         if ti.static(self.contacts.active):
             for i in range(self.model.n):
                 self.state.kick(i, 0.5 * h * self.pull[i])
-            self.contacts.solve(self.ball, 0.5 * h, self.contacts.passes, True)
+            self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
             self.contacts.separate(self.ball, h)
             for i in range(self.model.n):
                 v, a = self.ball[i].v, self.pull[i]
@@ -196,10 +196,10 @@ class Verlet(Integrator):
                 change = h * self.pull[i]
                 self.state.shift(i, h * (self.ball[i].v + 0.5 * change))
                 self.state.kick(i, change)
-        if ti.static(self.led):  # what acts here acts half in this step and half in the next
+        if ti.static(self.driven):  # what acts here acts half in this step and half in the next
             self.pins.face(True)
         self.forces.total(self.ball, h, time + h)
-        if ti.static(self.led):
+        if ti.static(self.driven):
             self.pins.face(False)
         for i in range(self.model.n):
             a = self.forces.change(i, h) / h
@@ -213,7 +213,7 @@ class Verlet(Integrator):
         if ti.static(first_half):
             for i in range(self.model.n):
                 self.state.kick(i, 0.5 * self.forces.change(i, h))
-        self.contacts.solve(self.ball, 0.5 * h, self.contacts.passes, True)
+        self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
             if ti.static(not first_half):

@@ -118,7 +118,7 @@ class XPBD(Integrator):
             simd_batches.in_turn(self, self.springs, h)
         elif ti.static(self.active):
             edge_blocks.in_turn(self, self.springs, h)
-        self.contacts.solve(self.ball, h, self.contacts.passes, True)
+        self.contacts.solve(self.ball, h, self.contacts.iterations, True)
         self.contacts.separate(self.ball, h)
         for i in range(self.model.n):
             v = self.ball[i].v

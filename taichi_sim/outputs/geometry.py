@@ -17,7 +17,7 @@ __all__ = ["Geometry", "surface_of"]
 class Geometry(Output):
     """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
 
-    Each holds the triangles of the frame, skins in place of what they cover, with the vertices that they use; a frame without
+    Each holds the triangles of the frame, surfaces in place of what they cover, with the vertices that they use; a frame without
     any triangle its balls as points, with their radius in PLY. A file that is there is replaced when the new one is complete;
     what was written before an error or Ctrl-C stays.
     """
@@ -49,13 +49,13 @@ def surface_of(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices (v, 3) [m] and triangles (t, 3), counter-clockwise from outside, of all that a frame shows as a surface."""
     x = _in_3d(frame.position)
     covered = np.zeros(len(x), dtype=bool)
-    for skin in frame.skins:
+    for skin in frame.embedded_surfaces:
         covered |= skin.covered(len(x))
     plain = frame.triangles[~covered[frame.triangles].any(axis=1)] if len(frame.triangles) else frame.triangles
     used, new = np.unique(plain, return_inverse=True)
     vertices, first = [x[used]], len(used)
     triangles: list[NDArray] = [new.reshape(-1, 3)]
-    for skin in frame.skins:
+    for skin in frame.embedded_surfaces:
         vertices.append(np.einsum("sk,ski->si", skin.weights, x[skin.corners]))
         triangles.append(first + skin.triangles)
         first += len(skin.corners)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.render.subdivision import Rows, compose, subdivide
-from taichi_sim.scene.embedded_surfaces import Skin
+from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 
 __all__ = ["Binding"]
 
@@ -25,9 +25,11 @@ class Binding:
     tint: NDArray[np.float64]
 
     @classmethod
-    def finer(cls, skins: Sequence[Skin], triangles: NDArray, n: int, times: int) -> "tuple[NDArray, Binding]":
+    def finer(
+        cls, surfaces: Sequence[EmbeddedSurface], triangles: NDArray, n: int, times: int
+    ) -> "tuple[NDArray, Binding]":
         """The same for surfaces subdivided so many times; then all triangles are of vertices that follow balls."""
-        faces, base = cls.of(skins, triangles, n)
+        faces, base = cls.of(surfaces, triangles, n)
         if not times or not len(faces):
             return faces, base
         used, compact = np.unique(faces, return_inverse=True)
@@ -53,17 +55,20 @@ class Binding:
         return len(self.tint)
 
     @classmethod
-    def of(cls, skins: Sequence[Skin], triangles: NDArray, n: int) -> "tuple[NDArray, Binding]":
-        """Triangles (t, 3) of n balls and those of skins together, the vertices of skins counted from n on; their binding."""
-        counts = [np.count_nonzero(skin.weights, axis=1) for skin in skins]
-        first = n + np.cumsum([0, *(len(skin.corners) for skin in skins)])
+    def of(cls, surfaces: Sequence[EmbeddedSurface], triangles: NDArray, n: int) -> "tuple[NDArray, Binding]":
+        """Triangles (t, 3) of n balls and those of surfaces together, with vertices counted from n on; their binding."""
+        counts = [np.count_nonzero(skin.weights, axis=1) for skin in surfaces]
+        first = n + np.cumsum([0, *(len(skin.corners) for skin in surfaces)])
         none = np.full(3, np.nan)
-        return np.concatenate([triangles, *(skin.triangles + k for skin, k in zip(skins, first))]), cls(
+        return np.concatenate([triangles, *(skin.triangles + k for skin, k in zip(surfaces, first))]), cls(
             np.cumsum(np.concatenate([[0], *counts])).astype(np.int32),
-            np.concatenate([np.zeros(0, np.int32), *(skin.corners[skin.weights != 0] for skin in skins)]),
-            np.concatenate([np.zeros(0), *(skin.weights[skin.weights != 0] for skin in skins)]),
+            np.concatenate([np.zeros(0, np.int32), *(skin.corners[skin.weights != 0] for skin in surfaces)]),
+            np.concatenate([np.zeros(0), *(skin.weights[skin.weights != 0] for skin in surfaces)]),
             np.concatenate(
-                [np.zeros((0, 3)), *(np.tile(skin.colour or none, (len(skin.corners), 1)) for skin in skins)]
+                [
+                    np.zeros((0, 3)),
+                    *(np.tile(skin.colour or none, (len(skin.corners), 1)) for skin in surfaces),
+                ]
             ),
         )
 

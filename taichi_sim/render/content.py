@@ -10,7 +10,7 @@ from taichi_sim.render.binding import Binding
 from taichi_sim.render.bodies import Bodies
 from taichi_sim.render.palette import body_colours
 from taichi_sim.scene.colliders import Collider
-from taichi_sim.scene.embedded_surfaces import Skin
+from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 
 __all__ = ["Content"]
 
@@ -20,7 +20,7 @@ class Content:
     """The unchanging part of a frame, ready to draw.
 
     radius (n,) m, 0 for balls on triangles; rods: indices of the springs drawn; rod_ends (k, 2); rod_radius (k,) m;
-    rod_stick (k,). Vertices are the n balls and, after them, those of skins and of finer surfaces, which `binding` holds to
+    rod_stick (k,). Vertices are the n balls and, after them, those of surfaces and of finer surfaces, which `binding` holds to
     the balls; colour (n + s, 3) sRGB and triangles (t, 3) are theirs. bodies: colliders, in 3D.
     """
 
@@ -35,17 +35,17 @@ class Content:
     binding: Binding
     bodies: Bodies | None
     colliders: tuple[Collider, ...]
-    skins: tuple[Skin, ...]
+    embedded_surfaces: tuple[EmbeddedSurface, ...]
 
     @classmethod
     def of(cls, frame: Frame, size: float, subdivide: int = 0) -> "Content":
         """size: of the scene in metres, for rods between balls without a radius. subdivide: surfaces so many times."""
         n = len(frame.position)
         covered = np.zeros(n, dtype=bool)
-        for one in frame.skins:
+        for one in frame.embedded_surfaces:
             covered |= one.covered(n)
         own = frame.triangles.reshape(-1, 3)
-        triangles, binding = Binding.finer(frame.skins, own[~covered[own].all(axis=1)], n, subdivide)
+        triangles, binding = Binding.finer(frame.embedded_surfaces, own[~covered[own].all(axis=1)], n, subdivide)
         skin = covered.copy()
         skin[own.ravel()] = True
         springs = frame.springs.reshape(-1, 2)
@@ -63,14 +63,14 @@ class Content:
             rod_stick=stick,
             bodies=Bodies.of(frame) if frame.dim == 3 else None,
             colliders=_colliders(frame),
-            skins=frame.skins,
+            embedded_surfaces=frame.embedded_surfaces,
             triangles=np.ascontiguousarray(triangles, dtype=np.int32),
             binding=binding,
         )
 
     def matches(self, frame: Frame) -> bool:
         """Whether a frame has what this was made from; frames of one simulation share the very arrays."""
-        if self.colliders != _colliders(frame) or self.skins != frame.skins:
+        if self.colliders != _colliders(frame) or self.embedded_surfaces != frame.embedded_surfaces:
             return False
         return all(a is b or np.array_equal(a, b, equal_nan=True) for a, b in zip(self.source, _source(frame)))
 

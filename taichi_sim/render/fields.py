@@ -19,7 +19,7 @@ SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 class Buffers:
     """Balls, rods and triangles in scene units. `has_*`: what there is of; kernels compile only for that.
 
-    After the balls come the vertices of skins and those of colliders, as balls without a radius; the triangles of colliders
+    After the balls come the vertices of surfaces and those of colliders, as balls without a radius; the triangles of colliders
     follow all others.
     """
 
@@ -129,7 +129,7 @@ class Buffers:
         self._send()
 
     def _send(self) -> None:
-        """Balls to the device, and the vertices of skins after them."""
+        """Balls to the device, and the vertices of surfaces after them."""
         self.ball.from_numpy(self._upload)
         if self.has_skins:
             vertex_binding.bind(
@@ -144,7 +144,7 @@ class Buffers:
 
 
 def _sizes(content: Content) -> tuple[int, ...]:
-    """Vertices (balls, those of skins and of colliders), rods, triangles; balls, and entries of skins."""
+    """Vertices (balls, those of surfaces and of colliders), rods, triangles; balls, and entries of surfaces."""
     bodies, binding = content.bodies, content.binding
     more = (0, 0) if bodies is None else (len(bodies.vertices), len(bodies.triangles))
     n = len(content.radius)

@@ -100,8 +100,8 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"{', '.join(ANY_STEP)}: no spring limits them, but cells and bending do, and gas all but implicit_euler"
     else:
         yield f"{', '.join(ANY_STEP)}: any step is stable, its error is another matter"
-    if sim.has_own_parts:
-        yield "forces of one's own act explicitly in all of them; what step they need is not known here"
+    if sim.has_custom_parts:
+        yield "user-defined forces act explicitly in all of them; what step they need is not known here"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
 

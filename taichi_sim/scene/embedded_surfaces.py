@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["Skin", "build_skin", "skins_from", "skins_to"]
+__all__ = ["EmbeddedSurface", "build_surface", "surfaces_from", "surfaces_to"]
 
 SUM = 1e-6  # how far the weights of a vertex may sum up to something else than 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Skin:
+class EmbeddedSurface:
     """A surface of s vertices, each at the weighted mean of k balls. Two are equal if they are the same object."""
 
     corners: NDArray[np.int32]  # (s, k) balls
@@ -32,7 +32,7 @@ class Skin:
         return covered
 
 
-def build_skin(
+def build_surface(
     where: str,
     n_balls: int,
     corners: ArrayLike,
@@ -40,7 +40,7 @@ def build_skin(
     triangles: ArrayLike,
     covers: ArrayLike | None,
     colour: tuple[float, ...] | None,
-) -> Skin:
+) -> EmbeddedSurface:
     """A checked skin on n_balls balls. Raises SceneError that names the argument of `where`."""
     try:
         shape = np.shape(corners)
@@ -62,24 +62,29 @@ def build_skin(
         raise SceneError(f"{where}.weights[{row}]: {shares[row].tolist()} is not allowed; it must sum up to 1")
     faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the skin")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
-    return Skin(balls, shares, faces, hidden, colour)
+    return EmbeddedSurface(balls, shares, faces, hidden, colour)
 
 
-def skins_to(skins: Sequence[Skin]) -> dict[str, NDArray]:
-    """All columns of skins under "skins.0.corners" and the like."""
+def surfaces_to(surfaces: Sequence[EmbeddedSurface]) -> dict[str, NDArray]:
+    """All columns of surfaces under "embedded_surfaces.0.corners" and the like."""
     columns = {}
-    for k, skin in enumerate(skins):
+    for k, skin in enumerate(surfaces):
         for name in ("corners", "weights", "triangles", "covers"):
-            columns[f"skins.{k}.{name}"] = getattr(skin, name)
-        columns[f"skins.{k}.colour"] = np.array(() if skin.colour is None else skin.colour, dtype=np.float64)
+            columns[f"embedded_surfaces.{k}.{name}"] = getattr(skin, name)
+        columns[f"embedded_surfaces.{k}.colour"] = np.array(
+            () if skin.colour is None else skin.colour, dtype=np.float64
+        )
     return columns
 
 
-def skins_from(arrays: Mapping[str, NDArray]) -> list[Skin]:
-    """The skins that `skins_to` wrote, without checks."""
-    skins: list[Skin] = []
-    while f"skins.{len(skins)}.corners" in arrays:
-        own = {name: arrays[f"skins.{len(skins)}.{name}"] for name in ("corners", "weights", "triangles", "covers")}
-        colour = arrays[f"skins.{len(skins)}.colour"].tolist()
-        skins.append(Skin(**own, colour=tuple(colour) if colour else None))
-    return skins
+def surfaces_from(arrays: Mapping[str, NDArray]) -> list[EmbeddedSurface]:
+    """The surfaces that `surfaces_to` wrote, without checks."""
+    surfaces: list[EmbeddedSurface] = []
+    while f"embedded_surfaces.{len(surfaces)}.corners" in arrays:
+        own = {
+            name: arrays[f"embedded_surfaces.{len(surfaces)}.{name}"]
+            for name in ("corners", "weights", "triangles", "covers")
+        }
+        colour = arrays[f"embedded_surfaces.{len(surfaces)}.colour"].tolist()
+        surfaces.append(EmbeddedSurface(**own, colour=tuple(colour) if colour else None))
+    return surfaces

@@ -7,7 +7,7 @@ import numpy as np
 
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 
-__all__ = ["Material", "Wall", "bounciest", "used_materials"]
+__all__ = ["Material", "Wall", "max_restitution", "used_materials"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,6 @@ def used_materials(scene: Any) -> list[Material]:
     return [scene.materials[index] for index in sorted(used)]
 
 
-def bounciest(scene: Any) -> float:
+def max_restitution(scene: Any) -> float:
     """Largest restitution of anything in the scene."""
     return max((material.restitution for material in used_materials(scene)), default=0.0)

@@ -14,11 +14,11 @@ from taichi_sim.scene.colliders import Collider, build
 from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
 from taichi_sim.scene.columns import Table
 from taichi_sim.scene.elements import Elements
-from taichi_sim.scene.embedded_surfaces import Skin, build_skin, skins_from, skins_to
-from taichi_sim.scene.materials import Material, Wall, bounciest, used_materials
+from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface, surfaces_from, surfaces_to
+from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
 from taichi_sim.scene.toml_writer import save_scene
 
-__all__ = ["Material", "Scene", "Wall", "bounciest", "used_materials"]
+__all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
 
 
 NEWER = {
@@ -47,7 +47,7 @@ class Scene(Elements):
         self.materials: list[Material] = [Material("default")]
         self.walls: list[Wall] = []
         self.colliders: list[Collider] = []
-        self.skins: list[Skin] = []
+        self.embedded_surfaces: list[EmbeddedSurface] = []
         self.groups = Groups()
         self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
         self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
@@ -288,7 +288,7 @@ class Scene(Elements):
             raise SceneError(f"triangles[{k}]: {t[k].tolist()} may not collide; it must be three different balls")
         self._triangles.append(len(t), triangles=t, collides=solid)
 
-    def add_skin(
+    def add_embedded_surface(
         self,
         corners: ArrayLike,
         weights: ArrayLike,
@@ -304,10 +304,10 @@ class Scene(Elements):
             triangles: (t, 3) vertices of the skin, counter-clockwise seen from outside.
             covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1; None: that of the balls.
         """
-        where = f"skins[{len(self.skins)}]"
+        where = f"embedded_surfaces[{len(self.embedded_surfaces)}]"
         tint = None if colour is None else _colour(f"{where}.colour", colour)
-        self.skins.append(build_skin(where, self.n_balls, corners, weights, triangles, covers, tint))
-        return len(self.skins) - 1
+        self.embedded_surfaces.append(build_surface(where, self.n_balls, corners, weights, triangles, covers, tint))
+        return len(self.embedded_surfaces) - 1
 
     def new_body(self) -> int:
         """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
@@ -335,10 +335,10 @@ class Scene(Elements):
         save_scene(self, path)
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """All columns of balls, springs, triangles, cells, bends and skins under "balls.mass" and the like: what a state file
-        keeps."""
+        """All columns of balls, springs, triangles, cells, bends and embedded surfaces under "balls.mass" and the like: what a
+        state file keeps."""
         columns = {f"{name}.{key}": table[key] for name, table in self._tables().items() for key in table.names}
-        return columns | skins_to(self.skins)
+        return columns | surfaces_to(self.embedded_surfaces)
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
         """Add what `to_arrays` gave, without checks."""
@@ -349,7 +349,7 @@ class Scene(Elements):
                 table.append(
                     rows, **{key: np.full(rows, new) for key, new in NEWER.items() if key in table.names} | columns
                 )
-        self.skins += skins_from(arrays)
+        self.embedded_surfaces += surfaces_from(arrays)
 
     def _tables(self) -> dict[str, Table]:
         tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}

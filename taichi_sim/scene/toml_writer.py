@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.scene.collision_groups import EVERY, ONLY
-from taichi_sim.scene.embedded_surfaces import Skin
+from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 
 __all__ = ["save_scene"]
 
@@ -75,7 +75,7 @@ def _document(scene: Any, store: _Arrays) -> dict[str, Any]:
     if len(scene.triangles):
         columns = {"triangles": scene.triangles, "collides": _one(scene.solid)}
         tables["triangles"] = [store.table("triangles_", columns)]
-    tables["skins"] = [_skin(skin, store, k) for k, skin in enumerate(scene.skins)]
+    tables["embedded_surfaces"] = [_skin(skin, store, k) for k, skin in enumerate(scene.embedded_surfaces)]
     tables["probes"] = [
         store.table(f"probes_{k}_", probe.arrays(), name=probe.name, kind=probe.kind, **probe.plain())
         for k, probe in enumerate(scene.probes)
@@ -115,7 +115,7 @@ def _collider(given: dict[str, Any], store: _Arrays, number: int) -> dict[str, A
     )
 
 
-def _skin(skin: Skin, store: _Arrays, number: int) -> dict[str, Any]:
+def _skin(skin: EmbeddedSurface, store: _Arrays, number: int) -> dict[str, Any]:
     columns = {name: getattr(skin, name) for name in ("corners", "weights", "triangles")}
     if len(skin.covers):
         columns["covers"] = skin.covers

@@ -158,7 +158,7 @@ def jelly(
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
     shape = build(scene, "jelly", points, kinds, body.triangles, part, 0.0, drag, cells=cells)
     if skin is not None:
-        scene.add_skin(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)
+        scene.add_embedded_surface(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)
     return shape
 
 

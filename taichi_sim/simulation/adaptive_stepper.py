@@ -1,22 +1,22 @@
-"""Controlled: the number of substeps is chosen by the error, measured over the whole run by a second solution.
+"""AdaptiveStepper: the number of substeps is chosen by the error, measured over the whole run by a second solution.
 
-Each step is made twice: with n substeps by the solution that is kept, and by a companion whose substeps are twice as long. Both
-go on by themselves from the start, so that the largest distance D of a ball between them has all that was added to the error and
-all that the motion made of it since, in positions, as the user will see it.
+Each step is made twice: with n substeps by the solution that is kept, and by a second solution whose substeps are twice as
+long. Both go on by themselves from the start, so that the largest distance D of a ball between them has all that was added to
+the error and all that the motion made of it since, in positions, as the user will see it.
 
 Smooth motion: with errors e and 2^p e, p the order of the method, D = (2^p - 1) e. The order is not trusted to the last power of
 two, for what is not resolved shows less of it: e <= MARGIN D / (2^(p - 1) - 1), or MARGIN D for p < 2.
 
 Contacts: one may be noticed at the end of the substep h in which it begins, up to h late, and both solutions would notice it at
-the same instant wherever they share one: D would be 0, however wrong both are. So the companion's instants, 2 h apart, lie in the
-middle between the others: it is LAG h behind. Whenever a contact begins, the two notice it h/2 apart at least, and the error is
-h at most: e <= 2 D. What has begun in the last substep moves nothing yet, so both are compared one substep later, each brought
-there by one that is thrown away.
+the same instant wherever they share one: D would be 0, however wrong both are. So the second solution's instants, 2 h apart,
+lie in the middle between the others: it is LAG h behind. Whenever a contact begins, the two notice it h/2 apart at least, and
+the error is h at most: e <= 2 D. What has begun in the last substep moves nothing yet, so both are compared one substep later,
+each brought there by one that is thrown away.
 
 Asked: at most tolerance x size of the scene for each simulated second, of any ball, from the first quarter of one on; size: the
 longest side of the box around all balls. Where the estimate is more than that by now, both go back to where they began and repeat
 all steps, with as many substeps as the order asks for; what was shown meanwhile was within the tolerance. They began at the
-start, or where the state was last set from outside, or, with forces of one's own, which may have been changed meanwhile, where
+start, or where the state was last set from outside, or, with user-defined forces, which may have been changed meanwhile, where
 `step` was last called. Where substeps are as short as they may become, or what was there when they began is too much, the
 tolerance cannot be kept: that is said once, and the run goes on with fewer substeps.
 """
@@ -33,14 +33,14 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.assembly import Assembly
 from taichi_sim.simulation.energy_monitor import size
 from taichi_sim.simulation.settings import Settings
-from taichi_sim.simulation.state_probe import Look
-from taichi_sim.simulation.step_doubling import AHEAD, BEGUN, COARSE, FINE, LIVE, NEXT, START, Companion
+from taichi_sim.simulation.state_probe import StateSample
+from taichi_sim.simulation.step_doubling import AHEAD, BEGUN, COARSE, FINE, LIVE, NEXT, START, SecondSolution
 from taichi_sim.simulation.stepper import Stepper
 
-__all__ = ["Controlled", "StepError", "check_digits", "size"]
+__all__ = ["AdaptiveStepper", "ErrorEstimate", "check_digits", "size"]
 
 HEAD = 0.25  # s, for which a run may be off as much from its start on
-LAG = 1.5  # substeps by which the companion is behind where there are contacts
+LAG = 1.5  # substeps by which the second solution is behind where there are contacts
 AIM = 0.5  # of what is allowed, after going back
 MARGIN = 1.25
 FEWEST, MOST_TIMES = 2.0, 16.0  # times as many substeps after going back
@@ -55,7 +55,7 @@ ROUNDINGS = 4.0  # units of rounding that a window, or a substep, may add by its
 KEPT = ("many", "error", "past", "taken", "least", "most", "repeated", "lost", "unsure", "remembers", "began", "lag")
 
 
-class StepError(NamedTuple):
+class ErrorEstimate(NamedTuple):
     """What error control found. `tolerance`: asked, parts of `size` [m] a simulated second; `estimate`: the largest error of a
     ball so far, in parts of `size`; `lost`: since when the tolerance is not kept [s], or None; `unsure`: since when so many
     contacts act at once that the estimate is no promise [s], or None; `least`, `most`: substeps of a step; `repeated`: how often
@@ -93,7 +93,7 @@ def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, subs
         )
 
 
-class Controlled(Stepper):
+class AdaptiveStepper(Stepper):
     """See above. `substeps`: of the solution that is kept, an even number."""
 
     def __init__(
@@ -123,14 +123,14 @@ class Controlled(Stepper):
         self.lost: float | None = None
         self.unsure: float | None = None
         self.remembers = self.began = False  # whether there is a memory of the method's, now and when both began
-        self.lag = 0.0  # s, by which the companion is behind
+        self.lag = 0.0  # s, by which the second solution is behind
         self._ahead = 0.0  # the same one step on
         self._mark: tuple[Any, ...] = ()
 
-    def report(self) -> StepError:
+    def report(self) -> ErrorEstimate:
         """What was asked and what was found."""
         unit = self.size
-        return StepError(
+        return ErrorEstimate(
             self.share / (unit * self.dt),
             unit,
             max(self.past, self.error) / unit,
@@ -147,9 +147,9 @@ class Controlled(Stepper):
         """Where positions were set from outside, both begin there."""
         if not self.primed:
             super().prime()
-            self._companion.h[LIVE] = self.h
-            self._companion.store(FINE)
-            self._companion.store(COARSE)
+            self._second.h[LIVE] = self.h
+            self._second.store(FINE)
+            self._second.store(COARSE)
             self.remembers, self.lag = False, 0.0
             self.past = max(self.past, self.error)
             self._begin()
@@ -163,23 +163,23 @@ class Controlled(Stepper):
 
     def _begin(self) -> None:
         """Here is where both go back to."""
-        self._companion.copy(START, FINE)
-        self._companion.copy(BEGUN, COARSE)
+        self._second.copy(START, FINE)
+        self._second.copy(BEGUN, COARSE)
         self.began = self.remembers
         self._note()
 
     def _note(self) -> None:
-        watch = self.watch
+        monitor = self.monitor
         own = (self.steps, self.taken, self.error, self.lag, self.least, self.most)
-        self._mark = (*own, watch.least, watch.most, watch.last)
+        self._mark = (*own, monitor.least, monitor.most, monitor.last)
 
     def _back_to_begin(self) -> None:
-        self._companion.copy(FINE, START)
-        self._companion.copy(COARSE, BEGUN)
+        self._second.copy(FINE, START)
+        self._second.copy(COARSE, BEGUN)
         self.remembers = self.began
-        watch = self.watch
+        monitor = self.monitor
         self.steps, self.taken, self.error, self.lag, self.least, self.most = self._mark[:6]
-        watch.least, watch.most, watch.last = self._mark[6:]
+        monitor.least, monitor.most, monitor.last = self._mark[6:]
 
     def step(self, n: int) -> None:
         """Advance by n steps; 0 only compiles."""
@@ -191,9 +191,9 @@ class Controlled(Stepper):
         """Each step by itself, and those before it again where that needs more substeps."""
         end = self.steps + steps
         while self.steps < end:
-            look, error = self._try()
-            if error <= self._allowed() or self.lost is not None or self._lose(look, error):
-                self._take(error, look)
+            sample, error = self._try()
+            if error <= self._allowed() or self.lost is not None or self._lose(sample, error):
+                self._take(error, sample)
             else:
                 self._go_back(error)
 
@@ -201,13 +201,13 @@ class Controlled(Stepper):
         """The error [m] that there may be after this step."""
         return self.share * max(self.taken + 1, HEAD / self.dt)
 
-    def _lose(self, look: Any, error: float) -> bool:
+    def _lose(self, sample: Any, error: float) -> bool:
         """Whether nothing can be done about this error."""
         before = max(self.past, self._mark[2])
         if self.many < self.ceiling and (before < AIM * self._allowed() or not np.isfinite(error)):
             return False
         if not np.isfinite(error):
-            self._fail(0 if look.bad is None else look.bad)
+            self._fail(0 if sample.bad is None else sample.bad)
         self.lost = self.time + self.dt
         self._warn(
             "tolerance",
@@ -229,31 +229,31 @@ class Controlled(Stepper):
         self.many = min(2 * int(np.ceil(0.5 * wanted)), self.ceiling)
 
     def _try(self) -> tuple[Any, float]:
-        """The companion goes one step ahead, then the solution; a look at it, and the error [m] by then."""
+        """The second solution goes one step ahead, then the solution; a sample of it, and the error [m] by then."""
         h = self.dt / self.many
         begin = self.time - self.lag
         self._ahead = LAG * h if self.parts.contacts.active else 0.0
         way = self.dt + self.lag - self._ahead
         many = max(1, int(np.ceil(way / (2.0 * h) * (1.0 - 1e-9))))
         self._from(COARSE, begin, many, way / many)
-        self._companion.store(AHEAD)
+        self._second.store(AHEAD)
         if self._ahead > 0.0:
             self._from(AHEAD, begin + way, 1, self._ahead + h)
-        self._companion.show()
+        self._second.show()
         self._from(FINE, self.time, self.many, h)
-        self._companion.store(NEXT)
-        self.substeps, look = self.many, self.parts.gauge.look()
+        self._second.store(NEXT)
+        self.substeps, sample = self.many, self.parts.state_probe.sample()
         if self._ahead > 0.0:
             self._from(NEXT, self.time + self.dt, 1, h)
-        apart = self.scale * self._companion.apart()
+        apart = self.scale * self._second.apart()
         if self._ahead > 0.0:
             self._at(NEXT, self.time + self.dt, h)
-        return look, max(self.error, self.past + apart)
+        return sample, max(self.error, self.past + apart)
 
     @property
-    def _companion(self) -> Companion:
-        assert self.parts.companion is not None
-        return self.parts.companion
+    def _second(self) -> SecondSolution:
+        assert self.parts.second_solution is not None
+        return self.parts.second_solution
 
     def _from(self, moment: int, time: float, many: int, h: float) -> None:
         """From a stored moment at `time`, in so many substeps of h seconds; anew where contacts did not fit."""
@@ -263,26 +263,26 @@ class Controlled(Stepper):
             self.parts.run(many, h, time)
             needed = self.parts.lacking()
             if needed is not None:
-                self.parts = self.parts.with_room(needed)
+                self.parts = self.parts.with_capacity(needed)
 
     def _at(self, moment: int, time: float, h: float) -> None:
         """All as in a stored moment at `time`, before substeps of h seconds."""
         self.parts.set_step(h, anew=True, holds=False)
-        self._companion.load(moment, h)
+        self._second.load(moment, h)
         self.parts.prime(h, time)
         if (self.remembers or moment in (NEXT, AHEAD)) and self.parts.integrator.memory():
-            self._companion.remember(moment)  # lists may have grown: all but the state is new then
+            self._second.remember(moment)  # lists may have grown: all but the state is new then
             self.parts.integrator.recall()
 
-    def _take(self, error: float, look: Any) -> None:
+    def _take(self, error: float, sample: Any) -> None:
         """Accept the step."""
-        if look.bad is not None:
-            self._fail(look.bad)
-        self._companion.copy(FINE, NEXT)
-        self._companion.copy(COARSE, AHEAD)
+        if sample.bad is not None:
+            self._fail(sample.bad)
+        self._second.copy(FINE, NEXT)
+        self._second.copy(COARSE, AHEAD)
         self.lag = self._ahead
         self.remembers = bool(self.parts.integrator.memory())
-        growth = self.watch.judge(look)
+        growth = self.monitor.judge(sample)
         if growth is not None:
             self._warn_of(growth, self.time + self.dt)
         self._accept(1)
@@ -299,7 +299,7 @@ class Controlled(Stepper):
     def _doubt(self) -> None:
         """Say once where contacts act together, or on bodies that shake: thresholds that go with h choose between bouncing,
         sticking and sliding, and both solutions may choose alike where much shorter substeps choose otherwise."""
-        number = int(self.parts.survey()[statistics.NUMBER])
+        number = int(self.parts.contact_statistics()[statistics.NUMBER])
         joined = self.scene.joined() & ~self.scene.pinned
         if number >= (1 if joined.any() else MANY_CONTACTS) or self._may_have_met(joined):
             what = (
@@ -335,15 +335,15 @@ class Controlled(Stepper):
         """Where both solutions are, where they began, and a method's own memory in them."""
         self.prime()
         mark = [*self._mark[:-1], list(self._mark[-1])]
-        return {"mark": mark} | {name: getattr(self, name) for name in KEPT}, self._companion.arrays(
+        return {"mark": mark} | {name: getattr(self, name) for name in KEPT}, self._second.arrays(
             self.remembers, self.began
         )
 
     def set_state(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
         """The same."""
         self.prime()
-        if set(state) == {"mark", *KEPT} and self._companion.write(arrays):
+        if set(state) == {"mark", *KEPT} and self._second.write(arrays):
             for name in KEPT:
                 setattr(self, name, state[name])
             *mark, last = state["mark"]
-            self._mark = (*mark, Look(*last))
+            self._mark = (*mark, StateSample(*last))

@@ -15,7 +15,7 @@ from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.contacts.grid import SKIN, Grid
 from taichi_sim.contacts.pairs import GAP, Pairs
 from taichi_sim.contacts.solver import ContactSolver
-from taichi_sim.contacts.statistics import Survey
+from taichi_sim.contacts.statistics import ContactStatistics
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.triangles import Facets
 from taichi_sim.contacts.walls import Walls
@@ -24,7 +24,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.spatial_sort import in_order, spatial_order
 from taichi_sim.device.state import State
-from taichi_sim.forces.driven_pins import Pins
+from taichi_sim.forces.driven_pins import DrivenPins
 from taichi_sim.forces.springs import Springs, fixed_order
 from taichi_sim.forces.sum import TotalForce
 from taichi_sim.forces.tearing import Tearing
@@ -36,8 +36,8 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
 from taichi_sim.simulation.drivers import Drivers
 from taichi_sim.simulation.settings import Settings
-from taichi_sim.simulation.state_probe import Gauge
-from taichi_sim.simulation.step_doubling import Companion
+from taichi_sim.simulation.state_probe import StateProbe
+from taichi_sim.simulation.step_doubling import SecondSolution
 
 __all__ = ["Assembly", "compensates"]
 
@@ -50,7 +50,7 @@ PAIR_BYTES = 64  # about what a listed pair takes
 SPARE = 1.5  # room made, in units of what was found too much
 
 
-class Room(NamedTuple):
+class ContactCapacity(NamedTuple):
     """Entries that contacts are known to need: links of pairs, rows of sticks and of surfaces."""
 
     pairs: int = 0
@@ -58,7 +58,7 @@ class Room(NamedTuple):
     facets: int = 0
 
 
-USUAL = Room()
+USUAL = ContactCapacity()
 
 
 class Assembly:
@@ -71,7 +71,7 @@ class Assembly:
         backend: Backend,
         h: float,
         forces: Sequence[Any],
-        room: Room = USUAL,
+        room: ContactCapacity = USUAL,
     ) -> None:
         self.arguments = (scene, settings, backend, h, forces)
         self.backend, self.h = backend, h
@@ -92,12 +92,12 @@ class Assembly:
     def _assemble(self, scene: Scene, settings: Settings, backend: Backend, h: float, forces: Sequence[Any]) -> None:
         """All parts in the order in which they need each other."""
         cpu = backend.arch == "cpu"
-        own_parts = bool(forces) or type(settings.integrator) not in BUILT_IN  # they may know balls by their number
-        order = None if own_parts else spatial_order(scene)
+        custom_parts = bool(forces) or type(settings.integrator) not in BUILT_IN  # they may know balls by their number
+        order = None if custom_parts else spatial_order(scene)
         if order is not None:
             scene = in_order(scene, order)
         self.model = Model(scene, self.fields)
-        self.model.let_turn(turning(scene, settings))
+        self.model.set_spinning(turning(scene, settings))
         small = _is_small(scene)
         self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
@@ -108,21 +108,21 @@ class Assembly:
         self.forces = TotalForce(self.model, self.fields, springs, forces)
         self.forces.allocate(self.state, self.fields)
         self.contacts = self._contacts(scene, settings, h, cpu)
-        self._survey = Survey(self.fields, self.contacts) if self.contacts.active else None
+        self._statistics = ContactStatistics(self.fields, self.contacts) if self.contacts.active else None
         self.state.serial = self.fused
-        self.gauge = Gauge(self.model, self.state, springs, self.forces.stores, self.fields, self.fused)
-        self.pins = Pins(self.model, self.state, self.fields) if scene.moving_pins else None
+        self.state_probe = StateProbe(self.model, self.state, springs, self.forces.stores, self.fields, self.fused)
+        self.pins = DrivenPins(self.model, self.state, self.fields) if scene.moving_pins else None
         self.tearing: Tearing | None = None
         if springs is not None and np.isfinite(scene.break_strain).any():
             self.tearing = Tearing(self.model, springs, self.forces.elements, self.fields)
             self.state.followers.append(self.tearing)
         moves = self.colliders is not None and self.colliders.moves
-        self.led = [part for part in (self.colliders if moves else None, self.pins) if part is not None]
+        self.driven = [part for part in (self.colliders if moves else None, self.pins) if part is not None]
         self.integrator.pins = self.pins
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
-        self.companion: Companion | None = None
+        self.second_solution: SecondSolution | None = None
         if settings.tolerance is not None:
-            self.companion = Companion(self.state, self.integrator, self.contacts, self.fields, self.fused)
+            self.second_solution = SecondSolution(self.state, self.integrator, self.contacts, self.fields, self.fused)
         self.drivers = Drivers(self.integrator, self.pins, self.tearing)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
@@ -148,7 +148,7 @@ class Assembly:
             self.model.add_contact_fields()
         # fields, so that another step compiles nothing anew
         self.threshold = self.fields.reals(np.array([slowest_bounce(scene, h)])) if pairs or walled else None
-        # these look balls up in the grid itself, so it must be fresh; an integrator of one's own may move balls unseen
+        # these look balls up in the grid itself, so it must be fresh; a user-defined integrator may move balls unseen
         skin = 0.0 if sticks or facets or type(settings.integrator) not in BUILT_IN else SKIN
         pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0))
         warm = self.model.has_gravity or pulls or bool(self.forces.extra) or bool(scene.moving_pins)
@@ -168,11 +168,11 @@ class Assembly:
         self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
         # they may do work
         pushed = (self.colliders is not None and self.colliders.moves) or bool(scene.moving_pins)
-        tames = pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets))
+        limits_energy = pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets))
         # walls take their turn with pairs
         among = soft or strikes
         wall_part = (
-            Walls(self.model, self.state, self.fields, self.threshold, among, pairs, self.colliders, tames)
+            Walls(self.model, self.state, self.fields, self.threshold, among, pairs, self.colliders, limits_energy)
             if walled
             else None
         )
@@ -194,14 +194,14 @@ class Assembly:
             facet_part,
             threshold=self.threshold,
             h=h,
-            passes=settings.passes(scene, rule),
+            iterations=settings.iterations(scene, rule),
             rule=rule,
             atomic=self.atomic or (settings.accumulate == "auto" and not cpu),  # blocks are too few for a GPU
             serial=self.fused,
             warm=warm,
             soft=soft,
             loaded=pulls or bool(self.forces.extra) or self.model.has_gravity,
-            tames=tames,
+            limits_energy=limits_energy,
         )
 
     def _rule(self, settings: Settings, cpu: bool) -> str:
@@ -226,7 +226,7 @@ class Assembly:
             give *= 2.0 / contacts.relaxation
         rule = contacts.rule if contacts.active else "off"
         rounds = compensates(scene, backend)
-        return Setup(settings.integrator.name, self.h, backend.precision, rule, rounds, give, contacts.tames)
+        return Setup(settings.integrator.name, self.h, backend.precision, rule, rounds, give, contacts.limits_energy)
 
     def names(self) -> list[str]:
         """What was compiled in."""
@@ -235,18 +235,18 @@ class Assembly:
 
     def prime(self, h: float, time: float) -> None:
         """Forces and contacts at the present positions."""
-        for part in self.led:
+        for part in self.driven:
             part.load(time, h, 0)
         self.drivers.prime(h, time, self.fused)
 
     def run(self, substeps: int, h: float, time: float) -> None:
         """Advance the fields. 0 substeps compile the fused driver; the parallel one compiles with its first."""
-        if not self.led:
+        if not self.driven:
             self.drivers.run(substeps, h, time, self.fused)
             return
         for first in range(0, max(1, substeps), TICKS):
             now = min(TICKS, substeps - first)
-            for part in self.led:
+            for part in self.driven:
                 part.load(time + first * h, h, now)
             self.drivers.run(now, h, time + first * h, self.fused)
 
@@ -271,13 +271,13 @@ class Assembly:
             self.contacts.rate[0] = 1.0 / h
         self.h = h
 
-    def survey(self) -> NDArray[np.float64]:
+    def contact_statistics(self) -> NDArray[np.float64]:
         """Tally (survey.SIZE,) of all contacts, see kernels.survey, with the user's number of the ball; they must be active."""
-        assert self._survey is not None
-        tally = self._survey.look(self.state.ball)
+        assert self._statistics is not None
+        totals = self._statistics.look(self.state.ball)
         if self.state.order is not None:
-            tally[statistics.BALL] = self.state.order[int(tally[statistics.BALL])]
-        return tally
+            totals[statistics.BALL] = self.state.order[int(totals[statistics.BALL])]
+        return totals
 
     def impulses(self) -> NDArray[np.float64]:
         """(b, dim) N s that walls and colliders have received since the start, those of `probes.bodies_of`."""
@@ -296,24 +296,24 @@ class Assembly:
         pairs = self.contacts.pairs
         return 0 if pairs is None else int(pairs.grid.searches[0])
 
-    def lacking(self) -> Room | None:
+    def lacking(self) -> ContactCapacity | None:
         """Entries that contacts need where they did not all fit since the last call, else None."""
         found = {}
-        for name in Room._fields:
+        for name in ContactCapacity._fields:
             part = getattr(self.contacts, name)
             if part is not None and (entries := int(part.overflow[0])) > part.capacity:
                 part.overflow[0] = 0
                 found[name] = entries
         return self.room._replace(**found) if found else None
 
-    def with_room(self, needed: Room) -> "Assembly":
+    def with_capacity(self, needed: ContactCapacity) -> "Assembly":
         """The same parts, compiled anew, with lists for what is needed and half as much again. This one is freed.
 
         Positions, velocities and spin go over; impulses that contacts hold do not. Raises SceneError, and changes nothing,
         where that takes more than MEMORY_SHARE of the free memory, or more entries than numbers of 32 bits count.
         """
         room = {}
-        for name in Room._fields:
+        for name in ContactCapacity._fields:
             part, entries = getattr(self.contacts, name), getattr(needed, name)
             if part is not None and entries > part.capacity:
                 if entries == ENDLESS:
@@ -330,15 +330,15 @@ class Assembly:
         x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
         torn = None if self.tearing is None else self.tearing.springs_torn
         given = self.impulses()
-        if self.companion is None:  # else both are there for a moment
+        if self.second_solution is None:  # else both are there for a moment
             self.free()
-        larger = Assembly(*self.arguments, room=Room(**room))
-        if self.companion is not None and larger.companion is not None:
-            larger.companion.take(self.companion)
+        larger = Assembly(*self.arguments, room=ContactCapacity(**room))
+        if self.second_solution is not None and larger.second_solution is not None:
+            larger.second_solution.take(self.second_solution)
             self.free()
         larger.set_step(self.h)
         larger.state.write(x, v, low)
-        larger.state.write_turn(turn)
+        larger.state.write_spin(turn)
         larger.set_impulses(given)
         if torn is not None and larger.tearing is not None:
             larger.tearing.tear(torn)

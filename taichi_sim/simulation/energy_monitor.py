@@ -1,4 +1,4 @@
-"""Watch: whether the energy of a run is still what its motion explains. Plain numbers; no Taichi.
+"""EnergyMonitor: whether the energy of a run is still what its motion explains. Plain numbers; no Taichi.
 
 In a closed scene (gravity, springs, walls, contacts: nothing that works on it) energy E may only stay or fall. The energy that a
 method computes does not stay: Verlet keeps v^2 + w^2 x^2 (1 - s^2) of an oscillation, s = w h / 2, so that kinetic plus elastic
@@ -11,7 +11,7 @@ W > limit (W - gain), the limit 8, or one and a half of the method's own swing w
 Not energy that appeared: what rounding makes of the sums, and, where there are contacts, what overlap holds, which no sum
 counts: what is pushed out may lift all balls by the height of the scene, and stretch each spring by a diameter.
 
-Where forces of one's own or moving colliders do work, any energy may be right. There only growth a hundredfold above all
+Where user-defined forces or moving colliders do work, any energy may be right. There only growth a hundredfold above all
 that came before raises the question. The bound on the step for the present shape answers it, or, where the program may choose
 the step, a run of half of it: work that was done is done again. Forces of one's own have no bound; where a ball goes further in
 a step than the scene is wide, such a run answers, too.
@@ -23,7 +23,7 @@ import numpy as np
 
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["LARGEST_PART", "Growth", "Watch", "size", "swing"]
+__all__ = ["LARGEST_PART", "EnergyMonitor", "Growth", "size", "swing"]
 
 MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
@@ -48,8 +48,8 @@ class Growth(NamedTuple):
     sure: bool
 
 
-class Watch:
-    """Judges looks at one run (see gauge.Look), one after another; `begin` forgets those before.
+class EnergyMonitor:
+    """Judges samples of one run (see state_probe.StateSample), one after another; `begin` forgets those before.
 
     part: the substep as a part of the bound for every shape. closed: nothing works on the scene. contacts: there are some.
     """
@@ -64,30 +64,32 @@ class Watch:
         self.slack = _overlap(scene) if contacts else 0.0
         self.least, self.most, self.last = np.inf, 0.0, None
 
-    def begin(self, look: Any) -> None:
+    def begin(self, sample: Any) -> None:
         """Go on from here."""
-        self.least, self.most, self.last = look.total, look.motion, look
+        self.least, self.most, self.last = sample.total, sample.motion, sample
 
-    def judge(self, look: Any) -> Growth | None:
+    def judge(self, sample: Any) -> Growth | None:
         """The growth that a look shows, or None: then it is noted."""
-        growth = self._growth(look)
+        growth = self._growth(sample)
         if growth is None:
-            self.least, self.most, self.last = min(self.least, look.total), max(self.most, look.motion), look
+            self.least, self.most, self.last = min(self.least, sample.total), max(self.most, sample.motion), sample
         return growth
 
-    def _growth(self, look: Any) -> Growth | None:
+    def _growth(self, sample: Any) -> Growth | None:
         if not self.closed:
-            grown = 0.0 < WORK * self.most < look.motion
-            return Growth(self.most, look.motion, False) if grown else None
-        gain = look.total - self.least - self.slack - self._rounding(look)
-        if gain > 0.0 and look.motion > self.limit * (look.motion - gain):
-            return Growth(self.least, look.total, True)
+            grown = 0.0 < WORK * self.most < sample.motion
+            return Growth(self.most, sample.motion, False) if grown else None
+        gain = sample.total - self.least - self.slack - self._rounding(sample)
+        if gain > 0.0 and sample.motion > self.limit * (sample.motion - gain):
+            return Growth(self.least, sample.total, True)
         return None
 
-    def _rounding(self, look: Any) -> float:
+    def _rounding(self, sample: Any) -> float:
         """Joule by which sums may be off. Elastic: each stretch by the rounding of positions, (s + ds)^2 - s^2."""
         return (
-            self.digits * (look.weight + look.motion) + self.jitter + 2.0 * float(np.sqrt(look.elastic * self.jitter))
+            self.digits * (sample.weight + sample.motion)
+            + self.jitter
+            + 2.0 * float(np.sqrt(sample.elastic * self.jitter))
         )
 
 

@@ -12,7 +12,7 @@ from taichi_sim.analysis.accuracy import layers
 from taichi_sim.analysis.stability import Stability
 from taichi_sim.common import validation
 from taichi_sim.device import backend
-from taichi_sim.scene.scene import Scene, bounciest
+from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = ["Settings", "part_of_bound"]
 
@@ -25,7 +25,7 @@ DEFAULTS: dict[str, Any] = {
     "arch": None,
     "threads": None,
     "contacts": "auto",
-    "contact_passes": "auto",
+    "contact_iterations": "auto",
     "accumulate": "auto",
     "driver": "auto",
     "spin": "auto",
@@ -68,7 +68,7 @@ class Settings:
     arch: str | None
     threads: int | None
     contacts: str
-    contact_passes: int | str
+    contact_iterations: int | str
     accumulate: str
     driver: str
     spin: Any
@@ -95,7 +95,7 @@ class Settings:
                 raise ValueError(f"{name}: {values[name]!r} is not allowed; it must be one of {words}")
         _check_backend(values)
         values["integrator"] = _integrator(values["integrator"])
-        for name in ("contact_passes", "substeps"):
+        for name in ("contact_iterations", "substeps"):
             if values[name] != "auto":
                 values[name] = _whole(name, values[name])
         if values["dt"] != "auto":
@@ -110,21 +110,21 @@ class Settings:
                 raise ValueError(f"tolerance: {values['tolerance']:g} is not allowed; it must be less than 1")
         return cls(**values)
 
-    def passes(self, scene: Scene, rule: str) -> int:
+    def iterations(self, scene: Scene, rule: str) -> int:
         """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where they
         differ tenfold in mass: a light ball under a heavy one trembles with 1; 10 where surfaces collide; with these or sticks
         up to 4 more for balls that bounce well. With split masses 4 for small scenes to 8 for those whose piles can be high, and
         up to 12 more where balls bounce well: what has not converged then takes energy for good."""
-        if self.contact_passes != "auto":
-            return int(self.contact_passes)
+        if self.contact_iterations != "auto":
+            return int(self.contact_iterations)
         surfaces = SURFACE_PASSES if scene.solid.any() else 0
         if rule == "gauss_seidel":
             mass = scene.mass[~scene.pinned]
             few = 1 if len(mass) > MANY and mass.max() <= UNEQUAL * mass.min() else 2
             few = max(few, surfaces)
             rows = scene.solid.any() or scene.collides.any()  # else impacts are resolved one by one
-            return few + (round(4 * max(0.0, 2.0 * bounciest(scene) - 1.0)) if rows else 0)
-        more = round(12 * max(0.0, 2.0 * bounciest(scene) - 1.0))
+            return few + (round(4 * max(0.0, 2.0 * max_restitution(scene) - 1.0)) if rows else 0)
+        more = round(12 * max(0.0, 2.0 * max_restitution(scene) - 1.0))
         return max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8))) + more
 
     def time_step(self, scene: Scene, safe: Stability) -> tuple[float, int]:

@@ -27,7 +27,7 @@ from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
-from taichi_sim.simulation.adaptive_stepper import Controlled, StepError, check_digits
+from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import Assembly, compensates
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.stepper import Stepper
@@ -51,8 +51,8 @@ class Simulation(Reader):
             ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU, jacobi on a GPU).
-        contact_passes: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8 by
-            jacobi; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with sticks or surfaces ("auto").
+        contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
+            by jacobi; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with sticks or surfaces ("auto").
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
@@ -75,7 +75,7 @@ class Simulation(Reader):
             check_colliders(scene, h)
         s = self.settings
         self.backend = backend.start(s.arch, s.precision, s.threads)
-        self.has_own_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
+        self.has_custom_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
         diagnostics.check_tearing(scene)
         if s.tolerance is not None and np.isfinite(scene.break_strain).any():
             raise ValueError("tolerance: cannot be kept where springs tear; give dt, or leave break_strain out")
@@ -88,8 +88,8 @@ class Simulation(Reader):
                 "tolerance: cannot be kept together with probes of force or impulse; give dt, or leave them out"
             )
         parts = Assembly(scene, s, self.backend, h, forces)
-        kind = Stepper if s.tolerance is None else Controlled
-        self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_own_parts)
+        kind = Stepper if s.tolerance is None else AdaptiveStepper
+        self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
         for caution in cautions(scene, parts.setup):
             warnings.warn(caution, stacklevel=2)
         self._closed, self._probed = False, tuple(scene.probes)
@@ -204,7 +204,7 @@ class Simulation(Reader):
         self._stepper.prime()
         parts = self._parts  # after priming, for which lists may have grown
         return diagnostics.contacts(
-            self._stepper.survey(), parts.contacts.passes, self.substeps, fastest, parts.searches()
+            self._stepper.contact_statistics(), parts.contacts.iterations, self.substeps, fastest, parts.searches()
         )
 
     def penetration(self) -> float:
@@ -235,7 +235,7 @@ class Simulation(Reader):
             pinned=scene.pinned,
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
             colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(self.time))) for c in scene.colliders),
-            skins=tuple(scene.skins),
+            embedded_surfaces=tuple(scene.embedded_surfaces),
             gravity=scene.gravity,
         )
 
@@ -256,9 +256,9 @@ class Simulation(Reader):
         """How many cells are flat or turned inside out."""
         return diagnostics.inverted(self.scene, self.position)
 
-    def error(self) -> StepError | None:
+    def error(self) -> ErrorEstimate | None:
         """What the control of the error found so far; None without `tolerance`."""
-        return self._stepper.report() if isinstance(self._stepper, Controlled) else None
+        return self._stepper.report() if isinstance(self._stepper, AdaptiveStepper) else None
 
     def scales(self) -> Scales:
         """What a run is judged by."""
@@ -300,7 +300,7 @@ class Simulation(Reader):
             check_colliders(self.scene, h)
         parts.set_step(h, anew=True)
         self.settings, self.dt = settings, seconds
-        self._stepper = Stepper(self.scene, settings, parts, seconds, substeps, self._stability, self.has_own_parts)
+        self._stepper = Stepper(self.scene, settings, parts, seconds, substeps, self._stability, self.has_custom_parts)
         self._stepper.set_time(time)
 
     def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:
@@ -357,7 +357,7 @@ class Simulation(Reader):
             if self._parts.tearing is not None:
                 self._parts.tearing.tear(np.zeros(self.scene.n_springs, dtype=bool) if torn is None else torn)
             if surface_speed is not None:
-                self._state.write_turn(surface_speed)
+                self._state.write_spin(surface_speed)
         self._begin_readings(impulses)
 
     def stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:

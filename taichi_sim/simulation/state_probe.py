@@ -1,4 +1,4 @@
-"""Gauge: one look at a state after a chunk of steps: is every ball where it can be, how fast is the fastest, how much energy."""
+"""StateProbe: a sample of a state after some steps: is every ball where it can be, how fast is the fastest, how much energy."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -13,10 +13,10 @@ from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels import reductions
 from taichi_sim.kernels.springs.law import GRAIN, PART
 
-__all__ = ["Gauge", "Look"]
+__all__ = ["StateProbe", "StateSample"]
 
 
-class Look(NamedTuple):
+class StateSample(NamedTuple):
     """`bad`: lowest index of a ball that is not finite or has left the world, or None; then the rest says nothing. Energies
     in J; `weight`: the sum of the sizes of what `gravity` sums, which its rounding goes with."""
 
@@ -39,7 +39,7 @@ class Look(NamedTuple):
 
 
 @ti.data_oriented
-class Gauge:
+class StateProbe:
     """Looks at the balls of a state. stores: forces that hold energy besides springs. serial: all on one thread, as the fused
     driver runs; else parts go to all threads."""
 
@@ -99,11 +99,11 @@ class Gauge:
     @ti.func
     def _turn(self, i):
         """I omega^2 / m of ball i [m^2/s^2]."""
-        turn = self.state.turn[i]
+        turn = self.state.spin[i]
         if ti.static(self.model.dim == 2):
-            return turn * turn / self.model.turning
+            return turn * turn / self.model.spin_inertia_ratio
         else:
-            return turn.dot(turn) / self.model.turning
+            return turn.dot(turn) / self.model.spin_inertia_ratio
 
     @ti.kernel
     def _look(self, row: ti.types.ndarray()):
@@ -116,18 +116,18 @@ class Gauge:
                 if k % GRAIN == 0:
                     self._part(row, k // GRAIN)
 
-    def look(self) -> Look:
+    def sample(self) -> StateSample:
         """The present state; a pass over balls and springs."""
         if self.n == 0:
-            return Look(None, 0.0, 0.0, 0.0, 0.0, 0.0)
+            return StateSample(None, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._look(self.row)
         return _whole(self.row, self.n, self.state.order)
 
 
-def _whole(row: Any, n: int, order: Any) -> Look:
+def _whole(row: Any, n: int, order: Any) -> StateSample:
     """One look from the rows of all parts."""
     bad = int(row[:, reductions.BAD].min())
     sums = row[:, reductions.KINETIC :].sum(axis=0, dtype=np.float64)
     fastest = float(np.sqrt(row[:, reductions.SPEED].max(), dtype=np.float64))
     user = None if bad == n else bad if order is None else int(order[bad])
-    return Look(user, fastest, *sums.tolist())
+    return StateSample(user, fastest, *sums.tolist())

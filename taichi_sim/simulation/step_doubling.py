@@ -1,4 +1,4 @@
-"""Companion: a second solution of the same scene, with other steps, stored beside the first, to measure the error by."""
+"""SecondSolution: a second solution of the same scene, with other steps, stored beside the first, to measure the error by."""
 
 from typing import Any
 
@@ -12,10 +12,10 @@ from taichi_sim.device.state import FAR, State
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.kernels.springs.law import GRAIN, PART
 
-__all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "LIVE", "NEXT", "START", "Companion"]
+__all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "LIVE", "NEXT", "START", "SecondSolution"]
 
-# moments: the present fields, then those that are stored: the solution kept, the companion, where both were when they began,
-# and both one step on
+# moments: the present fields, then those that are stored: the solution kept, the second solution, where both were when they
+# began, and both one step on
 LIVE, FINE, COARSE, START, BEGUN, NEXT, AHEAD = range(-1, 6)
 STORED = 6
 NAMED = {COARSE: "", START: "start.", BEGUN: "begun."}  # those that are written to a file, by their names there
@@ -23,9 +23,9 @@ TABLES = ("", "low_")  # of places
 
 
 @ti.data_oriented
-class Companion:
+class SecondSolution:
     """Moments of what a step starts from: balls, what rounding left of them, turns, a method's own memory, what contacts hold.
-    The companion one step on counts once the step is accepted.
+    The second solution one step on counts once the step is accepted.
 
     What contacts hold belongs to one solution: a pair that has met in one of them has not yet in the other.
     """
@@ -39,14 +39,14 @@ class Companion:
         self.row = np.zeros(self.parts, dtype=np.float64 if fields.real == ti.f64 else np.float32)
         live = [state.ball]
         live += [state.low] if state.compensated else []
-        live += [state.turn] if state.spins else []
+        live += [state.spin] if state.spins else []
         self.first = len(live)  # of a method's memory
         live += integrator.memory()
         self.count = len(live)
         self.live, self.stored = live, [self._like(field, fields) for field in live]  # moment k from k n on
         self.seen = fields.table(
             {"x": ti.types.vector(state.dim, fields.real)}, self.n
-        )  # the companion, to be compared
+        )  # the second solution, to be compared
         self.pairs = contacts.pairs if contacts.pairs is not None and contacts.pairs.warm else None
         self.sticks = contacts.sticks if contacts.sticks is not None and contacts.sticks.warm else None
         self.held = self._memory(contacts)
@@ -161,7 +161,7 @@ class Companion:
         self._remember(out)
 
     def show(self) -> None:
-        """The companion is where the balls are now."""
+        """The second solution is where the balls are now."""
         self._show()
 
     @ti.func
@@ -186,12 +186,12 @@ class Companion:
                     self._part(row, k // GRAIN)
 
     def apart(self) -> float:
-        """Largest distance [m] of a ball from where the companion was shown; infinite where either is nowhere."""
+        """Largest distance [m] of a ball from where the second solution was shown; infinite where either is nowhere."""
         self._compare(self.row)
         square = float(self.row.max())
         return float(np.sqrt(square)) if square < FAR else np.inf
 
-    def take(self, other: "Companion") -> None:
+    def take(self, other: "SecondSolution") -> None:
         """All moments of another one, whose fields are still there, but for what contacts hold."""
         for into, out in zip(self.stored, other.stored):
             into.copy_from(out)

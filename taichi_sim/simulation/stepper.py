@@ -13,9 +13,9 @@ from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.assembly import Assembly
-from taichi_sim.simulation.energy_monitor import LARGEST_PART, Growth, Watch, size, swing
+from taichi_sim.simulation.energy_monitor import LARGEST_PART, EnergyMonitor, Growth, size, swing
 from taichi_sim.simulation.settings import Settings
-from taichi_sim.simulation.state_probe import Look
+from taichi_sim.simulation.state_probe import StateSample
 
 __all__ = ["Stepper"]
 
@@ -47,11 +47,11 @@ class Stepper:
         self._chunks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
-        led = bool(scene.moving_pins or scene.gases or scene.wind is not None)
-        self.driven, self.size = own or moves or led, size(scene)
+        driven = bool(scene.moving_pins or scene.gases or scene.wind is not None)
+        self.driven, self.size = own or moves or driven, size(scene)
         self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
         self.moved = False  # by steps, since places were set
-        self.watch = Watch(
+        self.monitor = EnergyMonitor(
             scene,
             self.method,
             part,
@@ -97,47 +97,47 @@ class Stepper:
         if self.primed:
             return
         self._prime_parts()
-        look = self.parts.gauge.look()  # also compiles it, so that step(0) leaves nothing to compile
-        if look.bad is not None:
+        sample = self.parts.state_probe.sample()  # also compiles it, so that step(0) leaves nothing to compile
+        if sample.bad is not None:
             state = self.parts.state
-            x, v = state.position[look.bad].tolist(), state.velocity[look.bad].tolist()
+            x, v = state.position[sample.bad].tolist(), state.velocity[sample.bad].tolist()
             raise SceneError(
-                f"ball {look.bad}: starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
+                f"ball {sample.bad}: starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
             )
         self.parts.state.keep()
-        self.watch.begin(look)
+        self.monitor.begin(sample)
         self.primed, self.moved = True, False
 
     def _prime_parts(self) -> None:
         """Find contacts at the present positions, with as much room as they need."""
         self.parts.prime(self.h, self.time)
         while (needed := self.parts.lacking()) is not None:
-            self.parts = self.parts.with_room(needed)
+            self.parts = self.parts.with_capacity(needed)
             self.parts.prime(self.h, self.time)
 
     def advance(self, steps: int) -> None:
         """A chunk of steps, and a look at the result."""
-        look = self._run(steps)
-        growth = None if look.bad is not None else self.watch.judge(look)
-        if look.bad is not None or growth is not None:
+        sample = self._run(steps)
+        growth = None if sample.bad is not None else self.monitor.judge(sample)
+        if sample.bad is not None or growth is not None:
             if self.may_shorten and self._shorten(steps, growth):
                 return
-            if look.bad is not None:
+            if sample.bad is not None:
                 self._search(steps)
                 return
             self._warn_of(growth, self.time + steps * self.dt, steps)
         self._accept(steps)
 
-    def _run(self, steps: int) -> Look:
+    def _run(self, steps: int) -> StateSample:
         """Run the parts. Where contacts did not fit, the steps are repeated from the last good state with more room."""
         self.parts.run(steps * self.substeps, self.h, self.time)
         while (needed := self.parts.lacking()) is not None:
             self.parts.state.restore()
-            self.parts = self.parts.with_room(needed)
+            self.parts = self.parts.with_capacity(needed)
             self._prime_parts()
             self.parts.state.keep()
             self.parts.run(steps * self.substeps, self.h, self.time)
-        return self.parts.gauge.look()
+        return self.parts.state_probe.sample()
 
     def _accept(self, steps: int) -> None:
         self.steps += steps
@@ -150,31 +150,31 @@ class Stepper:
         self._unseen += steps * self.substeps
         if self.squeezes and self._unseen >= CHUNK:
             self._unseen = 0
-            self.survey(7)
+            self.contact_statistics(7)
 
-    def survey(self, stacklevel: int = 4) -> NDArray[np.float64]:
+    def contact_statistics(self, stacklevel: int = 4) -> NDArray[np.float64]:
         """Tally of all contacts, see kernels.survey. Warns once, of the line that many calls further out, where steps have
         brought balls deep into something."""
-        tally = self.parts.survey()
-        part = float(tally[statistics.LARGEST_PART])
+        totals = self.parts.contact_statistics()
+        part = float(totals[statistics.LARGEST_PART])
         if self.moved and part > DEEP:
             self._warn(
                 "depth",
-                f"at t = {self.time:.6g} s ball {int(tally[statistics.BALL])} overlaps what it touches by {part:.2g} of the"
-                f" smaller radius: {cure_of_depth(self.squeezes, self.parts.contacts.passes)}",
+                f"at t = {self.time:.6g} s ball {int(totals[statistics.BALL])} overlaps what it touches by {part:.2g} of the"
+                f" smaller radius: {cure_of_depth(self.squeezes, self.parts.contacts.iterations)}",
                 stacklevel,
             )
-        return tally
+        return totals
 
     def scales(self) -> Scales:
         """What the run is judged by."""
-        scene, watch = self.scene, self.watch
+        scene, monitor = self.scene, self.monitor
         part = self.h / self.safe.dt_any_shape if self.safe.dt_any_shape > 0 else 0.0
         return Scales(
             slow=2.0 * float(np.linalg.norm(scene.gravity)) * self.h,
-            closed=watch.closed,
-            lossless=watch.closed and takes_nothing(scene, self.method),
-            motion=watch.most,
+            closed=monitor.closed,
+            lossless=monitor.closed and takes_nothing(scene, self.method),
+            motion=monitor.most,
             swing=1.0 - 1.0 / swing(self.method, min(part, LARGEST_PART)),
             squeezes=self.squeezes,
         )
@@ -188,25 +188,25 @@ class Stepper:
 
     def _shorten(self, steps: int, growth: Growth | None) -> bool:
         """Repeat a chunk with substeps halved until it behaves, and stay there. False, and all as it was, where no spring and no
-        force of one's own limits the method, so that a shorter step is no cure for a ball that left the world."""
+        user-defined forces limits the method, so that a shorter step is no cure for a ball that left the world."""
         if growth is None and not self.driven and not 0.0 < self.safe.dt_any_shape < np.inf:
             return False
         before, last = self.substeps, np.inf if growth is None else growth.after
         for _ in range(HALVINGS):
             self._back()
             self._divide(2 * self.substeps)
-            self.watch.begin(self.watch.last)  # what was gained before the chunk is not given back by shorter steps
-            look = self._run(steps)
-            again = None if look.bad is not None else self.watch.judge(look)
+            self.monitor.begin(self.monitor.last)  # what was gained before the chunk is not given back by shorter steps
+            sample = self._run(steps)
+            again = None if sample.bad is not None else self.monitor.judge(sample)
             worked = again is not None and not again.sure and last / SAME < again.after < last * SAME
             last = np.inf if again is None else again.after
             if worked:
-                self.watch.begin(look)
+                self.monitor.begin(sample)
             if worked and self.substeps == 2 * before:  # nothing was wrong
                 self._accept(steps)
                 self._divide(before)
                 return True
-            if look.bad is None and (again is None or worked):
+            if sample.bad is None and (again is None or worked):
                 what = "a ball left the world" if growth is None else f"energy grew {_from_to(growth)}"
                 self._warn(
                     "shorter",
@@ -232,9 +232,9 @@ class Stepper:
         """A bad chunk once more, step by step, up to the last good one."""
         self._back()
         for _ in range(steps):
-            look = self._run(1)
-            if look.bad is not None:
-                self._fail(look.bad)
+            sample = self._run(1)
+            if sample.bad is not None:
+                self._fail(sample.bad)
             self._accept(1)
 
     def _fail(self, ball: int) -> None:
@@ -279,21 +279,21 @@ class Stepper:
         limited = 0.0 < self.safe.dt_any_shape < np.inf
         limit, spring = self._present() if limited else (np.inf, -1)
         if not growth.sure and self.h <= limit:
-            look = self.parts.gauge.look()
-            if steps and look.speed * self.h > self.size and not self._works(steps, growth):
+            sample = self.parts.state_probe.sample()
+            if steps and sample.speed * self.h > self.size and not self._works(steps, growth):
                 self._warn(
                     "growth",
                     f"energy grew {_from_to(growth)} by t = {time:.6g} s, and a ball goes further than the scene is wide in a"
-                    f" step of {self.h:.6g} s; half of it gives another energy: forces of one's own act explicitly; take shorter"
+                    f" step of {self.h:.6g} s; half of it gives another energy: user-defined forces act explicitly; take shorter"
                     " steps",
                 )
-            self.watch.begin(self.parts.gauge.look())
+            self.monitor.begin(self.parts.state_probe.sample())
             return
         if limited:
             cure = f"; in this shape {_limiting(spring)} {self.method} to {limit:.6g} s, {self.h:.6g} s is used"
         else:
             cure = f"; {self.h:.6g} s is used: take shorter steps" + (
-                ", or more contact_passes" if self.parts.contacts.active else ""
+                ", or more contact_iterations" if self.parts.contacts.active else ""
             )
         self._warn("growth", f"energy grew {_from_to(growth)} by t = {time:.6g} s, which nothing explains{cure}")
 
@@ -302,11 +302,11 @@ class Stepper:
         before = self.substeps
         self._back()
         self._divide(2 * before)
-        look = self._run(steps)
+        sample = self._run(steps)
         self._back()
         self._divide(before)
         self._run(steps)
-        return look.bad is None and growth.after / SAME < look.motion < growth.after * SAME
+        return sample.bad is None and growth.after / SAME < sample.motion < growth.after * SAME
 
     def _look_at_solver(self) -> None:
         """Whether an implicit method has left a stage unsolved."""

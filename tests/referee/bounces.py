@@ -157,7 +157,7 @@ def _clusters(rng: Rng, n: int) -> list[Case]:
 def _neighbours(rng: Rng, n: int) -> list[Case]:
     """Spheres side by side that slide or roll along a floor into a wall."""
     g = float(rng.choice([0.0, 2.0]))
-    most = float(rng.choice([0.5, 1.0]))  # the bounciest of a simulation chooses how often contacts are solved
+    most = float(rng.choice([0.5, 1.0]))  # the max_restitution of a simulation chooses how often contacts are solved
     settings = {**VERLET, "contacts": str(rng.choice(["auto", "jacobi"]))}
     cases = []
     for _ in range(n):

@@ -119,7 +119,10 @@ def small(quick: bool) -> Report:
     entries = [
         Entry("taichi_sim, fused", small_step(box, "fused"), 100, 256 if quick else 2000),
         Entry(
-            "taichi_sim, fused, 1 contact pass", small_step(box, "fused", contact_passes=1), 100, 256 if quick else 2000
+            "taichi_sim, fused, 1 contact pass",
+            small_step(box, "fused", contact_iterations=1),
+            100,
+            256 if quick else 2000,
         ),
         Entry("taichi_sim, parallel", small_step(box, "parallel"), 100, 64 if quick else 500),
     ]

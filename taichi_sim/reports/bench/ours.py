@@ -75,7 +75,7 @@ class ContactPass(Ours):
     """The search for contacts from nothing and one pass of impulses, as the kernels of a simulation do it, and no more."""
 
     def __init__(self, pack: Pack, rule: str) -> None:
-        super().__init__(pack_scene(pack), contacts=rule, contact_passes=1, dt=1e-6, driver="parallel")
+        super().__init__(pack_scene(pack), contacts=rule, contact_iterations=1, dt=1e-6, driver="parallel")
         parts = self.simulation._parts
         self.contacts, self.ball = parts.contacts, parts.state.ball
 
@@ -130,4 +130,4 @@ def granular_step(grains: Grains, passes: int) -> Ours:
     for axis in (0, 2):
         scene.add_wall(np.eye(3)[axis], 0.0, material="grain")
         scene.add_wall(-np.eye(3)[axis], -grains.side, material="grain")
-    return Ours(scene, dt=grains.dt, substeps=1, contact_passes=passes)
+    return Ours(scene, dt=grains.dt, substeps=1, contact_iterations=passes)

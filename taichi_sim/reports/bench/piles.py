@@ -151,11 +151,11 @@ def pile_report(quick: bool, *, few: bool = False) -> PileReport:
     settings: dict[str, dict[str, Any]] = {"taichi_sim": {}}
     peers: list[tuple[str, int, bool]] = [(RIVAL, 10, False)]
     if few:
-        settings["taichi_sim, 1 substep, 1 pass"] = {"substeps": 1, "contact_passes": 1}
+        settings["taichi_sim, 1 substep, 1 pass"] = {"substeps": 1, "contact_iterations": 1}
         peers.append(("pymunk, 4 iterations", 4, False))
         report.goals["time"] = f"a sixth of {RIVAL}"
     else:
-        settings["taichi_sim, 2 substeps, 1 pass"] = {"substeps": 2, "contact_passes": 1}
+        settings["taichi_sim, 2 substeps, 1 pass"] = {"substeps": 2, "contact_iterations": 1}
         peers.append((f"{RIVAL}, spatial hash", 10, True))
         report.goals["time"] = f"a sixth of {RIVAL}"
         report.goals["the pile"] = "kinetic energy within pymunk's spread, overlap 0.10 r, mean 0.033 r, walls likewise"

@@ -36,7 +36,7 @@ def _coincident(n: int, contacts: str, seconds: float) -> Verdict:
     scene = Scene(dim=3)
     mass = 10 ** np.random.default_rng(0).uniform(-1, 1, n)
     scene.add_balls(np.full((n, 3), 0.3), radius=R, mass=mass)
-    with simulation(scene, contacts, contact_passes=2) as sim:
+    with simulation(scene, contacts, contact_iterations=2) as sim:
         fastest, centre = 0.0, mass @ sim.position / mass.sum()
         for _ in range(10):
             sim.run(seconds / 10)
@@ -133,7 +133,7 @@ def corner(contacts: str, short: bool) -> Verdict:
     for normal in np.eye(3):
         scene.add_wall(normal)
     scene.add_balls([[0.99 * R] * 3], radius=R, velocity=[-1.0, -2.0, -0.5])
-    with simulation(scene, contacts, contact_passes=2) as sim:
+    with simulation(scene, contacts, contact_iterations=2) as sim:
         sim.step()
         speed = float(np.max(np.abs(sim.velocity)))
         return Verdict(speed < rounding(sim), speed, "m/s after one step")
@@ -146,7 +146,7 @@ def wedge(contacts: str, short: bool) -> Verdict:
     for side in (1.0, -1.0):
         scene.add_wall((side * np.cos(angle), np.sin(angle)))
     scene.add_balls([[0.02, 0.5]], radius=R, velocity=[1.0, -3.0])
-    with simulation(scene, contacts, contact_passes=2) as sim:
+    with simulation(scene, contacts, contact_iterations=2) as sim:
         start, most = sim.energy().total, -np.inf
         for _ in range(100):
             sim.step(10)

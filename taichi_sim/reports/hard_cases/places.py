@@ -49,7 +49,7 @@ def _right_pairs(scene: Scene, contacts: str) -> Verdict:
     Of two balls that touch and approach at least one must change; no ball may that has no such pair in its group of balls that
     touch each other, for impulses go no further.
     """
-    with simulation(scene, contacts, integrator="symplectic_euler", contact_passes=1) as sim:
+    with simulation(scene, contacts, integrator="symplectic_euler", contact_iterations=1) as sim:
         x, v = sim.position, sim.velocity
         sim.step()
         changed = np.any(sim.velocity != v, axis=1)
@@ -108,7 +108,7 @@ def crowded_cell(contacts: str, short: bool) -> Verdict:
     scene.add_balls(np.stack([i, j], axis=1) / side, radius=0.4 / side, velocity=(0.0, 1e-3))
     scene.add_balls([[10.0, 0.0]], radius=1.0, pinned=True)
     start = time.perf_counter()
-    with simulation(scene, contacts, contact_passes=1) as sim:
+    with simulation(scene, contacts, contact_iterations=1) as sim:
         sim.step()
         still = np.array_equal(sim.velocity, scene.velocity.astype(np.float64 if double(sim) else np.float32))
     took = time.perf_counter() - start

@@ -31,7 +31,13 @@ MATERIAL = {
     "cloth": ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity"),
     "jelly": ("young_modulus",),
 }
-BY_HAND = ("cells", "bending", "gases", "triangles", "skins")  # of ball numbers that a finer mesh does not have
+BY_HAND = (
+    "cells",
+    "bending",
+    "gases",
+    "triangles",
+    "embedded_surfaces",
+)  # of ball numbers that a finer mesh does not have
 Ints = NDArray[np.int64]
 
 
