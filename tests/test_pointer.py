@@ -6,7 +6,7 @@ import pytest
 from taichi_sim import Pointer, Scene, SceneError, Simulation, shapes
 from taichi_sim.analysis.stability import stability
 from taichi_sim.forces.pointer import MOST, PART
-from taichi_sim.simulation.assembly import Room
+from taichi_sim.simulation.assembly import ContactCapacity
 
 DT = 1e-3
 HELD, FREE, PINNED = 1, 0, 2
@@ -121,7 +121,7 @@ def test_it_holds_on_where_a_simulation_is_made_anew_inside(held, precision):
     pointer.move(TARGET)
     sim.step(30)
     stepper = sim._stepper
-    stepper.parts = stepper.parts.with_capacity(Room())
+    stepper.parts = stepper.parts.with_capacity(ContactCapacity())
     stepper.primed = False
     sim.step(30)
     x, _ = reference(60)

@@ -12,7 +12,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.stability import present_limit
 from taichi_sim.simulation import stepper
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
-from taichi_sim.simulation.state_probe import Look
+from taichi_sim.simulation.state_probe import StateSample
 
 
 def stiffening(amplitude=1.0):
@@ -52,14 +52,14 @@ def test_a_look_is_what_numpy_sums(driver):
     b = scene.add_balls(x, radius=0.01, mass=2.0, velocity=v, pinned=[5])
     scene.add_springs(np.stack([b[:-1], b[1:]], axis=1), stiffness=30.0, rest_length=1.0)
     with simulate(scene, ("ordered", driver), dt=1e-3, contacts="off") as sim:
-        want, seen = sim.energy(), sim._parts.gauge.look()
+        want, seen = sim.energy(), sim._parts.state_probe.sample()
         assert seen.bad is None
         assert seen[2:5] == pytest.approx(want[:3], rel=1e-12 if F64 else 1e-5)
         assert seen.speed == pytest.approx(np.linalg.norm(sim.velocity, axis=1).max(), rel=1e-6)
         v = sim.velocity
         v[1234, 1] = np.float32(1e15)
         sim.set_velocity(v)
-        assert sim._parts.gauge.look().bad == 1234
+        assert sim._parts.state_probe.sample().bad == 1234
 
 
 @each_dim
@@ -70,7 +70,7 @@ def test_a_look_counts_spin(dim):
     with simulate(scene, spin=True) as sim:
         sim.resume(scene.position, scene.velocity, 0.0, None, np.array([[2.0] + [0.0] * (0 if dim == 2 else 2)]))
         want = 1.0 + 0.5 * 2.0 * 2.0**2 * (0.5 if dim == 2 else 0.4)
-        assert sim._parts.gauge.look().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(want)
+        assert sim._parts.state_probe.sample().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(want)
 
 
 def test_energy_from_nowhere_is_warned_of_once():
@@ -160,7 +160,7 @@ def test_healthy_motion_is_not_warned_of(method):
 
 
 def look(kinetic, elastic=0.0, gravity=0.0):
-    return Look(None, 0.0, kinetic, elastic, gravity, abs(gravity))
+    return StateSample(None, 0.0, kinetic, elastic, gravity, abs(gravity))
 
 
 def test_the_rule():
