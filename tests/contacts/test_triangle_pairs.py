@@ -1,6 +1,7 @@
 """Triangles that collide: found as by brute force, solved as by hand, and never gone through."""
 
 import hashlib
+import os
 import subprocess
 import sys
 
@@ -315,7 +316,8 @@ def test_the_look_from_beneath_sees_what_it_looks_for():
 def test_both_drivers_and_any_number_of_threads_have_the_same_bits(flight):
     def run(threads):
         command = [sys.executable, __file__, PRECISION, str(threads)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        found = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # what this file imports from tests/support
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, env=found)
         assert done.returncode == 0, done.stderr
         return done.stdout.split()[-1]
 
