@@ -43,11 +43,14 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
         for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
             n = walls.normal(i, k)
             u = walls.relative(ball[i].v, i, k)
-            law = walls.law(i, k)
             pressed = kick(walls, solver, i, n)
             closing = -(n.dot(u) + ti.max(0.0, pressed))
             reach = ti.max(walls.touch(ball[i].x, i, k), closing / solver.rate[0])
-            if law.restitution > 0.0 and closing > walls.threshold[0] and walls.gap(ball[i].x, i, k) <= reach:
+            law = walls.law_with(i, 0)
+            near = closing > walls.threshold[0] and walls.gap(ball[i].x, i, k) <= reach
+            if near:  # an empty slot has no law
+                law = walls.law(i, k)
+            if near and law.restitution > 0.0:
                 bounced = 1
                 mass = 1.0 / walls.model.inverse_mass[i]
                 total = -(1.0 + law.restitution) * (n.dot(u) + 0.5 * pressed) * mass
