@@ -7,7 +7,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.scene.scene import Scene, used_materials
 
-__all__ = ["TURNING", "Model", "components"]
+__all__ = ["TURNING", "Model"]
 
 TURNING = {2: 2.0, 3: 2.5}  # m r^2 / I of a disc, of a solid sphere
 
@@ -95,23 +95,6 @@ def incidence(pairs: NDArray[np.int32], n: int) -> tuple[NDArray[np.int32], NDAr
     start = np.zeros(n + 1, dtype=np.int32)
     np.cumsum(np.bincount(here, minlength=n), out=start[1:])
     return start, other[order].astype(np.int32), spring[order]
-
-
-def components(count: int, edges: NDArray) -> NDArray[np.int64]:
-    """For each of `count` balls the lowest index that edges (m, 2) connect it to. Hooking and pointer jumping."""
-    label = np.arange(count)
-    a, b = edges[:, 0].astype(np.int64), edges[:, 1].astype(np.int64)
-    while len(a):
-        low, high = np.minimum(label[a], label[b]), np.maximum(label[a], label[b])
-        apart = low != high
-        a, b = a[apart], b[apart]
-        np.minimum.at(label, high[apart], low[apart])
-        while True:
-            above = label[label]
-            if np.array_equal(above, label):
-                break
-            label = above
-    return label
 
 
 def phase_type(dim: int, real: object) -> dict[str, object]:
