@@ -5,9 +5,10 @@ from numpy.typing import NDArray
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
+from taichi_sim.geometry.graph import incidence
 from taichi_sim.scene.scene import Scene, used_materials
 
-__all__ = ["TURNING", "Model"]
+__all__ = ["TURNING", "Model", "phase_type"]
 
 TURNING = {2: 2.0, 3: 2.5}  # m r^2 / I of a disc, of a solid sphere
 
@@ -84,17 +85,6 @@ class Model:
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """For each ball the balls that a spring joins it to, as (start (n + 1), other (2 m)), sorted."""
         return incidence(self.scene.pairs, self.n)[:2]
-
-
-def incidence(pairs: NDArray[np.int32], n: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
-    """For each of n balls its springs: start (n + 1), other end (2 m), spring index (2 m), sorted by the other end."""
-    here = np.concatenate([pairs[:, 0], pairs[:, 1]])
-    other = np.concatenate([pairs[:, 1], pairs[:, 0]])
-    spring = np.tile(np.arange(len(pairs)), 2)
-    order = np.lexsort((spring, other, here))
-    start = np.zeros(n + 1, dtype=np.int32)
-    np.cumsum(np.bincount(here, minlength=n), out=start[1:])
-    return start, other[order].astype(np.int32), spring[order]
 
 
 def phase_type(dim: int, real: object) -> dict[str, object]:
