@@ -7,7 +7,9 @@ from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.walls import SLOP
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.device.model import Model, components
+from taichi_sim.device.model import Model
+from taichi_sim.geometry.graph import components
+from taichi_sim.geometry.mesh import sides
 from taichi_sim.kernels.contacts import contact_law, statistics
 from taichi_sim.kernels.contacts import triangle_pairs as loops
 from taichi_sim.kernels.contacts.pair_sweeps import zero_spin
@@ -257,8 +259,8 @@ def patches(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     first = np.argmin(t, axis=1)
     t = np.take_along_axis(t, (first[:, None] + np.arange(3)) % 3, axis=1)
     t = t[np.argsort(t[:, 0], kind="stable")]
-    sides = np.sort(np.concatenate([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]]), axis=1)  # across from a, b, c
-    edges, kind, times = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+    across = np.sort(sides(t[:, [1, 2, 0]]), axis=1)  # across from a, b, c
+    edges, kind, times = np.unique(across, axis=0, return_inverse=True, return_counts=True)
     kind = kind.reshape(-1)
     order = np.argsort(kind, kind="stable")
     start = np.cumsum(times) - times
