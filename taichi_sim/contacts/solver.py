@@ -396,7 +396,32 @@ class ContactSolver:
                     self.offset[i] = self.offset[i] + self.walls.offset(ball, self, i, h)
 
     @ti.func
-    def move(self, ball: ti.template(), i, v, a, h, change):
+    def advance(self, ball: ti.template(), motion: ti.template(), h, time):
+        """Kick all balls, solve their contacts, with friction for `time` seconds, and move them for h seconds. motion: the
+        integrator, asked for its kicks and what forces do meanwhile."""
+        if ti.static(self.active):
+            if ti.static(motion.kicks_first):
+                for i in range(self.n):
+                    motion.before_move(i, h)
+            self.solve(ball, time, self.iterations, True)
+        self.move(ball, motion, h)
+
+    @ti.func
+    def move(self, ball: ti.template(), motion: ti.template(), h):
+        """Move all balls for h seconds with their present velocities, then find the contacts where they are. Without contacts
+        the kick before the move needs no loop of its own."""
+        self.separate(ball, h)
+        for i in range(self.n):
+            if ti.static(motion.kicks_first and not self.active):
+                motion.before_move(i, h)
+            shift, drift = self._way(ball, i, ball[i].v, motion.acceleration(i, h), h, motion.load(i, h))
+            self.state.shift(i, shift)
+            ball[i].v = drift
+            motion.after_move(i, h)
+        self.refresh(ball)
+
+    @ti.func
+    def _way(self, ball: ti.template(), i, v, a, h, change):
         """Displacement of ball i over h, and its drift velocity v (mid-step, acceleration a) after impacts on walls. change:
         of v by forces in this step, where `a` does not tell it."""
         shift = h * v
