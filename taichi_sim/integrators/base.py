@@ -35,8 +35,8 @@ class Integrator:
     overlap; without it contacts are rigid. `implicit_damping`: what `damping` gives depends on the step. `each_once`: it goes
     through the springs itself, each once, see kernels.half; `in_turn`: each sees what those before it changed. `hosted`: a
     substep has loops that end by what they find; `advance` runs one from the host, kernel by kernel, because inside a kernel
-    only the outermost loops run in parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None. `kicks_first`: whether
-    `before_move` does anything.
+    only the outermost loops run in parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None.
+    `kicks_first`: whether `before_move` does anything.
     """
 
     name = ""
