@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
@@ -35,8 +35,8 @@ class Integrator:
     overlap; without it contacts are rigid. `implicit_damping`: what `damping` gives depends on the step. `each_once`: it goes
     through the springs itself, each once, see kernels.half; `in_turn`: each sees what those before it changed. `hosted`: a
     substep has loops that end by what they find; `advance` runs one from the host, kernel by kernel, because inside a kernel
-    only the outermost loops run in parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None. `kicks_first`: whether
-    `before_move` does anything.
+    only the outermost loops run in parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None.
+    `kicks_first`: whether `before_move` does anything.
     """
 
     name = ""
@@ -58,7 +58,7 @@ class Integrator:
     def set_step(self, h: float) -> None:
         """Substeps have h seconds from now on; called once the fields are there, and for each new step. Damping is set too."""
 
-    def bind(self, model: Model, state: State, forces: TotalForce, contacts: ContactSolver, fields: Fields) -> None:
+    def bind(self, model: Model, state: State, forces: TotalForce, contacts: ContactRule, fields: Fields) -> None:
         """Take the parts of a simulation. Called once, before the fields exist."""
         self.model, self.state, self.forces, self.contacts = model, state, forces, contacts
         self.ball = state.ball
