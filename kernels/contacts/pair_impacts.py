@@ -6,8 +6,7 @@ does: each bounce keeps momentum and never adds energy, and at e = 1 without fri
 slow, or does not bounce, and is stopped by the iterations (target speed 0), whose impulses only take energy. Walls take their
 turn with the pairs of the balls that touch others.
 
-Speed that forces gave a pair since contacts were last looked for is a load and no impact: it is held, not thrown back. What
-an impact throws back is the speed in the middle of that time, which belongs to the positions: half of the load is in it.
+Speed that forces gave a pair since contacts were last looked for is a load and no impact: it is held, not thrown back.
 
 Blocks (see pair_sweeps) in which nothing closes fast, nor in those beside them, are passed over, and in the others the balls
 none of whose contacts may have changed: `stirred` is 0 where one closes fast at first, then the round that follows the last
@@ -17,6 +16,7 @@ impact on the ball, or on one that it lists; else CALM.
 import math
 
 from taichi_sim.kernels.contacts import contact_law, wall_impacts
+from taichi_sim.kernels.contacts.kinds import FAST
 from taichi_sim.kernels.contacts.pair_sweeps import torque, zero_spin
 from taichi_sim.kernels.contacts.pairs import GRAIN, law_of
 from taichi_sim.kernels.vectors import lever
@@ -33,14 +33,9 @@ ALERT = 0.5  # of the threshold: what closes faster may be fast once forces have
 
 
 @ti.func
-def load(solver: ti.template(), i, j, n):
-    """Approach speed that forces gave balls i and j along n since contacts were last looked for."""
-    return ti.max(0.0, kick(solver, i, j, n))
-
-
-@ti.func
 def kick(solver: ti.template(), i, j, n):
-    """The same, negative where forces pull them apart."""
+    """Approach speed that forces gave balls i and j along n since contacts were last looked for, negative where they pull them
+    apart."""
     u = 0.0 * n[0]
     if ti.static(solver.loaded):
         u = -(solver.kicked[j] - solver.kicked[i]).dot(n)
@@ -156,16 +151,16 @@ def one_ball(solver: ti.template(), ball: ti.template(), i, now, time):
                     solver.rebounds[i] = solver.rebounds[i] + 1
                     solver.rebounds[j] = solver.rebounds[j] + 1
                     other = solver.model.inverse_mass[j]
-                    total = -(1.0 + law.restitution) * (u.dot(n) + 0.5 * pressed) / (w + other)
+                    mass = 1.0 / (w + other)
+                    total = contact_law.rebound(law.restitution, u.dot(n), pressed) / (w + other)
                     p = -total * n
                     if ti.static(solver.model.has_friction):
-                        mass = 1.0 / (w + other)
-                        slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
+                        slip, sideways = u, mass
                         if ti.static(solver.spins):
-                            u -= solver.pairs.row[c].arm * lever(solver.state.spin[i] + solver.state.spin[j], n)
-                            mass *= contact_law.sideways(solver, i, j)
-                        change, _ = contact_law.sliding_impulse(
-                            solver.model, u, n, mass, 0.0 * p, law.friction * total, slip
+                            slip -= solver.pairs.row[c].arm * lever(solver.state.spin[i] + solver.state.spin[j], n)
+                            sideways *= contact_law.sideways(solver, i, j)
+                        change, _ = contact_law.friction_impulse(
+                            solver.model, law, n, u, slip, mass, sideways, 0.0 * p, total, solver.threshold[0], time
                         )
                         p -= change
                     t = zero_spin(solver)
@@ -212,7 +207,7 @@ def alert(solver: ti.template()):
     for b in range(solver.pairs.blocks[0]):
         begin = b * solver.pairs.length[0]
         for k in range(begin, ti.min(begin + solver.pairs.length[0], solver.n)):
-            if solver.walls.crowded[solver.pairs.grid.order[k]] > 1:
+            if solver.walls.crowded[solver.pairs.grid.order[k]] == FAST:
                 solver.mark[b] = 1
                 solver.struck[b] = 1
                 solver.stirred[solver.pairs.grid.order[k]] = 0

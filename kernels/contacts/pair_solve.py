@@ -210,7 +210,7 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
     touches: they would take its energy."""
     depth = solver.pairs.row[c].depth
     speed = (solver.before[j] - solver.before[i]).dot(n)
-    fast = speed + pair_impacts.load(solver, i, j, n) < -solver.threshold[0]
+    fast = speed + ti.max(0.0, pair_impacts.kick(solver, i, j, n)) < -solver.threshold[0]
     mass = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
     if ti.static(not how.impacts):
         mass = ti.select(fast, 0.0, mass)

@@ -75,7 +75,8 @@ class SecondSolution:
             found += [self.sticks.used, self.sticks.row, self.sticks.begin, self.sticks.length]
         if contacts.walls is not None:
             found.append(contacts.walls.contact)
-            found += [contacts.walls.held] if contacts.walls.has_colliders else []
+            if contacts.walls.has_colliders:
+                found += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.held]
         return found
 
     @ti.func
