@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from taichi_sim import shapes
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.analysis.limits import StabilityLimit
+from taichi_sim.analysis.methods import Method
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError
 from taichi_sim.scene.colliders import Box, Capsule, Mesh, Sphere
 from taichi_sim.scene.scene import Scene
@@ -39,11 +41,13 @@ __all__ = [
     "Frame",
     "Integrator",
     "Mesh",
+    "Method",
     "Pointer",
     "Scene",
     "SceneError",
     "Simulation",
     "Sphere",
+    "StabilityLimit",
     "UnstableError",
     "__version__",
     "load_scene",

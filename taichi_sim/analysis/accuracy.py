@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
 from taichi_sim.scene.colliders import BOX, MESH, Collider
 from taichi_sim.scene.collision_groups import meet
@@ -34,7 +35,6 @@ ASIDE = 0.05  # rad: directions after impacts that are off by less are not spoke
 DEEP = 0.1  # of the radius: overlap at rest that shows
 VISIBLE = 0.005  # of the smallest radius: loss of single precision that shows
 SLACK = 0.25  # strain up to which cloth that hangs on something opens
-HALVES = ("verlet", "rk4", "tr_bdf2")  # solve contacts twice a step, each for half of the load
 # of the weight above, the part along each contact with the layer below: two, three contacts at 30, 35 degrees in close packs
 PART = {2: 0.577, 3: 0.408}
 FILLED = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
@@ -46,7 +46,7 @@ class Setup(NamedTuple):
     the load of one solve and m [kg] the contact's mass; 0 where contacts are rigid. loses: crowds are held to their energy by
     scaling what bounces."""
 
-    method: str
+    method: Method
     h: float
     precision: str
     rule: str = "off"
@@ -151,7 +151,7 @@ def _overlap(scene: Scene, setup: Setup) -> Iterator[Finding]:
     high = layers(scene, loose)
     column = np.count_nonzero(loose) < 1.5 * high  # one ball in each
     share = 1.0 if column else PART[scene.dim]
-    load = 0.5 if setup.method in HALVES else 1.0
+    load = 1.0 / setup.method.contact_solves
     depth = 2.0 * setup.give * share * load * high * g * setup.h**2
     wanted = setup.h * np.sqrt(DEEP * radius / depth)
     yield Finding(
@@ -320,7 +320,7 @@ def rounding_error(scene: Scene, setup: Setup) -> tuple[float, float, float]:
     ulp = float(np.spacing(np.float32(far)))
     error, steps = ulp / np.sqrt(12.0), 1.0 / setup.h
     if setup.compensated:
-        safe = stability(scene, "verlet").dt_any_shape  # 2 / w, or 0.63 of it
+        safe = stability(scene, VERLET).dt_any_shape  # 2 / w, or 0.63 of it
         error *= max(1.0, 2.0 * setup.h / safe * np.sqrt(steps)) if safe > 0.0 else 1.0
     else:
         error *= max(1.0, np.sqrt(steps))

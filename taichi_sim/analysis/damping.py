@@ -13,16 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.stability import largest_eigenvalue
+from taichi_sim.analysis.spring_bounds import largest_eigenvalue, over
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["MOST_STAGES", "Stages", "decay", "lone", "softened", "stages"]
+__all__ = ["MOST_STAGES", "Stages", "decay", "is_weak", "lone", "predicts_damping", "softened", "stages"]
 
 Floats = NDArray[np.float64]
 
 FEW = 0.8  # z up to which one product for each half will do: R = 1 - 2 z + 2 z^2 of both, 0.68 there and 1 at z = 1
 TWO = 1.3  # z up to which two are taken: R = 1 - z + z^2 / 2 has its least value at 1
 MOST_STAGES = 61  # of half a step
+GENTLE = 0.9  # part of the undamped step that damping at predicted velocities must leave Verlet
 AFTER = np.array([[0.0, 0.0, 1.0, 0.0]])  # R = 1 - z
 BEFORE = np.array([[0.0, 0.0, 1.0, 1.0]])  # the same, and the damping of what that half before it changed
 
@@ -35,6 +36,19 @@ class Stages(NamedTuple):
 
     before: Floats
     after: Floats
+
+
+def predicts_damping(scene: Scene) -> bool:
+    """Whether `verlet` takes spring damping at predicted velocities, for which it is weak enough, and not together with the
+    kick, which nothing limits and which costs passes over the springs of its own."""
+    return bool(np.any(scene.damping > 0)) and is_weak(scene, scene.stiffness, scene.damping)
+
+
+def is_weak(scene: Scene, k: Floats, c: Floats) -> bool:
+    """Whether springs of stiffness k and damping c, both (m,), leave h^2 lambda(K + 4 D / h) < 4 in every shape at GENTLE times
+    the undamped step."""
+    h = GENTLE * over(2.0, float(np.sqrt(largest_eigenvalue(scene, k)[0])))
+    return bool(np.isfinite(h)) and h * h * largest_eigenvalue(scene, k + 4.0 * c / h)[0] <= 4.0
 
 
 def lone(scene: Scene) -> NDArray[np.bool_]:

@@ -1,6 +1,7 @@
 """Energy and momentum of a scene in a given state, in float64 NumPy: slow, plain, and independent of the kernels; and what
 a look at its contacts says."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,10 +48,15 @@ def _moving(scene: Scene) -> Floats:
 
 
 def energy(
-    scene: Scene, x: Floats, v: Floats, spin: Floats | None = None, torn: NDArray[np.bool_] | None = None
+    scene: Scene,
+    x: Floats,
+    v: Floats,
+    spin: Floats | None = None,
+    torn: NDArray[np.bool_] | None = None,
+    forces: Sequence[Any] = (),
 ) -> Energy:
     """Energy of positions x and velocities v, both (n, dim), and of angular velocities (n, 1 or 3) [1/s]. torn: (m,) springs.
-    `spring` holds that of cells, bending and gas too."""
+    `spring` holds that of cells, bending and gas too, and of user-defined forces that tell theirs."""
     m = _moving(scene)
     kinetic = 0.5 * float(np.sum(m * np.sum(v * v, axis=1)))
     if spin is not None:
@@ -60,6 +66,7 @@ def energy(
     strength = scene.stiffness if torn is None else np.where(torn, 0.0, scene.stiffness)
     pairs = scene.pairs[:0] if torn is None else scene.pairs[torn]
     spring = 0.5 * float(np.sum(strength * stretch**2)) + _elements(scene, x, pairs)
+    spring += sum(_custom(scene, force, x, v, pairs) for force in forces)
     gravity = 0.0 - float(np.sum(m * (x @ scene.gravity)))
     return Energy(kinetic, spring, gravity, kinetic + spring + gravity)
 
@@ -85,6 +92,14 @@ def _elements(scene: Scene, x: Floats, torn: NDArray) -> float:
         inside = (gas.pressure + gas.outside) * gas.volume
         total += gas.outside * gas.volume * (now - 1.0) - (inside * float(np.log(now)) if now > 0 else -np.inf)
     return total
+
+
+def _custom(scene: Scene, force: Any, x: Floats, v: Floats, torn: NDArray) -> float:
+    """Energy [J] of a user-defined force: the sum over its elements that are whole, or of the force as it is."""
+    if hasattr(force, "energies"):
+        whole = ~cut(np.asarray(force.balls), torn, scene.n_balls)
+        return float(np.sum(force.energies(x)[whole]))
+    return float(force.energy(x, v)) if hasattr(force, "energy") else 0.0
 
 
 def enclosed(x: Floats, triangles: NDArray) -> float:

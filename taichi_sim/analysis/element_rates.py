@@ -1,13 +1,14 @@
 """How stiff cells, bending elements, gases and the wind are: lambda_max of M^-1 K and of M^-1 D, for the largest safe step."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["Rates", "element_rates", "pushing_gas"]
+__all__ = ["NO_RATES", "Rates", "declared_rates", "element_rates", "largest_rate", "pushing_gas"]
 
 ROOM = 2.0  # times the stiffness at rest: cells that are stretched by a fifth in all directions
 PUSH = 0.001  # of the shortest side at a ball: what a gas may move it by in a step of xpbd; a hung balloon is then right to 1 %
@@ -22,6 +23,13 @@ class Rates(NamedTuple):
     elastic: float
     damping: float
     drag: float = 0.0
+
+    def plus(self, other: "Rates") -> "Rates":
+        """Of both together: lambda(A + B) <= lambda(A) + lambda(B)."""
+        return Rates(*(a + b for a, b in zip(self, other)))
+
+
+NO_RATES = Rates(0.0, 0.0)
 
 
 class _Kind(NamedTuple):
@@ -63,6 +71,32 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
     damping = _largest([_Kind(scene.bends, bends, scene.bend_damping)], root, scene.dim) if len(scene.bends) else 0.0
     drag = _drag(scene)
     return Rates(elastic, damping + drag, drag)
+
+
+def declared_rates(scene: Scene, forces: Sequence[Any]) -> Rates:
+    """What user-defined forces declare: the sums of their `stiffness_rate(scene)` [1/s^2] and `damping_rate(scene)` [1/s], 0
+    where a force has no such function. Raises ValueError for what is not a rate."""
+    sums = []
+    for name in ("stiffness_rate", "damping_rate"):
+        sums.append(0.0)
+        for force in forces:
+            rate = float(getattr(force, name)(scene)) if hasattr(force, name) else 0.0
+            if not 0.0 <= rate < np.inf:
+                raise ValueError(
+                    f"forces: {type(force).__name__}.{name} gave {rate:g}; it must be 0 or more, and finite"
+                )
+            sums[-1] += rate
+    return Rates(*sums)
+
+
+def largest_rate(scene: Scene, corners: NDArray, gradient: Floats, strength: Floats) -> float:
+    """lambda_max of M^-1 K [1/s^2] of elements that store strength |sum_k g_k x_k|^2 / 2, or strength (sum_k g_k . x_k)^2 / 2:
+    corners (e, k) balls; gradient (e, k) or (k,), or (e, k, dim) where it has a direction; strength one or (e,)."""
+    corners = np.asarray(corners)
+    g = np.asarray(gradient, dtype=np.float64)
+    g = g if g.ndim == 3 else np.broadcast_to(g, corners.shape)[:, :, None]
+    kind = _Kind(corners, g, np.broadcast_to(np.asarray(strength, dtype=np.float64), len(corners)))
+    return _largest([kind], np.where(scene.pinned, 0.0, 1.0 / np.sqrt(scene.mass)), scene.dim)
 
 
 def _drag(scene: Scene) -> float:

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from taichi_sim.analysis.methods import Method
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["DEEP", "Scales", "cure_of_depth", "of_depth", "of_energy", "of_passes", "takes_nothing"]
@@ -12,7 +13,6 @@ SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of 
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
 MANY = 10.0  # times what is slow
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
-KEEPS = ("verlet", "symplectic_euler", "rk4")  # methods that damp nothing of their own
 
 
 class Scales(NamedTuple):
@@ -28,12 +28,12 @@ class Scales(NamedTuple):
     squeezes: bool
 
 
-def takes_nothing(scene: Scene, method: str) -> bool:
+def takes_nothing(scene: Scene, method: Method) -> bool:
     """Whether neither restitution, friction nor damping of a scene takes energy, nor the method: of two materials the larger
     restitution and the geometric mean of frictions count, so those of the balls decide."""
     made_of = [scene.materials[k] for k in np.unique(scene.material)]
     elastic = all(m.restitution == 1.0 and m.friction == 0.0 and m.viscous_friction == 0.0 for m in made_of)
-    return elastic and method in KEEPS and not scene.damping.any() and not scene.bend_damping.any()
+    return elastic and method.conserves and not scene.damping.any() and not scene.bend_damping.any()
 
 
 def _grade(value: float, good: float, wrong: float) -> str:

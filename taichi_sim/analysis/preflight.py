@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
+from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2
 from taichi_sim.analysis.stability import coarsest_spring, sinking_spring
 from taichi_sim.scene.scene import Scene
 
@@ -32,12 +33,12 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     yield from _of_pins(scene, h)
     if scene.wind is not None and not len(scene.triangles):
         yield "wind: acts on triangles, and this scene has none"
-    sinking = sinking_spring(scene, h) if method == "xpbd" else None
-    if sinking is not None:  # xpbd lets each spring give once in a step what it would alone
+    sinking = sinking_spring(scene, h) if method.single_pass else None
+    if sinking is not None:
         spring, ball, depth = sinking
         yield (
-            f"xpbd: ball {ball}, much heavier than the other end of spring {spring}, sinks by at least {depth:.2g} m for want"
-            " of passes, and at the end of a chain of light balls by tens of times that; take implicit_euler, tr_bdf2"
+            f"{method}: ball {ball}, much heavier than the other end of spring {spring}, sinks by at least {depth:.2g} m for want"
+            f" of passes, and at the end of a chain of light balls by tens of times that; take {IMPLICIT_EULER}, {TR_BDF2}"
             " or much shorter steps"
         )
 

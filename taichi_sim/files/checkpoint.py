@@ -39,7 +39,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     own = simulation.settings
     settings = {name.name: getattr(own, name.name) for name in fields(own)}
     settings.update(
-        integrator=own.integrator.name,
+        integrator=own.integrator.method.name,
         dt="auto" if own.tolerance is not None else simulation.dt,
         substeps="auto" if own.tolerance is not None else simulation.substeps,
         precision=simulation.backend.precision,

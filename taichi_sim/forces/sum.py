@@ -25,6 +25,7 @@ from collections.abc import Sequence
 from inspect import signature
 from typing import Any
 
+from taichi_sim.analysis.element_rates import declared_rates
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
@@ -35,7 +36,7 @@ from taichi_sim.forces.gas import Gases
 from taichi_sim.forces.springs import Springs
 from taichi_sim.forces.wind import Wind
 
-__all__ = ["TotalForce"]
+__all__ = ["TotalForce", "checked_forces"]
 
 
 @ti.data_oriented
@@ -44,20 +45,8 @@ class TotalForce:
     nothing."""
 
     def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
-        if not isinstance(extra, (list, tuple)):
-            raise ValueError(f"forces: {extra!r} is not allowed; it must be a list of forces")
-        for force in extra:
-            function = getattr(force, "accumulate", None)
-            if not callable(function):
-                raise ValueError(f"forces: {force!r} has no function accumulate(model, ball, impulse, h, time)")
-            taken, name = list(signature(function).parameters), type(force).__name__
-            if len(taken) != 5:
-                raise ValueError(
-                    f"forces: {name}.accumulate takes ({', '.join(taken)}); it must take (model, ball, impulse, h, time)"
-                )
-            if not getattr(function, "_is_taichi_function", False):
-                raise ValueError(f"forces: {name}.accumulate is not a Taichi function; write @ti.func above it")
         self.model, self.n = model, model.n
+        self.declared = declared_rates(model.scene, extra)
         elements = [kind(model, fields) for kind in _elements(model)]
         self.springs, self.extra = springs, [*elements, *extra]
         self.external_forces = self.extra  # those that `external` sums
@@ -151,6 +140,24 @@ class TotalForce:
         if ti.static(self.has_springs):
             self.springs.total(ball, self.impulse, h)
         self._extra(ball, h, time)
+
+
+def checked_forces(forces: Sequence[Any]) -> Sequence[Any]:
+    """The forces that a user hands in. Raises ValueError where something is not one."""
+    if not isinstance(forces, (list, tuple)):
+        raise ValueError(f"forces: {forces!r} is not allowed; it must be a list of forces")
+    for force in forces:
+        function = getattr(force, "accumulate", None)
+        if not callable(function):
+            raise ValueError(f"forces: {force!r} has no function accumulate(model, ball, impulse, h, time)")
+        taken, name = list(signature(function).parameters), type(force).__name__
+        if len(taken) != 5:
+            raise ValueError(
+                f"forces: {name}.accumulate takes ({', '.join(taken)}); it must take (model, ball, impulse, h, time)"
+            )
+        if not getattr(function, "_is_taichi_function", False):
+            raise ValueError(f"forces: {name}.accumulate is not a Taichi function; write @ti.func above it")
+    return forces
 
 
 def _elements(model: Model) -> list[Any]:

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.methods import Method
 from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
@@ -29,7 +30,7 @@ class Solver(NamedTuple):
 
 @ti.data_oriented
 class Integrator:
-    """One method. `order`: of convergence of the phase-space error for smooth scenes.
+    """One method. `method`: what it declares of itself, its name, order and stability limit among it.
 
     `relaxes`: its substep ends with a contact pass that takes back what soft contacts add to velocities when they push out
     overlap; without it contacts are rigid. `implicit_damping`: what `damping` gives depends on the step. `each_once`: it goes
@@ -39,8 +40,7 @@ class Integrator:
     `kicks_first`: whether `before_move` does anything.
     """
 
-    name = ""
-    order = 0
+    method = Method("user-defined")
     relaxes = False
     implicit_damping = False
     each_once = False

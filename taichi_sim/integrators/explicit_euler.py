@@ -1,5 +1,6 @@
 """Explicit Euler: x += h v, v += h a, both from old values."""
 
+from taichi_sim.analysis.methods import EXPLICIT_EULER
 from taichi_sim.device.engine import ti
 from taichi_sim.integrators.base import Integrator
 
@@ -10,7 +11,7 @@ __all__ = ["ExplicitEuler"]
 class ExplicitEuler(Integrator):
     """Order 1. Gains energy on every undamped spring whatever the step; here for study."""
 
-    name, order = "explicit_euler", 1
+    method = EXPLICIT_EULER
 
     @ti.func
     def substep(self, h, time):

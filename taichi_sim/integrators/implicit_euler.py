@@ -1,5 +1,6 @@
 """Implicit (backward) Euler: x += h v, v += h a(x, v), both from new values."""
 
+from taichi_sim.analysis.methods import IMPLICIT_EULER
 from taichi_sim.device.engine import ti
 from taichi_sim.integrators.implicit_base import Implicit
 
@@ -10,7 +11,7 @@ __all__ = ["ImplicitEuler"]
 class ImplicitEuler(Implicit):
     """Order 1, bounded at any step; its own damping takes the energy of everything faster than a step."""
 
-    name, order = "implicit_euler", 1
+    method = IMPLICIT_EULER
     relaxes = True
     takes_gas = True
     tolerance = 3e-2

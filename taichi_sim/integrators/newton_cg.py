@@ -39,7 +39,7 @@ class StageSolver(Verdicts):
 
     def __init__(self, model: Model, springs: Springs | None, gases: Any, fields: Fields, method: Any) -> None:
         self.model, self.springs = model, springs
-        self.order, self.tolerance, stages = method.order, method.tolerance, method.stages
+        self.order, self.tolerance, stages = method.method.order, method.tolerance, method.stages
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.first = (fields.vectors(self.n, self.dim) for _ in range(2))

@@ -1,5 +1,6 @@
 """The classical fourth-order Runge-Kutta method."""
 
+from taichi_sim.analysis import methods
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
@@ -12,7 +13,7 @@ __all__ = ["RK4"]
 class RK4(Integrator):
     """Order 4, four force passes per step, spring damping explicit; loses a little energy for omega h < 2.828."""
 
-    name, order = "rk4", 4
+    method = methods.RK4
     relaxes = True
 
     def allocate(self, fields: Fields) -> None:

@@ -1,5 +1,6 @@
 """Symplectic (semi-implicit) Euler: v += h a(x), then x += h v with the new velocity."""
 
+from taichi_sim.analysis.methods import SYMPLECTIC_EULER
 from taichi_sim.device.engine import ti
 from taichi_sim.integrators.base import Integrator
 
@@ -10,7 +11,7 @@ __all__ = ["SymplecticEuler"]
 class SymplecticEuler(Integrator):
     """Order 1, energy bounded for omega h < 2; spring damping explicit. The article's method."""
 
-    name, order = "symplectic_euler", 1
+    method = SYMPLECTIC_EULER
     relaxes = True
 
     @ti.func

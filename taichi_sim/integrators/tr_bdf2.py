@@ -1,8 +1,8 @@
 """TR-BDF2: the trapezoidal rule over a first part of the step, then the second backward difference formula."""
 
-import math
 from typing import Any
 
+from taichi_sim.analysis.methods import GAMMA, TR_BDF2
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
@@ -11,7 +11,6 @@ from taichi_sim.integrators.pin_slopes import PinSlopes
 
 __all__ = ["TRBDF2"]
 
-GAMMA = 2.0 - math.sqrt(2.0)  # with this part both stages have the same matrix but for the shape (Bank et al. 1985)
 MIDDLE = 1.0 / (GAMMA * (2.0 - GAMMA))  # weight of the state in the middle; that of the start is 1 - MIDDLE
 
 
@@ -24,7 +23,7 @@ class TRBDF2(Implicit):
     implicit Euler. Gravity and the user's forces are explicit, of order 2 by the weights of Ascher, Ruuth and Spiteri (1997).
     """
 
-    name, order = "tr_bdf2", 2
+    method = TR_BDF2
     relaxes = True
     tolerance = 1e-3
     stages, opening = 3, 1

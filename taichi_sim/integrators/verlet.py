@@ -4,7 +4,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.stability import predicts_damping
+from taichi_sim.analysis.damping import predicts_damping
+from taichi_sim.analysis.methods import VERLET
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
@@ -20,7 +21,7 @@ __all__ = ["Verlet"]
 class Verlet(Integrator):
     """Order 2. Undamped: K(h/2) A(h) K(h/2), K the kick, A the drift; stable for omega h < 2.
 
-    Weak damping, see `stability.predicts_damping`, acts with all other forces at the velocities v + h a, a from the step before:
+    Weak damping, see `damping.predicts_damping`, acts with all other forces at the velocities v + h a, a from the step before:
     one pass over the springs, order 2. Eliminating v, x(t+h) - 2 x + x(t-h) = h^2 a with the second backward difference of x as
     the velocity in a; on the circle of stability its damping is real at -1 alone, so it is stable just where
     h^2 lambda(K + 4 D / h) < 4 (masses left out).
@@ -33,7 +34,7 @@ class Verlet(Integrator):
     as it is here. So it is stable for omega h < 2 at least, whatever the damping.
     """
 
-    name, order = "verlet", 2
+    method = VERLET
     relaxes = True
 
     def fit(self, scene: Scene) -> None:

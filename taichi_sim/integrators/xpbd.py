@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from taichi_sim.analysis import methods
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.forces.gas import Gases
@@ -25,7 +26,7 @@ class XPBD(Integrator):
     constant: stiff springs act softer than they are, unless steps are small.
     """
 
-    name, order = "xpbd", 1
+    method = methods.XPBD
     relaxes = True
     each_once = in_turn = True
 

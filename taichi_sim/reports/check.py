@@ -6,17 +6,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.accuracy import findings
-from taichi_sim.analysis.damping import lone, stages
 from taichi_sim.analysis.element_rates import element_rates
+from taichi_sim.analysis.methods import (
+    BUILT_IN_METHODS,
+    EXPLICIT_EULER,
+    IMPLICIT_EULER,
+    RK4,
+    SYMPLECTIC_EULER,
+    VERLET,
+    XPBD,
+    Method,
+)
 from taichi_sim.analysis.slow_modes import slow_decays
-from taichi_sim.analysis.stability import ANY_STEP, Stability, predicts_damping, sinking_spring, stability, without
+from taichi_sim.analysis.stability import Stability, sinking_spring, stability, without
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, part_of_bound
 from taichi_sim.simulation.simulation import Simulation
 
 __all__ = ["lines"]
 
-EXPLICIT = ("verlet", "symplectic_euler", "rk4", "explicit_euler")
+EXPLICIT = (VERLET, SYMPLECTIC_EULER, RK4, EXPLICIT_EULER)
+STIFF = tuple(method for method in BUILT_IN_METHODS.values() if method not in EXPLICIT)
 MANY = 20_000  # passes over the springs in a simulated second, from which a stiff method is worth a try
 RARE = 2.0  # times longer step without the limiting spring, from which that one alone is to blame
 
@@ -25,17 +35,13 @@ OFF = 0.05  # of a decay rate, from which it is spoken of
 SOON = 0.01  # of a cycle's motion, likewise, where springs damp less
 
 
-def passes(scene: Scene, integrator: str, h: float) -> int:
-    """How often a step of h seconds of an explicit method goes through the springs."""
-    if integrator == "verlet" and np.any((scene.damping > 0) & ~lone(scene)) and not predicts_damping(scene):
-        return sum(len(half) for half in stages(scene, 0.5 * h))
-    return 4 if integrator == "rk4" else 1
-
-
-def damping(scene: Scene, method: str, h: float, position: NDArray[np.float64]) -> Iterator[str]:
+def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64]) -> Iterator[str]:
     """What steps of h seconds make of the decay of the slowest motions, and the cure where it is wrong."""
-    if method == "xpbd" and (sinking := sinking_spring(scene, h)) is not None:
-        yield f"damping               not known: ball {sinking[1]} is too heavy for its springs at this step of xpbd"
+    if method.single_pass and (sinking := sinking_spring(scene, h)) is not None:
+        yield f"damping               not known: ball {sinking[1]} is too heavy for its springs at this step of {method}"
+        return
+    if method.amplification(scene, 0.0, 0.0, h) is None:
+        yield f"damping               not known: {method} declares no amplification"
         return
     decays = slow_decays(scene, method, h, position)
     if not decays:
@@ -48,20 +54,13 @@ def damping(scene: Scene, method: str, h: float, position: NDArray[np.float64]) 
     yield f"damping               {of}; with this step by {worst.found:.3g}{': good' if good else ''}"
     if good:
         return
-    if method in ("implicit_euler", "xpbd"):
-        allowed = max(OFF * worst.exact, SOON * worst.frequency)
-        short = 2.0 * allowed / (2.0 * np.pi * worst.frequency) ** 2
-        what = f"{method} damps by omega^2 h / 2 of its own; take tr_bdf2, or steps of {short:.2g} s"
-    elif method == "verlet":
-        what = "stages for damping this strong have an end; take tr_bdf2, or less damping"
-    else:
-        what = "take shorter steps, verlet or tr_bdf2"
-    yield f"                      {what}"
+    allowed = max(OFF * worst.exact, SOON * worst.frequency)
+    yield f"                      {method.damping_cure(2.0 * np.pi * worst.frequency, allowed)}"
 
 
 def lines(sim: Simulation) -> Iterator[str]:
     """The report on a simulation, line by line; positions are its present ones."""
-    scene, used = sim.scene, sim.settings.integrator.name
+    scene, used, custom = sim.scene, sim.settings.integrator.method, sim.force_rates
     h = sim.dt / sim.substeps
     limits = sim.stability()
     yield f"method                {used}"
@@ -70,8 +69,9 @@ def lines(sim: Simulation) -> Iterator[str]:
         f"step used             {h:.4g} s{'' if many == 1 else f' ({many} substeps of {sim.dt:.4g} s)'}"
         f"{'' if tolerance is None else f' at first; the tolerance of {tolerance:g} chooses it'}"
     )
-    yield f"safe for any shape    {_seconds(limits.dt_any_shape)}{_share(h, limits.dt_any_shape)}"
-    yield f"safe for this shape   {_seconds(limits.dt_present)}"
+    if used.limit is not None:
+        yield f"safe for any shape    {_seconds(limits.dt_any_shape)}{_share(h, limits.dt_any_shape)}"
+        yield f"safe for this shape   {_seconds(limits.dt_present)}"
     for name, index in (("spring", limits.spring), ("ball", limits.ball)):
         if index is not None:
             yield f"limited by            {name} {index}"
@@ -86,21 +86,22 @@ def lines(sim: Simulation) -> Iterator[str]:
         return
     longer = np.inf
     if limits.spring is not None:
-        longer = without(scene, used, limits.spring)
+        longer = without(scene, used, limits.spring, custom)
         yield f"without that spring   {_seconds(longer)}"
     yield ""
-    elements = any(element_rates(scene))  # explicit in every method
+    elements = any(element_rates(scene).plus(custom))  # explicit in every method
     yield f"{'method':18} {'any shape':>11} {'this shape':>11} {'passes per simulated second':>28}"
-    for name in dict.fromkeys((used, *EXPLICIT, *(ANY_STEP if elements else ()))):
-        found = limits if name == used else stability(scene, name, sim.position)
+    for method in dict.fromkeys((used, *EXPLICIT, *(STIFF if elements else ()))):
+        found = limits if method is used else stability(scene, method, sim.position, custom)
         step = found.dt_any_shape
-        cost = f"{passes(scene, name, step) / step:.3g}" if 0 < step < np.inf and name not in ANY_STEP else "-"
-        yield f"{name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
+        cost = f"{method.passes(scene, step) / step:.3g}" if 0 < step < np.inf and method not in STIFF else "-"
+        yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
+    stiff = ", ".join(map(str, STIFF))
     if elements:
-        yield f"{', '.join(ANY_STEP)}: no spring limits them, but cells and bending do, and gas all but implicit_euler"
+        yield f"{stiff}: no spring limits them, but cells and bending do, and gas all but {IMPLICIT_EULER}"
     else:
-        yield f"{', '.join(ANY_STEP)}: any step is stable, its error is another matter"
-    if sim.has_custom_parts:
+        yield f"{stiff}: any step is stable, its error is another matter"
+    if sim.has_custom_parts and not any(custom):
         yield "user-defined forces act explicitly in all of them; what step they need is not known here"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
@@ -115,17 +116,19 @@ def _share(h: float, safe: float) -> str:
 
 
 def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
-    scene, used, h = sim.scene, sim.settings.integrator.name, sim.dt / sim.substeps
+    scene, used, h = sim.scene, sim.settings.integrator.method, sim.dt / sim.substeps
     safe = limits.dt_any_shape
+    if used.limit is None:
+        return f"{used} declares no stability limit: halve the step until the result stays the same"
     if np.isinf(safe):
         return "no spring limits the step; choose it by the accuracy you need"
     if safe == 0.0:
-        return "take symplectic_euler or verlet: explicit Euler gains energy on an undamped spring whatever the step"
+        return f"take {SYMPLECTIC_EULER} or {VERLET}: {used} gains energy on an undamped spring whatever the step"
     if limits.spring is not None and longer > RARE * safe and scene.n_springs > 1:
         times = f"{longer / safe:.3g} times shorter"
         return f"spring {limits.spring} alone makes the step {times}; is its stiffness, or its ball's mass, meant?"
-    if used != "verlet" and stability(scene, "verlet").dt_any_shape > RARE * safe:
-        return "verlet takes a longer step here: strong damping does not limit it"
+    if stability(scene, VERLET, None, sim.force_rates).dt_any_shape > RARE * safe:
+        return f"{VERLET} takes a longer step here: strong damping does not limit it"
     part = part_of_bound(scene, used)
     good = part * safe
     if h > safe:
@@ -135,6 +138,6 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return f'{why} above {good:.4g} s, and gain energy; take that, or dt = "auto"'
     if h > good * (1.0 + 1e-9):
         return f'dt is close to the bound of {safe:.4g} s; take {good:.4g} s, or dt = "auto"'
-    if passes(scene, used, safe) / safe > MANY and not any(element_rates(scene)):
-        return "if an error of a hundredth of the size will do, xpbd or implicit_euler may need fewer passes"
+    if used.passes(scene, safe) / safe > MANY and not any(element_rates(scene)):
+        return f"if an error of a hundredth of the size will do, {XPBD} or {IMPLICIT_EULER} may need fewer passes"
     return f"{used} at {h:.4g} s is safe in every shape"

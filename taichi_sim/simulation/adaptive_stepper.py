@@ -108,7 +108,7 @@ class AdaptiveStepper(Stepper):
         self.floor = substeps  # stability, and what piles need
         many = WORK * dt / (ALONE + scene.n_balls + scene.n_springs)
         self.ceiling = int(min(self.floor << DOUBLINGS, max(4 * self.floor, many)))
-        order = max(1, settings.integrator.order)
+        order = max(1, settings.integrator.method.order)
         if (
             settings.integrator.implicit_damping
             and np.bincount(scene.pairs[scene.damping > 0].ravel()).max(initial=0) > 1

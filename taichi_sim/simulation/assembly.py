@@ -207,12 +207,12 @@ class Assembly:
             give *= 2.0 / contacts.relaxation
         rule = contacts.name if contacts.active else "off"
         rounds = compensates(scene, backend)
-        return Setup(settings.integrator.name, self.h, backend.precision, rule, rounds, give, contacts.limits_energy)
+        return Setup(settings.integrator.method, self.h, backend.precision, rule, rounds, give, contacts.limits_energy)
 
     def names(self) -> list[str]:
         """What was compiled in."""
         driver = "driver.fused" if self.fused else "driver.parallel"
-        return [driver, f"integrator.{self.integrator.name}", *self.forces.names(), *self.contacts.names()]
+        return [driver, f"integrator.{self.integrator.method}", *self.forces.names(), *self.contacts.names()]
 
     def prime(self, h: float, time: float) -> None:
         """Forces and contacts at the present positions."""

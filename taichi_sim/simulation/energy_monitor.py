@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from taichi_sim.analysis.methods import Method
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["LARGEST_PART", "EnergyMonitor", "Growth", "size", "swing"]
+__all__ = ["LARGEST_PART", "EnergyMonitor", "Growth", "size"]
 
 MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
@@ -54,9 +55,11 @@ class EnergyMonitor:
     part: the substep as a part of the bound for every shape. closed: nothing works on the scene. contacts: there are some.
     """
 
-    def __init__(self, scene: Scene, method: str, part: float, *, closed: bool, contacts: bool, precision: str) -> None:
+    def __init__(
+        self, scene: Scene, method: Method, part: float, *, closed: bool, contacts: bool, precision: str
+    ) -> None:
         self.closed = closed
-        self.limit = max(MOST_GROWTH, SWINGS * swing(method, min(part, LARGEST_PART)))
+        self.limit = max(MOST_GROWTH, SWINGS * method.swing(min(part, LARGEST_PART)))
         eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
         self.digits = DIGITS * eps
         far = float(np.max(np.abs(scene.position), initial=0.0))
@@ -91,13 +94,6 @@ class EnergyMonitor:
             + self.jitter
             + 2.0 * float(np.sqrt(sample.elastic * self.jitter))
         )
-
-
-def swing(method: str, part: float) -> float:
-    """Largest over least kinetic plus elastic energy of one oscillation, at a part of the bound."""
-    if method == "verlet":
-        return 1.0 / (1.0 - part**2)
-    return (1.0 + part) / (1.0 - part) if method == "symplectic_euler" else 1.0
 
 
 def _overlap(scene: Scene) -> float:

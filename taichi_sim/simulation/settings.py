@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.accuracy import layers
+from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import Stability
 from taichi_sim.common import validation
 from taichi_sim.device import backend
@@ -17,7 +18,7 @@ from taichi_sim.scene.scene import Scene, max_restitution
 __all__ = ["Settings", "part_of_bound"]
 
 DEFAULTS: dict[str, Any] = {
-    "integrator": "verlet",
+    "integrator": VERLET.name,
     "dt": "auto",
     "tolerance": None,
     "substeps": "auto",
@@ -45,7 +46,6 @@ SAFETY = 0.9  # of the stability bound
 # The same for a symplectic method where a spring is undamped: small motion is stable up to the bound, but large motion meets
 # resonances of the step itself from omega h = 1.2 on, and gains energy.
 UNDAMPED = 0.4
-SYMPLECTIC = ("verlet", "symplectic_euler")
 SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
 MOST_SUBSTEPS = 8
 MANY = 1000  # balls, fewer of which can afford two passes
@@ -133,9 +133,17 @@ class Settings:
         if self.dt != "auto":
             dt = float(self.dt)
             return dt, self._substeps(scene, dt)
+        method = self.integrator.method
+        if method.limit is None:
+            given = 'dt: "auto"' if self.tolerance is None else "tolerance: it"
+            raise ValueError(
+                f"{given} needs a step that is known to be safe, and the integrator {method} declares no stability limit; give dt"
+                f" in seconds, or declare one in the integrator's class: method = Method({method.name!r},"
+                " limit=StabilityLimit(undamped=..., damped=...))"
+            )
         if safe.dt_any_shape == 0.0:
             raise ValueError(f'dt: "auto" finds no safe step: {safe.reason}; give a number, or take another integrator')
-        longest = part_of_bound(scene, getattr(self.integrator, "name", "")) * safe.dt_any_shape
+        longest = part_of_bound(scene, method) * safe.dt_any_shape
         if self.tolerance is not None:
             dt = float(np.minimum(STRIDE, MOST_PARTS * longest))
             return dt, 2 * max(1, int(np.ceil(dt / longest)), self._substeps(scene, dt))
@@ -156,9 +164,9 @@ class Settings:
         return int(np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS))
 
 
-def part_of_bound(scene: Scene, method: str) -> float:
+def part_of_bound(scene: Scene, method: Method) -> float:
     """Part of the stability bound that is safe in the long run."""
-    return UNDAMPED if method in SYMPLECTIC and not np.all(scene.damping > 0) else SAFETY
+    return UNDAMPED if method.symplectic and not np.all(scene.damping > 0) else SAFETY
 
 
 def _over(settings: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
@@ -201,7 +209,7 @@ def _integrator(value: Any) -> Any:
     if isinstance(value, Integrator):
         return copy(value)  # one object may serve several simulations
     for kind in BUILT_IN:
-        if kind.name == value:
+        if kind.method.name == value:
             return kind()
-    names = ", ".join(kind.name for kind in BUILT_IN)
+    names = ", ".join(kind.method.name for kind in BUILT_IN)
     raise ValueError(f"integrator: {value!r} is not allowed; it must be one of {names}, or an Integrator")

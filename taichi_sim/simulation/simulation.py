@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.analysis.collider_checks import check_colliders
+from taichi_sim.analysis.element_rates import declared_rates
 from taichi_sim.analysis.frame import Contacts, Frame, Placed
 from taichi_sim.analysis.lazy_frame import Moment
 from taichi_sim.analysis.outcome import Scales
@@ -22,6 +23,7 @@ from taichi_sim.analysis.stability import Stability, stability
 from taichi_sim.common import validation
 from taichi_sim.device import backend
 from taichi_sim.device.state import State
+from taichi_sim.forces.sum import checked_forces
 from taichi_sim.geometry.intersections import crossings
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
@@ -68,7 +70,9 @@ class Simulation(Reader):
         self.scene = scene
         self.settings = Settings.resolve(scene, settings)
         scene.has_groups()  # a mistyped name is an error, whatever collides
-        self._stability = stability(scene, self.settings.integrator.name)
+        self.force_rates = declared_rates(scene, checked_forces(forces))
+        self._forces = tuple(forces)
+        self._stability = stability(scene, self.settings.integrator.method, None, self.force_rates)
         self.dt, substeps = self.settings.time_step(scene, self._stability)
         h = self.dt / substeps
         self._warn(h)
@@ -186,7 +190,7 @@ class Simulation(Reader):
 
     def energy(self) -> diagnostics.Energy:
         """Kinetic, spring, gravity and total energy [J], computed in float64."""
-        return diagnostics.energy(self.scene, self.position, self.velocity, self._spin(), self.torn)
+        return diagnostics.energy(self.scene, self.position, self.velocity, self._spin(), self.torn, self._forces)
 
     def momentum(self) -> NDArray[np.float64]:
         """(dim,) kg m/s."""
@@ -274,7 +278,7 @@ class Simulation(Reader):
         """The largest safe step, in every shape and in the present one, and what limits it."""
         if self._still:
             return self._stability
-        return stability(self.scene, self.settings.integrator.name, self.position)
+        return stability(self.scene, self.settings.integrator.method, self.position, self.force_rates)
 
     @property
     def setup(self) -> Setup:

@@ -13,7 +13,7 @@ from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.assembly import Assembly
-from taichi_sim.simulation.energy_monitor import LARGEST_PART, EnergyMonitor, Growth, size, swing
+from taichi_sim.simulation.energy_monitor import LARGEST_PART, EnergyMonitor, Growth, size
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateSample
 
@@ -41,7 +41,7 @@ class Stepper:
         self.steps, self.begin = 0, 0.0
         self.chunk = int(np.clip(WORK // max(1, scene.n_balls + scene.n_springs), CHUNK, LONGEST_CHUNK))
         self.may_shorten = settings.dt == "auto"
-        self.method = settings.integrator.name
+        self.method = settings.integrator.method
         self.primed = False
         self._warned: set[str] = set()
         self._chunks, self._unseen = 0, 0
@@ -175,7 +175,7 @@ class Stepper:
             closed=monitor.closed,
             lossless=monitor.closed and takes_nothing(scene, self.method),
             motion=monitor.most,
-            swing=1.0 - 1.0 / swing(self.method, min(part, LARGEST_PART)),
+            swing=1.0 - 1.0 / self.method.swing(min(part, LARGEST_PART)),
             squeezes=self.squeezes,
         )
 
@@ -334,7 +334,7 @@ class Stepper:
             )
 
     def _present(self) -> tuple[float, int]:
-        return present_limit(self.scene, self.method, self.parts.state.position)
+        return present_limit(self.scene, self.method, self.parts.state.position, self.parts.forces.declared)
 
     def _warn(self, kind: str, text: str, stacklevel: int = 6) -> None:
         if kind not in self._warned:
@@ -363,4 +363,4 @@ def _from_to(growth: Growth) -> str:
 
 
 def _limiting(spring: int) -> str:
-    return f"spring {spring} limits" if spring >= 0 else "cells, bending and gas limit"
+    return f"spring {spring} limits" if spring >= 0 else "cells, bending, gas and user-defined forces limit"

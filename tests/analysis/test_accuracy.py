@@ -8,6 +8,7 @@ from physics_support import F64, simulate
 
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy
+from taichi_sim.analysis.methods import VERLET
 from taichi_sim.analysis.outcome import Scales, of_depth, of_energy, of_passes
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
@@ -77,7 +78,7 @@ def test_bounces_off_a_pinned_ball_are_as_high_as_said():
         alone = ts.Scene(dim=2, gravity=(0.0, -G))
         alone.add_material("m", restitution=es[k])
         alone.add_balls([[0, -R], [0, R + 0.5]], radius=R, pinned=[True, False], material="m")
-        words = next(accuracy.findings(alone, accuracy.Setup("verlet", h, "f64", "gauss_seidel"))).what
+        words = next(accuracy.findings(alone, accuracy.Setup(VERLET, h, "f64", "gauss_seidel"))).what
         assert np.mean(lower[k]) == pytest.approx(figure(words, " of itself"), rel=0.25)
 
 

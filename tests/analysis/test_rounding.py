@@ -6,6 +6,7 @@ from physics_support import F64, simulate
 
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy
+from taichi_sim.analysis.methods import VERLET
 from taichi_sim.reports import check
 
 G, R = 10.0, 0.05
@@ -51,5 +52,5 @@ def test_single_precision_far_from_the_origin_is_warned_of():
     scene.add_wall((0, 1))
     for far, warned in ((1000.0, True), (10.0, False)):
         scene.position[:] = [[far, R]]
-        setup = accuracy.Setup("verlet", 1e-3, "f32", "gauss_seidel")
+        setup = accuracy.Setup(VERLET, 1e-3, "f32", "gauss_seidel")
         assert accuracy.single_precision(scene, setup)[1] == warned

@@ -5,7 +5,9 @@ import pytest
 from physics_support import F64, add_network, simulate, vector
 
 import taichi_sim as ts
-from taichi_sim.analysis.stability import largest_eigenvalue, present_eigenvalue, stability
+from taichi_sim.analysis.methods import named
+from taichi_sim.analysis.spring_bounds import largest_eigenvalue, present_eigenvalue
+from taichi_sim.analysis.stability import stability
 from taichi_sim.reports import check
 
 EXPLICIT = ("symplectic_euler", "verlet", "rk4")
@@ -62,17 +64,17 @@ def test_present_bound_of_a_hanging_cloth(side):
     scene.mass[:] *= 10.0 ** np.random.default_rng(side).uniform(-1, 1, scene.n_balls)
     scene.pinned[sheet.balls[:side]] = True
     exact = 2.0 / np.sqrt(np.linalg.eigvalsh(matrices(scene, scene.position)[0])[-1])
-    found = stability(scene, "verlet", scene.position)
+    found = stability(scene, named("verlet"), scene.position)
     assert 1.0 <= exact / found.dt_present < 1.25
     assert found.dt_any_shape <= found.dt_present
-    assert stability(scene, "verlet").dt_present == found.dt_any_shape
+    assert stability(scene, named("verlet")).dt_present == found.dt_any_shape
 
 
 def test_a_zero_length_spring_has_every_direction():
     scene = ts.Scene(dim=2)
     b = scene.add_balls([[0, 0], [0, 0]], radius=0.1, pinned=[0])
     scene.add_springs([b], stiffness=100.0, rest_length=0.0)
-    assert stability(scene, "verlet", scene.position).dt_present == pytest.approx(0.2)
+    assert stability(scene, named("verlet"), scene.position).dt_present == pytest.approx(0.2)
 
 
 if F64:
@@ -86,9 +88,11 @@ if F64:
         owner = []
         for seed in range(100):
             alone = network(dim, seed, 12, damped)
-            add_network(scene, np.random.default_rng(seed), 12, damped, 1e-3 / stability(alone, method).dt_any_shape)
+            add_network(
+                scene, np.random.default_rng(seed), 12, damped, 1e-3 / stability(alone, named(method)).dt_any_shape
+            )
             owner += [seed] * (scene.n_balls - len(owner))
-        assert stability(scene, method).dt_any_shape == pytest.approx(1e-3, rel=1e-6)
+        assert stability(scene, named(method)).dt_any_shape == pytest.approx(1e-3, rel=1e-6)
         with simulate(scene, integrator=method, contacts="off") as sim:
             assert sim.dt == pytest.approx(4e-4 if not damped and method != "rk4" else 9e-4, rel=1e-6)
             start = energies(scene, sim.position, sim.velocity, owner)
@@ -154,7 +158,7 @@ def test_damping_of_bending_alone_limits_the_step():
     scene.add_balls([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], radius=0.1, mass=1e-3)
     scene.add_bending([[0, 1, 2, 3]], weights=[1, -1, -1, 1], stiffness=0.0, damping=10.0)
     for method in ("verlet", "rk4", "implicit_euler"):
-        assert stability(scene, method).dt_any_shape < 1e-3
+        assert stability(scene, named(method)).dt_any_shape < 1e-3
 
 
 def test_another_step_gives_the_bits_of_a_simulation_made_with_it():

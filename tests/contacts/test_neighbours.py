@@ -199,7 +199,7 @@ def test_own_integrator_that_moves_balls_itself_still_meets_contacts():
 
     @ti.data_oriented
     class Plain(ts.Integrator):
-        name, order = "plain", 1
+        method = ts.Method("plain", order=1)
 
         @ti.func
         def substep(self, h, time):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.analysis.stability import predicts_damping
+from taichi_sim.analysis.damping import predicts_damping
 
 
 def small_scene():
@@ -26,7 +26,7 @@ def test_restored_run_continues_with_the_same_bits(tmp_path):
         sim.step(50)
         with ts.Simulation.restore(tmp_path / "state.npz") as again:
             assert again.time == pytest.approx(0.2)
-            assert again.settings.integrator.name == "symplectic_euler"
+            assert again.settings.integrator.method.name == "symplectic_euler"
             assert again.scene.materials == sim.scene.materials
             assert again.scene.output == {"fps": 30.0}
             kept = np.load(tmp_path / "state.npz")

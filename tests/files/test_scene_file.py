@@ -362,7 +362,7 @@ def test_words_are_those_of_the_simulation():
     }
     assert words["arch"] == set(backend.ARCHES)
     assert words["precision"] == set(backend.PRECISIONS)
-    assert words["integrator"] == {kind.name for kind in BUILT_IN}
+    assert words["integrator"] == {kind.method.name for kind in BUILT_IN}
     assert words["contacts"] == {"auto", *CONTACT_RULES}
     for name, allowed in WORDS.items():
         assert words[name] == set(allowed)

@@ -284,13 +284,14 @@ def test_the_advised_step_counts_elements():
     alone = ts.Scene(dim=2)
     alone.add_balls(scene.position, radius=0.1, mass=scene.mass)
     alone.add_springs([[0, 1], [1, 2]], stiffness=5.0)
+    from taichi_sim.analysis.methods import named
     from taichi_sim.analysis.stability import stability
 
     for method in ("symplectic_euler", "verlet", "rk4"):
-        assert stability(scene, method).dt_any_shape < 0.7 * stability(alone, method).dt_any_shape
-    assert "cells" in stability(scene, "verlet").reason
-    assert np.isfinite(stability(scene, "implicit_euler").dt_any_shape)
-    assert stability(scene, "explicit_euler").dt_any_shape == 0.0
+        assert stability(scene, named(method)).dt_any_shape < 0.7 * stability(alone, named(method)).dt_any_shape
+    assert "cells" in stability(scene, named("verlet")).reason
+    assert np.isfinite(stability(scene, named("implicit_euler")).dt_any_shape)
+    assert stability(scene, named("explicit_euler")).dt_any_shape == 0.0
 
 
 def test_a_balloon_keeps_pressure_times_volume():

@@ -6,6 +6,7 @@ from physics_support import F64, simulate
 from test_elements import elastic_forces
 
 import taichi_sim as ts
+from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators.implicit_euler import ImplicitEuler
 
@@ -56,7 +57,7 @@ def test_a_step_of_implicit_euler_solves_its_equations_with_gas():
     scene.damping[:] = 0.0  # no part of the energy
     rng = np.random.default_rng(3)
     scene.velocity[:] = rng.normal(size=scene.velocity.shape)
-    h = 10.0 * stability(scene, "verlet").dt_any_shape
+    h = 10.0 * stability(scene, named("verlet")).dt_any_shape
     v = scene.velocity.copy()
     with simulate(scene, integrator=ImplicitEuler(1e-9 if F64 else 1e-4), dt=h, substeps=1, contacts="off") as sim:
         sim.step()
@@ -72,5 +73,5 @@ def test_a_step_of_implicit_euler_solves_its_equations_with_gas():
 
 def test_gas_limits_the_methods_that_leave_it_where_it_was():
     scene = balloon(1, 0.12, pressure=500.0, mass=0.004)
-    assert stability(scene, "implicit_euler").dt_any_shape == np.inf
-    assert stability(scene, "tr_bdf2").dt_any_shape < 2e-3
+    assert stability(scene, named("implicit_euler")).dt_any_shape == np.inf
+    assert stability(scene, named("tr_bdf2")).dt_any_shape < 2e-3

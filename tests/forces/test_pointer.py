@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from taichi_sim import Pointer, Scene, SceneError, Simulation, shapes
+from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.forces.pointer import MOST, PART
 from taichi_sim.simulation.assembly import ContactCapacity
@@ -171,7 +172,7 @@ def test_a_cloth_of_any_mass_hangs_from_the_hand(method, mass):
     """It comes to rest below the pointer, at nine tenths of the largest step that is safe without it."""
     pointer = Pointer()
     scene = sheet(mass=mass)
-    dt = min(4e-3, 0.9 * stability(scene, method).dt_any_shape)
+    dt = min(4e-3, 0.9 * stability(scene, named(method)).dt_any_shape)
     with Simulation(scene, integrator=method, dt=dt, contacts="off", forces=[pointer]) as sim:
         target = np.array([0.5, 0.5, 0.5])
         pointer.grab(70, target)

@@ -8,9 +8,10 @@ from physics_support import EPS, F64, simulate, vector
 from reference_damping import legendre_left
 
 import taichi_sim as ts
-from taichi_sim.analysis.damping import decay, lone, softened, stages
+from taichi_sim.analysis.damping import decay, lone, predicts_damping, softened, stages
+from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET
 from taichi_sim.analysis.slow_modes import slow_decays
-from taichi_sim.analysis.stability import predicts_damping, stability
+from taichi_sim.analysis.stability import stability
 from taichi_sim.reports import check
 
 LINKS, GAP, LIGHT, HEAVY = 12, 0.25, 0.07, 75.0  # of a chain: springs, m, kg, times that at its end
@@ -29,7 +30,7 @@ def chain(strength, uneven=False):
         scene.add_springs(
             np.stack([b[:-1], b[1:]], axis=1), stiffness=4e5 * part[0], damping=strength * LIGHT / h * part[1]
         )
-        h = 0.9 * stability(scene, "verlet").dt_any_shape
+        h = 0.9 * stability(scene, VERLET).dt_any_shape
     return scene
 
 
@@ -189,8 +190,8 @@ def test_stages_follow_the_step():
 def test_slow_decays_are_what_a_run_shows():
     """Of a loaded chain: the springs' own with verlet; what implicit Euler adds, as a run has it; where stages end."""
     scene, place = chain(4.0), chain(4.0).position
-    h = 0.9 * stability(scene, "verlet").dt_any_shape
-    right, wrong = (slow_decays(scene, method, h, place)[0] for method in ("verlet", "implicit_euler"))
+    h = 0.9 * stability(scene, VERLET).dt_any_shape
+    right, wrong = (slow_decays(scene, method, h, place)[0] for method in (VERLET, IMPLICIT_EULER))
     assert right.found == pytest.approx(right.exact, rel=0.01)
     assert right.exact == pytest.approx(-np.linalg.eigvals(motion_along_x(scene)).real.max(), rel=1e-6)
     assert wrong.found > 1.02 * wrong.exact
@@ -202,16 +203,16 @@ def test_slow_decays_are_what_a_run_shows():
         first = abs(left @ along_x(sim))
         sim.step(round(0.5 / wrong.exact / h))
         assert np.log(first / abs(left @ along_x(sim))) / sim.time == pytest.approx(wrong.found, rel=0.02)
-    rounded = slow_decays(scene, "verlet", h, (place + 1.0 / 3.0).astype(np.float32).astype(float))[
+    rounded = slow_decays(scene, VERLET, h, (place + 1.0 / 3.0).astype(np.float32).astype(float))[
         0
     ]  # not motion across the chain
     assert rounded.exact == pytest.approx(right.exact, rel=1e-3)
     scene.damping[:] *= 1e5
-    beyond = slow_decays(scene, "verlet", h, place)[0]
+    beyond = slow_decays(scene, VERLET, h, place)[0]
     assert beyond.found > 1.5 * beyond.exact
-    assert "take tr_bdf2" in "".join(check.damping(scene, "verlet", h, place))
-    said = "".join(check.damping(chain(0.2), "implicit_euler", h, place))
-    assert f"with this step by {slow_decays(chain(0.2), 'implicit_euler', h, place)[0].found:.3g}" in said
+    assert "take tr_bdf2" in "".join(check.damping(scene, VERLET, h, place))
+    said = "".join(check.damping(chain(0.2), IMPLICIT_EULER, h, place))
+    assert f"with this step by {slow_decays(chain(0.2), IMPLICIT_EULER, h, place)[0].found:.3g}" in said
     assert "omega^2 h / 2" in said
 
 

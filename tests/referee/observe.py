@@ -87,7 +87,7 @@ def auto_dt(case: Case) -> float:
     """Seconds per step that `dt = "auto"` takes."""
     settings = {k: v for k, v in case.settings.items() if k not in ("dt", "substeps", "tolerance")}
     resolved = Settings.resolve(case.scene, settings)
-    dt, parts = resolved.time_step(case.scene, stability(case.scene, resolved.integrator.name))
+    dt, parts = resolved.time_step(case.scene, stability(case.scene, resolved.integrator.method))
     return dt / parts
 
 

@@ -8,6 +8,8 @@ import pytest
 from speed_support import MadeUp, pair, plan
 
 import taichi_sim as ts
+from taichi_sim.analysis.element_rates import NO_RATES
+from taichi_sim.analysis.methods import VERLET
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.errors import SceneError
 from taichi_sim.reports import check
@@ -61,10 +63,9 @@ def test_check_knows_what_an_undamped_spring_allows():
         (0.35, f"verlet at {0.35 * safe:.4g} s is safe in every shape"),
         (1.5, f"above the bound of {safe:.4g} s may blow up; take {0.4 * safe:.4g} s"),
     ):
-        sim = SimpleNamespace(
-            scene=scene, dt=part * safe, substeps=1, settings=SimpleNamespace(integrator=SimpleNamespace(name="verlet"))
-        )
-        assert words in check._advice(sim, stability(scene, "verlet"), 0.0)
+        settings = SimpleNamespace(integrator=SimpleNamespace(method=VERLET))
+        sim = SimpleNamespace(scene=scene, dt=part * safe, substeps=1, settings=settings, force_rates=NO_RATES)
+        assert words in check._advice(sim, stability(scene, VERLET), 0.0)
 
 
 def test_the_longest_safe_step_is_tried_first_and_an_unstable_one_is_not_the_last(monkeypatch):

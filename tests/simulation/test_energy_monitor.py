@@ -9,6 +9,7 @@ import taichi as ti
 from physics_support import F64, PRECISION, each_dim, simulate, vector
 
 import taichi_sim as ts
+from taichi_sim.analysis.methods import SYMPLECTIC_EULER, VERLET
 from taichi_sim.analysis.stability import present_limit
 from taichi_sim.simulation import stepper
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
@@ -93,7 +94,7 @@ def test_a_shape_that_stiffens_is_warned_of(monkeypatch):
     monkeypatch.setattr(stepper, "LOOKS", 1)
     stretched = scene.position.copy()
     stretched[1:] *= 10.0  # springs that are long are stiff in all directions
-    first, later = (present_limit(scene, "verlet", x)[0] for x in (scene.position, stretched))
+    first, later = (present_limit(scene, VERLET, x)[0] for x in (scene.position, stretched))
     between = 0.5 * (first + later)
     assert later < between < first
     with simulate(scene, dt=between, contacts="off") as sim:
@@ -165,7 +166,7 @@ def look(kinetic, elastic=0.0, gravity=0.0):
 
 def test_the_rule():
     scene = stiffening()
-    watch = EnergyMonitor(scene, "verlet", 0.5, closed=True, contacts=False, precision="f64")
+    watch = EnergyMonitor(scene, VERLET, 0.5, closed=True, contacts=False, precision="f64")
     assert watch.limit == 8.0
     watch.begin(look(0.0, 0.0, 10.0))
     assert watch.judge(look(9.0, 1.0, 0.0)) is None  # fell, and none is lost
@@ -173,13 +174,13 @@ def test_the_rule():
     assert watch.judge(look(7.9)) is None  # a method's own swing
     assert watch.judge(look(8.1)) == (1.0, 8.1, True)
     assert EnergyMonitor(
-        scene, "symplectic_euler", 0.9, closed=True, contacts=False, precision="f64"
+        scene, SYMPLECTIC_EULER, 0.9, closed=True, contacts=False, precision="f64"
     ).limit == pytest.approx(28.5)
-    driven = EnergyMonitor(scene, "verlet", 0.5, closed=False, contacts=False, precision="f64")
+    driven = EnergyMonitor(scene, VERLET, 0.5, closed=False, contacts=False, precision="f64")
     driven.begin(look(1.0))
     assert driven.judge(look(99.0)) is None
     assert driven.judge(look(9901.0)) == (99.0, 9901.0, False)
-    crowd = EnergyMonitor(net(), "verlet", 0.5, closed=True, contacts=True, precision="f64")
+    crowd = EnergyMonitor(net(), VERLET, 0.5, closed=True, contacts=True, precision="f64")
     crowd.begin(look(0.0))
     assert crowd.judge(look(0.9 * crowd.slack)) is None
 

@@ -335,7 +335,7 @@ class Tide:
 class Drift(ts.Integrator):
     """The example of integrators/__init__.py."""
 
-    name, order = "drift", 1
+    method = ts.Method("drift", order=1)
 
     @ti.func
     def substep(self, h, time):

@@ -7,6 +7,7 @@ import pytest
 from physics_support import F64, add_network, simulate
 
 import taichi_sim as ts
+from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators import ImplicitEuler
 
@@ -100,7 +101,7 @@ def test_limits_of_verlet_with_weak_damping():
         scene = ts.Scene(dim=2)
         pair = scene.add_balls([[0, 0], [1, 0]], radius=0.01, pinned=[True, False])
         scene.add_springs([pair], stiffness=1.0, damping=2.0 * zeta, rest_length=0.0)
-        assert stability(scene, "verlet").dt_any_shape == pytest.approx(limit, rel=1e-6)
+        assert stability(scene, named("verlet")).dt_any_shape == pytest.approx(limit, rel=1e-6)
 
 
 # Hanging cloths -------------------------------------------------------------------------------------------------------
@@ -145,7 +146,7 @@ def blow_up(method, side, damped, ratios):
     moved by 1e-6 m off rest, what comes a thousand times further grows."""
     rest = hung(side)
     alone = sheet(ts.Scene(dim=3, gravity=(0, -10, 0)), side, damped)
-    advised = stability(alone, method, rest).dt_present
+    advised = stability(alone, named(method), rest).dt_present
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scales = 1e-3 / (ratios * advised)
     for scale in scales:
@@ -211,7 +212,7 @@ def networks(dim, method, damped):
     scene = ts.Scene(dim=dim)
     for seed in range(100):
         alone = add_resting_network(ts.Scene(dim=dim), seed, damped, 1.0)
-        add_resting_network(scene, seed, damped, 1e-3 / stability(alone, method, alone.position).dt_present)
+        add_resting_network(scene, seed, damped, 1e-3 / stability(alone, named(method), alone.position).dt_present)
     return scene
 
 

@@ -11,10 +11,10 @@ import reference as ref
 from physics_support import F64, each_dim, simulate, vector
 
 import taichi_sim as ts
-from taichi_sim.analysis.stability import predicts_damping
+from taichi_sim.analysis.damping import predicts_damping
 from taichi_sim.integrators import BUILT_IN
 
-ORDERS = {kind.name: kind.order for kind in BUILT_IN}
+ORDERS = {kind.method.name: kind.method.order for kind in BUILT_IN}
 HALVINGS = 4
 T = 0.32  # s
 FIRST = {

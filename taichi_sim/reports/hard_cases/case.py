@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.simulation import Simulation
@@ -95,7 +96,7 @@ def heeding(scene: Scene, integrator: str, **settings: Any) -> Simulation:
             warnings.filterwarnings("ignore", message="precision: ", category=UserWarning)
             return Simulation(scene, integrator=integrator, arch="cpu", **settings)
     except (UserWarning, ValueError) as words:
-        raise RefusedError(str(words), stability(scene, integrator).dt_any_shape) from words
+        raise RefusedError(str(words), stability(scene, named(integrator)).dt_any_shape) from words
 
 
 def _start() -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.reports.speed_error.compared import Compared, worst
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
@@ -36,7 +37,7 @@ def row_of(
 ) -> Row:
     """What an outcome says beside the reference. A run that ended early has no error, and for its cost what its first
     step promised."""
-    safe = stability(scene, method).dt_any_shape
+    safe = stability(scene, named(method)).dt_any_shape
     verdict, reason = _verdict(reference, outcome)
     known = verdict != LEFT_OUT and len(outcome.position) == PARTS
     errors = Compared.of(scene, plan).errors(outcome, reference)[: reference.parts] if known else []

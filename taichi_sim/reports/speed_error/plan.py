@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taichi_sim import __version__
-from taichi_sim.analysis.stability import ANY_STEP, stability
+from taichi_sim.analysis.methods import VERLET, named
+from taichi_sim.analysis.stability import stability
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings
 
@@ -84,21 +85,26 @@ def steps_of(scene: Scene, method: str, plan: Plan) -> list[Step]:
     if plan.steps is not None:
         return sorted({fitting(plan.duration, seconds) for seconds in plan.steps}, key=lambda step: step.number)
     steps = [fitting(plan.duration, min(FRAME, 2.0 * limit(scene, method)))]
-    for _ in range(HALVINGS + (method in ANY_STEP)):
+    for _ in range(HALVINGS + (not _limited_by_springs(method))):
         steps.append(halved(plan.duration, steps[-1]))
     return steps
 
 
+def _limited_by_springs(method: str) -> bool:
+    declared = named(method).limit
+    return declared is not None and declared.by_springs
+
+
 def limit(scene: Scene, method: str) -> float:
     """The safe step [s]; of Verlet where explicit Euler has none."""
-    return stability(scene, method).dt_any_shape or stability(scene, "verlet").dt_any_shape
+    return stability(scene, named(method)).dt_any_shape or stability(scene, VERLET).dt_any_shape
 
 
 def own_step(scene: Scene, method: str | None = None) -> tuple[str, float]:
     """A method, by default the scene's own, and the substep [s] that the scene would be run with, or less where that is safe."""
     settings = Settings.resolve(scene, {"precision": None, "arch": None, "threads": None})
-    own = settings.integrator.name
-    dt, substeps = settings.time_step(scene, stability(scene, own))
+    own = settings.integrator.method.name
+    dt, substeps = settings.time_step(scene, stability(scene, settings.integrator.method))
     return method or own, min(dt / substeps, 0.9 * limit(scene, method or own))
 
 

@@ -14,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.methods import RK4
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error.compared import Compared, rms
 from taichi_sim.reports.speed_error.plan import (
@@ -33,6 +34,8 @@ from taichi_sim.reports.speed_error.worker import Outcome, Trial
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["APART", "PARTED", "Reference", "load", "make", "save"]
+
+REFERENCE = RK4.name
 
 Floats = NDArray[np.float64]
 APART, PARTED = 1e-8, 1e-3  # of the size, at the start and at the horizon; of a quantity's motion there
@@ -112,14 +115,14 @@ def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], enough: floa
     """Run what the reference needs in double precision. enough: part of the motion to which it must be known; then the scene's
     own method is tried first, which is compiled anyway."""
     own, step = own_step(scene)
-    if enough is not None and own != "rk4":
+    if enough is not None and own != REFERENCE:
         quick = _by(scene, plan, run, own, step / 4.0, enough, QUICK * WORK)
         if len(quick.position) and quick.known <= enough * quick.motion:
             return quick
-    reference = _by(scene, plan, run, "rk4", min(FRAME, limit(scene, "rk4")) / 4.0, enough or FINE)
-    if enough is not None and own != "rk4":
+    reference = _by(scene, plan, run, REFERENCE, min(FRAME, limit(scene, REFERENCE)) / 4.0, enough or FINE)
+    if enough is not None and own != REFERENCE:
         return quick if len(quick.position) and not reference.known < quick.known else reference
-    if own != "rk4" and (
+    if own != REFERENCE and (
         not len(reference.position) or (reference.touch and reference.known > GOOD * reference.motion)
     ):
         other = _by(scene, plan, run, own, step / 4.0, FINE)

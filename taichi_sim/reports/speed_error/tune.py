@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.common.errors import SceneError
-from taichi_sim.reports.check import passes
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.findings import equal
@@ -32,7 +32,6 @@ __all__ = ["find", "main", "settings_of", "write_settings"]
 MORE_HALVINGS = 6  # than a report makes
 PATIENCE = 30.0  # s, after which no further method is compiled, unless they were named
 WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
-SOLVED = {"xpbd": 1, "implicit_euler": 5, "tr_bdf2": 10}  # passes of a step at least, of methods that iterate
 LIKELY = 1.5  # times the passes of the best that may still be as fast: they are not all alike
 BY_PRECISION = 2.5  # times the time of the best, which another precision might make up for
 SPARE = 1.2  # times the time of the best so far that a run may take, for noise
@@ -176,8 +175,7 @@ def _least_passes(scene: Scene, method: str, plan: Plan) -> float:
     step = next(iter(_steps(scene, method, plan)), None)
     if step is None:
         return np.inf
-    each = SOLVED.get(method) or passes(scene, method, step.seconds)
-    return each / step.seconds
+    return named(method).passes(scene, step.seconds) / step.seconds
 
 
 def _may_win(scene: Scene, plan: Plan, method: str, best: Row) -> bool:
@@ -189,7 +187,7 @@ def _may_win(scene: Scene, plan: Plan, method: str, best: Row) -> bool:
 
 def _steps(scene: Scene, method: str, plan: Plan) -> Iterator[Step]:
     """The longest step that is safe in the long run, the steps of a report below it, and more halvings."""
-    most = part_of_bound(scene, method) * stability(scene, method).dt_any_shape
+    most = part_of_bound(scene, named(method)) * stability(scene, named(method)).dt_any_shape
     steps = steps_of(scene, method, plan)
     if plan.steps is None:
         for _ in range(MORE_HALVINGS):
@@ -205,7 +203,7 @@ def settings_of(scene: Scene, row: Row) -> dict[str, Any]:
     dt = float(f"{math.floor(row.step / unit * (1 + 1e-12)) * unit:.3g}")
     settings: dict[str, Any] = {"integrator": row.method, "dt": dt, "precision": row.precision}
     resolved = Settings.resolve(scene, {"integrator": row.method, "dt": dt})
-    if resolved.time_step(scene, stability(scene, row.method))[1] != 1:
+    if resolved.time_step(scene, stability(scene, resolved.integrator.method))[1] != 1:
         settings["substeps"] = 1
     return settings
 

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
@@ -281,9 +282,8 @@ class Track:
         return None if solved is None else float(solved.passes)
 
     def _counted(self, trial: Trial) -> float:
-        from taichi_sim.reports.check import passes
-
-        return float(passes(self.scene, trial.method, trial.step.seconds) * trial.step.number * PARTS)
+        passes = named(trial.method).passes(self.scene, trial.step.seconds)
+        return float(passes * trial.step.number * PARTS)
 
 
 def _interval(values: Any) -> float:
