@@ -90,7 +90,17 @@ def _cells(row: Row) -> list[str]:
 
 def _head(findings: Findings) -> list[str]:
     errors = [in_unit(word, findings.compared.unit) for word in ("rms error", "max error")]
-    before = ["method", "precision", "verdict", "h [s]", "h / safe", "passes/s", "wall s per s", "noise", "ns per ball-step"]
+    before = [
+        "method",
+        "precision",
+        "verdict",
+        "h [s]",
+        "h / safe",
+        "passes/s",
+        "wall s per s",
+        "noise",
+        "ns per ball-step",
+    ]
     return [*before, *errors, "relative", "order", "drift"]
 
 
