@@ -82,27 +82,17 @@ def body_distance(s, q):
 
 
 @ti.func
-def backdrop(
-    p,
-    wall: ti.template(),
-    walls,
-    body: ti.template(),
-    tint: ti.template(),
-    bodies,
-    look,
-    height,
-    transparent: ti.template(),
-):
+def backdrop(p, scene: ti.template(), walls, bodies, look, height):
     """The background gradient, the half planes and the colliders, hatched near their edge; the hatching turns with them. Their
     colour, and how much of the pixel walls and colliders cover."""
     top, bottom = row(look, 0), row(look, 1)
     result = top + (bottom - top) * unit(p[1] / height)
     d = ti.f32(1e9)  # px to the nearest wall, positive in the open; negative: depth inside the union
     for k in range(walls):
-        d = ti.min(d, wall[k][0] * p[0] + wall[k][1] * p[1] + wall[k][2])
+        d = ti.min(d, scene.wall[k][0] * p[0] + scene.wall[k][1] * p[1] + scene.wall[k][2])
     across, nearest = p[0] + p[1], -1
     for k in range(bodies):
-        s = body[k]
+        s = scene.body[k]
         r = p - vec2(s[0], s[1])
         q = vec2(r[0] * s[2] + r[1] * s[3], r[1] * s[2] - r[0] * s[3])
         e = body_distance(s, q)
@@ -111,14 +101,14 @@ def backdrop(
     solid = unit(ti.f32(0.5) - d)
     if solid > 0:
         plain, hatch, edge = row(look, 2), row(look, 3), row(look, 4)
-        if nearest >= 0 and tint[nearest][0] >= 0:
-            plain = tint[nearest]
+        if nearest >= 0 and scene.tint[nearest][0] >= 0:
+            plain = scene.tint[nearest]
             hatch, edge = plain * ti.f32(0.65), plain * ti.f32(0.2)
         stripe = across / ti.f32(11.0)
         line = unit(ti.f32(1.2) - ti.abs(stripe - ti.floor(stripe) - ti.f32(0.5)) * ti.f32(7.8))
         fill = plain + (hatch - plain) * (line * ti.exp(d / 60))
         border = unit(d + ti.f32(2.5))
-        if ti.static(transparent):
+        if ti.static(scene.transparent):
             rim = solid * border
             cover = rim + solid * (1 - rim)
             result = (edge * rim + fill * (solid * (1 - rim))) / cover
@@ -131,15 +121,7 @@ def backdrop(
 
 @ti.kernel
 def paint(
-    shape: ti.template(),
-    kind: ti.template(),
-    colour: ti.template(),
-    wall: ti.template(),
-    body: ti.template(),
-    tint: ti.template(),
-    image: ti.template(),
-    alpha: ti.template(),
-    transparent: ti.template(),
+    scene: ti.template(),
     entry: ti.types.ndarray(ti.i32, 1),
     start: ti.types.ndarray(ti.i32, 1),
     look: Look,
@@ -149,8 +131,9 @@ def paint(
     width: ti.i32,
     height: ti.i32,
 ):
-    """entry: shapes of all tiles, one tile after the other, each in drawing order; start: where a tile's begin."""
-    for pixel in image:
+    """scene: fields of shapes, walls and bodies and of the picture, see `Canvas` of the 2D renderer. entry: shapes of all tiles,
+    one tile after the other, each in drawing order; start: where a tile's begin."""
+    for pixel in scene.image:
         x, y = pixel % width, pixel // width
         p = vec2(ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5))
         cell = (y // tile) * ((width + tile - 1) // tile) + x // tile
@@ -158,31 +141,31 @@ def paint(
         e = start[cell + 1] - 1
         while e >= start[cell] and through > ti.f32(0.003):
             i = entry[e]
-            s, c, cover = shape[i], vec3(0, 0, 0), ti.f32(0.0)
-            if kind[i] == DISC:
+            s, c, cover = scene.shape[i], vec3(0, 0, 0), ti.f32(0.0)
+            if scene.kind[i] == DISC:
                 dx, dy, reach = p[0] - s[0], p[1] - s[1], s[2] + ti.f32(0.5)
                 if dx * dx + dy * dy < reach * reach:
-                    cover, c = disc(p, s, colour[i])
-            elif kind[i] == ROD:
+                    cover, c = disc(p, s, scene.colour[i])
+            elif scene.kind[i] == ROD:
                 distance = segment_distance(p, vec2(s[0], s[1]), vec2(s[2], s[3]), s[5])
                 cover = unit(s[4] - distance + ti.f32(0.5))
-                c = colour[i]
+                c = scene.colour[i]
                 if s[4] > 3:
                     c *= 1 - ti.f32(0.5) * unit(distance - s[4] + ti.f32(2.0))
             else:
                 cover = triangle_coverage(p, s)
-                c = colour[i]
+                c = scene.colour[i]
             total += c * (cover * through)
             through *= 1 - cover
             e -= 1
         if through > ti.f32(0.003):
-            far, solid = backdrop(p, wall, walls, body, tint, bodies, look, ti.cast(height, ti.f32), transparent)
-            if ti.static(transparent):
+            far, solid = backdrop(p, scene, walls, bodies, look, ti.cast(height, ti.f32))
+            if ti.static(scene.transparent):
                 total += far * (solid * through)
                 through *= 1 - solid
             else:
                 total += far * through
-        if ti.static(transparent):
-            alpha[pixel] = 1 - through if through > ti.f32(0.003) else ti.f32(1.0)
+        if ti.static(scene.transparent):
+            scene.alpha[pixel] = 1 - through if through > ti.f32(0.003) else ti.f32(1.0)
             total /= ti.max(1 - through, ti.f32(1e-6))
-        image[pixel] = total
+        scene.image[pixel] = total

@@ -1,10 +1,18 @@
-"""What an output is. A new one is a class with these members, in any file: pass the object to `export`.
+"""What an output is. One of your own is a class with these members, in any file; pass the object to `export`:
 
-class Heights(Output):
-    needs_image = False
+    from taichi_sim.outputs import Output, export
 
-    def write(self, index, frame, image):
-        print(frame.time, frame.position[:, 1].max())
+    class Heights(Output):
+        needs_image = False
+
+        def write(self, index, frame, image):
+            with open("heights.csv", "a") as file:
+                print(frame.time, *frame.position[:, 1], sep=",", file=file)
+
+    export(simulation, Heights(), fps=60, duration=2)
+
+Without `needs_image = False` pictures are drawn, and `image` is that of the frame. An output needs no simulation: frames from
+anywhere may be given to it, `with Heights() as output: output.write(0, frame, None)`.
 """
 
 from types import TracebackType
@@ -17,9 +25,8 @@ from taichi_sim.common.errors import UnstableError
 
 __all__ = ["Image", "Output"]
 
-Image = NDArray[
-    np.uint8
-]  # (height, width, 3) sRGB, row 0 at the top; with alpha (height, width, 4), colours not multiplied by it
+# (height, width, 3) sRGB, row 0 at the top; with alpha (height, width, 4), colours not multiplied by it
+Image = NDArray[np.uint8]
 
 
 class Output:
@@ -33,7 +40,7 @@ class Output:
     needs_image = True  # False: write is called with image None
     apart = False  # True: write may be called in a thread of its own, while the simulation goes on and `wants` is asked
     alpha = False  # whether it takes pictures with alpha
-    resumable = False  # whether a run that was cut off can be gone on with
+    resumable = False  # whether a run that was cut off can be resumed
     pattern = ""  # of the names that it writes, where they are not the one it was given
     frames = 0  # how many it holds so far; `export` counts
 

@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from taichi_sim.analysis.frame import Frame
 
@@ -18,6 +20,8 @@ __all__ = [
     "ground_planes",
     "near_boxes",
     "robust_bounds",
+    "triple",
+    "turned",
     "view_matrix",
 ]
 
@@ -61,7 +65,7 @@ class Camera:
         points, radius = _content(frame)
         a, e = math.radians(azimuth), math.radians(elevation)
         back = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
-        axes = cls(_triple(back), (0.0, 0.0, 0.0)).axes()
+        axes = cls(triple(back), (0.0, 0.0, 0.0)).axes()
         tall = math.tan(math.radians(fov) / 2) / MARGIN
         slopes = np.array([tall * aspect, tall])
         target = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -74,7 +78,7 @@ class Camera:
             low = ((local[:, :2] - radius[:, None]) / depth).min(axis=0)
             high = ((local[:, :2] + radius[:, None]) / depth).max(axis=0)
             target = target + ((low + high) / 2 * distance * 0.7) @ axes[:2]
-        return cls(_triple(target + back * distance), _triple(target), fov=fov)
+        return cls(triple(target + back * distance), triple(target), fov=fov)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +153,15 @@ def view_matrix(
     return matrix
 
 
-def _triple(vector: Floats) -> tuple[float, float, float]:
+def turned(vector: Floats, axis: Floats, angle: float) -> Floats:
+    """A vector (3,) turned by an angle [rad] about an axis, counter-clockwise seen from its tip."""
+    rotation = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
+    result: Floats = rotation.apply(vector)
+    return result
+
+
+def triple(vector: Any) -> tuple[float, float, float]:
+    """The numbers of a vector (3,)."""
     return float(vector[0]), float(vector[1]), float(vector[2])
 
 

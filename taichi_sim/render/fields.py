@@ -11,7 +11,7 @@ from taichi_sim.kernels.render import raster, shade, shading_pass, vertex_bindin
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
-__all__ = ["Buffers", "Canvas", "finished", "padded"]
+__all__ = ["Buffers", "Canvas", "finished", "padded", "place"]
 
 SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 
@@ -29,21 +29,21 @@ class Buffers:
         self.has_spheres = bool(np.any(content.radius > 0))
         self.has_rods, self.has_triangles, self.has_skins = m > 0, t > 0, len(content.binding) > 0
         builder = ti.FieldsBuilder()
-        self.ball = _place(builder, ti.Vector.field(4, ti.f32), n)
-        self.colour = _place(builder, ti.Vector.field(3, ti.f32), n)
+        self.ball = place(builder, ti.Vector.field(4, ti.f32), n)
+        self.colour = place(builder, ti.Vector.field(3, ti.f32), n)
         if self.has_rods:
-            self.rod = _place(builder, ti.Vector.field(2, ti.i32), m)
-            self.rod_radius = _place(builder, ti.field(ti.f32), m)
-            self.rod_strain = _place(builder, ti.field(ti.f32), m)
+            self.rod = place(builder, ti.Vector.field(2, ti.i32), m)
+            self.rod_radius = place(builder, ti.field(ti.f32), m)
+            self.rod_strain = place(builder, ti.field(ti.f32), m)
         if self.has_triangles:
-            self.corner = _place(builder, ti.Vector.field(3, ti.i32), t)
-            self.incident = _place(builder, ti.field(ti.i32), 3 * t)
-            self.start = _place(builder, ti.field(ti.i32), n + 1)
-            self.normal = _place(builder, ti.Vector.field(3, ti.f32), n)
+            self.corner = place(builder, ti.Vector.field(3, ti.i32), t)
+            self.incident = place(builder, ti.field(ti.i32), 3 * t)
+            self.start = place(builder, ti.field(ti.i32), n + 1)
+            self.normal = place(builder, ti.Vector.field(3, ti.f32), n)
         if self.has_skins:
-            self.bound_start = _place(builder, ti.field(ti.i32), len(content.binding) + 1)
-            self.bound_entry = _place(builder, ti.field(ti.i32), len(content.binding.entry))
-            self.bound_weight = _place(builder, ti.field(ti.f32), len(content.binding.entry))
+            self.bound_start = place(builder, ti.field(ti.i32), len(content.binding) + 1)
+            self.bound_entry = place(builder, ti.field(ti.i32), content.binding.weights.nnz)
+            self.bound_weight = place(builder, ti.field(ti.f32), content.binding.weights.nnz)
         self._tree = builder.finalize()
         self.ball.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
         self._upload = np.zeros((max(n, 1), 4), dtype=np.float32)
@@ -87,9 +87,9 @@ class Buffers:
             self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * self.capacity[2]))
             self.start.from_numpy(start)
         if self.has_skins:
-            self.bound_start.from_numpy(content.binding.start)
-            self.bound_entry.from_numpy(content.binding.entry)
-            self.bound_weight.from_numpy(content.binding.weight.astype(np.float32))
+            self.bound_start.from_numpy(content.binding.weights.indptr.astype(np.int32))
+            self.bound_entry.from_numpy(content.binding.weights.indices.astype(np.int32))
+            self.bound_weight.from_numpy(content.binding.weights.data.astype(np.float32))
 
     def move(self, frame: Frame, origin: NDArray, unit: float, strain: NDArray | None, eye: NDArray) -> None:
         """Take over positions (m) and strains; eye (m)."""
@@ -148,7 +148,7 @@ def _sizes(content: Content) -> tuple[int, ...]:
     bodies, binding = content.bodies, content.binding
     more = (0, 0) if bodies is None else (len(bodies.vertices), len(bodies.triangles))
     n = len(content.radius)
-    return n + len(binding) + more[0], len(content.rods), len(content.triangles) + more[1], n, len(binding.entry)
+    return n + len(binding) + more[0], len(content.rods), len(content.triangles) + more[1], n, binding.weights.nnz
 
 
 class _Scene:
@@ -172,15 +172,15 @@ class Canvas:
         pixels = size[0] * size[1]
         self.samples, self.shadow_side = samples, SHADOW_SIDE[samples]
         builder = ti.FieldsBuilder()
-        self.keys = _place(builder, ti.field(ti.i64), pixels * samples)
-        self.image = _place(builder, ti.Vector.field(3, ti.f32), pixels)
-        self.shadow: Any = _place(builder, ti.field(ti.i64), self.shadow_side**2) if shadow else None
+        self.keys = place(builder, ti.field(ti.i64), pixels * samples)
+        self.image = place(builder, ti.Vector.field(3, ti.f32), pixels)
+        self.shadow: Any = place(builder, ti.field(ti.i64), self.shadow_side**2) if shadow else None
         cells = (self.shadow_side // shade.CELL) ** 2
-        self.cell: Any = _place(builder, ti.field(ti.f32), cells) if shadow else None
-        self.coarse: Any = _place(builder, ti.field(ti.f32), cells) if shadow else None
-        self.openness: Any = _place(builder, ti.field(ti.f32), pixels) if occlusion else None
-        self.open_raw: Any = _place(builder, ti.field(ti.f32), pixels) if occlusion else None
-        self.alpha: Any = _place(builder, ti.field(ti.f32), pixels) if transparent else None
+        self.cell: Any = place(builder, ti.field(ti.f32), cells) if shadow else None
+        self.coarse: Any = place(builder, ti.field(ti.f32), cells) if shadow else None
+        self.openness: Any = place(builder, ti.field(ti.f32), pixels) if occlusion else None
+        self.open_raw: Any = place(builder, ti.field(ti.f32), pixels) if occlusion else None
+        self.alpha: Any = place(builder, ti.field(ti.f32), pixels) if transparent else None
         self._tree = builder.finalize()
         self.image.fill(0.0)  # see Buffers
         self._out = np.zeros(pixels, dtype=np.int32)
@@ -215,6 +215,7 @@ def padded(values: NDArray, rows: int) -> NDArray:
     return np.concatenate([values, np.zeros((rows - len(values), *values.shape[1:]), dtype=values.dtype)])
 
 
-def _place(builder: Any, field: Any, count: int) -> Any:
+def place(builder: Any, field: Any, count: int) -> Any:
+    """The field with room for `count`, at least one."""
     builder.dense(ti.i, max(count, 1)).place(field)
     return field

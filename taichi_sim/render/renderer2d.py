@@ -1,6 +1,7 @@
 """Pictures of 2D frames: discs, rods, triangles and walls with analytic edges."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from taichi_sim.kernels.render import paint2d
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
-from taichi_sim.render.fields import finished, padded
+from taichi_sim.render.fields import finished, padded, place
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 from taichi_sim.render.tracker import Follower
@@ -56,8 +57,8 @@ class Renderer2D:
             else (bottom * share for share in (0.72, 0.47, 0.13))
         )
         self._look = paint2d.Look(np.stack([self._top, bottom, wall, hatch, edge]).tolist())
-        self._content: Content | None = None
-        self._tree: Any = None
+        self._content: Any = None
+        self._canvas: Any = None
         self._capacity = (-1, -1, -1)
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
@@ -70,34 +71,18 @@ class Renderer2D:
         shape, low, high = self._shapes(frame)
         tile = 8 if len(shape) > CROWD else 16
         entry, start = tile_lists(low, high, self.size, tile)
+        canvas = self._canvas
         if len(shape):
-            self._shape.from_numpy(padded(shape, self._capacity[0]))
-            self._colour.from_numpy(padded(self._colours(frame), self._capacity[0]))
+            canvas.shape.from_numpy(padded(shape, self._capacity[0]))
+            canvas.colour.from_numpy(padded(self._colours(frame), self._capacity[0]))
         walls = self._walls(frame)[: 0 if self._transparent else None]
         if len(walls):
-            self._wall.from_numpy(walls)
+            canvas.wall.from_numpy(walls)
         if frame.colliders:
-            self._body.from_numpy(self._bodies(frame))
-        paint2d.paint(
-            self._shape,
-            self._kind,
-            self._colour,
-            self._wall,
-            self._body,
-            self._tint,
-            self._image,
-            self._alpha,
-            self._transparent,
-            entry,
-            start,
-            self._look,
-            len(walls),
-            len(frame.colliders),
-            tile,
-            width,
-            height,
-        )
-        return finished(self._image, self._alpha if self._transparent else None, False, width, height, self._out)
+            canvas.body.from_numpy(self._bodies(frame))
+        numbers = (len(walls), len(frame.colliders), tile, width, height)
+        paint2d.paint(canvas, entry, start, self._look, *numbers)
+        return finished(canvas.image, canvas.alpha if self._transparent else None, False, width, height, self._out)
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
@@ -125,10 +110,9 @@ class Renderer2D:
 
     def close(self) -> None:
         """Free the fields."""
-        if self._tree is not None:
-            self._tree.destroy()
-            self._tree = None
-        self._content = None
+        if self._canvas is not None:
+            self._canvas.close()
+        self._content, self._canvas = None, None
 
     def _prepare(self, frame: Frame) -> None:
         fixed = (len(frame.walls) if frame.walls.size else 0, len(frame.colliders))
@@ -141,41 +125,22 @@ class Renderer2D:
         self._outline = _outline(content.triangles)
         counts = (len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
         if self._capacity[0] < sum(counts) or self._capacity[1:] != fixed:  # springs that tear leave room
-            self._allocate(sum(counts), *fixed)
+            if self._canvas is not None:
+                self._canvas.close()
+            self._capacity = (sum(counts), *fixed)
+            self._canvas = Canvas(*self._capacity, self.size[0] * self.size[1], self._transparent)
         kind = np.repeat([paint2d.TRIANGLE, paint2d.ROD, paint2d.ROD, paint2d.DISC], counts).astype(np.int32)
         if len(kind):
-            self._kind.from_numpy(padded(kind, self._capacity[0]))
+            self._canvas.kind.from_numpy(padded(kind, self._capacity[0]))
         if frame.colliders:
             tints = [p.collider.colour for p in frame.colliders]
             linear = [np.full(3, -1.0) if tint is None else to_linear(np.array(tint)) for tint in tints]
-            self._tint.from_numpy(np.array(linear, dtype=np.float32))
+            self._canvas.tint.from_numpy(np.array(linear, dtype=np.float32))
         self._base = self._base_colours(content)
-
-    def _allocate(self, shapes: int, walls: int, bodies: int) -> None:
-        if self._tree is not None:
-            self._tree.destroy()
-        builder = ti.FieldsBuilder()
-        self._shape, self._colour = ti.Vector.field(8, ti.f32), ti.Vector.field(3, ti.f32)
-        self._kind, self._wall, self._image = ti.field(ti.i32), ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
-        builder.dense(ti.i, max(shapes, 1)).place(self._shape)
-        builder.dense(ti.i, max(shapes, 1)).place(self._colour)
-        builder.dense(ti.i, max(shapes, 1)).place(self._kind)
-        builder.dense(ti.i, max(walls, 1)).place(self._wall)
-        self._body, self._tint = ti.Vector.field(8, ti.f32), ti.Vector.field(3, ti.f32)
-        builder.dense(ti.i, max(bodies, 1)).place(self._body)
-        builder.dense(ti.i, max(bodies, 1)).place(self._tint)
-        self._alpha = ti.field(ti.f32)  # of a transparent picture
-        pixels = self.size[0] * self.size[1]
-        builder.dense(ti.i, pixels).place(self._image)
-        builder.dense(ti.i, pixels if self._transparent else 1).place(self._alpha)
-        self._tree = builder.finalize()
-        self._wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
-        self._capacity = (shapes, walls, bodies)
 
     def _shapes(self, frame: Frame) -> tuple[NDArray[np.float32], NDArray, NDArray]:
         """Shapes in drawing order, and the corners of their boxes, px."""
         content = self._content
-        assert content is not None
         n = len(frame.position)
         p = (
             np.concatenate([frame.position, content.binding.apply(frame.position)]) - self.camera.low
@@ -219,7 +184,6 @@ class Renderer2D:
 
     def _colours(self, frame: Frame) -> NDArray[np.float32]:
         content = self._content
-        assert content is not None
         spring = ~content.rod_stick[self._rods]
         if spring.any() and len(frame.strain) == len(frame.springs):
             strain = np.tanh(frame.strain[content.rods[self._rods[spring]]] / FULL_STRAIN)[:, None]
@@ -254,6 +218,26 @@ class Renderer2D:
         normal, offset = frame.walls[:, :2], frame.walls[:, 2]
         constant = (normal @ self.camera.low - offset) * self.camera.scale + normal[:, 1] * self.size[1]
         return np.column_stack([normal[:, 0], -normal[:, 1], constant]).astype(np.float32)
+
+
+class Canvas:
+    """What the kernel reads and writes: fields of shapes, walls and bodies, at least one of each, and the picture."""
+
+    def __init__(self, shapes: int, walls: int, bodies: int, pixels: int, transparent: bool) -> None:
+        builder, vec3 = ti.FieldsBuilder(), partial(ti.Vector.field, 3, ti.f32)
+        self.shape = place(builder, ti.Vector.field(8, ti.f32), shapes)
+        self.colour, self.kind = place(builder, vec3(), shapes), place(builder, ti.field(ti.i32), shapes)
+        self.wall = place(builder, vec3(), walls)
+        self.body, self.tint = place(builder, ti.Vector.field(8, ti.f32), bodies), place(builder, vec3(), bodies)
+        self.image = place(builder, vec3(), pixels)
+        self.alpha = place(builder, ti.field(ti.f32), pixels if transparent else 1)
+        self.transparent = transparent
+        self._tree = builder.finalize()
+        self.wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
+
+    def close(self) -> None:
+        """Free the fields."""
+        self._tree.destroy()
 
 
 def _covered(frame: Frame, bounds: Bounds) -> tuple[NDArray, NDArray]:

@@ -52,18 +52,15 @@ class Renderer3D:
         self._zenith, self._horizon = background_colours(background, ZENITH, HORIZON)
         self._lamp, self._fill = _lamp(self.camera), _fill(self.camera)  # they stay when the camera moves
         self._spacing = _nice(self._bounds.size / 6)
-        self._content: Content | None = None
-        self._buffers: Buffers | None = None
-        self._canvas: Canvas | None = None
+        self._content: Any = None
+        self._buffers: Any = None
+        self._canvas: Any = None
         self._prepare(frame)
 
     def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
         """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top."""
         self._prepare(frame)
         self._aim(frame)
-        assert self._content is not None
-        assert self._buffers is not None
-        assert self._canvas is not None
         rods, strain = self._content.rods, None
         if len(rods) and len(frame.strain) == len(frame.springs):
             strain = frame.strain[rods]
@@ -156,8 +153,6 @@ class Renderer3D:
 
     def _spare(self, view: NDArray[np.float32]) -> None:
         """Bound the work where balls share one spot and their spheres would be drawn over each other endlessly."""
-        assert self._buffers is not None
-        assert self._canvas is not None
         distance = np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)) / self._unit
         shadow = (self._canvas.shadow_side * self._unit / self._bounds.size) ** 2 if self._shadow else 0.0
         per_square = float(view[3, 0] / distance) ** 2  # px for a unit square at the target
@@ -166,7 +161,6 @@ class Renderer3D:
             self._buffers.thin_out(view, MOST_TESTS / tests)
 
     def _draw(self, keys: Any, samples: int, view: NDArray, width: int, height: int, exact: bool) -> None:
-        assert self._buffers is not None
         b, v = self._buffers, _mat(view)
         if b.has_spheres:
             raster.draw_spheres(b.ball, keys, samples, exact, v, width, height, b.balls)
@@ -183,7 +177,6 @@ class Renderer3D:
 
     def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:
         """Draw the shadow map; return its view, which covers the bounds."""
-        assert self._canvas is not None
         bounds = self._widen(frame)
         axes = Camera(eye=tuple(self._lamp), target=(0.0, 0.0, 0.0)).axes()
         side = self._canvas.shadow_side

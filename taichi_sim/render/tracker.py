@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.render.camera import AZIMUTH, ELEVATION, FOV, Camera
+from taichi_sim.render.camera import AZIMUTH, ELEVATION, FOV, Camera, triple, turned
 from taichi_sim.scene.camera_path import CameraPath
 
 __all__ = ["Follower", "Tracker"]
@@ -80,16 +80,16 @@ class Tracker:
             return self._along(frame.time)
         eye, target = np.array(self.first.eye), np.array(self.first.target)
         if path.orbit:
-            eye = target + _turned(eye - target, np.array(path.up), math.radians(path.orbit * frame.time))
+            eye = target + turned(eye - target, np.array(path.up), math.radians(path.orbit * frame.time))
         if self._follower is not None:
             shift = self._follower.at(frame) - self._follower.begin
             eye, target = eye + shift, target + shift
-        return Camera(_triple(eye), _triple(target), self.first.up, self.first.fov)
+        return Camera(triple(eye), triple(target), self.first.up, self.first.fov)
 
     def _along(self, time: float) -> Camera:
         assert self._path is not None
         eye, target, fov = self._path.place(time)
-        return Camera(_triple(eye), _triple(target), _triple(self._path.up), FOV if fov is None else fov)
+        return Camera(triple(eye), triple(target), triple(self._path.up), FOV if fov is None else fov)
 
 
 def _placed(path: CameraPath, frame: Frame, aspect: float, follower: Follower | None) -> Camera:
@@ -104,14 +104,4 @@ def _placed(path: CameraPath, frame: Frame, aspect: float, follower: Follower | 
     if path.distance is not None:
         back *= path.distance / np.linalg.norm(back)
     eye = target + back if path.eye is None else np.array(path.eye)
-    return Camera(_triple(eye), _triple(target), _triple(np.array(path.up)), fov)
-
-
-def _turned(arm: NDArray, axis: NDArray, angle: float) -> NDArray[np.float64]:
-    """An arm turned about an axis, counter-clockwise seen from its tip (Rodrigues)."""
-    u = axis / np.linalg.norm(axis)
-    return arm * math.cos(angle) + np.cross(u, arm) * math.sin(angle) + u * (u @ arm) * (1 - math.cos(angle))
-
-
-def _triple(vector: Any) -> tuple[float, float, float]:
-    return float(vector[0]), float(vector[1]), float(vector[2])
+    return Camera(triple(eye), triple(target), triple(np.array(path.up)), fov)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.render.camera import Camera, Flat
+from taichi_sim.render.camera import Camera, Flat, triple, turned
 
 __all__ = ["Orbit", "Seen", "Slide", "pick", "view_of"]
 
@@ -56,8 +56,8 @@ class Orbit:
         from_pole = math.acos(float(np.clip(back @ up / np.linalg.norm(back), -1.0, 1.0)))
         low, high = math.radians(POLE), math.pi - math.radians(POLE)
         lift = from_pole - float(np.clip(from_pole - dy * per_px, low, high))
-        back = _turned(back, self.camera.axes()[0], -lift)
-        back = _turned(back, up, -dx * per_px)
+        back = turned(back, self.camera.axes()[0], -lift)
+        back = turned(back, up, -dx * per_px)
         self._place(np.asarray(self.camera.target), back)
 
     def pan(self, dx: float, dy: float) -> None:
@@ -75,7 +75,7 @@ class Orbit:
 
     def _place(self, target: Floats, back: Floats) -> None:
         eye = target + back
-        self.camera = replace(self.camera, eye=tuple(eye.tolist()), target=tuple(target.tolist()))
+        self.camera = replace(self.camera, eye=triple(eye), target=triple(target))
 
     def see(self, points: Floats) -> Seen:
         """Where points (k, 3) m are in the picture."""
@@ -128,12 +128,6 @@ class Slide:
 def view_of(camera: Camera | Flat, size: tuple[int, int]) -> Orbit | Slide:
     """The view that begins with this camera."""
     return Slide(camera, size) if isinstance(camera, Flat) else Orbit(camera, size)
-
-
-def _turned(vector: Floats, axis: Floats, angle: float) -> Floats:
-    """A vector turned about a unit axis (Rodrigues)."""
-    c, s = math.cos(angle), math.sin(angle)
-    return vector * c + np.cross(axis, vector) * s + axis * (axis @ vector) * (1 - c)
 
 
 def pick(view: Orbit | Slide, frame: Frame, at: tuple[float, float]) -> int | None:

@@ -1,6 +1,7 @@
 """`taichi-sim report SCENE`: errors against a closed solution, orders, what is cheapest, pages, resuming, and what is refused."""
 
 import re
+from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from speed_support import MadeUp, length, pair, plan
 import taichi_sim as ts
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.source import open_scene, resolve
-from taichi_sim.reports.speed_error import report, rows, statistics
+from taichi_sim.reports.speed_error import csv_table, report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings, choice
 from taichi_sim.reports.speed_error.folder import Folder
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
@@ -100,14 +101,14 @@ def test_pages(made):
         assert f"{row.step:.3g}" in text
     assert "fastest for 1 %: " in said
     assert "fastest for 0.01 %: " in said
-    kept = rows.read(folder / "rows.csv")
+    kept = csv_table.read(folder / "rows.csv", rows.Row)
     assert kept == sorted_as(folder, findings.rows)
     assert any(row.order for row in kept)
 
 
 def sorted_as(folder, found):
     """The rows in the order of the file."""
-    keys = [row.key for row in rows.read(folder / "rows.csv")]
+    keys = [row.key for row in csv_table.read(folder / "rows.csv", rows.Row)]
     return sorted(found, key=lambda row: keys.index(row.key))
 
 
@@ -115,7 +116,7 @@ def sorted_as(folder, found):
 
 
 def row(seconds, error, verdict="stable", step=1e-3, noise=None):
-    none = dict.fromkeys([f for f in rows.NUMBERS])
+    none = dict.fromkeys([field.name for field in fields(rows.Row) if field.type == float | None])
     given = {"scene": "s", "balls": 1, "springs": 1, "precision": "f64", "device": "d", "method": "rk4", "reason": ""}
     values = {**none, **given, "step": step, "seconds": seconds, "rms_error": error, "relative_error": error}
     return rows.Row(**{**values, "noise": noise}, verdict=verdict)
@@ -190,7 +191,7 @@ def test_an_interrupted_report_goes_on(tmp_path, made_up):
     first = made_up(scene, fail=14)
     with pytest.raises(KeyboardInterrupt):
         report.main(scene, plan(), tmp_path / "r", progress=False, say=say)
-    kept = rows.read(tmp_path / "r" / "rows.csv")
+    kept = csv_table.read(tmp_path / "r" / "rows.csv", rows.Row)
     of_reference = sum(not trial.timed for _, trial in first.trials)
     budget = 1  # a run with the scene's own settings
     assert 1 <= len(kept) == 14 - of_reference <= 9
@@ -216,7 +217,7 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
     with pytest.raises(FileExistsError, match="another scene or with other settings"):
         report.main(scene, plan(duration=0.5), tmp_path / "r", progress=False, say=say)
     findings = report.main(scene, plan(duration=0.5), tmp_path / "r", overwrite=True, progress=False, say=say)
-    assert len(rows.read(tmp_path / "r" / "rows.csv")) == len(findings.rows)
+    assert len(csv_table.read(tmp_path / "r" / "rows.csv", rows.Row)) == len(findings.rows)
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["notes.txt"]
 
 

@@ -1,14 +1,17 @@
 """The benchmark's settled pile: a million balls with friction, beside LAMMPS's granular pair style."""
 
 import tempfile
-import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taichi_sim.reports.bench import cases
-from taichi_sim.reports.bench.table import REPEATS, Report
+from taichi_sim.reports.bench.ours import granular_step
+from taichi_sim.reports.bench.table import REPEATS, Report, elapsed
 from taichi_sim.reports.memory import breakdown
 from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.reports.peers.granular_lammps import GranularLammps, time_step, write_data
 
 __all__ = ["granular_report"]
 
@@ -17,19 +20,6 @@ STEPS = 10  # in each timing; LAMMPS's are shorter in simulated time
 SHOWN = 8  # fields of which the memory is listed
 PASSES = (1, 4)
 RANKS = (2, 1)
-
-
-class _OnTheClock:
-    """Times our own steps, from where the simulation is."""
-
-    def __init__(self, runner: Any) -> None:
-        self.runner = runner
-
-    def timed(self, steps: int) -> float:
-        """Seconds that `steps` steps took."""
-        start = time.perf_counter()
-        self.runner.step(steps)
-        return time.perf_counter() - start
 
 
 def _memory(simulation: Any, n: int) -> list[str]:
@@ -41,9 +31,6 @@ def _memory(simulation: Any, n: int) -> list[str]:
 
 def granular_report(quick: bool) -> Report:
     """Balls that lie in a box, friction and spin: the time of a step, one substep of 1 and of 4 passes."""
-    from taichi_sim.reports.bench.ours import granular_step
-    from taichi_sim.reports.peers.granular_lammps import GranularLammps, time_step, write_data
-
     n, settle = (2000, 100) if quick else (1_000_000, SETTLE)
     case = cases.granular_case(n)
     report = Report(f"granular: {n} balls at rest in a 3D box, friction and spin, one step, f32", "ball-step")
@@ -52,7 +39,10 @@ def granular_report(quick: bool) -> Report:
     for runner in ours.values():  # each by itself: what contacts hold from before carries the pile
         runner.step(settle)
     packing = ours[PASSES[-1]].simulation.position
-    contestants: dict[str, Any] = {names[passes]: _OnTheClock(runner) for passes, runner in ours.items()}
+    timed: dict[str, Callable[[int], float]] = {
+        names[passes]: partial(elapsed, runner.step) for passes, runner in ours.items()
+    }
+    peers: dict[str, GranularLammps] = {}
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder, "balls.data")
         for ranks in RANKS:
@@ -62,19 +52,18 @@ def granular_report(quick: bool) -> Report:
                 if not data.exists():
                     write_data(data, case, packing)
                 peer.timed(1)
-                contestants[name] = peer
+                peers[name], timed[name] = peer, peer.timed
             except PeerMissingError as reason:
                 report.notes.append(f"{name}: not measured. {reason}")
-        seconds: dict[str, list[float]] = {name: [] for name in contestants}
+        report.rows = [(name, [], float(n)) for name in timed]
         for _ in range(REPEATS):
-            for name, contestant in contestants.items():
-                seconds[name].append(contestant.timed(STEPS) / STEPS)
-    report.rows = [(name, seconds[name], float(n)) for name in contestants]
-    peers = [name for name in contestants if name.startswith("LAMMPS")]
+            for name, seconds, _ in report.rows:
+                seconds.append(timed[name](STEPS) / STEPS)
     if peers:
-        report.goals[peers[0]] = ">= 2"
-        ratio = report.ratio(peers[0]) / report.ratio(names[4])
-        report.notes.append(f"4 passes against {peers[0]}: {ratio:.2f}" + ("" if quick else ", goal >= 1"))
+        first = next(iter(peers))
+        report.goals[first] = ">= 2"
+        ratio = report.ratio(first) / report.ratio(names[4])
+        report.notes.append(f"4 passes against {first}: {ratio:.2f}" + ("" if quick else ", goal >= 1"))
         report.notes.append(f"a step of ours is {case.dt:.3g} s, one of LAMMPS {time_step(case):.3g} s")
     for passes, runner in ours.items():
         now, energy = runner.simulation.contacts(), runner.simulation.energy().kinetic
@@ -83,8 +72,7 @@ def granular_report(quick: bool) -> Report:
             f" {now.mean_relative_penetration:.4f} r, kinetic energy {energy / (n * case.gravity * case.radius):.1e} m g r"
             f" a ball, {now.searches} searches in {settle + REPEATS * STEPS} steps"
         )
-    for name in peers:
-        peer = contestants[name]
+    for name, peer in peers.items():
         report.notes.append(
             f"{name}: {peer.neighbours:.2f} pairs a ball listed, {peer.searches} searches in {STEPS} steps,"
             f" {peer.bytes / n:.0f} bytes a ball"

@@ -31,8 +31,12 @@ class Ours:
 
     def reset(self) -> None:
         """Back to the start, compiled and primed."""
-        scene, still = self.simulation.scene, np.zeros_like(self.simulation.surface_speed)
-        self.simulation.resume(scene.position, scene.velocity, 0.0, None, still)
+        self.place(self.simulation.scene.position, self.simulation.scene.velocity)
+
+    def place(self, position: NDArray, velocity: NDArray) -> None:
+        """Begin anew from positions [m] and velocities [m/s], each (n, dim)."""
+        still = np.zeros_like(self.simulation.surface_speed)
+        self.simulation.resume(position, velocity, 0.0, None, still)
         self.simulation.step(0)
 
     def step(self, steps: int) -> None:
@@ -106,9 +110,7 @@ class OurPile(Ours):
 
     def start(self, pile: Pile) -> None:
         """From the start of this pile on, compiled and primed."""
-        still = np.zeros_like(self.simulation.surface_speed)
-        self.simulation.resume(pile.position, np.zeros_like(pile.position), 0.0, None, still)
-        self.simulation.step(0)
+        self.place(pile.position, np.zeros_like(pile.position))
 
 
 def pile_step(pile: Pile, **settings: Any) -> OurPile:

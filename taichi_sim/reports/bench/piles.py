@@ -1,15 +1,17 @@
 """The benchmark's piles of discs: what a step takes, how still and how deep in each other the discs lie, over several seeds."""
 
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from taichi_sim.reports.bench import cases
-from taichi_sim.reports.bench.table import Report
-from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.reports.bench.ours import pile_step
+from taichi_sim.reports.bench.table import Report, elapsed, peer
 
 __all__ = ["Lie", "PileReport", "overlaps", "pile_report"]
 
@@ -31,15 +33,8 @@ class Lie(NamedTuple):
 
 def overlaps(x: NDArray, radius: float, side: float) -> tuple[float, float, float]:
     """Largest and mean overlap of two discs that overlap, and the largest with a wall, in radii."""
-    p = x[np.argsort(x[:, 0])]
-    found = []
-    for k in range(1, len(p)):
-        r = p[k:] - p[:-k]
-        if r[:, 0].min() >= 2 * radius:  # so they are for every larger k
-            break
-        d = np.hypot(r[:, 0], r[:, 1])
-        found.append(2 * radius - d[d < 2 * radius])
-    depth = np.concatenate(found) if found else np.zeros(0)
+    i, j = cKDTree(x).query_pairs(2 * radius, output_type="ndarray").T
+    depth = 2 * radius - np.linalg.norm(x[i] - x[j], axis=1)
     wall = radius - min(x[:, 1].min(), x[:, 0].min(), side - x[:, 0].max())
     return (
         float(depth.max(initial=0.0)) / radius,
@@ -59,32 +54,15 @@ class PileReport(Report):
         times = {row: seconds for row, seconds, _ in self.rows}
         return [theirs / own for theirs, own in zip(times.get(RIVAL, []), times[name])]
 
-    def show(self) -> None:
-        """Print it."""
-        from rich.console import Console
-        from rich.table import Table
-
-        table = Table(title=self.title, title_justify="left")
-        columns = ("", "step, ms", f"{RIVAL} / it", "kinetic, m g r", "overlap, r", "mean, r", "walls, r")
-        for column in columns:
-            table.add_column(column, justify="right" if column else "left", no_wrap=True)
+    def cells(self) -> tuple[Sequence[str], list[list[str]]]:
+        """Times, ratios and how the piles lay, over the seeds."""
+        head = ("", "step, ms", f"{RIVAL} / it", "kinetic, m g r", "overlap, r", "mean, r", "walls, r")
+        rows = []
         for name, seconds, _ in self.rows:
-            kinetic, largest, mean, wall = zip(*self.lies[name])
-            cells = [
-                _span([1e3 * s for s in seconds], ".4g"),
-                _span(self.ratios_of(name), ".2f"),
-                _span(kinetic, ".1e"),
-                *(_span(values, ".3f") for values in (largest, mean, wall)),
-            ]
-            table.add_row(name, *cells)
-        console = Console()
-        console.width = max(console.width, 160)  # a pipe says 80, which would cut the columns
-        console.print(table)
-        for name, goal in self.goals.items():
-            print(f"  goal, {name}: {goal}")
-        for note in self.notes:
-            print(f"  {note}")
-        print()
+            kinetic, *depths = zip(*self.lies[name])
+            times, ratios = _span([1e3 * s for s in seconds], ".4g"), _span(self.ratios_of(name), ".2f")
+            rows.append([name, times, ratios, _span(kinetic, ".1e"), *(_span(values, ".3f") for values in depths)])
+        return head, rows
 
 
 def _span(values: Any, form: str) -> str:
@@ -102,43 +80,20 @@ def _lie(runner: Any, case: cases.Pile) -> Lie:
     return Lie(kinetic / weight, *overlaps(runner.result()[0], case.radius, case.side))
 
 
-def _contestants(
-    case: cases.Pile, report: PileReport, settings: dict[str, dict[str, Any]], peers: Any
-) -> dict[str, Any]:
-    """Ours by each of the settings, and pymunk by (name, iterations, hashed), where it is installed."""
-    from taichi_sim.reports.bench.ours import pile_step
-
-    runners: dict[str, Any] = {name: pile_step(case, **chosen) for name, chosen in settings.items()}
-    for name, iterations, hashed in peers:
-        try:
-            from taichi_sim.reports.peers.pile_pymunk import PilePymunk
-
-            runners[name] = PilePymunk(case, iterations=iterations, hashed=hashed)
-        except PeerMissingError as reason:
-            report.notes.append(f"{name}: not measured. {reason}")
-    return runners
-
-
-def _measure(n: int, seeds: int, settle: float, timed: float, report: PileReport, runners: dict[str, Any]) -> None:
+def _measure(n: int, seeds: int, settle: float, timed: float, report: PileReport) -> None:
     """All seeds: every contestant settles, then all take turns."""
-    seconds: dict[str, list[float]] = {name: [] for name in runners}
-    report.lies = {name: [] for name in runners}
+    report.rows = [(entry.name, [], float(n)) for entry in report.entries]
+    report.lies = {entry.name: [] for entry in report.entries}
     for seed in range(seeds):
         case = cases.pile_case(n, seed)
         steps = round(timed / SLICES / case.dt)
-        for runner in runners.values():
-            runner.start(case)
-            runner.step(round(settle / case.dt))
-        taken = dict.fromkeys(runners, 0.0)
-        for _ in range(SLICES):
-            for name, runner in runners.items():
-                start = time.perf_counter()
-                runner.step(steps)
-                taken[name] += time.perf_counter() - start
-        for name, runner in runners.items():
-            seconds[name].append(taken[name] / (SLICES * steps))
-            report.lies[name].append(_lie(runner, case))
-    report.rows = [(name, seconds[name], float(n)) for name in runners]
+        for entry in report.entries:
+            entry.runner.start(case)
+            entry.runner.step(round(settle / case.dt))
+        taken = np.array([[elapsed(entry.runner.step, steps) for entry in report.entries] for _ in range(SLICES)])
+        for (name, seconds, _), mean, entry in zip(report.rows, taken.mean(axis=0) / steps, report.entries):
+            seconds.append(float(mean))
+            report.lies[name].append(_lie(entry.runner, case))
 
 
 def pile_report(quick: bool, *, few: bool = False) -> PileReport:
@@ -148,19 +103,22 @@ def pile_report(quick: bool, *, few: bool = False) -> PileReport:
         n, seeds, settle, timed = 100 if few else 400, 2, 0.1, 0.1
     title = f"{n} discs in a box, {seeds} seeds, {timed:g} s from {settle:g} s after the drop on, one 240 Hz step"
     report = PileReport(f"pile: {title}; min .. max over the seeds", samples=seeds)
-    settings: dict[str, dict[str, Any]] = {"taichi_sim": {}}
-    peers: list[tuple[str, int, bool]] = [(RIVAL, 10, False)]
+    case, substeps = cases.pile_case(n), 1 if few else 2
+    settings = {"substeps": substeps, "contact_iterations": 1}
+    report.enter("taichi_sim", partial(pile_step, case))
+    name = f"taichi_sim, {substeps} substep{'s' if substeps > 1 else ''}, 1 pass"
+    report.enter(name, partial(pile_step, case, **settings))
+    report.enter(RIVAL, peer("pile_pymunk.PilePymunk", case, iterations=10, hashed=False))
     if few:
-        settings["taichi_sim, 1 substep, 1 pass"] = {"substeps": 1, "contact_iterations": 1}
-        peers.append(("pymunk, 4 iterations", 4, False))
-        report.goals["time"] = f"a sixth of {RIVAL}"
+        report.enter("pymunk, 4 iterations", peer("pile_pymunk.PilePymunk", case, iterations=4, hashed=False))
     else:
-        settings["taichi_sim, 2 substeps, 1 pass"] = {"substeps": 2, "contact_iterations": 1}
-        peers.append((f"{RIVAL}, spatial hash", 10, True))
-        report.goals["time"] = f"a sixth of {RIVAL}"
-        report.goals["the pile"] = "kinetic energy within pymunk's spread, overlap 0.10 r, mean 0.033 r, walls likewise"
-    runners = _contestants(cases.pile_case(n), report, settings, peers)
-    _measure(n, seeds, settle, timed, report, runners)
-    for runner in runners.values():
-        getattr(runner, "close", lambda: None)()
+        report.enter(f"{RIVAL}, spatial hash", peer("pile_pymunk.PilePymunk", case, iterations=10, hashed=True))
+    if not quick:
+        report.notes.append(f"goal, time: a sixth of {RIVAL}")
+    if not quick and not few:
+        report.notes.append(
+            "goal, the pile: kinetic energy within pymunk's spread, overlap 0.10 r, mean 0.033 r, walls likewise"
+        )
+    _measure(n, seeds, settle, timed, report)
+    report.close()
     return report

@@ -8,18 +8,20 @@ from typing import Any
 import numpy as np
 
 from taichi_sim import shapes
-from taichi_sim.reports.bench.table import REPEATS, Report
+from taichi_sim.outputs import export, open_output
+from taichi_sim.reports.bench.table import REPEATS, Report, elapsed
 from taichi_sim.reports.memory import breakdown
 from taichi_sim.scene.colliders import Sphere
 from taichi_sim.scene.scene import Scene
+from taichi_sim.simulation.simulation import Simulation
 
 __all__ = ["drape_report", "hanging_report", "jelly_report", "video_report"]
 
 STEPS = 5  # in each timing
 FPS = 60.0
-BALL, RADIUS = (0.0, 0.5, 0.0), 0.4  # m, what the cloth falls on
-SIDE, HEIGHT = 2.0, 1.0  # m
-LOOK = 0.1  # s of simulated time between two looks at what has gone through
+BALL_CENTRE, BALL_RADIUS = (0.0, 0.5, 0.0), 0.4  # m, what the cloth falls on
+CLOTH_SIDE, DROP_HEIGHT = 2.0, 1.0  # m
+CHECK_INTERVAL = 0.1  # s of simulated time between two looks at what has gone through
 
 
 def _peak() -> float:
@@ -33,8 +35,6 @@ def _peak() -> float:
 
 def _steps(title: str, name: str, scene_of: Any, unit: str, units: int) -> Report:
     """Time of a step of a scene, and notes of what it takes to build, to store and to make a frame of."""
-    from taichi_sim.simulation.simulation import Simulation
-
     report = Report(title, unit, ratios=False)
     start = time.perf_counter()
     scene = scene_of()
@@ -45,9 +45,7 @@ def _steps(title: str, name: str, scene_of: Any, unit: str, units: int) -> Repor
     ready = time.perf_counter() - start
     seconds = []
     for _ in range(REPEATS):
-        begin = time.perf_counter()
-        simulation.step(STEPS)
-        seconds.append((time.perf_counter() - begin) / STEPS)
+        seconds.append(elapsed(simulation.step, STEPS) / STEPS)
     report.rows = [(name, seconds, float(units))]
     frame = float(np.median(seconds)) / (FPS * simulation.dt)
     size = sum(breakdown(simulation).values())
@@ -108,9 +106,6 @@ def jelly_report(quick: bool) -> Report:
 
 def video_report(quick: bool) -> Report:
     """A cloth of 256 x 256 balls that falls and folds on the floor, end to end into an MP4 of 300 frames, 1280 x 720."""
-    from taichi_sim.outputs import open_output
-    from taichi_sim.outputs.export import export
-    from taichi_sim.simulation.simulation import Simulation
 
     n, frames, size = (24, 6, (320, 180)) if quick else (256, 300, (1280, 720))
     report = Report(f"video: {n} x {n} cloth, {frames} frames, {size[0]} x {size[1]}, MP4", ratios=False, samples=1)
@@ -148,35 +143,37 @@ def video_report(quick: bool) -> Report:
 
 def drape_report(quick: bool) -> Report:
     """A cloth of 100 000 balls with surfaces that collide: 5 s on a ball, the floor and itself. Half an hour."""
-    from taichi_sim.simulation.simulation import Simulation
-
     n, duration = (16, 0.2) if quick else (316, 5.0)
     scene = Scene(dim=3, gravity=(0, -10, 0))
     scene.add_material("cloth", friction=0.4)
     shapes.cloth(
-        scene, size=(SIDE, SIDE), resolution=(n, n), stiffness=11.0, damping=5e-4, material="cloth", surface_collision=True,
-        position=(-SIDE / 2, HEIGHT, -SIDE / 2),
-    )  # fmt: skip
-    scene.add_collider(Sphere(BALL, RADIUS, material="cloth"))
+        scene,
+        size=(CLOTH_SIDE, CLOTH_SIDE),
+        resolution=(n, n),
+        stiffness=11.0,
+        damping=5e-4,
+        material="cloth",
+        surface_collision=True,
+        position=(-CLOTH_SIDE / 2, DROP_HEIGHT, -CLOTH_SIDE / 2),
+    )
+    scene.add_collider(Sphere(BALL_CENTRE, BALL_RADIUS, material="cloth"))
     scene.add_wall((0, 1, 0), material="cloth")
     simulation = Simulation(scene, arch="cpu", precision="f32", spin=False)
     simulation.step(1)
-    steps = max(1, round(LOOK / simulation.dt))
+    steps = max(1, round(CHECK_INTERVAL / simulation.dt))
     report = Report(f"drape: {n} x {n} cloth with colliding surfaces, {duration:g} s", "ball-step", ratios=False)
     seconds, crossings, clearance = [], 0, np.inf
     while simulation.time < duration:
-        begin = time.perf_counter()
-        simulation.step(steps)
-        seconds.append((time.perf_counter() - begin) / steps)
+        seconds.append(elapsed(simulation.step, steps) / steps)
         x = simulation.position
         crossings = max(crossings, simulation.crossings())
-        outside = float(np.linalg.norm(x - BALL, axis=1).min()) - RADIUS
+        outside = float(np.linalg.norm(x - BALL_CENTRE, axis=1).min()) - BALL_RADIUS
         clearance = min(clearance, outside, float(x[:, 1].min()))
     report.rows, report.samples = [("taichi_sim", seconds, float(n * n))], len(seconds)
     report.notes += [
         f"{sum(seconds) * steps:.0f} s for {duration:g} s in steps of {simulation.dt:.3g} s; a step at most {max(seconds):.3g} s",
-        f"looked at every {LOOK:g} s: at most {crossings} edges through triangles, goal 0; the centre of no ball nearer than"
-        f" {clearance:.3g} m to the sphere or the floor, goal > 0",
+        f"looked at every {CHECK_INTERVAL:g} s: at most {crossings} edges through triangles, goal 0; the centre of no ball"
+        f" nearer than {clearance:.3g} m to the sphere or the floor, goal > 0",
     ]
     simulation.close()
     return report

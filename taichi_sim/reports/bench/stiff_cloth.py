@@ -1,16 +1,18 @@
 """The benchmark's stiff cloth: wall time against error of the program's methods and of its peers, in the same run."""
 
 import statistics
-import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.table import Report
-from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.reports.bench.ours import Ours
+from taichi_sim.reports.bench.table import REPEATS, Report, elapsed, peer
 from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes import cloth
 
 __all__ = ["SIDE", "StiffReport", "T", "converged", "stiff_report", "stiff_scene"]
 
@@ -18,7 +20,6 @@ Floats = NDArray[np.float64]
 
 SIDE, T = 16, 0.5  # balls along an edge; s
 MASS = 0.3  # kg
-REPEATS = 5
 
 
 class Task(NamedTuple):
@@ -64,8 +65,6 @@ TASKS = (
 
 def stiff_scene(stiffness: float) -> Scene:
     """A sheet of 1 m and 0.3 kg, 1378 springs of one stiffness [N/m], damped by a hundredth of sqrt(k m), one edge pinned."""
-    from taichi_sim.shapes import cloth
-
     scene = Scene(dim=3, gravity=(0, -10, 0))
     cloth(scene, size=(1, 1), resolution=(SIDE, SIDE), mass=MASS, stiffness=stiffness, pinned=range(SIDE))
     scene.stiffness[:] = stiffness
@@ -109,24 +108,15 @@ class StiffReport(Report):
     counts: list[int] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
 
-    def show(self) -> None:
-        """Print it."""
-        from rich.console import Console
-        from rich.table import Table
-
-        table = Table(title=self.title, title_justify="left")
-        for column in ("k, N/m", "asked, m", "", "steps", "error, m", "s per simulated s", "its time / our best"):
-            table.add_column(column, justify="right" if column else "left", no_wrap=True)
+    def cells(self) -> tuple[Sequence[str], list[list[str]]]:
+        """Times beside what was asked and how far each is off."""
+        head = ("k, N/m", "asked, m", "", "steps", "error, m", "s per simulated s", "its time / our best")
+        rows = []
         for (name, seconds, _), task, steps, error in zip(self.rows, self.tasks, self.counts, self.errors):
             middle = statistics.median(seconds)
-            cells = (f"{steps}", f"{error:.2g}", f"{middle:.4f}", f"{middle / self.best(task):.2f}")
-            table.add_row(f"{task.stiffness:g}", f"{task.error:g}", name, *cells)
-        console = Console()
-        console.width = max(console.width, 120)  # a pipe says 80, which would cut the columns
-        console.print(table)
-        for note in self.notes:
-            print(f"  {note}")
-        print()
+            cells = [f"{steps}", f"{error:.2g}", f"{middle:.4f}", f"{middle / self.best(task):.2f}"]
+            rows.append([f"{task.stiffness:g}", f"{task.error:g}", name, *cells])
+        return head, rows
 
     def best(self, task: Task) -> float:
         """Our shortest median time for a task."""
@@ -138,45 +128,12 @@ class StiffReport(Report):
         return min(ours)
 
 
-class _Method:
-    """One of our methods, in single precision."""
-
-    def __init__(self, scene: Scene, method: str, steps: int) -> None:
-        from taichi_sim.simulation.simulation import Simulation
-
-        self.steps, self.scene = steps, scene
-        self.simulation = Simulation(
-            scene, integrator=method, dt=T / steps, contacts="off", arch="cpu", precision="f32"
-        )
-
-    def reset(self) -> None:
-        """Back to the start."""
-        self.simulation.resume(self.scene.position, self.scene.velocity, 0.0)
-        self.simulation.step(0)
-
-    def run(self) -> None:
-        """All steps."""
-        self.simulation.step(self.steps)
-
-    def position(self) -> Floats:
-        """Where the balls are, (n, 3) m."""
-        return self.simulation.position
-
-    def close(self) -> None:
-        """Free its fields."""
-        self.simulation.close()
-
-
-def _contestant(name: str, scene: Scene, steps: int) -> Any:
+def _contestant(name: str, scene: Scene, steps: int) -> Callable[[], Any]:
     if name in OURS:
-        return _Method(scene, OURS[name], steps)
+        return partial(Ours, scene, integrator=OURS[name], dt=T / steps, contacts="off")
     if name.startswith("Newton"):
-        from taichi_sim.reports.peers.stiff_newton import StiffNewton
-
-        return StiffNewton(scene, steps, T)
-    from taichi_sim.reports.peers.stiff_numba import StiffNumba
-
-    return StiffNumba(scene, steps, T, verlet=name.startswith("Verlet"))
+        return peer("stiff_newton.StiffNewton", scene, T / steps)
+    return peer("stiff_numba.StiffNumba", scene, T / steps, verlet=name.startswith("Verlet"))
 
 
 def stiff_report(quick: bool) -> StiffReport:
@@ -188,24 +145,21 @@ def stiff_report(quick: bool) -> StiffReport:
     for task in TASKS[:1] if quick else TASKS:
         scene = stiff_scene(task.stiffness)
         exact = converged(scene, task.reference)
-        runners: dict[str, Any] = {}
+        report.entries = []
         for name, steps in task.steps.items():
-            try:
-                runners[name] = _contestant(name, scene, steps)
-            except PeerMissingError as reason:
-                report.notes.append(f"{name}: not measured. {reason}")
-        seconds: dict[str, list[float]] = {name: [] for name in runners}
+            report.enter(name, _contestant(name, scene, steps), scene.n_springs, steps)
+        rows: list[tuple[str, list[float], float]] = [(entry.name, [], entry.units) for entry in report.entries]
         for turn in range(1 + report.samples):
-            for name, runner in runners.items():
-                runner.reset()
-                start = time.perf_counter()
-                runner.run()
-                if turn:
-                    seconds[name].append((time.perf_counter() - start) / T)
-        for name, runner in runners.items():
-            report.rows.append((name, seconds[name], float(scene.n_springs)))
+            for entry, (_, seconds, _) in zip(report.entries, rows):
+                entry.runner.reset()
+                taken = elapsed(entry.runner.step, entry.steps) / T
+                if turn:  # the first compiles
+                    seconds.append(taken)
+        report.rows += rows
+        for entry in report.entries:
             report.tasks.append(task)
-            report.counts.append(task.steps[name])
-            report.errors.append(float(np.sqrt(np.mean(np.sum((runner.position() - exact) ** 2, axis=1)))))
-            runner.close()
+            report.counts.append(entry.steps)
+            off = entry.runner.result()[0] - exact
+            report.errors.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
+        report.close()
     return report

@@ -2,24 +2,26 @@
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from taichi_sim.reports.peers import PeerMissingError, Runner
 
-__all__ = ["REPEATS", "Entry", "Report", "close", "difference", "invite", "take_turns"]
+__all__ = ["REPEATS", "Entry", "Report", "difference", "elapsed", "peer"]
 
 REPEATS = 5
+LEAST_WIDTH = 160  # a pipe says 80, which would cut the columns
 
 
 class Entry(NamedTuple):
     """One contestant: `units` of work per step (springs, balls, ...), `steps` per timing."""
 
     name: str
-    runner: Runner
+    runner: Any
     units: float
     steps: int
 
@@ -35,34 +37,70 @@ class Report:
     goals: dict[str, str] = field(default_factory=dict)  # by row name
     notes: list[str] = field(default_factory=list)
     samples: int = REPEATS  # times in each row
+    entries: list[Entry] = field(default_factory=list)  # the contestants
+
+    def enter(self, name: str, make: Callable[[], Any], units: float = 0.0, steps: int = 1) -> None:
+        """Add a contestant, or a line that says why it is absent."""
+        try:
+            self.entries.append(Entry(name, make(), units, steps))
+        except PeerMissingError as reason:
+            self.notes.append(f"{name}: not measured. {reason}")
+
+    def take_turns(self) -> None:
+        """Fill the rows. Each contestant runs once unrecorded, then all in turn (ABAB...), always from the start."""
+        for entry in self.entries:
+            entry.runner.reset()
+            entry.runner.step(entry.steps)
+        self.rows = [(entry.name, [], entry.units) for entry in self.entries]
+        for _ in range(self.samples):
+            for entry, (_, seconds, _) in zip(self.entries, self.rows):
+                entry.runner.reset()
+                entry.runner.step(1)  # wakes the threads and fills the caches
+                seconds.append(elapsed(entry.runner.step, entry.steps) / entry.steps)
+
+    def close(self) -> None:
+        """Free what the contestants hold."""
+        for entry in self.entries:
+            getattr(entry.runner, "close", lambda: None)()
 
     def ratio(self, name: str) -> float:
         """Median time of this row over that of the first, the program's own: above 1 the program is faster."""
         times = {row: statistics.median(seconds) for row, seconds, _ in self.rows}
         return times[name] / times[self.rows[0][0]]
 
+    def cells(self) -> tuple[Sequence[str], list[list[str]]]:
+        """Heads of the columns, and the rows; what has no head or is a goal is words."""
+        head = [
+            "",
+            "median",
+            "best",
+            *[f"M{self.unit}/s"] * bool(self.unit),
+            *["its time / ours"] * self.ratios,
+            "goal",
+        ]
+        rows = []
+        for name, seconds, units in self.rows:
+            middle = statistics.median(seconds)
+            rates = [f"{units / middle / 1e6:.4g}"] if self.unit else []
+            ratios = [f"{self.ratio(name):.2f}"] if self.ratios else []
+            rows.append([name, _duration(middle), _duration(min(seconds)), *rates, *ratios, self.goals.get(name, "")])
+        return head, rows
+
     def show(self) -> None:
         """Print it."""
         from rich.console import Console
         from rich.table import Table
 
+        head, rows = self.cells()
         table = Table(title=self.title, title_justify="left")
-        rate = [f"M{self.unit}/s"] if self.unit else []
-        ratio = ["its time / ours"] if self.ratios else []
-        for column in ("", "median", "best", *rate, *ratio, "goal"):
+        for column in head:
             table.add_column(column, justify="left" if column in ("", "goal") else "right", no_wrap=True)
-        for name, seconds, units in self.rows:
-            middle = statistics.median(seconds)
-            rates = [f"{units / middle / 1e6:.4g}"] if rate else []
-            ratios = [f"{self.ratio(name):.2f}"] if ratio else []
-            cells = (_duration(middle), _duration(min(seconds)), *rates, *ratios)
-            table.add_row(name, *cells, self.goals.get(name, ""))
+        for row in rows:
+            table.add_row(*row)
         console = Console()
-        console.width = max(console.width, 100)  # a pipe says 80, which would cut the names
+        console.width = max(console.width, LEAST_WIDTH)
         console.print(table)
-        for note in self.notes:
-            print(f"  {note}")
-        print()
+        print("".join(f"  {note}\n" for note in self.notes))
 
 
 def _duration(seconds: float) -> str:
@@ -72,36 +110,18 @@ def _duration(seconds: float) -> str:
     return f"{seconds * 1e6:.3g} us"
 
 
-def take_turns(entries: list[Entry], repeats: int = REPEATS) -> list[tuple[str, list[float], float]]:
-    """Rows of a Report. Each contestant runs once unrecorded, then all in turn (ABAB...), always from the start."""
-    for entry in entries:
-        entry.runner.reset()
-        entry.runner.step(entry.steps)
-    seconds: dict[str, list[float]] = {entry.name: [] for entry in entries}
-    for _ in range(repeats):
-        for entry in entries:
-            entry.runner.reset()
-            entry.runner.step(1)  # wakes the threads and fills the caches
-            start = time.perf_counter()
-            entry.runner.step(entry.steps)
-            seconds[entry.name].append((time.perf_counter() - start) / entry.steps)
-    return [(entry.name, seconds[entry.name], entry.units) for entry in entries]
+def elapsed(work: Callable[..., object], *arguments: Any) -> float:
+    """Seconds that a call takes."""
+    start = time.perf_counter()
+    work(*arguments)
+    return time.perf_counter() - start
 
 
-def invite(
-    entries: list[Entry], report: Report, name: str, make: Callable[[], Runner], units: float, steps: int
-) -> None:
-    """Add a peer, or a line that says why it is absent."""
-    try:
-        entries.append(Entry(name, make(), units, steps))
-    except PeerMissingError as reason:
-        report.notes.append(f"{name}: not measured. {reason}")
-
-
-def close(entries: list[Entry]) -> None:
-    """Free what the contestants hold."""
-    for entry in entries:
-        getattr(entry.runner, "close", lambda: None)()
+def peer(place: str, *arguments: Any, **options: Any) -> Callable[[], Runner]:
+    """What makes a peer, a class like "cloth_warp.ClothWarp" of `reports.peers`; what it needs may be missing, so its module is
+    imported only then."""
+    module, name = place.split(".")
+    return lambda: getattr(import_module(f"taichi_sim.reports.peers.{module}"), name)(*arguments, **options)
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:

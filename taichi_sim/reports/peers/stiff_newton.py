@@ -19,9 +19,9 @@ __all__ = ["StiffNewton"]
 
 
 class StiffNewton:
-    """A scene's springs over `duration` seconds in so many steps. Rest lengths are those of the start."""
+    """A scene's springs in steps of `h` [s]. Rest lengths are those of the start."""
 
-    def __init__(self, scene: Scene, steps: int, duration: float) -> None:
+    def __init__(self, scene: Scene, h: float) -> None:
         builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=tuple(scene.gravity))
         mass = np.where(scene.pinned, 0.0, scene.mass)
         for x, v, m in zip(scene.position, scene.velocity, mass):
@@ -31,24 +31,20 @@ class StiffNewton:
         self._model = builder.finalize(device="cpu")
         self._model.particle_grid = None  # no contacts
         self._solver, self._control = SolverSemiImplicit(self._model), self._model.control()
-        self._steps, self._h = steps, duration / steps
+        self._h = h
 
     def reset(self) -> None:
         """Back to the start."""
         self._now, self._next = self._model.state(), self._model.state()
 
-    def run(self) -> None:
-        """All steps."""
-        for _ in range(self._steps):
+    def step(self, steps: int) -> None:
+        """`steps` steps; returns when they are done."""
+        for _ in range(steps):
             self._now.clear_forces()
             self._solver.step(self._now, self._next, self._control, None, self._h)
             self._now, self._next = self._next, self._now
         wp.synchronize()
 
-    def position(self) -> NDArray[np.float64]:
-        """Where the balls are, (n, 3) m."""
-        x: NDArray[np.float64] = self._now.particle_q.numpy().astype(np.float64)
-        return x
-
-    def close(self) -> None:
-        """Nothing to free."""
+    def result(self) -> tuple[NDArray, NDArray]:
+        """Position and velocity, each (n, 3)."""
+        return self._now.particle_q.numpy().astype(np.float64), self._now.particle_qd.numpy().astype(np.float64)

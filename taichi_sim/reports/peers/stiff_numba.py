@@ -60,10 +60,10 @@ def _symplectic_euler(x, v, w, springs, gravity, mass, force, h, steps):
 
 
 class StiffNumba:
-    """A scene's springs over `duration` seconds in so many steps."""
+    """A scene's springs in steps of `h` [s]."""
 
-    def __init__(self, scene: Scene, steps: int, duration: float, *, verlet: bool) -> None:
-        self._scene, self._steps, self._h = scene, steps, duration / steps
+    def __init__(self, scene: Scene, h: float, *, verlet: bool) -> None:
+        self._scene, self._h = scene, h
         self._step = _verlet if verlet else _symplectic_euler
         self._w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
         columns = (scene.pairs[:, 0], scene.pairs[:, 1], scene.stiffness, scene.damping, scene.rest_length)
@@ -74,16 +74,11 @@ class StiffNumba:
         """Back to the start."""
         self._x, self._v = self._scene.position.copy(), self._scene.velocity.copy()
 
-    def run(self) -> None:
-        """All steps."""
+    def step(self, steps: int) -> None:
+        """`steps` steps."""
         scene = self._scene
-        self._step(
-            self._x, self._v, self._w, self._springs, scene.gravity, scene.mass, self._force, self._h, self._steps
-        )
+        self._step(self._x, self._v, self._w, self._springs, scene.gravity, scene.mass, self._force, self._h, steps)
 
-    def position(self) -> NDArray[np.float64]:
-        """Where the balls are, (n, 3) m."""
-        return self._x
-
-    def close(self) -> None:
-        """Nothing to free."""
+    def result(self) -> tuple[NDArray, NDArray]:
+        """Position and velocity, each (n, 3)."""
+        return self._x, self._v

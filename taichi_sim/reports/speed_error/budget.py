@@ -11,9 +11,9 @@ import numpy as np
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error.compared import Compared, worst
+from taichi_sim.reports.speed_error.csv_table import whole
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
 from taichi_sim.reports.speed_error.reference import Reference
-from taichi_sim.reports.speed_error.rows import whole
 from taichi_sim.reports.speed_error.worker import Outcome
 from taichi_sim.scene.scene import Scene
 

@@ -10,8 +10,8 @@ from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
 from taichi_sim.reports.speed_error.reference import APART, PARTED, Reference
 from taichi_sim.reports.speed_error.rows import (
-    CLEAR,
-    FALLS,
+    CLEAR_OF_REFERENCE,
+    ERROR_FALLS,
     LEFT_OUT,
     STABLE,
     UNSTABLE,
@@ -52,7 +52,7 @@ class Findings:
         for method in self.plan.methods:
             own = [r for r in self.rows if r.precision == "f32" and r.method == method and r.verdict == STABLE]
             errors = [r.relative_error for r in own if r.relative_error]
-            if len(errors) > 1 and errors[-1] > FALLS * errors[-2]:
+            if len(errors) > 1 and errors[-1] > ERROR_FALLS * errors[-2]:
                 best.append(min(errors))
         return min(best, default=None)
 
@@ -97,8 +97,8 @@ class Findings:
             )
             yield (
                 f"Reference: {reference.method} in double precision at {2 * reference.step:.3g} s and {reference.step:.3g} s,"
-                f" which differ by {reference.known / reference.motion:.1g} of that. Errors within {CLEAR:g} times of it are left"
-                " out of orders and of the front."
+                f" which differ by {reference.known / reference.motion:.1g} of that. Errors within"
+                f" {CLEAR_OF_REFERENCE:g} times of it are left out of orders and of the front."
             )
             if self.budget is not None:
                 yield from self.budget.lines()
@@ -184,8 +184,3 @@ def equal(rows: list[Row]) -> str:
     """The rows after the first, and to what their times can be told apart."""
     noise = np.hypot(rows[0].noise or 0.0, max(row.noise or 0.0 for row in rows[1:]))
     return f"the noise of {noise:.1g} s: {', '.join(map(named, rows[1:]))}"
-
-
-def agrees(interval: Interval, other: Interval, name: str) -> bool:
-    """Whether two means differ by less than their intervals together."""
-    return bool(abs(interval.mean[name] - other.mean[name]) <= np.hypot(interval.half[name], other.half[name]))

@@ -5,11 +5,12 @@ from pathlib import Path
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error import budget as budgets
+from taichi_sim.reports.speed_error import csv_table
 from taichi_sim.reports.speed_error import reference as references
-from taichi_sim.reports.speed_error import rows as table
 from taichi_sim.reports.speed_error.budget import Budget
+from taichi_sim.reports.speed_error.csv_table import whole
 from taichi_sim.reports.speed_error.reference import Reference
-from taichi_sim.reports.speed_error.rows import Row, whole
+from taichi_sim.reports.speed_error.rows import Row
 
 __all__ = ["Folder"]
 
@@ -54,7 +55,7 @@ class Folder:
         if path.is_dir() and overwrite:
             for name in OURS:
                 (path / name).unlink(missing_ok=True)
-        self.rows = table.read(path / "rows.csv")
+        self.rows = csv_table.read(path / "rows.csv", Row)
 
     def open(self) -> Path:
         """Make the folder, once there is something to keep."""
@@ -67,13 +68,13 @@ class Folder:
     def add(self, row: Row) -> None:
         """Keep a row, on disk at once."""
         self.rows.append(row)
-        table.write(self.open() / "rows.csv", self.rows)
+        csv_table.write(self.open() / "rows.csv", Row, self.rows)
 
     def complete(self, found: list[Row]) -> None:
         """Write the rows once more, those found with their orders; what was not asked for this time stays as it was."""
         by_key = {row.key: row for row in found}
         self.rows = [by_key.get(row.key, row) for row in self.rows]
-        table.write(self.path / "rows.csv", self.rows)
+        csv_table.write(self.path / "rows.csv", Row, self.rows)
 
     def reference(self) -> Reference | None:
         """The one that an interrupted report has made."""

@@ -2,20 +2,21 @@
 
 import html
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from taichi_sim import __version__
 from taichi_sim.common.atomic_file import replacing
-from taichi_sim.reports.bench.main import processor
+from taichi_sim.reports.machine import processor
 from taichi_sim.reports.speed_error import plot
-from taichi_sim.reports.speed_error.findings import Findings, agrees, choice, in_unit
-from taichi_sim.reports.speed_error.rows import Row
+from taichi_sim.reports.speed_error.findings import Findings, choice, in_unit
+from taichi_sim.reports.speed_error.rows import UNSTABLE, Row
 from taichi_sim.reports.speed_error.statistics import QUANTITIES
 
 __all__ = ["write_pages"]
 
-Table = tuple[list[str], list[list[str]]]
+Table = tuple[list[str], list[list[str]], list[str]]  # heads, rows of cells, and what each row is: front, bad or ""
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d2126; --paper: #ffffff; --line: #d9dde2; --soft: #f4f6f8; --bad: #b3261e }
 @media (prefers-color-scheme: dark) {
@@ -43,22 +44,17 @@ what they are known. Bold: on the Pareto front."""
 def write_pages(findings: Findings, folder: Path) -> None:
     """Both pages and both pictures, each complete when it appears."""
     figure = plot.draw(findings)
+    files: dict[str, bytes] = {}
     picture = ""
     if figure is not None:
         picture = plot.svg(figure)
-        _write(folder / "error.svg", picture.replace("currentColor", "#333333").encode())
-        _write(folder / "error.png", plot.png(figure))
-    _write(folder / "report.html", _html(findings, picture).encode())
-    _write(folder / "report.md", _markdown(findings, figure is not None).encode())
-
-
-def _write(path: Path, data: bytes) -> None:
-    with replacing(path) as file:
-        file.write(data)
-
-
-def _title(findings: Findings) -> str:
-    return f"Speed against error: {findings.plan.name}"
+        files = {"error.svg": picture.replace("currentColor", "#333333").encode(), "error.png": plot.png(figure)}
+    content = list(_content(findings, picture))
+    files["report.html"] = "".join(HTML[kind](value) for kind, value in content).encode() + b"</body></html>\n"
+    files["report.md"] = "\n\n".join(MARKDOWN[kind](value) for kind, value in content).encode() + b"\n"
+    for name, data in files.items():
+        with replacing(folder / name) as file:
+            file.write(data)
 
 
 def _made(findings: Findings) -> str:
@@ -68,7 +64,7 @@ def _made(findings: Findings) -> str:
 
 def _advice(findings: Findings) -> Table:
     rows = [[f"{tolerance:g}", choice(rows)] for tolerance, rows in findings.fastest()]
-    return ["error", "fastest"], rows
+    return ["error", "fastest"], rows, [""] * len(rows)
 
 
 def _number(value: float | None, digits: int = 3) -> str:
@@ -86,9 +82,7 @@ def _cells(row: Row) -> list[str]:
         _number(row.seconds),
         _number(row.noise, 1),
         _number(row.ns_per_ball_step),
-        _number(row.rms_error, 2),
-        _number(row.max_error, 2),
-        _number(row.relative_error, 2),
+        *(_number(error, 2) for error in (row.rms_error, row.max_error, row.relative_error)),
         "" if row.order is None else f"{row.order:.2f}",
         _number(row.energy_drift, 2),
     ]
@@ -120,85 +114,88 @@ def _reasons(findings: Findings) -> Iterator[str]:
 def _statistics(findings: Findings) -> Table:
     """Mean and half width; a star where the mean differs from that of the last, the scene's own at half its step."""
     rows = []
-    judge = {interval.precision: interval for interval in findings.intervals}
     for interval in findings.intervals:
-        cells = []
-        for name in QUANTITIES:
-            star = "" if agrees(interval, judge[interval.precision], name) else " *"
-            cells.append(f"{interval.mean[name]:.4g} ± {interval.half[name]:.2g}{star}")
-        if interval.failed:
-            cells = [f"none: {interval.failed}", *[""] * (len(QUANTITIES) - 1)]
+        cells = [f"none: {interval.failed}", *[""] * (len(QUANTITIES) - 1)]
+        if not interval.failed:
+            stars = {name: " *" if name in interval.differs else "" for name in QUANTITIES}
+            cells = [f"{interval.mean[name]:.4g} ± {interval.half[name]:.2g}{star}" for name, star in stars.items()]
         rows.append([interval.method, interval.precision, _number(interval.step), *cells])
-    return ["method", "precision", "h [s]", *QUANTITIES.values()], rows
+    return ["method", "precision", "h [s]", *QUANTITIES.values()], rows, [""] * len(rows)
 
 
-STATISTICS = """Eight starts, a millionth of the size apart, averaged over the second half of the time: mean and 95 % interval.
-A star: differs from the last row of its precision, which is the scene's own method at half its step, by more than
-both intervals."""
+STATISTICS = """Eight starts, a millionth of the size apart, averaged over the second half of the time: mean and 95 % interval
+(Student). A star: differs from the last row of its precision, which is the scene's own method at half its step, by Welch's test;
+at most 5 % of the stars are chance (Benjamini and Hochberg)."""
 
 
-# Markdown ----------------------------------------------------------------------------------------------------------
-
-
-def _markdown(findings: Findings, pictured: bool) -> str:
-    parts = [f"# {_title(findings)}", _made(findings), "\n".join(f"- {line}" for line in findings.about())]
-    if pictured:
-        parts.append("![Error against wall time](error.png)")
-    if any(row.rms_error is not None for row in findings.rows):
-        parts += ["## Fastest for a relative error", "\n".join(_rows(_advice(findings)))]
-    if findings.rows:
-        front = findings.front
-        cells = [[f"**{c}**" if row in front and c else c for c in _cells(row)] for row in findings.rows]
-        parts += ["## All runs", "\n".join(_rows((_head(findings), cells))), " ".join(NOTES.split())]
-        parts.append("\n".join(f"- {line}" for line in _reasons(findings)))
-    if findings.intervals:
-        parts += ["## Statistics", "\n".join(_rows(_statistics(findings))), " ".join(STATISTICS.split())]
-    return "\n\n".join(parts) + "\n"
-
-
-def _rows(table: Table) -> Iterator[str]:
-    head, rows = table
-    yield f"| {' | '.join(head)} |"
-    yield "|" + "---|" * len(head)
-    for row in rows:
-        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
-
-
-# HTML --------------------------------------------------------------------------------------------------------------
-
-
-def _html(findings: Findings, picture: str) -> str:
-    title = html.escape(_title(findings))
-    parts = [f"<h1>{title}</h1><p class=small>{html.escape(_made(findings))}</p>"]
-    parts.append("<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in findings.about()) + "</ul>")
+def _content(findings: Findings, picture: str) -> Iterator[tuple[str, Any]]:
+    """The parts of a page: what kind each is, and what it holds."""
+    yield "title", f"Speed against error: {findings.plan.name}"
+    yield "small", _made(findings)
+    yield "list", list(findings.about())
     if picture:
-        parts.append(picture)
+        yield "picture", picture
     if any(row.rms_error is not None for row in findings.rows):
-        parts.append("<h2>Fastest for a relative error</h2>" + _html_table(_advice(findings)))
+        yield "heading", "Fastest for a relative error"
+        yield "table", _advice(findings)
     if findings.rows:
         front = findings.front
-        kinds = ["front" if row in front else "bad" if row.verdict == "unstable" else "" for row in findings.rows]
-        cells = [_cells(row) for row in findings.rows]
-        parts.append(
-            f"<h2>All runs</h2>{_html_table((_head(findings), cells), kinds)}<p class=small>{html.escape(NOTES)}</p>"
-        )
-        reasons = "".join(f"<li>{html.escape(line)}</li>" for line in _reasons(findings))
-        if reasons:
-            parts.append(f"<details open><summary>Why</summary><ul class=small>{reasons}</ul></details>")
+        kinds = ["front" if row in front else "bad" if row.verdict == UNSTABLE else "" for row in findings.rows]
+        yield "heading", "All runs"
+        yield "table", (_head(findings), [_cells(row) for row in findings.rows], kinds)
+        yield "small", NOTES
+        if reasons := list(_reasons(findings)):
+            yield "reasons", reasons
     if findings.intervals:
-        parts.append(
-            f"<h2>Statistics</h2>{_html_table(_statistics(findings))}<p class=small>{html.escape(STATISTICS)}</p>"
-        )
-    return (
-        f'<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width, initial-scale=1">'
-        f"<title>{title}</title><style>{STYLE}</style><body>{''.join(parts)}</body></html>\n"
-    )
+        yield "heading", "Statistics"
+        yield "table", _statistics(findings)
+        yield "small", STATISTICS
 
 
-def _html_table(table: Table, kinds: Sequence[str] = ()) -> str:
-    head, rows = table
+def _markdown_list(lines: Sequence[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def _markdown_table(table: Table) -> str:
+    head, rows, kinds = table
+    marks = ["**" if kind == "front" else "" for kind in kinds]
+    cells = [[f"{mark}{c}{mark}".replace("|", "\\|") if c else "" for c in row] for mark, row in zip(marks, rows)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *cells))
+
+
+MARKDOWN: dict[str, Callable[[Any], str]] = {
+    "title": lambda text: f"# {text}",
+    "small": lambda text: " ".join(text.split()),
+    "list": _markdown_list,
+    "picture": lambda _: "![Error against wall time](error.png)",
+    "heading": lambda text: f"## {text}",
+    "table": _markdown_table,
+    "reasons": _markdown_list,
+}
+
+
+def _html_list(lines: Sequence[str]) -> str:
+    return "".join(f"<li>{html.escape(line)}</li>" for line in lines)
+
+
+def _html_table(table: Table) -> str:
+    head, rows, kinds = table
     lines = ["<div class=wide><table><tr>", *(f"<th>{html.escape(name)}</th>" for name in head), "</tr>"]
-    for k, row in enumerate(rows):
+    for kind, row in zip(kinds, rows):
         cells = (f"<td{' class=words' if len(cell) > 40 else ''}>{html.escape(cell)}</td>" for cell in row)
-        lines.append(f'<tr class="{kinds[k] if kinds else ""}">{"".join(cells)}</tr>')
+        lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
     return "".join([*lines, "</table></div>"])
+
+
+HTML: dict[str, Callable[[Any], str]] = {
+    "title": lambda text: (
+        '<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content="width=device-width, initial-scale=1">'
+        f"<title>{html.escape(text)}</title><style>{STYLE}</style><body><h1>{html.escape(text)}</h1>"
+    ),
+    "small": lambda text: f"<p class=small>{html.escape(text)}</p>",
+    "list": lambda lines: f"<ul>{_html_list(lines)}</ul>",
+    "picture": lambda svg: svg,
+    "heading": lambda text: f"<h2>{html.escape(text)}</h2>",
+    "table": _html_table,
+    "reasons": lambda lines: f"<details open><summary>Why</summary><ul class=small>{_html_list(lines)}</ul></details>",
+}

@@ -6,7 +6,7 @@ from typing import Any
 
 from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.plan import METHODS
-from taichi_sim.reports.speed_error.rows import CLEAR, STABLE, UNSTABLE, Row
+from taichi_sim.reports.speed_error.rows import CLEAR_OF_REFERENCE, STABLE, UNSTABLE, Row
 
 __all__ = ["draw", "png", "svg"]
 
@@ -38,7 +38,7 @@ def draw(findings: Findings) -> Any:
         _front(axis, findings, precision)
         axis.axvline(high, color=INK, lw=0.5, ls=":")
         if findings.reference.parts and findings.reference.known:
-            axis.axvspan(0.1 * low, CLEAR * findings.reference.known / motion, color=INK, alpha=0.08, lw=0)
+            axis.axvspan(0.1 * low, CLEAR_OF_REFERENCE * findings.reference.known / motion, color=INK, alpha=0.08, lw=0)
         if precision == "f32" and findings.floor is not None:
             axis.axvline(findings.floor, color=INK, lw=0.9, ls="--", label="floor of f32")
     axes[0].set_ylabel("wall time per simulated second [s]", color=INK)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.methods import RK4
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error.compared import Compared, rms
+from taichi_sim.reports.speed_error.csv_table import whole
 from taichi_sim.reports.speed_error.plan import (
     FRAME,
     PARTS,
@@ -29,7 +30,6 @@ from taichi_sim.reports.speed_error.plan import (
     own_step,
     size_of,
 )
-from taichi_sim.reports.speed_error.rows import whole
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
 from taichi_sim.scene.scene import Scene
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from taichi_sim.reports.speed_error import budget as budgets
+from taichi_sim.reports.speed_error import csv_table, statistics
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
-from taichi_sim.reports.speed_error import statistics
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.compared import Compared, worst
 from taichi_sim.reports.speed_error.findings import Findings
@@ -154,7 +154,7 @@ def _needs_statistics(plan: Plan, reference: Reference, rows: list[table.Row]) -
 
 def _seeds(scene: Scene, plan: Plan, folder: Folder, workers: Workers, precision: str) -> list[statistics.Seed]:
     path = folder.path / "seeds.csv"
-    seeds = statistics.read(path)
+    seeds = csv_table.read(path, statistics.Seed)
     done = {seed.key for seed in seeds}
     failed = {seed.key[:3] for seed in seeds if seed.failed}
     for method, step in statistics.steps_of_seeds(scene, plan):
@@ -165,7 +165,7 @@ def _seeds(scene: Scene, plan: Plan, folder: Folder, workers: Workers, precision
                 done.add(seeds[-1].key)
                 if seeds[-1].failed:
                     failed.add(key)
-                statistics.write(folder.open() / "seeds.csv", seeds)
+                csv_table.write(folder.open() / "seeds.csv", statistics.Seed, seeds)
     return seeds
 
 

@@ -1,36 +1,19 @@
-"""Rows: what was measured of one method with one step, the file that holds them, and what they say together."""
+"""Rows: what was measured of one method with one step, and what they say together."""
 
-import csv
-import io
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from taichi_sim.common.atomic_file import replacing
-from taichi_sim.common.errors import SceneError
 from taichi_sim.reports.speed_error.plan import METHODS
 
-__all__ = [
-    "Row",
-    "as_fast",
-    "cheapest",
-    "lines_of",
-    "pareto",
-    "read",
-    "stuck",
-    "tells",
-    "whole",
-    "with_orders",
-    "write",
-]
+__all__ = ["LEFT_OUT", "STABLE", "UNSTABLE", "Row", "as_fast", "cheapest", "pareto", "stuck", "tells", "with_orders"]
 
 STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
-TOLD = 1.9  # times longer a step must be for that
-FALLS = 0.7  # of the error at the step before, above which a shorter step did not lessen it
-CLEAR = 10.0  # times what the reference is known to, below which an error says more of the reference than of the method
+LONGER_STEP = 1.9  # times a step must be as long as another for their errors to be compared
+ERROR_FALLS = 0.7  # of the error at the longer step, above which a shorter step did not lessen it
+CLEAR_OF_REFERENCE = (
+    10.0  # times what the reference is known to, below which an error says more of the reference than of the method
+)
 
 
 @dataclass(frozen=True)
@@ -63,69 +46,14 @@ class Row:
         """What tells rows of one report apart."""
         return self.precision, self.method, self.step
 
-
-NUMBERS = {field.name for field in fields(Row) if "float" in str(field.type)}
-WHOLE = {field.name for field in fields(Row) if field.type is int}
-
-
-def write(path: Path, rows: Sequence[Row]) -> None:
-    """All rows as CSV, the old file replaced when the new one is complete."""
-    text = io.StringIO()
-    table = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
-    table.writeheader()
-    for row in rows:
-        table.writerow({name: "" if value is None else value for name, value in asdict(row).items()})
-    with replacing(path) as file:
-        file.write(text.getvalue().encode())
-
-
-@contextmanager
-def whole(path: Path, *kinds: type[Exception]) -> Iterator[None]:
-    """What goes wrong in reading a file of a report, as one SceneError: ValueError, and the kinds given."""
-    expected: tuple[type[Exception], ...] = (ValueError, *kinds)
-    try:
-        yield
-    except expected as error:
-        raise SceneError(f"{path}: is damaged, use --overwrite or another --out ({error})") from None
-
-
-def read(path: Path) -> list[Row]:
-    """The rows that `write` wrote; none where there is no such file."""
-    with whole(path, csv.Error):
-        return [_row(line) for line in lines_of(path, [field.name for field in fields(Row)])]
-
-
-def lines_of(path: Path, names: list[str]) -> list[dict[str, str]]:
-    """The lines of a table with these columns. Raises ValueError where one is not complete."""
-    if not path.exists():
-        return []
-    text = path.read_bytes().decode()
-    table = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-    lines = list(table)
-    if table.fieldnames != names or not text.endswith("\n"):
-        raise ValueError("its first or its last line is not complete")
-    for number, line in enumerate(lines, 1):
-        if None in line or None in line.values():
-            raise ValueError(f"row {number} is not complete")
-    return lines
-
-
-def _row(line: dict[str, str]) -> Row:
-    values: dict[str, Any] = {name: _value(name, text) for name, text in line.items()}
-    if values["verdict"] not in (STABLE, UNSTABLE, LEFT_OUT) or values["method"] not in METHODS:
-        raise ValueError(f"{values['method']!r} with {values['verdict']!r} is no row")
-    return Row(**values)
-
-
-def _value(name: str, text: str) -> str | float | int | None:
-    if name in NUMBERS:
-        return float(text) if text else None
-    return int(text) if name in WHOLE else text
+    def __post_init__(self) -> None:
+        if self.verdict not in (STABLE, UNSTABLE, LEFT_OUT) or self.method not in METHODS:
+            raise ValueError(f"{self.method!r} with {self.verdict!r} is no row")
 
 
 def tells(row: Row, known: float) -> bool:
     """Whether the row's error is one of the method's: it is stable and clear of what the reference is known to [m]."""
-    return row.verdict == STABLE and row.rms_error is not None and row.rms_error > CLEAR * known
+    return row.verdict == STABLE and row.rms_error is not None and row.rms_error > CLEAR_OF_REFERENCE * known
 
 
 def with_orders(rows: Sequence[Row], known: float) -> list[Row]:
@@ -151,8 +79,8 @@ def stuck(rows: Sequence[Row], known: float) -> list[str]:
     found = []
     for method in dict.fromkeys(row.method for row in rows):
         own = [row for row in rows if (row.precision, row.method) == (rows[0].precision, method) and tells(row, known)]
-        longer = [row for row in own if row.step > TOLD * own[-1].step]
-        if longer and (own[-1].rms_error or 0.0) > FALLS * (longer[-1].rms_error or 0.0):
+        longer = [row for row in own if row.step > LONGER_STEP * own[-1].step]
+        if longer and (own[-1].rms_error or 0.0) > ERROR_FALLS * (longer[-1].rms_error or 0.0):
             found.append(method)
     return found
 

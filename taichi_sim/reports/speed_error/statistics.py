@@ -1,26 +1,23 @@
 """What can be said beyond the horizon: statistics of many runs that start a little apart, with their intervals."""
 
-import csv
-import io
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 
-from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step, fitting, halved, own_step
 from taichi_sim.reports.speed_error.reference import apart
-from taichi_sim.reports.speed_error.rows import lines_of, whole
 from taichi_sim.reports.speed_error.worker import Outcome, Trial
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["QUANTITIES", "SEEDS", "Interval", "Seed", "intervals", "one_seed", "read", "steps_of_seeds", "write"]
+__all__ = ["QUANTITIES", "SEEDS", "Interval", "Seed", "intervals", "one_seed", "steps_of_seeds"]
 
 SEEDS = 8
-START = 1e-6  # of the size, between the starts
-STUDENT = 2.365  # of 7 degrees of freedom, for 95 %
-LAST = PARTS // 2  # parts over which each run is averaged
+STARTS_APART = 1e-6  # of the size, between the starts
+FALSE_FINDINGS = 0.05  # at most, of all quantities that are said to differ
+LAST_PARTS = PARTS // 2  # parts over which each run is averaged
 QUANTITIES = {
     "kinetic": "kinetic energy [J]",
     "total": "total energy [J]",
@@ -51,13 +48,16 @@ class Seed:
 
 @dataclass(frozen=True)
 class Interval:
-    """Mean and half width of the 95 % interval of each quantity, over the seeds of one method; failed: why there are none."""
+    """Mean and half width of the 95 % interval (Student) of each quantity, over the seeds of one method; failed: why there are
+    none. differs: the quantities whose mean differs from that of the last method and step of this precision, by Welch's test
+    with at most 5 % of all these findings false (Benjamini and Hochberg, 1995)."""
 
     precision: str
     method: str
     step: float
     mean: dict[str, float]
     half: dict[str, float]
+    differs: tuple[str, ...] = ()
     failed: str = ""
 
 
@@ -72,47 +72,46 @@ def one_seed(
     scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], precision: str, method: str, step: Step, seed: int
 ) -> Seed:
     """Run one method from one start."""
-    outcome = run(Trial(method, step, start=apart(scene, START, seed), most=plan.most, look=True))
+    outcome = run(Trial(method, step, start=apart(scene, STARTS_APART, seed), most=plan.most, look=True))
     failed = outcome.unstable or outcome.left_out
     if failed:
         return Seed(precision, method, step.seconds, seed, np.nan, np.nan, np.nan, np.nan, failed)
-    kinetic, _, _, total = (float(value) for value in np.mean(outcome.energy[-LAST:], axis=0))
+    kinetic, _, _, total = (float(value) for value in np.mean(outcome.energy[-LAST_PARTS:], axis=0))
     g = float(np.linalg.norm(scene.gravity))
     up = -scene.gravity / g if g else np.eye(scene.dim)[-1]
-    height = float(np.mean([x[~scene.pinned] @ up for x in outcome.position[-LAST:]]))
-    overlap = max(depth for _, depth in outcome.contacts[-LAST:])
+    height = float(np.mean([x[~scene.pinned] @ up for x in outcome.position[-LAST_PARTS:]]))
+    overlap = max(depth for _, depth in outcome.contacts[-LAST_PARTS:])
     return Seed(precision, method, step.seconds, seed, kinetic, total, height, overlap)
 
 
 def intervals(seeds: Sequence[Seed]) -> list[Interval]:
     """What the seeds of each method say together."""
+    groups = {key: [seed for seed in seeds if seed.key[:3] == key] for key in dict.fromkeys(s.key[:3] for s in seeds)}
+    judges = {key[0]: own for key, own in groups.items()}  # the last of each precision
+    places = [(key, name) for key in groups for name in QUANTITIES]
+    chances = [_chance(_values(groups[key], name), _values(judges[key[0]], name)) for key, name in places]
+    least = dict(zip(places, stats.false_discovery_control(chances))) if chances else {}
     found = []
-    for key in dict.fromkeys(seed.key[:3] for seed in seeds):
-        own = [seed for seed in seeds if seed.key[:3] == key]
+    for key, own in groups.items():
+        values = {name: _values(own, name) for name in QUANTITIES}
+        width = stats.t.ppf(0.975, SEEDS - 1)
+        half = {n: float(width * stats.sem(v)) if len(v) == SEEDS else np.nan for n, v in values.items()}
         failed = next((seed.failed for seed in own if seed.failed), "")
-        values = {name: np.array([getattr(seed, name) for seed in own]) for name in QUANTITIES}
-        mean = {name: float(value.mean()) for name, value in values.items()}
-        half = {
-            name: STUDENT * float(value.std(ddof=1)) / np.sqrt(len(value)) if len(value) == SEEDS else np.nan
-            for name, value in values.items()
-        }
-        found.append(Interval(*key, mean, half, failed))
+        differs = tuple(name for name in QUANTITIES if least[key, name] < FALSE_FINDINGS)
+        found.append(Interval(*key, {n: float(v.mean()) for n, v in values.items()}, half, differs, failed))
     return found
 
 
-def write(path: Path, seeds: Sequence[Seed]) -> None:
-    """As CSV, replaced whole."""
-    text = io.StringIO()
-    table = csv.DictWriter(text, [field.name for field in fields(Seed)], lineterminator="\n")
-    table.writeheader()
-    table.writerows(asdict(seed) for seed in seeds)
-    with replacing(path) as file:
-        file.write(text.getvalue().encode())
+def _values(seeds: Sequence[Seed], name: str) -> NDArray[np.float64]:
+    return np.array([getattr(seed, name) for seed in seeds])
 
 
-def read(path: Path) -> list[Seed]:
-    """What `write` wrote; none where there is no such file."""
-    kinds = {field.name: field.type for field in fields(Seed)}
-    with whole(path, csv.Error):
-        lines = lines_of(path, list(kinds))
-        return [Seed(**{name: kinds[name](text) for name, text in line.items()}) for line in lines]  # type: ignore[operator]
+def _chance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Welch's: how likely two means differ so much by chance; 1 where one is not known, or nothing differs at all."""
+    if min(len(one), len(other)) < SEEDS or not np.all(np.isfinite(np.concatenate([one, other]))):
+        return 1.0
+    if one.mean() == other.mean():
+        return 1.0
+    spread = (one.mean(), one.std(ddof=1), SEEDS, other.mean(), other.std(ddof=1), SEEDS)
+    with np.errstate(divide="ignore"):  # two that do not spread at all
+        return float(stats.ttest_ind_from_stats(*spread, equal_var=False).pvalue)
