@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from taichi_sim import shapes
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError
-from taichi_sim.scene.colliders import Box, Capsule, Mesh, Sphere
+from taichi_sim.scene.colliders import Box, Capsule, ColliderShape, Mesh, Sphere
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.spring_units import spring_from_rates
 
@@ -34,6 +34,7 @@ __all__ = [
     "BackendError",
     "Box",
     "Capsule",
+    "ColliderShape",
     "Frame",
     "Integrator",
     "Mesh",
