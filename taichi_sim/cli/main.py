@@ -1,15 +1,15 @@
 """The taichi-sim command. It imports nothing heavy before it knows what to do."""
 
+import functools
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from typing import Annotated, Any
 
 import typer
 
 from taichi_sim import __version__
-from taichi_sim.cli.options import pixels, positive, step, takes_only
+from taichi_sim.cli.options import pixels, positive, share, step, takes_only
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
 
@@ -30,159 +30,111 @@ main = typer.Typer(
 )
 
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A TOML file, a Python file, or a demo's name.")]
-Arch = Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal.")]
-Step = Annotated[str | None, typer.Option("--dt", help="Time step in seconds, or auto.")]
-Tolerance = Annotated[
-    float | None,
-    typer.Option(
-        help="Chooses the step: error allowed in a simulated second, the largest of any ball, as a part of the scene's longest"
-        " side."
-    ),
-]
-Integrator = Annotated[
-    str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet, rk4, xpbd, implicit_euler or tr_bdf2.")
-]
-Precision = Annotated[str | None, typer.Option(help="f32 or f64.")]
-Fps = Annotated[float | None, typer.Option(help="Frames per simulated second.")]
-Duration = Annotated[float | None, typer.Option(help="Simulated seconds.")]
-Threads = Annotated[int | None, typer.Option(help="CPU threads.")]
-Quantity = Annotated[
-    str | None, typer.Option(help="What errors are of: a probe's number, like load.tension; positions otherwise.")
-]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
-Out = Annotated[str | None, typer.Option("--out", "-o", help="x.mp4, x.webm, x.gif, x.npz, or folder/ for PNG frames.")]
-Codec = Annotated[str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")]
-Size = Annotated[str | None, typer.Option(help="Size of the pictures in pixels, like 1280x720.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the frames in a folder that is not empty.")]
-Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume", help="Go on with a video or a folder that was cut off, with the frames that are finished."
-    ),
-]
-Transparent = Annotated[
-    bool, typer.Option("--transparent", help="PNG frames without background and ground, with alpha.")
-]
+Precisions = Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")]
+Compared = Annotated[float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")]
+Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
+SIMULATION = ("arch", "dt", "tolerance", "integrator", "precision")  # with "threads", arguments of a Simulation
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _command(*shared: str, name: str | None = None) -> Callable[[Callable[..., None]], None]:
+    """Make a function a command, which takes the shared options named, and whose errors are one line."""
+
+    def add(function: Callable[..., None]) -> None:
+        @functools.wraps(function)
+        def command(**given: Any) -> None:
+            with _plain_errors():
+                function(**given)
+
+        main.command(name=name)(share(command, shared))
+
+    return add
+
+
+@main.callback(invoke_without_command=True)
+def _options(version: Annotated[bool, typer.Option("--version", help="Show it.")] = False) -> None:
+    if version:
         typer.echo(f"taichi-sim {__version__}")
         raise typer.Exit
-
-
-@main.callback()
-def _options(
-    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show it.")] = False,
-) -> None:
-    pass
 
 
 # Commands ----------------------------------------------------------------------------------------------------------
 
 
-@main.command()
+@_command("size", *SIMULATION, "fps", "duration", "threads")
 def run(
     scene: SceneName,
-    out: Out = None,
-    size: Size = None,
-    overwrite: Overwrite = False,
-    resume: Resume = False,
-    codec: Codec = None,
-    transparent: Transparent = False,
-    arch: Arch = None,
-    dt: Step = None,
-    tolerance: Tolerance = None,
-    integrator: Integrator = None,
-    precision: Precision = None,
-    fps: Fps = None,
-    duration: Duration = None,
-    threads: Threads = None,
+    out: Annotated[
+        str | None, typer.Option("--out", "-o", help="x.mp4, x.webm, x.gif, x.npz, or folder/ for PNG frames.")
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the frames in a folder that is not empty.")
+    ] = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume", help="Go on with a video or a folder that was cut off, with the frames that are finished."
+        ),
+    ] = False,
+    codec: Annotated[
+        str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")
+    ] = None,
+    transparent: Annotated[
+        bool, typer.Option("--transparent", help="PNG frames without background and ground, with alpha.")
+    ] = False,
     quiet: Quiet = False,
+    **options: Any,
 ) -> None:
     """Simulate SCENE and write a video, pictures or arrays; without --out show the summary only."""
-    with _plain_errors():
-        from taichi_sim.outputs import export, open_output
+    from taichi_sim.outputs import export, open_output
 
-        job = _Job(scene, fps=fps, duration=duration, size=size)
-        if round(job.output["fps"] * job.output["duration"]) < 1:
-            raise ValueError("fps times duration is less than one frame; raise one of them")
-        if transparent:
-            job.output["style"]["transparent"] = True
-        target = None
-        if out is not None:
-            target = open_output(out, fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-        elif overwrite or resume or codec or transparent:
-            raise ValueError("--overwrite, --resume, --codec and --transparent need --out")
-        try:
-            with job.simulation(
-                arch=arch, dt=dt, tolerance=tolerance, integrator=integrator, precision=precision, threads=threads
-            ) as sim:
-                summary = export(sim, target, progress=not quiet, **job.output)
-        except BaseException as error:
-            if target is not None and isinstance(error, UnstableError) and target.frames:
-                typer.echo(f"{out}: holds the {target.frames} frames until then", err=True)
-            elif target is not None:
-                target.discard()
-                if target.resumable and target.frames:
-                    typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
-            raise
-        if not quiet:
-            typer.echo("\n".join([*summary.lines(), *([f"written      {target.pattern or out}"] if target else [])]))
+    job = _Job(scene, options)
+    if round(job.output["fps"] * job.output["duration"]) < 1:
+        raise ValueError("fps times duration is less than one frame; raise one of them")
+    if transparent:
+        job.output["style"]["transparent"] = True
+    target = None
+    if out is not None:
+        target = open_output(out, fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
+    elif overwrite or resume or codec or transparent:
+        raise ValueError("--overwrite, --resume, --codec and --transparent need --out")
+    try:
+        with job.simulation() as sim:
+            summary = export(sim, target, progress=not quiet, **job.output)
+    except BaseException as error:
+        if target is not None and isinstance(error, UnstableError) and target.frames:
+            typer.echo(f"{out}: holds the {target.frames} frames until then", err=True)
+        elif target is not None:
+            target.discard()
+            if target.resumable and target.frames:
+                typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
+        raise
+    if not quiet:
+        typer.echo("\n".join([*summary.lines(), *([f"written      {target.pattern or out}"] if target else [])]))
 
 
-@main.command()
-def view(
-    scene: SceneName,
-    size: Size = None,
-    arch: Arch = None,
-    dt: Step = None,
-    tolerance: Tolerance = None,
-    integrator: Integrator = None,
-    precision: Precision = None,
-    fps: Fps = None,
-    duration: Duration = None,
-    threads: Threads = None,
-    quiet: Quiet = False,
-) -> None:
+@_command("size", *SIMULATION, "fps", "duration", "threads")
+def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
-    with _plain_errors():
-        from taichi_sim.viewer.window import require_display, show
+    from taichi_sim.viewer.window import require_display, show
 
-        require_display()
-        job = _Job(scene, fps=fps, duration=duration, size=size)
-        options: dict[str, Any] = {"dt": dt, "tolerance": tolerance, "integrator": integrator}
-        options |= {"arch": arch, "precision": precision, "threads": threads}
-        output = {key: job.output[key] for key in ("fps", "size", "style")}
-        output["style"].pop("transparent", None)
-        show(partial(job.simulation, **options), **output, until=duration, say=_quiet if quiet else typer.echo)
+    require_display()
+    job = _Job(scene, options)
+    output = {key: job.output[key] for key in ("fps", "size", "style")}
+    output["style"].pop("transparent", None)
+    show(job.simulation, **output, until=options["duration"], say=_quiet if quiet else typer.echo)
 
 
-@main.command()
-def check(
-    scene: SceneName,
-    arch: Arch = None,
-    dt: Step = None,
-    tolerance: Tolerance = None,
-    integrator: Integrator = None,
-    precision: Precision = None,
-    fps: Fps = None,
-    duration: Duration = None,
-    threads: Threads = None,
-    quiet: Quiet = False,
-) -> None:
+@_command(*SIMULATION, "fps", "duration", "threads")
+def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Say which time step is safe for SCENE, and what limits it, before anything runs."""
-    with _plain_errors():
-        from taichi_sim.reports import check as stability_report
+    from taichi_sim.reports import check as stability_report
 
-        job = _Job(scene, fps=fps, duration=duration, size=None)
-        with job.simulation(
-            arch=arch, dt=dt, tolerance=tolerance, integrator=integrator, precision=precision, threads=threads
-        ) as sim:
-            typer.echo("\n".join(stability_report.lines(sim)))
+    with _Job(scene, options).simulation() as sim:
+        typer.echo("\n".join(stability_report.lines(sim)))
 
 
-@main.command()
+@_command("quantity", "arch", "threads")
 def report(
     context: typer.Context,
     scene: Annotated[
@@ -194,143 +146,116 @@ def report(
     ] = False,
     methods: Annotated[str | None, typer.Option(help="Integrators, like verlet,rk4; all of them otherwise.")] = None,
     dts: Annotated[str | None, typer.Option(help="Steps in seconds, like 1e-3,5e-4; halvings otherwise.")] = None,
-    precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
+    precision: Precisions = None,
     tolerance: Annotated[str, typer.Option(help="An error that you would accept, relative to the motion.")] = "1e-3",
-    quantity: Quantity = None,
     resolutions: Annotated[bool, typer.Option("--resolutions", help="Find the error of the mesh, too.")] = False,
-    duration: Annotated[
-        float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
-    ] = None,
-    limit: Annotated[float, typer.Option(help="Wall seconds that one run may take.")] = 4.0,
+    duration: Compared = None,
+    limit: Limit = 4.0,
     out: Annotated[str | None, typer.Option("--out", "-o", help="Folder of the pages; NAME_report otherwise.")] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a report of something else in that folder.")
     ] = False,
-    arch: Arch = None,
-    threads: Threads = None,
     quiet: Quiet = False,
+    **options: Any,
 ) -> None:
     """Speed against error of SCENE, for methods, steps and precisions; an interrupted report goes on when it is run again.
     With --hard-cases: verdicts on what breaks simulators; exit status 1 if a case passes with none."""
     if hard_cases:
         if scene is not None:
-            _fail(f"report: --hard-cases takes no scene, but {scene!r} was given", BAD_INPUT)
-        with _plain_errors():
-            takes_only(context, ("hard_cases", "scene"), "report: --hard-cases takes no other option")
-            from taichi_sim.reports.hard_cases import contacts as cases
+            raise ValueError(f"report: --hard-cases takes no scene, but {scene!r} was given")
+        takes_only(context, ("hard_cases", "scene"), "report: --hard-cases takes no other option")
+        from taichi_sim.reports.hard_cases import contacts as cases
 
-            good = cases.main()
-        if not good:
+        if not cases.main():
             raise typer.Exit(FAILED)
         return
     if scene is None:
-        _fail("report: give a SCENE, or --hard-cases", BAD_INPUT)
-    with _plain_errors():
-        from pathlib import Path
+        raise ValueError("report: give a SCENE, or --hard-cases")
+    from pathlib import Path
 
-        from taichi_sim.reports.speed_error import command
+    from taichi_sim.reports.speed_error import command
 
-        file, made, plan = command.read(
-            scene,
-            methods=methods,
-            dts=dts,
-            precision=precision,
-            tolerance=tolerance,
-            duration=duration,
-            limit=limit,
-            quantity=quantity,
-            resolutions=resolutions,
-            arch=arch,
-            threads=threads,
-        )
-        from taichi_sim.reports.speed_error.report import main as make
-        from taichi_sim.reports.speed_error.resolution import finer
+    options |= {"methods": methods, "dts": dts, "precision": precision, "tolerance": tolerance, "duration": duration}
+    file, made, plan = command.read(scene, limit=limit, resolutions=resolutions, **options)
+    from taichi_sim.reports.speed_error.report import main as make
+    from taichi_sim.reports.speed_error.resolution import finer
 
-        meshes = finer(file) if resolutions else []
-        folder = Path(out or f"{file.stem}_report")
-        say = _quiet if quiet else typer.echo
-        make(made, plan, folder, meshes=meshes, overwrite=overwrite, progress=not quiet, say=say)
+    meshes = finer(file) if resolutions else []
+    folder = Path(out or f"{file.stem}_report")
+    say = _quiet if quiet else typer.echo
+    make(made, plan, folder, meshes=meshes, overwrite=overwrite, progress=not quiet, say=say)
 
 
-@main.command()
+@_command("quantity", "arch", "threads")
 def tune(
     scene: SceneName,
     tolerance: Annotated[str, typer.Option(help="The error that you accept, relative to the motion.")] = "1e-2",
-    quantity: Quantity = None,
     methods: Annotated[str | None, typer.Option(help="Integrators to choose from, like verlet,rk4.")] = None,
-    precision: Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")] = None,
-    duration: Annotated[
-        float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")
-    ] = None,
-    limit: Annotated[float, typer.Option(help="Wall seconds that one run may take.")] = 4.0,
+    precision: Precisions = None,
+    duration: Compared = None,
+    limit: Limit = 4.0,
     write: Annotated[bool, typer.Option("--write", help="Write the settings into the scene file.")] = False,
-    arch: Arch = None,
-    threads: Threads = None,
     quiet: Quiet = False,
+    **options: Any,
 ) -> None:
     """Find the method, step and precision that meet a tolerance in SCENE at the least cost."""
-    with _plain_errors():
-        from taichi_sim.reports.speed_error import command
-        from taichi_sim.reports.speed_error import tune as tuning
+    from taichi_sim.reports.speed_error import command
+    from taichi_sim.reports.speed_error import tune as tuning
 
-        options: dict[str, Any] = {"methods": methods, "precision": precision, "quantity": quantity, "arch": arch}
-        file, made, plan = command.read(
-            scene, tolerance=tolerance, duration=duration, limit=limit, threads=threads, **options
-        )
-        if write:
-            command.require_own_file(scene, file)
-        settings = tuning.main(made, plan, progress=not quiet, say=typer.echo)
-        if settings is None:
-            raise typer.Exit(FAILED)
-        if write:
-            tuning.write_settings(file, settings)
-            typer.echo(f"written      {file}")
+    options |= {"methods": methods, "precision": precision, "tolerance": tolerance, "duration": duration}
+    file, made, plan = command.read(scene, limit=limit, **options)
+    if write:
+        command.require_own_file(scene, file)
+    settings = tuning.main(made, plan, progress=not quiet, say=typer.echo)
+    if settings is None:
+        raise typer.Exit(FAILED)
+    if write:
+        tuning.write_settings(file, settings)
+        typer.echo(f"written      {file}")
 
 
-@main.command()
+@_command()
 def bench(names: Annotated[list[str] | None, typer.Argument(metavar="[NAME ...]")] = None) -> None:
     """Run the benchmark, beside its reference implementations."""
-    with _plain_errors():
-        from taichi_sim.reports.bench import main as benchmark
+    from taichi_sim.reports.bench import main as benchmark
 
-        benchmark.main(names or [])
+    benchmark.main(names or [])
 
 
-@main.command(name="demos")
+@_command("size", "fps", "duration", name="demos")
 def list_demos(
     context: typer.Context,
     everything: Annotated[bool, typer.Option("--all", help="Make videos of those that have none yet.")] = False,
     out: Annotated[str, typer.Option("--out", "-o", metavar="FOLDER", help="Where to, with --all.")] = "demos_out",
-    size: Size = None,
-    fps: Fps = None,
-    duration: Duration = None,
     quiet: Quiet = False,
+    **options: Any,
 ) -> None:
     """List the built-in scenes, one line each, or make videos of them."""
-    with _plain_errors():
-        from taichi_sim.files.source import built_in, demos
+    from taichi_sim.files.source import built_in, demos
 
-        known = demos()
-        if everything:
-            from taichi_sim.outputs.gallery import render_all
+    known = demos()
+    if everything:
+        from taichi_sim.outputs.gallery import render_all
 
-            raise typer.Exit(render_all(list(known), out, size=size, fps=fps, duration=duration, quiet=quiet))
-        takes_only(context, ("quiet",), "demos: options are for --all")
-        width = max(map(len, known), default=0)
-        for name, file in known.items():
-            typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())
+        raise typer.Exit(render_all(list(known), out, quiet=quiet, **options))
+    takes_only(context, ("quiet",), "demos: options are for --all")
+    width = max(map(len, known), default=0)
+    for name, file in known.items():
+        typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())
 
 
 # What they share ---------------------------------------------------------------------------------------------------
 
 
 class _Job:
-    """A scene and how to show it: command line over scene file over defaults."""
+    """A scene, how to simulate it and how to show it: command line over scene file over defaults."""
 
-    def __init__(self, name: str, *, fps: float | None, duration: float | None, size: str | None) -> None:
+    def __init__(self, name: str, options: dict[str, Any]) -> None:
         from taichi_sim.files.source import checked_output, open_scene, resolve
 
-        asked = {"fps": positive("--fps", fps), "duration": positive("--duration", duration), "size": pixels(size)}
+        asked = {key: positive(f"--{key}", options[key]) for key in ("fps", "duration")}
+        asked["size"] = pixels(options.get("size"))  # type: ignore[assignment]
+        self.options = {**options, "dt": step(options["dt"])}
         self.file = resolve(name)
         self.scene = open_scene(self.file)
         of_scene = {} if self.scene is None else checked_output(self.scene)
@@ -339,9 +264,9 @@ class _Job:
         style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}
         self.output: dict[str, Any] = chosen | {"style": style}
 
-    def simulation(self, forces: Sequence[Any] = (), *, dt: str | None, **options: Any) -> Any:
+    def simulation(self, forces: Sequence[Any] = ()) -> Any:
         """The Simulation, with the command line's options over the scene's own; one that a file makes takes no forces."""
-        given = {key: value for key, value in {"dt": step(dt), **options}.items() if value is not None}
+        given = {key: self.options[key] for key in (*SIMULATION, "threads") if self.options[key] is not None}
         if self.scene is not None:
             from taichi_sim.simulation.simulation import Simulation
 

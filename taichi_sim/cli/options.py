@@ -1,11 +1,49 @@
-"""What options of the command line mean."""
+"""Options of the command line: those that several commands share, and what they mean."""
 
-from collections.abc import Iterable
-from typing import Literal
+import inspect
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any, Literal
 
 import typer
 
-__all__ = ["pixels", "positive", "step", "takes_only"]
+__all__ = ["pixels", "positive", "share", "step", "takes_only"]
+
+SHARED: dict[str, Any] = {
+    "size": Annotated[str | None, typer.Option(help="Size of the pictures in pixels, like 1280x720.")],
+    "arch": Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal.")],
+    "dt": Annotated[str | None, typer.Option("--dt", help="Time step in seconds, or auto.")],
+    "tolerance": Annotated[
+        float | None,
+        typer.Option(
+            help="Chooses the step: error allowed in a simulated second, the largest of any ball, as a part of the scene's"
+            " longest side."
+        ),
+    ],
+    "integrator": Annotated[
+        str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet, rk4, xpbd, implicit_euler or tr_bdf2.")
+    ],
+    "precision": Annotated[str | None, typer.Option(help="f32 or f64.")],
+    "fps": Annotated[float | None, typer.Option(help="Frames per simulated second.")],
+    "duration": Annotated[float | None, typer.Option(help="Simulated seconds.")],
+    "threads": Annotated[int | None, typer.Option(help="CPU threads.")],
+    "quantity": Annotated[
+        str | None, typer.Option(help="What errors are of: a probe's number, like load.tension; positions otherwise.")
+    ],
+}
+
+
+def share(command: Callable[..., None], names: Iterable[str]) -> Callable[..., None]:
+    """The command with these shared options, None where they are not given; its **keywords take them."""
+    parameters = {name: p for name, p in inspect.signature(command).parameters.items() if p.kind is not p.VAR_KEYWORD}
+    for name in names:
+        parameters[name] = inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=SHARED[name]
+        )
+    # typer reads both; what follows an option with a default may have none, which Python itself would not allow
+    ordered = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters.values()]
+    command.__signature__ = inspect.Signature(ordered)  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in ordered}
+    return command
 
 
 def takes_only(context: typer.Context, names: Iterable[str], why: str) -> None:

@@ -5,9 +5,10 @@ from numpy.typing import NDArray
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
+from taichi_sim.geometry.graph import incidence
 from taichi_sim.scene.scene import Scene, used_materials
 
-__all__ = ["TURNING", "Model", "components"]
+__all__ = ["TURNING", "Model", "phase_type"]
 
 TURNING = {2: 2.0, 3: 2.5}  # m r^2 / I of a disc, of a solid sphere
 
@@ -84,34 +85,6 @@ class Model:
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """For each ball the balls that a spring joins it to, as (start (n + 1), other (2 m)), sorted."""
         return incidence(self.scene.pairs, self.n)[:2]
-
-
-def incidence(pairs: NDArray[np.int32], n: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
-    """For each of n balls its springs: start (n + 1), other end (2 m), spring index (2 m), sorted by the other end."""
-    here = np.concatenate([pairs[:, 0], pairs[:, 1]])
-    other = np.concatenate([pairs[:, 1], pairs[:, 0]])
-    spring = np.tile(np.arange(len(pairs)), 2)
-    order = np.lexsort((spring, other, here))
-    start = np.zeros(n + 1, dtype=np.int32)
-    np.cumsum(np.bincount(here, minlength=n), out=start[1:])
-    return start, other[order].astype(np.int32), spring[order]
-
-
-def components(count: int, edges: NDArray) -> NDArray[np.int64]:
-    """For each of `count` balls the lowest index that edges (m, 2) connect it to. Hooking and pointer jumping."""
-    label = np.arange(count)
-    a, b = edges[:, 0].astype(np.int64), edges[:, 1].astype(np.int64)
-    while len(a):
-        low, high = np.minimum(label[a], label[b]), np.maximum(label[a], label[b])
-        apart = low != high
-        a, b = a[apart], b[apart]
-        np.minimum.at(label, high[apart], low[apart])
-        while True:
-            above = label[label]
-            if np.array_equal(above, label):
-                break
-            label = above
-    return label
 
 
 def phase_type(dim: int, real: object) -> dict[str, object]:

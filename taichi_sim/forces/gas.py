@@ -6,6 +6,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
+from taichi_sim.geometry.mesh import sides
 from taichi_sim.kernels.springs.law import GRAIN, PART
 
 __all__ = ["Gases"]
@@ -30,8 +31,7 @@ class Gases(Corners):
         real = fields.real
         t = np.concatenate([gas.triangles for gas in gases])
         gas = np.repeat(np.arange(self.count), [len(g.triangles) for g in gases])
-        others = np.concatenate([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]])
-        self.gather(model, fields, others, t.T.ravel(), {"gas": ti.i32}, {"gas": np.tile(gas, 3)})
+        self.gather(model, fields, sides(t[:, [1, 2, 0]]), t.T.ravel(), {"gas": ti.i32}, {"gas": np.tile(gas, 3)})
         self.triangle = fields.table(
             {name: ti.i32 for name in "abc"}, len(t), {n: t[:, k] for k, n in enumerate("abc")}
         )

@@ -7,8 +7,9 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.device.model import Model, components
+from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
+from taichi_sim.geometry.graph import components
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["MOST", "RATE", "Pointer"]

@@ -6,6 +6,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
+from taichi_sim.geometry.mesh import sides
 
 __all__ = ["Wind", "gusts"]
 
@@ -36,8 +37,7 @@ class Wind(Corners):
         count = np.bincount(t.ravel(), minlength=model.n)
         give = (model.inverse_mass_array * count)[t].sum(axis=1) / 9.0
         most = np.divide(MOST, give, out=np.zeros(len(t)), where=give > 0)
-        others = np.concatenate([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]])
-        self.gather(model, fields, others, t.T.ravel(), {"most": real}, {"most": np.tile(most, 3)})
+        self.gather(model, fields, sides(t[:, [1, 2, 0]]), t.T.ravel(), {"most": real}, {"most": np.tile(most, 3)})
         speed = float(np.linalg.norm(wind.velocity))
         along, one, two = axes(np.array(wind.velocity))
         self.along, self.one, self.two = (ti.Vector(axis.tolist()) for axis in (along, one, two))

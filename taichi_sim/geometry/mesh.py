@@ -12,6 +12,7 @@ from taichi_sim.common.errors import SceneError
 
 __all__ = [
     "SUFFIXES",
+    "Edges",
     "Surface",
     "by_hand",
     "flaws",
@@ -20,14 +21,15 @@ __all__ = [
     "holes",
     "mesh_distance",
     "read_surface",
+    "sides",
     "surface_area",
     "unique_edges",
     "volume",
 ]
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf")
-FEW = 3  # places that a message names
-THIN = 1e-6  # twice its area over the square of its longest side: a triangle of less has none
+PLACES_NAMED = 3  # in a message
+THINNEST_TRIANGLE = 1e-6  # twice its area over the square of its longest side: a triangle of less has none
 
 
 class Surface(NamedTuple):
@@ -103,12 +105,32 @@ def by_hand(where: str, mesh: Any) -> Surface:
     return Surface(vertices, validation.indices(f"{where}: triangles", mesh[1], len(vertices), 3, "vertex"))
 
 
+def sides(triangles: NDArray) -> NDArray:
+    """The sides (3 t, 2) of triangles (t, 3), each as its triangle runs along it: first all a-b, then b-c, then c-a."""
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+
+
+class Edges(NamedTuple):
+    """The edges of triangles (t, 3), each once, lower vertex first, sorted."""
+
+    ends: NDArray[np.int32]  # (e, 2)
+    of_side: NDArray[np.int64]  # (3 t,) the edge that each of the `sides` is
+    triangles: NDArray[np.int64]  # (e,) how many triangles meet there
+    forward: NDArray[np.int64]  # (e,) those of them that run from its lower vertex to its higher one
+
+    @classmethod
+    def of(cls, triangles: NDArray) -> "Edges":
+        """All edges of triangles (t, 3)."""
+        side = sides(np.asarray(triangles).reshape(-1, 3))
+        ends, of_side, count = np.unique(np.sort(side, axis=1), axis=0, return_inverse=True, return_counts=True)
+        of_side = of_side.reshape(-1)
+        forward = np.bincount(of_side[side[:, 0] < side[:, 1]], minlength=len(ends))
+        return cls(ends.astype(np.int32), of_side, count, forward)
+
+
 def unique_edges(triangles: NDArray) -> NDArray[np.int32]:
     """The edges (e, 2) of triangles (t, 3): each once, lower vertex first, sorted."""
-    if len(triangles) == 0:
-        return np.zeros((0, 2), dtype=np.int32)
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    return np.unique(np.sort(edges, axis=1), axis=0).astype(np.int32)
+    return Edges.of(triangles).ends
 
 
 def hinges(triangles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -116,17 +138,12 @@ def hinges(triangles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
     Where three or more triangles meet there is no single hinge. The edges are sorted, lower vertex first.
     """
-    if len(triangles) == 0:
-        return np.zeros((0, 2), dtype=np.int32), np.zeros((0, 2), dtype=np.int32)
-    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    opposite = np.concatenate([triangles[:, 2], triangles[:, 0], triangles[:, 1]])
-    unique, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
-    inner = count[edge] == 2
-    by_edge = np.argsort(edge[inner], kind="stable")
+    edges, opposite = Edges.of(triangles), triangles[:, [2, 0, 1]].T.ravel()
+    inner = edges.triangles[edges.of_side] == 2
+    by_edge = np.argsort(edges.of_side[inner], kind="stable")
     facing = opposite[inner][by_edge].reshape(-1, 2)
     two = facing[:, 0] != facing[:, 1]  # a triangle that is there twice is no hinge
-    return unique[count == 2][two].astype(np.int32), facing[two].astype(np.int32)
+    return edges.ends[edges.triangles == 2][two], facing[two].astype(np.int32)
 
 
 def hinge_pairs(triangles: NDArray) -> NDArray[np.int32]:
@@ -142,12 +159,8 @@ def surface_area(surface: Surface) -> float:
 
 def holes(triangles: NDArray) -> NDArray[np.int32]:
     """The edges (k, 2) that do not lie between exactly two triangles which run along them in opposite ways; none: closed."""
-    if len(triangles) == 0:
-        return np.zeros((0, 2), dtype=np.int32)
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    unique, same, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(same.reshape(-1), edges[:, 0] < edges[:, 1], minlength=len(unique))
-    return unique[(count != 2) | (forward != 1)].astype(np.int32)
+    edges = Edges.of(triangles)
+    return edges.ends[(edges.triangles != 2) | (edges.forward != 1)]
 
 
 def flaws(surface: Surface, *, closed: bool = True) -> list[str]:
@@ -156,17 +169,15 @@ def flaws(surface: Surface, *, closed: bool = True) -> list[str]:
     t, x = surface.triangles, surface.vertices
     if not len(t):
         return ["it has no triangle"]
-    edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
-    unique, same, count = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-    forward = np.bincount(same.reshape(-1), edges[:, 0] < edges[:, 1], minlength=len(unique))
+    edges, _, count, forward = Edges.of(t)
     _, first, times = np.unique(np.sort(t, axis=1), axis=0, return_index=True, return_counts=True)
     a, b, c = (x[t[:, k]] for k in range(3))
     longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
-    thin = np.linalg.norm(np.cross(b - a, c - a), axis=1) <= THIN * longest
+    thin = np.linalg.norm(np.cross(b - a, c - a), axis=1) <= THINNEST_TRIANGLE * longest
 
     def at_edges(which: NDArray) -> str:
         return _listed(
-            [f"{i}-{j} at {x[[i, j]].mean(axis=0).round(4).tolist()}" for i, j in unique[which][:FEW]], which
+            [f"{i}-{j} at {x[[i, j]].mean(axis=0).round(4).tolist()}" for i, j in edges[which][:PLACES_NAMED]], which
         )
 
     found = (
@@ -175,20 +186,20 @@ def flaws(surface: Surface, *, closed: bool = True) -> list[str]:
         ((count == 2) & (forward != 1) & closed, at_edges, "edges lie between triangles that face opposite ways"),
         (
             np.isin(np.arange(len(t)), first[times > 1]),
-            lambda which: _faces(which),
+            _faces,
             "triangles are there more than once",
         ),
-        (thin, lambda which: _faces(which), "triangles have next to no area"),
+        (thin, _faces, "triangles have next to no area"),
     )
     return [f"{int(which.sum())} {what} ({where(which)})" for which, where, what in found if which.any()]
 
 
 def _faces(which: NDArray) -> str:
-    return _listed([str(k) for k in np.flatnonzero(which)[:FEW]], which)
+    return _listed([str(k) for k in np.flatnonzero(which)[:PLACES_NAMED]], which)
 
 
 def _listed(first: list[str], which: NDArray) -> str:
-    return ", ".join(first) + (", ..." if which.sum() > FEW else "")
+    return ", ".join(first) + (", ..." if which.sum() > PLACES_NAMED else "")
 
 
 def volume(surface: Surface) -> float:

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
@@ -36,6 +36,7 @@ class Integrator:
     through the springs itself, each once, see kernels.half; `in_turn`: each sees what those before it changed. `hosted`: a
     substep has loops that end by what they find; `advance` runs one from the host, kernel by kernel, because inside a kernel
     only the outermost loops run in parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None.
+    `kicks_first`: whether `before_move` does anything.
     """
 
     name = ""
@@ -57,10 +58,11 @@ class Integrator:
     def set_step(self, h: float) -> None:
         """Substeps have h seconds from now on; called once the fields are there, and for each new step. Damping is set too."""
 
-    def bind(self, model: Model, state: State, forces: TotalForce, contacts: ContactSolver, fields: Fields) -> None:
+    def bind(self, model: Model, state: State, forces: TotalForce, contacts: ContactRule, fields: Fields) -> None:
         """Take the parts of a simulation. Called once, before the fields exist."""
         self.model, self.state, self.forces, self.contacts = model, state, forces, contacts
         self.ball = state.ball
+        self.kicks_first = type(self).before_move is not Integrator.before_move
         self.allocate(fields)
 
     def allocate(self, fields: Fields) -> None:
@@ -80,6 +82,27 @@ class Integrator:
 
     def recall(self) -> None:
         """The memory holds what a step left; called after `prime`."""
+
+    # What `contacts.advance` and `contacts.move` ask of each ball in the course of a step; a method overrides what it has.
+
+    @ti.func
+    def before_move(self, i, h):
+        """Kick of ball i before contacts are solved and it moves."""
+
+    @ti.func
+    def acceleration(self, i, h):
+        """Acceleration [m/s^2] of ball i while it moves, through its velocity in the middle of the step; here it moves evenly."""
+        return ti.Vector.zero(float, self.model.dim)
+
+    @ti.func
+    def load(self, i, h):
+        """What forces added to the velocity of ball i in this step [m/s], where `acceleration` does not tell it: speed into a
+        wall that is no impact."""
+        return ti.Vector.zero(float, self.model.dim)
+
+    @ti.func
+    def after_move(self, i, h):
+        """Kick of ball i once it has moved with the velocity that it had."""
 
     @ti.func
     def prime(self, h, time):

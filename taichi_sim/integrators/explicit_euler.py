@@ -16,12 +16,15 @@ class ExplicitEuler(Integrator):
     def substep(self, h, time):
         """Move with the old velocity, then change it by the old forces."""
         self.forces.total(self.ball, h, time)
-        self.contacts.separate(self.ball, h)
-        for i in range(self.model.n):
-            dv = self.forces.change(i, h)
-            v = self.ball[i].v
-            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, dv)
-            self.state.shift(i, shift)
-            self.state.kick(i, (drift - v) + dv)
-        self.contacts.refresh(self.ball)
+        self.contacts.move(self.ball, self, h)
         self.contacts.solve(self.ball, h, self.contacts.iterations, True)
+
+    @ti.func
+    def load(self, i, h):
+        """All that forces change."""
+        return self.forces.change(i, h)
+
+    @ti.func
+    def after_move(self, i, h):
+        """The whole kick."""
+        self.state.kick(i, self.forces.change(i, h))

@@ -7,24 +7,11 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.geometry.graph import components
 from taichi_sim.kernels.springs.law import GRAIN, PART
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["FreeBodies", "Members", "components", "gas_surfaces"]
-
-
-def components(pairs: NDArray[np.integer], n: int) -> NDArray[np.int64]:
-    """For each of n balls the lowest index among those that springs join it to, over any number of springs."""
-    label = np.arange(n)
-    while True:
-        lowest = np.minimum(label[pairs[:, 0]], label[pairs[:, 1]])
-        after = label.copy()
-        np.minimum.at(after, label[pairs[:, 0]], lowest)
-        np.minimum.at(after, label[pairs[:, 1]], lowest)
-        after = after[after]
-        if np.array_equal(after, label):
-            return label
-        label = after
+__all__ = ["FreeBodies", "Members", "gas_surfaces"]
 
 
 def gas_surfaces(scene: Scene) -> NDArray[np.int64]:
@@ -53,7 +40,7 @@ class FreeBodies:
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        label = components(np.concatenate([scene.pairs, gas_surfaces(scene)]), model.n)
+        label = components(model.n, np.concatenate([scene.pairs, gas_surfaces(scene)]))
         held = np.zeros(model.n, dtype=bool)
         held[label[scene.pinned]] = True
         single = np.bincount(label, minlength=model.n) == 1  # solved exactly anyway

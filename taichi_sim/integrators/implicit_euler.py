@@ -31,14 +31,15 @@ class ImplicitEuler(Implicit):
     def finish(self, h):
         """Contacts on the new velocity, then move."""
         self.fresh[0] = 0
-        for i in range(self.model.n):
-            self.state.kick(i, self.solver.base[i].v - self.ball[i].v)
-        self.contacts.solve(self.ball, h, self.contacts.iterations, True)
-        self.contacts.separate(self.ball, h)
-        for i in range(self.model.n):
-            v = self.ball[i].v
-            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, self.solver.base[i].v - self.solver.first[i])
-            self.state.shift(i, shift)
-            self.ball[i].v = drift
-        self.contacts.refresh(self.ball)
+        self.contacts.advance(self.ball, self, h, h)
         self.contacts.relax(self.ball, 0.0)
+
+    @ti.func
+    def before_move(self, i, h):
+        """To the velocity that the stage came to."""
+        self.state.kick(i, self.solver.base[i].v - self.ball[i].v)
+
+    @ti.func
+    def load(self, i, h):
+        """All that the stage changed."""
+        return self.solver.base[i].v - self.solver.first[i]

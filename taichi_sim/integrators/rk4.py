@@ -44,17 +44,19 @@ class RK4(Integrator):
         self._stage(self.stage, h, time + 0.5 * h, 2.0, 0.5)
         self._stage(self.stage, h, time + 0.5 * h, 2.0, 1.0)
         self._stage(self.stage, h, time + h, 1.0, 0.0)
-        for i in range(self.model.n):
-            kick = self.sum[i].x / h - self.ball[i].v  # to the mean velocity of the step, with which it moves
-            self.stage[i].v = self.sum[i].v - kick
-            self.state.kick(i, kick)
-        self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
-        self.contacts.separate(self.ball, h)
-        for i in range(self.model.n):
-            shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, self.sum[i].v / h, h, 0.0 * self.ball[i].v)
-            self.state.shift(i, shift)
-            self.ball[i].v = drift
-        self.contacts.refresh(self.ball)
+        self.contacts.advance(self.ball, self, h, 0.5 * h)
         for i in range(self.model.n):
             self.state.kick(i, self.stage[i].v)
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
+
+    @ti.func
+    def before_move(self, i, h):
+        """To the mean velocity of the step, with which it moves; the rest of the kick is kept for later."""
+        kick = self.sum[i].x / h - self.ball[i].v
+        self.stage[i].v = self.sum[i].v - kick
+        self.state.kick(i, kick)
+
+    @ti.func
+    def acceleration(self, i, h):
+        """The mean of the step."""
+        return self.sum[i].v / h

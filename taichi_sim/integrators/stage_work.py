@@ -5,7 +5,8 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.integrators.free_bodies import Members, components, gas_surfaces
+from taichi_sim.geometry.graph import components
+from taichi_sim.integrators.free_bodies import Members, gas_surfaces
 from taichi_sim.kernels.springs import newton_terms as parts
 from taichi_sim.kernels.springs.law import GRAIN
 
@@ -27,7 +28,7 @@ class StageWork:
         scene, self.model = model.scene, model
         self.rounding, self.worth = rounding, worth
         joined = np.concatenate([scene.pairs[~scene.pinned[scene.pairs].any(axis=1)], gas_surfaces(scene)])
-        members = Members(components(joined, model.n), np.flatnonzero(~scene.pinned))
+        members = Members(components(model.n, joined), np.flatnonzero(~scene.pinned))
         self.bodies, self.parts = len(members.count), members.parts
         self.member, self.begin, self.part = map(fields.integers, (members.member, members.begin, members.part))
         self.given, self.taken, self.kinetic = (fields.doubles(max(1, self.parts)) for _ in range(3))

@@ -17,17 +17,15 @@ class SymplecticEuler(Integrator):
     def substep(self, h, time):
         """Forces first, contacts on the new velocity, then move."""
         self.forces.total(self.ball, h, time)
-        if ti.static(self.contacts.active):
-            for i in range(self.model.n):
-                self.state.kick(i, self.forces.change(i, h))
-            self.contacts.solve(self.ball, h, self.contacts.iterations, True)
-            self.contacts.separate(self.ball, h)
-        for i in range(self.model.n):
-            if ti.static(not self.contacts.active):
-                self.state.kick(i, self.forces.change(i, h))
-            v = self.ball[i].v
-            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, self.forces.change(i, h))
-            self.state.shift(i, shift)
-            self.ball[i].v = drift
-        self.contacts.refresh(self.ball)
+        self.contacts.advance(self.ball, self, h, h)
         self.contacts.relax(self.ball, 0.0)
+
+    @ti.func
+    def before_move(self, i, h):
+        """The whole kick."""
+        self.state.kick(i, self.forces.change(i, h))
+
+    @ti.func
+    def load(self, i, h):
+        """All that forces changed."""
+        return self.forces.change(i, h)

@@ -90,21 +90,23 @@ class TRBDF2(Implicit):
     def finish(self, h):
         """To the mean velocity of the step, contacts, the move, the rest of the change, contacts."""
         self.fresh[0] = 0
-        for i in range(self.model.n):
-            v, middle, after = self.ball[i].v, self.solver.first[i], self.solver.base[i].v
-            mean = (MIDDLE * self.part) * (v + middle) + self.part * after
-            self.pull[i] = (after - v) / h
-            self.rest[i] = after - mean
-            self.state.kick(i, mean - v)
-        self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
-        self.contacts.separate(self.ball, h)
-        for i in range(self.model.n):
-            shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, self.pull[i], h, 0.0 * self.ball[i].v)
-            self.state.shift(i, shift)
-            self.ball[i].v = drift
-        self.contacts.refresh(self.ball)
+        self.contacts.advance(self.ball, self, h, 0.5 * h)
         for i in range(self.model.n):
             self.state.kick(i, self.rest[i])
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
         if ti.static(self.driven):
             self.corners.renew(self.slope)
+
+    @ti.func
+    def before_move(self, i, h):
+        """To the mean velocity of the step."""
+        v, middle, after = self.ball[i].v, self.solver.first[i], self.solver.base[i].v
+        mean = (MIDDLE * self.part) * (v + middle) + self.part * after
+        self.pull[i] = (after - v) / h
+        self.rest[i] = after - mean
+        self.state.kick(i, mean - v)
+
+    @ti.func
+    def acceleration(self, i, h):
+        """The mean of the step."""
+        return self.pull[i]

@@ -51,6 +51,7 @@ class Verlet(Integrator):
         self.driven = self.predicts and self.pins is not None
         self.splits = self.forces.damped and not self.predicts
         self.held = self.splits and bool(self.forces.extra)
+        self.kicks_first = not self.splits
         self.pull = fields.vectors(self.model.n if self.predicts or self.held else 0, self.model.dim)
         self.kick: Any = None
         if self.splits:
@@ -140,6 +141,22 @@ class Verlet(Integrator):
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
 
     @ti.func
+    def before_move(self, i, h):
+        """Half a kick, where damping does not make it."""
+        if ti.static(self.predicts):
+            self.state.kick(i, 0.5 * h * self.pull[i])
+        else:
+            self.state.kick(i, 0.5 * self.forces.change(i, h))
+
+    @ti.func
+    def acceleration(self, i, h):
+        """By the forces at the start of the step."""
+        if ti.static(self.predicts):
+            return self.pull[i]
+        else:
+            return self.forces.change(i, h) / h
+
+    @ti.func
     def _open(self, h):
         """The first stage of the half before the drift."""
         self.forces.springs.damp(self.ball, self.forces.jump, 0.5 * h)
@@ -151,14 +168,7 @@ class Verlet(Integrator):
         if ti.static(not self.network):
             self.kick.undamped(h, self.pull, self.held)
         self.kick.lone_springs(h, self.pull, self.held)
-        self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
-        self.contacts.separate(self.ball, h)
-        for i in range(self.model.n):
-            a = self.forces.change(i, h) / h
-            shift, drift = self.contacts.move(self.ball, i, self.ball[i].v, a, h, 0.0 * self.ball[i].v)
-            self.state.shift(i, shift)
-            self.ball[i].v = drift
-        self.contacts.refresh(self.ball)
+        self.contacts.advance(self.ball, self, h, 0.5 * h)
         if ti.static(self.network):
             self.forces.elastic_and_jump(self.ball, h, 0.5 * h, time + h)
             self.kick.start(1, h, self.pull, False)
@@ -179,16 +189,7 @@ class Verlet(Integrator):
     def _predicted(self, h, time):
         """With the whole kick of old forces, half of it before the drift; then half of what the new ones differ by."""
         if ti.static(self.contacts.active):
-            for i in range(self.model.n):
-                self.state.kick(i, 0.5 * h * self.pull[i])
-            self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
-            self.contacts.separate(self.ball, h)
-            for i in range(self.model.n):
-                v, a = self.ball[i].v, self.pull[i]
-                shift, drift = self.contacts.move(self.ball, i, v, a, h, 0.0 * v)
-                self.state.shift(i, shift)
-                self.ball[i].v = drift
-            self.contacts.refresh(self.ball)
+            self.contacts.advance(self.ball, self, h, 0.5 * h)
             for i in range(self.model.n):
                 self.state.kick(i, 0.5 * h * self.pull[i])
         else:
@@ -209,21 +210,7 @@ class Verlet(Integrator):
     @ti.func
     def _undamped(self, h, time):
         """Without damping, and forces that depend on velocities."""
-        first_half = ti.static(self.contacts.active)  # the kick needs a loop of its own
-        if ti.static(first_half):
-            for i in range(self.model.n):
-                self.state.kick(i, 0.5 * self.forces.change(i, h))
-        self.contacts.solve(self.ball, 0.5 * h, self.contacts.iterations, True)
-        self.contacts.separate(self.ball, h)
-        for i in range(self.model.n):
-            if ti.static(not first_half):
-                self.state.kick(i, 0.5 * self.forces.change(i, h))
-            shift, drift = self.contacts.move(
-                self.ball, i, self.ball[i].v, self.forces.change(i, h) / h, h, 0.0 * self.ball[i].v
-            )
-            self.state.shift(i, shift)
-            self.ball[i].v = drift
-        self.contacts.refresh(self.ball)
+        self.contacts.advance(self.ball, self, h, 0.5 * h)
         self.forces.elastic(self.ball, h, time + h)
         for i in range(self.model.n):
             self.state.kick(i, 0.5 * self.forces.change(i, h))

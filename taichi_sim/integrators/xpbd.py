@@ -118,15 +118,13 @@ class XPBD(Integrator):
             simd_batches.in_turn(self, self.springs, h)
         elif ti.static(self.active):
             edge_blocks.in_turn(self, self.springs, h)
-        self.contacts.solve(self.ball, h, self.contacts.iterations, True)
-        self.contacts.separate(self.ball, h)
-        for i in range(self.model.n):
-            v = self.ball[i].v
-            change = 0.0 * v
-            if ti.static(self.notes):
-                change = self.contacts.before[i] - self.start[i]
-            shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, change)
-            self.state.shift(i, shift)
-            self.ball[i].v = drift
-        self.contacts.refresh(self.ball)
+        self.contacts.advance(self.ball, self, h, h)
         self.contacts.relax(self.ball, 0.0)
+
+    @ti.func
+    def load(self, i, h):
+        """What springs and other forces changed."""
+        change = ti.Vector.zero(float, self.dim)
+        if ti.static(self.notes):
+            change = self.contacts.before[i] - self.start[i]
+        return change

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.device.model import components
+from taichi_sim.geometry.graph import components
 
 __all__ = ["PALETTE", "background_colours", "body_colours", "to_linear"]
 

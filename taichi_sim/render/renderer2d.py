@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.device.engine import ti
+from taichi_sim.geometry.mesh import Edges
 from taichi_sim.kernels.render import paint2d
 from taichi_sim.render.bodies import filled
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
@@ -299,6 +300,5 @@ def _view(frame: Frame, size: tuple[int, int]) -> tuple[NDArray, float, float]:
 
 def _outline(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
     """Edges that belong to one triangle only, (k, 2)."""
-    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    unique, count = np.unique(edges, axis=0, return_counts=True)
-    return unique[count == 1].astype(np.int32).reshape(-1, 2)
+    edges = Edges.of(triangles)
+    return edges.ends[edges.triangles == 1]

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Table
 from taichi_sim.scene.keyframes import Motion, keyframe
 from taichi_sim.scene.probes import Probed
@@ -207,11 +208,11 @@ class Elements(Probed):
         if self.dim != 3:
             raise SceneError("gas: fills closed surfaces of triangles, in a scene with dim = 3; this one has dim = 2")
         t = validation.indices("gas.triangles", triangles, self.n_balls, width=3)
-        sides = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]).astype(np.int64)
-        forth, back = sides[:, 0] * self.n_balls + sides[:, 1], sides[:, 1] * self.n_balls + sides[:, 0]
+        edges = sides(t).astype(np.int64)
+        forth, back = edges @ [self.n_balls, 1], edges @ [1, self.n_balls]
         open_ = ~np.isin(forth, back)
         if not len(t) or open_.any():
-            where = f": the edge from ball {sides[open_][0, 0]} to {sides[open_][0, 1]} has one" if len(t) else ""
+            where = f": the edge from ball {edges[open_][0, 0]} to {edges[open_][0, 1]} has one" if len(t) else ""
             raise SceneError(
                 f"gas.triangles: must close a volume, with two triangles, turned alike, at every edge{where}"
             )

@@ -79,7 +79,11 @@ def scene_of(dim):
 def cone():
     """A smooth ball slides, a rough one rolls, each on its side, and an elastic one is dropped, off the axes."""
     scene = scene_of(3)
-    for degrees, down, gap, material in ((30, 0.2, 0.0, "smooth"), (150, 0.2, 0.0, "rough"), (260, 0.5, 0.3, "elastic")):
+    for degrees, down, gap, material in (
+        (30, 0.2, 0.0, "smooth"),
+        (150, 0.2, 0.0, "rough"),
+        (260, 0.5, 0.3, "elastic"),
+    ):
         scene.add_balls(around(start(down, gap), degrees), radius=R, material=material)
     scene.add_collider(Cone((0, 0, 0), RADIUS, HEIGHT, material="rough"))
     with simulate(scene, dt=1e-3) as sim:
@@ -117,7 +121,7 @@ def test_a_ball_that_falls_on_a_cone_is_thrown_back_by_the_law(cone):
 
 
 def test_it_is_drawn(cone):
-    scene, _, _, frame = cone
+    _, _, _, frame = cone
     without = ts.Frame(**{name: getattr(frame, name) for name in frame.__slots__} | {"colliders": ()})
     pictures = []
     for one in (frame, without):

@@ -260,7 +260,7 @@ def test_bad_files(tmp_path, old, new, message):
 
 
 def test_the_examples_of_the_docs():
-    text = (Path(__file__).parent.parent / "docs" / "pictures.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "pictures.md").read_text()
     for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL):
         camera = tomllib.loads(block)["output"]["camera"]
         CameraPath.of({key: 0 if key == "follow" else value for key, value in camera.items()}, 3, 1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from physics_support import F64, simulate, vector
+from physics_support import F64, add_network, simulate, vector
 
 import taichi_sim as ts
 from taichi_sim.analysis.stability import largest_eigenvalue, present_eigenvalue, stability
@@ -32,16 +32,6 @@ def network(dim, seed, n=24, damped=True, unit=1.0):
     scene = ts.Scene(dim=dim, gravity=vector(dim))
     add_network(scene, rng, n, damped, unit)
     return scene
-
-
-def add_network(scene, rng, n, damped, unit=1.0):
-    x = rng.uniform(-1.0, 1.0, (n, scene.dim))
-    b = scene.add_balls(x, radius=1e-3, mass=10.0 ** rng.uniform(-1, 1, n), pinned=rng.uniform(size=n) < 0.15)
-    pairs = np.array([(i, j) for i in range(n) for j in range(i) if rng.uniform() < 0.25])
-    m = len(pairs)
-    k, c = 10.0 ** rng.uniform(1, 3, m), damped * 10.0 ** rng.uniform(-2, 1, m)
-    length = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    scene.add_springs(b[pairs], stiffness=k / unit**2, damping=c / unit, rest_length=length * rng.uniform(0.7, 1.3, m))
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -203,6 +203,6 @@ def test_a_mistake_in_ones_own_force_is_shown_with_its_line():
     with pytest.raises(ti.TaichiCompilationError) as caught:
         simulate(falling(), dt=H, forces=[Mistaken()]).step(1)
     text = str(caught.value)
-    assert 'test_physics_arguments.py", line' in text
+    assert 'test_arguments.py", line' in text
     assert "in accumulate" in text
     assert "impulse[0] += nonsense" in text

@@ -1,13 +1,16 @@
 """What the physics tests share: tolerances of the physics notes, the variants of a run, and small builders."""
 
+import os
 import warnings
 
 import numpy as np
 import pytest
-from conftest import PRECISION
 
 import taichi_sim as ts
 
+PRECISION = os.environ.get("TAICHI_SIM_PRECISION", "f64")  # of this process; Taichi holds one for life
+if PRECISION not in ("f32", "f64"):
+    raise pytest.UsageError(f"TAICHI_SIM_PRECISION: {PRECISION!r} is not allowed; it must be f32 or f64")
 F64 = PRECISION == "f64"
 EPS = 2.0**-52 if F64 else 2.0**-23
 METHODS = ("explicit_euler", "symplectic_euler", "verlet", "rk4")
@@ -125,3 +128,14 @@ def observe(scene, method, variant, steps, h=1e-3, **settings):
             x.append(sim.position)
             v.append(sim.velocity)
     return np.array(x), np.array(v)
+
+
+def add_network(scene, rng, n, damped, unit=1.0):
+    """A random net, some of it pinned, masses over two decades; unit [s]: its time scale."""
+    x = rng.uniform(-1.0, 1.0, (n, scene.dim))
+    b = scene.add_balls(x, radius=1e-3, mass=10.0 ** rng.uniform(-1, 1, n), pinned=rng.uniform(size=n) < 0.15)
+    pairs = np.array([(i, j) for i in range(n) for j in range(i) if rng.uniform() < 0.25])
+    m = len(pairs)
+    k, c = 10.0 ** rng.uniform(1, 3, m), damped * 10.0 ** rng.uniform(-2, 1, m)
+    length = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    scene.add_springs(b[pairs], stiffness=k / unit**2, damping=c / unit, rest_length=length * rng.uniform(0.7, 1.3, m))

@@ -19,7 +19,7 @@ CHILD = """
 import json, sys
 import numpy as np
 import taichi_sim as ts
-from taichi_sim.outputs import window
+from taichi_sim.viewer import window
 
 class Logged(ts.Simulation):
     def frame(self):

@@ -104,7 +104,7 @@ def test_missing_file_and_missing_package(tmp_path, monkeypatch):
 
 
 def test_a_real_mesh():
-    spot = Path(__file__).parents[2] / "shared" / "meshes" / "spot.obj"
+    spot = Path(__file__).parents[3] / "shared" / "meshes" / "spot.obj"
     if not spot.is_file():
         pytest.skip("no meshes beside the project")
     surface = read_surface(spot)

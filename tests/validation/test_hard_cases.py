@@ -1,7 +1,7 @@
 """Hard cases: the quick ones in every run, all of them in their long form when there is time."""
 
 import pytest
-from conftest import PRECISION
+from physics_support import PRECISION
 
 from taichi_sim import Scene
 from taichi_sim.reports.hard_cases import case as hard_case

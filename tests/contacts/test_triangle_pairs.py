@@ -1,6 +1,7 @@
 """Triangles that collide: found as by brute force, solved as by hand, and never gone through."""
 
 import hashlib
+import os
 import subprocess
 import sys
 
@@ -40,7 +41,7 @@ def soup():
 
 def rows(sim):
     """The listed pairs as (balls, weights, normal, distance, thickness or -1)."""
-    facets = sim._parts.contacts.facets
+    facets = sim._parts.contacts.triangles
     used = int(facets.used[0])
     row = facets.row
     member, weight = (f.to_numpy()[: 4 * used].reshape(-1, 4) for f in (facets.member, facets.weight))
@@ -84,7 +85,7 @@ def test_pairs_and_one_pass_as_by_brute_force(soup_run):
         sim.contacts()  # finds them
         listed = ref.pairs(x, v, scene.radius, scene.triangles, scene.pairs, H, scene.position)
         listed = {key(p.edge, p.balls): p for p in listed if w[list(p.balls)].any()}
-        kinds = sim._parts.contacts.facets.row.kind.to_numpy()
+        kinds = sim._parts.contacts.triangles.row.kind.to_numpy()
         found = {}
         for c, (balls, *row) in enumerate(rows(sim)):
             assert key(kinds[c] > 0, balls) not in found, "a pair is listed twice"
@@ -294,7 +295,7 @@ def flight():
 
 def test_nothing_goes_through(flight):
     names, looks, _, v = flight
-    assert "facets" in names
+    assert "triangles" in names
     assert np.all(looks[:, 0] == 0), "edges pierce triangles"
     assert np.all(looks[:, 1] == 0), "balls went through"
     assert looks[:, 2].min() < -0.02  # and the sheet was hit
@@ -315,7 +316,8 @@ def test_the_look_from_beneath_sees_what_it_looks_for():
 def test_both_drivers_and_any_number_of_threads_have_the_same_bits(flight):
     def run(threads):
         command = [sys.executable, __file__, PRECISION, str(threads)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+        found = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # what this file imports from tests/support
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, env=found)
         assert done.returncode == 0, done.stderr
         return done.stdout.split()[-1]
 

@@ -163,7 +163,7 @@ def test_pinned_balls_stay(free):
 
 
 def test_rotating_pair_keeps_its_length(free):
-    if free.method == "explicit_euler":  # it spirals outward; its drift is what test_physics_orders measures
+    if free.method == "explicit_euler":  # it spirals outward; its drift is what validation/test_orders measures
         return
     i, j = free.at.turning
     r = free.x[:, j] - free.x[:, i]

@@ -5,8 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from conftest import PRECISION
-from physics_support import EPS, simulate, vector
+from physics_support import EPS, PRECISION, simulate, vector
 
 import taichi_sim as ts
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from taichi_sim.geometry.intersections import crossings, edges_of
+from taichi_sim.geometry.intersections import crossings
+from taichi_sim.geometry.mesh import unique_edges
 
 
 def pierces(p, q, a, b, c):
@@ -23,7 +24,7 @@ def test_random_triangles_as_by_brute_force():
         )
         x = x.reshape(-1, 3) + 5.0
         t = np.concatenate([np.arange(180).reshape(-1, 3), rng.permutation(180)[:6].reshape(-1, 3)])
-        edges = edges_of(t)
+        edges = unique_edges(t)
         expected = {
             (e, f)
             for e, (i, j) in enumerate(edges)

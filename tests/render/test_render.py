@@ -8,7 +8,7 @@ import pytest
 from taichi_sim import Box, Scene, Sphere
 from taichi_sim.analysis.frame import Frame, Placed
 from taichi_sim.device import backend
-from taichi_sim.device.model import components
+from taichi_sim.geometry.graph import components
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.tiles import tile_lists
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import PRECISION
+from physics_support import PRECISION
 
 import taichi_sim as ts
 from taichi_sim.geometry.mesh import Surface, holes, mesh_distance, volume

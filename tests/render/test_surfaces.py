@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_skins import frame_of
+from test_embedded_surfaces import frame_of
 
 from taichi_sim import Frame, Scene, Simulation, shapes
 from taichi_sim.render import Camera, Renderer

@@ -280,7 +280,7 @@ def write_bad_files(folder: Path) -> None:
 def in_one_process(folder: Path, calls: list[tuple[str, ...]], **environment: str) -> list[tuple[int, str, str]]:
     """Status, output and error text of several commands, run one after the other in one process, for speed."""
     code = """import contextlib, io, json, sys
-from taichi_sim.cli import main
+from taichi_sim.cli.main import main
 results = []
 for arguments in json.loads(sys.argv[1]):
     sys.argv[1:] = arguments

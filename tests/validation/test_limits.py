@@ -4,8 +4,7 @@ import functools
 
 import numpy as np
 import pytest
-from physics_support import F64, simulate
-from test_stability import add_network
+from physics_support import F64, add_network, simulate
 
 import taichi_sim as ts
 from taichi_sim.analysis.stability import stability

@@ -1,6 +1,6 @@
 """Calibration of `tolerance`: random scenes of every kind, the error that was promised, and the true one.
 
-    python tests/calibration.py --builds 5 --starts 11 --seed 1 --log rows.jsonl [--kinds cloth,pile] [--integrator rk4]
+    python tests/support/calibration.py --builds 5 --starts 11 --seed 1 --log rows.jsonl [--kinds cloth,pile] [--integrator rk4]
 
 A structure is compiled once and started many times: each build draws what is compiled in (dimension, numbers of balls, masses,
 materials), each start positions, velocities and the tolerance. The truth is the same scene with 6 times as many substeps in every

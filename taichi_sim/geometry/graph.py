@@ -1,0 +1,29 @@
+"""Graphs whose nodes are balls or vertices and whose edges are springs, sides or whatever joins two of them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["components", "incidence"]
+
+
+def components(count: int, edges: NDArray[np.integer]) -> NDArray[np.int64]:
+    """For each of `count` nodes the lowest index that edges (m, 2) connect it to, over any number of them."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if len(edges) == 0:
+        return np.arange(count)
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    label = connected_components(graph, directed=False)[1]
+    return np.unique(label, return_index=True)[1][label]
+
+
+def incidence(pairs: NDArray[np.integer], n: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
+    """For each of n nodes its edges: start (n + 1), other end (2 m), edge index (2 m), sorted by the other end."""
+    here = np.concatenate([pairs[:, 0], pairs[:, 1]])
+    other = np.concatenate([pairs[:, 1], pairs[:, 0]])
+    edge = np.tile(np.arange(len(pairs)), 2)
+    order = np.lexsort((edge, other, here))
+    start = np.zeros(n + 1, dtype=np.int32)
+    np.cumsum(np.bincount(here, minlength=n), out=start[1:])
+    return start, other[order].astype(np.int32), edge[order]
