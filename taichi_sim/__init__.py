@@ -19,7 +19,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import Method
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError
-from taichi_sim.scene.colliders import Box, Capsule, Mesh, Sphere
+from taichi_sim.scene.colliders import Box, Capsule, ColliderShape, Mesh, Sphere
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.spring_units import spring_from_rates
 
@@ -37,6 +37,7 @@ __all__ = [
     "BackendError",
     "Box",
     "Capsule",
+    "ColliderShape",
     "ContactRule",
     "Frame",
     "Integrator",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
-from taichi_sim.scene.colliders import BOX, MESH, Collider
+from taichi_sim.scene.colliders import BOX, ROUND, Collider
 from taichi_sim.scene.collision_groups import meet
 from taichi_sim.scene.scene import Scene, max_restitution
 
@@ -200,7 +200,7 @@ def holes(scene: Scene) -> tuple[Floats, Floats, Floats]:
 
 def _width(collider: Collider) -> tuple[float, bool]:
     """Half the width [m] of a solid collider where it is narrowest, and whether only between two rows of balls does it fit."""
-    if collider.kind == MESH:
+    if collider.is_meshed:
         return 0.5 * float(np.ptp(collider.vertices, axis=0).min()), True
     return (float(collider.half.min()), True) if collider.kind == BOX else (collider.radius, False)
 
@@ -288,7 +288,7 @@ def _cloth(scene: Scene) -> Iterator[Finding]:
     ball = scene.radius[scene.triangles].min(axis=1)
     for k, collider in enumerate(scene.colliders):
         minds = _mind(scene, collider)
-        if collider.kind in (BOX, MESH) or collider.hollow > 0.0 or not minds.any():
+        if collider.kind != ROUND or collider.hollow > 0.0 or not minds.any():
             continue
         worst = int(np.argmax(np.where(minds, around - ball, -np.inf)))
         if collider.radius + ball[worst] <= around[worst]:  # it goes through

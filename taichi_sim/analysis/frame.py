@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.scene.colliders import MESH, Collider
+from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 
 __all__ = ["Contacts", "Frame", "Placed"]
@@ -28,7 +28,7 @@ class Placed:
     def box(self) -> tuple[Floats, Floats]:
         """Lowest and highest coordinates (dim,) [m]."""
         c = self.collider
-        if c.kind == MESH:
+        if c.is_meshed:
             corners = c.vertices @ self.rotation.T + self.centre
             return corners.min(axis=0), corners.max(axis=0)
         reach = np.abs(self.rotation) @ c.half + c.radius + c.hollow

@@ -45,6 +45,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         precision=simulation.backend.precision,
     )
     stepping, moments = simulation.stepping()
+    colliders = [collider.saved(f"colliders[{k}]") for k, collider in enumerate(scene.colliders)]
     about = {
         "format": FORMAT,
         "dim": scene.dim,
@@ -52,7 +53,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "materials": [asdict(material) for material in scene.materials],
         "groups": scene.groups.names,
         "walls": [asdict(wall) for wall in scene.walls],
-        "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in scene.colliders],
+        "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in colliders],
         "settings": settings,
         "output": scene.output,
         "time": simulation.time,
@@ -69,7 +70,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         state["torn"] = simulation.torn
     if len(simulation.impulses):
         state["impulses"] = simulation.impulses
-    for k, collider in enumerate(scene.colliders):
+    for k, collider in enumerate(colliders):
         if "mesh" in collider.given:
             state.update({f"colliders.{k}.{name}": getattr(collider, name) for name in MESH})
     with replacing(path) as file:

@@ -237,3 +237,24 @@ def mesh_distance(surface: Surface, points: NDArray, far: float = np.inf) -> NDA
         nearest = np.where(over, np.minimum(d, height), d).min(axis=1)
         result[part] = np.where(inside, -nearest, nearest)
     return result
+
+
+def area_distance(area: Surface, points: NDArray) -> NDArray[np.float64]:
+    """The same of points (n, 2) from the area in 2D that triangles fill: every edge that belongs to one of them only."""
+    edges = np.sort(
+        np.concatenate([area.triangles[:, [0, 1]], area.triangles[:, [1, 2]], area.triangles[:, [2, 0]]]), axis=1
+    )
+    edges, count = np.unique(edges, axis=0, return_counts=True)
+    a, b = (area.vertices[edges[count == 1, k]][None] for k in range(2))
+    p, e = points[:, None], b - a
+    t = np.clip(np.sum((p - a) * e, axis=2) / np.sum(e * e, axis=2), 0.0, 1.0)
+    d = np.linalg.norm(p - a - t[..., None] * e, axis=2).min(axis=1)
+    corners = area.vertices[area.triangles][None]
+    sides = np.stack([_side(corners[:, :, k - 1], corners[:, :, k], p) for k in range(3)])
+    inside = np.any(np.all(sides >= 0.0, axis=0) | np.all(sides <= 0.0, axis=0), axis=1)
+    return np.where(inside, -d, d)
+
+
+def _side(a: NDArray, b: NDArray, p: NDArray) -> NDArray[np.float64]:
+    """Positive where p lies to the left of the way from a to b, in 2D."""
+    return (b - a)[..., 0] * (p - a)[..., 1] - (b - a)[..., 1] * (p - a)[..., 0]

@@ -1,4 +1,4 @@
-"""Colliders as triangles, for pictures in 3D."""
+"""Colliders as triangles: all of them for pictures in 3D, shapes of the user's own in 2D."""
 
 from typing import NamedTuple
 
@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.scene.colliders import BOX, MESH, Collider
+from taichi_sim.scene.colliders import BOX, CUSTOM, Collider
 
-__all__ = ["Bodies"]
+__all__ = ["Bodies", "filled"]
 
 GREY = (0.64, 0.66, 0.70)  # sRGB
 AROUND, UP = 96, 24  # faces of a round shape about its axis, and along each of its caps
@@ -59,9 +59,17 @@ class Bodies(NamedTuple):
         return np.where((self.hollow & facing)[:, None], self.triangles[:, :1], self.triangles)
 
 
+def filled(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Corners (t, 3, 2) [m] of the triangles that fill the custom colliders of a 2D frame, and the collider of each (t,)."""
+    custom = [(k, placed) for k, placed in enumerate(frame.colliders) if placed.collider.kind == CUSTOM]
+    corners = [p.collider.vertices[p.collider.triangles] @ p.rotation.T + p.centre for _, p in custom]
+    owner = np.repeat(np.array([k for k, _ in custom], dtype=np.int64), [len(part) for part in corners])
+    return np.concatenate([np.zeros((0, 3, 2)), *corners]), owner
+
+
 def _surface(collider: Collider) -> tuple[NDArray, NDArray]:
     """Vertices and triangles; one vertex for each smooth part of the surface that meets there."""
-    if collider.kind == MESH:
+    if collider.is_meshed:
         return _creased(collider.vertices, collider.triangles)
     if collider.kind == BOX:
         signs = np.array([[(k >> a & 1) * 2 - 1 for a in range(3)] for k in range(8)])

@@ -11,6 +11,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.device.engine import ti
 from taichi_sim.geometry.mesh import Edges
 from taichi_sim.kernels.render import paint2d
+from taichi_sim.render.bodies import filled
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
@@ -19,6 +20,7 @@ from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 from taichi_sim.render.tracker import Follower
 from taichi_sim.scene.camera_path import CameraPath
+from taichi_sim.scene.colliders import CUSTOM
 
 __all__ = ["Renderer2D"]
 
@@ -28,6 +30,7 @@ FULL_STRAIN = 0.1
 CROWD = 4000  # shapes: from here smaller tiles are faster
 STICK, STICK_ON_DARK = (0.27, 0.29, 0.34), (0.62, 0.65, 0.70)
 MARGIN, EDGE = 0.06, 26.0  # of the picture; px of a wall to show
+NO_BODY = -2e9  # px, a radius: nothing is nearer to it than to anything else
 THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 
 
@@ -56,6 +59,7 @@ class Renderer2D:
             if self._dark
             else (bottom * share for share in (0.72, 0.47, 0.13))
         )
+        self._wall_colour = wall
         self._look = paint2d.Look(np.stack([self._top, bottom, wall, hatch, edge]).tolist())
         self._content: Any = None
         self._canvas: Any = None
@@ -74,7 +78,7 @@ class Renderer2D:
         canvas = self._canvas
         if len(shape):
             canvas.shape.from_numpy(padded(shape, self._capacity[0]))
-            canvas.colour.from_numpy(padded(self._colours(frame), self._capacity[0]))
+            canvas.colour.from_numpy(padded(np.concatenate([self._filling, self._colours(frame)]), self._capacity[0]))
         walls = self._walls(frame)[: 0 if self._transparent else None]
         if len(walls):
             canvas.wall.from_numpy(walls)
@@ -123,7 +127,8 @@ class Renderer2D:
         self._discs = np.flatnonzero(content.radius > 0)
         self._rods = np.argsort(content.rod_stick, kind="stable")  # springs below sticks
         self._outline = _outline(content.triangles)
-        counts = (len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
+        owner = filled(frame)[1]
+        counts = (len(owner) + len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
         if self._capacity[0] < sum(counts) or self._capacity[1:] != fixed:  # springs that tear leave room
             if self._canvas is not None:
                 self._canvas.close()
@@ -136,6 +141,7 @@ class Renderer2D:
             tints = [p.collider.colour for p in frame.colliders]
             linear = [np.full(3, -1.0) if tint is None else to_linear(np.array(tint)) for tint in tints]
             self._canvas.tint.from_numpy(np.array(linear, dtype=np.float32))
+            linear = [self._wall_colour if tint[0] < 0 else tint for tint in linear]
         self._base = self._base_colours(content)
 
     def _shapes(self, frame: Frame) -> tuple[NDArray[np.float32], NDArray, NDArray]:
@@ -169,6 +175,13 @@ class Renderer2D:
         if len(frame.pinned) == n:
             shape[discs, 3] = frame.pinned[self._discs]
         low[discs], high[discs] = centre - r - 1, centre + r + 1
+        if len(self._filling):  # under everything else
+            corners = (filled(frame)[0] - self.camera.low) * self.camera.scale
+            corners[:, :, 1] = self.size[1] - corners[:, :, 1]
+            under = np.zeros((len(corners), 8), dtype=np.float32)
+            under[:, :6] = corners.reshape(-1, 6)
+            shape = np.concatenate([under, shape])
+            low, high = np.concatenate([corners.min(axis=1) - 1, low]), np.concatenate([corners.max(axis=1) + 1, high])
         return shape, low, high
 
     def _base_colours(self, content: Content) -> NDArray[np.float32]:
@@ -209,6 +222,8 @@ class Renderer2D:
             x, y = (placed.centre - self.camera.low) * self.camera.scale
             row[:4] = x, self.size[1] - y, along[0], -along[1]
             row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self.camera.scale
+            if shape.kind == CUSTOM:  # triangles show it
+                row[6] = NO_BODY
         return rows
 
     def _walls(self, frame: Frame) -> NDArray[np.float32]:

@@ -3,10 +3,12 @@
 scene.add_collider(ts.Sphere((0, 0), 1.0, hollow=0.1, angular_velocity=2.0))   # a turning drum
 scene.add_collider(ts.Box((0, -1), (4, 0.2), rotation=20))                     # an incline
 scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0.0, (0, 0)), (1.0, (2, 0))]))  # a piston
+
+A shape of one's own is a subclass of `ColliderShape`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, MISSING, dataclass, field, fields
+from dataclasses import KW_ONLY, MISSING, dataclass, field, fields, replace
 from os import PathLike
 from typing import Any
 
@@ -15,15 +17,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.geometry.mesh import Surface, by_hand, holes, mesh_distance, read_surface, volume
+from taichi_sim.geometry.mesh import Surface, area_distance, by_hand, holes, mesh_distance, read_surface, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 from taichi_sim.scene.keyframes import Motion, keyframe, turn_matrix
 
-__all__ = ["BOX", "MESH", "ROUND", "SHAPES", "Box", "Capsule", "Collider", "Mesh", "Sphere", "build", "shape_of"]
+__all__ = [
+    "BOX",
+    "CUSTOM",
+    "MESH",
+    "ROUND",
+    "SHAPES",
+    "Box",
+    "Capsule",
+    "Collider",
+    "ColliderShape",
+    "Mesh",
+    "Sphere",
+    "build",
+    "shape_of",
+]
 
 Floats = NDArray[np.float64]
 ROUND, BOX, MESH, CUSTOM = "round", "box", "mesh", "custom"
-FLAT = 1e-9  # of the cube around a mesh: what encloses less is a sheet
+FLATTEST = 1e-9  # of the cube around a mesh: what encloses less is a sheet
 MOST_CELLS = 512  # of a mesh's grid along its longest side
 
 
@@ -32,8 +48,9 @@ class Collider:
     """A collider of a scene, checked. Its local frame has the origin at its centre; `motion` says where that is.
 
     kind ROUND: all points within `radius` [m] of the stretch from -half[0] to half[0] of the local x axis; BOX: |x| <= half
-    (dim,) [m]; MESH: vertices (v, 3) [m] and triangles (t, 3). hollow > 0 [m]: what is given is the room inside a shell that
-    thick. given: the arguments as plain lists and numbers, which build the same collider again.
+    (dim,) [m]; MESH: vertices (v, 3) [m] and triangles (t, 3); CUSTOM: what the distance function of `shape` says, drawn as
+    vertices (v, dim) [m] and triangles (t, 3), in 2D those that fill it. hollow > 0 [m]: what is given is the room inside a shell
+    that thick. given: the arguments as plain lists and numbers, which build the same collider again, unless it is CUSTOM.
     """
 
     name: str
@@ -50,26 +67,46 @@ class Collider:
     given: dict[str, Any] = field(repr=False)
     group: int = ONLY  # bits, see Scene.groups
     mask: int = EVERY  # bits of the groups that it collides with
+    shape: "ColliderShape | None" = None  # of a CUSTOM one
+
+    @property
+    def is_meshed(self) -> bool:
+        """Whether its surface is known as triangles."""
+        return self.kind in (MESH, CUSTOM)
 
     @property
     def extent(self) -> float:
         """Distance [m] from the centre within which all of it lies."""
-        if self.kind == MESH:
+        if self.is_meshed:
             return float(np.linalg.norm(self.vertices, axis=1).max())
         return float(np.linalg.norm(self.half)) + self.radius + self.hollow
 
     def distance(self, x: Floats, time: float) -> Floats:
-        """Signed distances (n,) [m] of points x (n, dim) from its surface at `time` [s], negative inside; plain and slow."""
+        """Signed distances (n,) [m] of points x (n, dim) from its surface at `time` [s], negative inside; plain and slow. That
+        of a CUSTOM one as it is drawn."""
         centre, turn = self.motion.at(time)
         p = (x - centre[0]) @ turn[0]
-        if self.kind == MESH:
-            return mesh_distance(Surface(self.vertices, self.triangles), p)
+        if self.is_meshed:
+            measure = mesh_distance if len(centre[0]) == 3 else area_distance
+            return measure(Surface(self.vertices, self.triangles), p)
         if self.kind == BOX:
             q = np.abs(p) - self.half
             d = np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
         else:
             d = np.linalg.norm(p - np.clip(p, -self.half, self.half), axis=1) - self.radius
         return d if self.hollow == 0.0 else np.maximum(-d, d - self.hollow)
+
+    def saved(self, where: str) -> "Collider":
+        """The collider that a file holds in its place. Raises SceneError where a file cannot hold it."""
+        if self.shape is None:
+            return self
+        instead = self.shape.saved_as()
+        if not isinstance(instead, tuple(SHAPES.values())):
+            raise SceneError(
+                f"{where} ({self.name}): a file cannot hold a shape of your own; let its saved_as() return the ts.Sphere, ts.Box,"
+                " ts.Capsule or ts.Mesh that is to be saved in its place"
+            )
+        return replace(build(instead, len(self.half), where, self.material), group=self.group, mask=self.mask)
 
 
 @dataclass(frozen=True)
@@ -141,14 +178,63 @@ class Mesh(_Placed):
     resolution: int = 64
 
 
+@dataclass(frozen=True)
+class ColliderShape(_Placed):
+    """Base of a collider shape of your own. center (dim,) [m]: where the origin of its own frame is. It has
+
+    `distance(p)`: a Taichi function, the signed distance [m] of the point p (dim,) [m] of its own frame from its surface,
+    negative inside; nowhere more than the true one, for balls on their way are led by it.
+    `surface()`: vertices (v, dim) [m] and triangles (t, 3), to draw it and to see that no ball starts inside: in 3D its closed
+    surface, in 2D triangles that fill it. They reach as far as the shape does.
+
+    A cone, upright, with its center in the middle of its base:
+
+        @ti.data_oriented
+        class Cone(ts.ColliderShape):
+            def __init__(self, center, radius, height, **placed):
+                super().__init__(center, **placed)
+                self.radius, self.height = radius, height
+
+            @ti.func
+            def distance(self, p):
+                along = (ti.sqrt(p[0] ** 2 + p[2] ** 2) - self.radius) * self.height + p[1] * self.radius
+                return ti.max(-p[1], along / (self.radius**2 + self.height**2) ** 0.5)
+
+            def surface(self):
+                k, angle = np.arange(48), np.linspace(0, 2 * np.pi, 48, endpoint=False)
+                rim = self.radius * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+                base, side = ([k, np.roll(k, -1), 48 + 0 * k], [np.roll(k, -1), k, 49 + 0 * k])
+                vertices = np.concatenate([rim, [[0, 0, 0], [0, self.height, 0]]])
+                return vertices, np.concatenate([np.stack(base, axis=1), np.stack(side, axis=1)])
+
+        scene.add_collider(Cone((0, 0, 0), radius=1.0, height=0.5, material="rubber"))
+
+    A file holds what `saved_as` returns.
+    """
+
+    center: ArrayLike
+
+    def surface(self) -> tuple[ArrayLike, ArrayLike]:
+        """Vertices (v, dim) [m] and triangles (t, 3) in its own frame."""
+        raise NotImplementedError
+
+    def saved_as(self) -> Any:
+        """The Sphere, Box, Capsule or Mesh that a file holds in its place; None: it cannot be saved."""
+        return None
+
+
 SHAPES: dict[str, type[_Placed]] = {"sphere": Sphere, "box": Box, "capsule": Capsule, "mesh": Mesh}
 
 
 def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     """A collider from a shape, every argument checked. Raises SceneError that names `where`, the argument and the value."""
     name = next((name for name, kind in SHAPES.items() if type(shape) is kind), None)
+    if isinstance(shape, ColliderShape):
+        name = type(shape).__name__
     if name is None:
-        raise SceneError(f"{where}: {shape!r} is not allowed; it must be one of ts.Sphere, ts.Box, ts.Capsule, ts.Mesh")
+        raise SceneError(
+            f"{where}: {shape!r} is not allowed; it must be one of ts.Sphere, ts.Box, ts.Capsule, ts.Mesh, or a ts.ColliderShape"
+        )
     given = {f.name: getattr(shape, f.name) for f in fields(shape)}
     half, radius, hollow, resolution = np.zeros(dim), 0.0, 0.0, 0
     surface = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32))
@@ -160,11 +246,13 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
             centre = validation.vector(f"{where}.position", shape.position, 3)
         given["mesh"] = surface  # scaled already
         given["scale"] = 1.0
+    elif isinstance(shape, ColliderShape):
+        kind, surface = CUSTOM, _drawn(shape, dim, where)
     else:
         hollow = validation.number(f"{where}.hollow", given["hollow"], low=0)
     if isinstance(shape, (Sphere, Capsule)):
         kind, radius = ROUND, validation.number(f"{where}.radius", shape.radius, positive=True)
-    if isinstance(shape, (Sphere, Box)):
+    if isinstance(shape, (Sphere, Box, ColliderShape)):
         centre = validation.vector(f"{where}.center", shape.center, dim)
     if isinstance(shape, Box):
         kind, half = BOX, 0.5 * validation.vector(f"{where}.size", shape.size, dim)
@@ -188,8 +276,8 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     if len(motion.times) > 1:
         given["path"] = [keyframe("", key) for key in shape.path]
     plain = {"shape": name} | {key: _plain(value) for key, value in given.items() if not _left_out(shape, key, value)}
-    parts = (surface.vertices, surface.triangles)
-    return Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *parts, plain)
+    collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface, plain)
+    return replace(collider, shape=shape) if kind == CUSTOM else collider
 
 
 def _turned(motion: Motion, turn: Floats) -> Motion:
@@ -230,20 +318,44 @@ def _surface(shape: Mesh, dim: int, where: str) -> Surface:
     else:
         surface = by_hand(f"{where}.mesh", shape.mesh)
         name = "the mesh"
+    surface = _closed(surface, f"{where}.mesh", name)
+    return Surface(surface.vertices * scale, surface.triangles)
+
+
+def _closed(surface: Surface, where: str, name: str) -> Surface:
+    """A surface that encloses something, facing outward."""
     open_edges = holes(surface.triangles)
     if len(open_edges) or not len(surface.triangles):
         at = ""
         if len(open_edges):
             at = f"; the first lies at {(surface.vertices[open_edges[0]].mean(axis=0)).round(6).tolist()}"
         raise SceneError(
-            f"{where}.mesh: {name} is not closed: {len(open_edges)} edges do not lie between exactly two triangles that"
+            f"{where}: {name} is not closed: {len(open_edges)} edges do not lie between exactly two triangles that"
             f" face the same way{at}; a collider needs an inside"
         )
     inside = volume(surface)
-    if abs(inside) <= FLAT * float(np.max(np.ptp(surface.vertices, axis=0))) ** 3:
-        raise SceneError(f"{where}.mesh: {name} is flat: it encloses {inside:.2g} m^3; a collider needs an inside")
+    if abs(inside) <= FLATTEST * float(np.max(np.ptp(surface.vertices, axis=0))) ** 3:
+        raise SceneError(f"{where}: {name} is flat: it encloses {inside:.2g} m^3; a collider needs an inside")
     triangles = surface.triangles[:, ::-1] if inside < 0.0 else surface.triangles
-    return Surface(surface.vertices * scale, np.ascontiguousarray(triangles))
+    return Surface(surface.vertices, np.ascontiguousarray(triangles))
+
+
+def _drawn(shape: ColliderShape, dim: int, where: str) -> Surface:
+    """What the renderer shows of a shape of the user's own, checked, with its distance function."""
+    name, distance = type(shape).__name__, getattr(shape, "distance", None)
+    if not getattr(distance, "_is_taichi_function", False):
+        raise SceneError(f"{where}: {name} needs a function distance(self, p) with @ti.func above it")
+    if type(shape).surface is ColliderShape.surface:
+        raise SceneError(f"{where}: {name} needs a function surface(self) that returns (vertices, triangles)")
+    vertices, triangles = shape.surface()
+    where = f"{where}.surface()"
+    points = validation.vectors(f"{where}: vertices", vertices, None, dim)
+    corners = validation.indices(f"{where}: triangles", triangles, len(points), 3, "vertex")
+    if dim == 3:
+        return _closed(Surface(points, corners), where, "what it draws")
+    if not len(corners):
+        raise SceneError(f"{where}: there are no triangles; they fill the shape")
+    return Surface(points, corners)
 
 
 def _resolution(value: Any, where: str) -> int:

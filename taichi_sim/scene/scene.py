@@ -264,7 +264,7 @@ class Scene(Elements):
         )
 
     def add_collider(self, shape: Any) -> int:
-        """Add a solid body of infinite mass, a Sphere, Box, Capsule or Mesh, and return its number.
+        """Add a solid body of infinite mass, a Sphere, Box, Capsule, Mesh or a ColliderShape of your own, and return its number.
 
         It stands where it is or moves along its path and pushes balls; pinned balls ignore it.
         """

@@ -71,7 +71,9 @@ def _document(scene: Any, store: _Arrays) -> dict[str, Any]:
             for wall in scene.walls
         ],
     }
-    tables["colliders"] = [_collider(collider.given, store, k) for k, collider in enumerate(scene.colliders)]
+    tables["colliders"] = [
+        _collider(collider.saved(f"colliders[{k}]").given, store, k) for k, collider in enumerate(scene.colliders)
+    ]
     if len(scene.triangles):
         columns = {"triangles": scene.triangles, "collides": _one(scene.solid)}
         tables["triangles"] = [store.table("triangles_", columns)]

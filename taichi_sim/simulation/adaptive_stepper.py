@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.stability import Stability, coarsest_spring
 from taichi_sim.kernels.contacts import statistics
-from taichi_sim.scene.colliders import MESH
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.assembly import Assembly
 from taichi_sim.simulation.energy_monitor import size
@@ -325,7 +324,7 @@ class AdaptiveStepper(Stepper):
         for collider in scene.colliders:
             centre, _ = collider.motion.at(self.time)
             near = np.linalg.norm(x - centre[0], axis=1) < collider.extent + reach
-            if near.any() and (collider.kind == MESH or np.any(collider.distance(x[near], self.time) < reach[near])):
+            if near.any() and (collider.is_meshed or np.any(collider.distance(x[near], self.time) < reach[near])):
                 return True
         return False
 

@@ -155,6 +155,6 @@ def key_of(scene: Scene, plan: Plan) -> str:
         for name, value in collider.given.items():
             if name != "mesh":
                 digest.update(f"{name} {value!r}".encode())
-        if "mesh" in collider.given:
+        if collider.is_meshed:
             digest.update(np.ascontiguousarray(collider.vertices).tobytes())
     return digest.hexdigest()
