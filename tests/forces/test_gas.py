@@ -9,6 +9,8 @@ import taichi_sim as ts
 from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators.implicit_euler import ImplicitEuler
 
+pytestmark = pytest.mark.slow_in("f32")
+
 STIFF = ("implicit_euler", "xpbd")
 
 
@@ -33,6 +35,7 @@ def test_a_turning_balloon_keeps_its_angular_momentum(method):
     assert own - 0.003 < kept < 1.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", STIFF)
 def test_a_balloon_held_at_its_side_falls_as_by_verlet(method):
     """A quarter of a turn about the ball that is held."""
