@@ -22,6 +22,7 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.spring_units import spring_from_rates
 
 if TYPE_CHECKING:
+    from taichi_sim.contacts import ContactRule
     from taichi_sim.files.toml_reader import load_scene
     from taichi_sim.forces.pointer import Pointer
     from taichi_sim.integrators import Integrator
@@ -34,6 +35,7 @@ __all__ = [
     "BackendError",
     "Box",
     "Capsule",
+    "ContactRule",
     "Frame",
     "Integrator",
     "Mesh",
@@ -50,6 +52,7 @@ __all__ = [
 ]
 
 _LAZY = {
+    "ContactRule": "taichi_sim.contacts",
     "Integrator": "taichi_sim.integrators",
     "Pointer": "taichi_sim.forces.pointer",
     "Simulation": "taichi_sim.simulation.simulation",

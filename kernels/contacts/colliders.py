@@ -1,25 +1,18 @@
-"""Distances from colliders, and the first time at which a moving ball meets one.
+"""Where colliders are, and distances from them.
 
 A collider's pose is that at the start of a step; within the step it moves with constant velocity and angular velocity to the
 pose at its end. All distances are signed: negative inside the solid.
 """
 
-from taichi_sim.kernels.contacts.parabola import crossing
+from taichi_sim.kernels.contacts.kinds import BOX, MESH, ROUND
 from taichi_sim.kernels.vectors import lever
 
 from taichi_sim.device.engine import ti
 
-ROUND, BOX, MESH = range(3)
-MOST = 256  # looks at the distance along one path; what needs more waits at the last safe place
-STRIDE = 0.2  # of the radius: no look lies further behind a surface, so none is passed over
-CAREFUL = 0.7  # of the way that a distance kept on a grid allows
-SINK = 0.005  # of the radius: what rests may sink in so far while it moves; the contact solve holds it
-BEND = 0.1  # of the radius: the same for what came to rest within the step on a collider that turns
-
 
 @ti.func
-def turned(q, angle):
-    """q turned by an angle (2D) or a rotation vector (3D)."""
+def rotated(q, angle):
+    """q rotated by an angle (2D) or a rotation vector (3D)."""
     result = q
     if ti.static(q.n == 2):
         c, s = ti.cos(angle), ti.sin(angle)
@@ -34,23 +27,14 @@ def turned(q, angle):
 
 
 @ti.func
-def size_of(turn, dim: ti.template()):
-    """Angular speed."""
-    if ti.static(dim == 2):
-        return ti.abs(turn)
-    else:
-        return turn.norm()
-
-
-@ti.func
 def local(colliders: ti.template(), k, x, after):
     """The point x in the frame of collider k, `after` seconds into the step."""
     pose = colliders.pose[k]
     q = x - pose.x
     if ti.static(colliders.moves):
         q -= after * pose.v
-    if ti.static(colliders.turns):
-        q = turned(q, -after * pose.turn)
+    if ti.static(colliders.rotates):
+        q = rotated(q, -after * pose.spin)
     p = q
     if ti.static(q.n == 2):
         p = ti.Vector([q.dot(pose.along), q[1] * pose.along[0] - q[0] * pose.along[1]])
@@ -68,8 +52,8 @@ def world(colliders: ti.template(), k, n, after):
         d = ti.Vector([n[0] * pose.along[0] - n[1] * pose.along[1], n[0] * pose.along[1] + n[1] * pose.along[0]])
     else:
         d = n[0] * pose.along + n[1] * pose.across + n[2] * pose.along.cross(pose.across)
-    if ti.static(colliders.turns):
-        d = turned(d, after * pose.turn)
+    if ti.static(colliders.rotates):
+        d = rotated(d, after * pose.spin)
     return d
 
 
@@ -80,8 +64,8 @@ def surface_velocity(colliders: ti.template(), k, x, after):
     if ti.static(colliders.moves):
         pose = colliders.pose[k]
         v = pose.v
-        if ti.static(colliders.turns):
-            v += lever(pose.turn, x - pose.x - after * pose.v)
+        if ti.static(colliders.rotates):
+            v += lever(pose.spin, x - pose.x - after * pose.v)
     return v
 
 
@@ -169,6 +153,28 @@ def mesh_distance(grid: ti.template(), shape, p):
 
 
 @ti.func
+def custom_distance(own: ti.template(), p, h):
+    """The same for a shape of the user's own: the direction is that of differences of its distance at points h [m] away."""
+    n = 0.0 * p
+    for e in range(2 * p.n):
+        sign = 1.0 - 2.0 * (e % 2)
+        q = p
+        for a in ti.static(range(p.n)):
+            if e // 2 == a:
+                q[a] += sign * h
+        beside = sign * own.distance(q)
+        for a in ti.static(range(p.n)):
+            if e // 2 == a:
+                n[a] += beside
+    size = n.norm()
+    if size > 0.0:
+        n = n / size
+    else:
+        n[1] = 1.0
+    return own.distance(p), n
+
+
+@ti.func
 def distance(colliders: ti.template(), k, p):
     """Distance of p (in its frame) from collider k, the direction away from it, and whether p lies within a hollow one."""
     shape = colliders.shape[k]
@@ -183,6 +189,10 @@ def distance(colliders: ti.template(), k, p):
     if ti.static(colliders.has_mesh):
         if shape.kind == MESH:
             d, n = mesh_distance(colliders.grid, shape, p)
+    if ti.static(colliders.has_custom):
+        for number, own in ti.static(colliders.custom):
+            if k == number:
+                d, n = custom_distance(own, p, colliders.difference * shape.extent)
     if ti.static(colliders.has_hollow):
         if shape.hollow > 0.0:
             within = d < 0.5 * shape.hollow
@@ -212,136 +222,3 @@ def near(colliders: ti.template(), k, x, reach):
     q = x - colliders.pose[k].x
     far = colliders.shape[k].extent + reach
     return q.dot(q) <= far * far
-
-
-@ti.func
-def meeting(walls: ti.template(), colliders: ti.template(), i, k, face, x, v, a, since, limit, settled, floor):
-    """First time within `limit` seconds at which ball i, on a parabola from x that begins `since` seconds into the step, meets
-    collider k, or that face of a hollow box around it, where it is not -1: the time, and whether it meets it (1), does not (0),
-    or is not known beyond that time (-1).
-
-    A solid that is convex cannot be reached before the plane that touches it where it is nearest: each such plane is treated
-    as a wall, which is exact for faces and converges like Newton's method for the rest. A mesh, and what is hollow seen from
-    within, is approached by steps no longer than its distance, at least a fifth of the radius; where a look lies behind the
-    surface, the meeting lies between it and the last one.
-    """
-    r = walls.model.radius[i]
-    pose = colliders.pose[k]
-    drift = v - pose.v
-    start = x - pose.x - since * pose.v
-    travel = drift.norm() * limit + 0.5 * a.norm() * limit * limit
-    extent = colliders.shape[k].extent
-    found, time = 0, limit
-    if start.norm() <= extent + r + travel:
-        finest = 1e-9 * r + walls.rounding * (ti.abs(x).max() + colliders.far(k))
-        fastest = drift.norm() + a.norm() * limit
-        curve = 0.0 * r  # how fast turning bends the path as the collider sees it
-        if ti.static(colliders.turns):
-            spin = size_of(pose.turn, colliders.dim)
-            far = ti.min(start.norm() + travel, extent + r)
-            curve = spin * spin * far + 2.0 * spin * fastest
-            fastest += spin * far
-        left, right, above, below = 0.0 * r, limit, 0.0 * r, 0.0 * r
-        sunk = 0.0 * r
-        behind, done = False, False
-        t = 0.0 * r
-        looks = 0
-        while not done and looks < MOST:
-            at = x + t * (v + 0.5 * t * a)
-            p = local(colliders, k, at, since + t)
-            d, n, within = distance(colliders, k, p)
-            if ti.static(colliders.has_faces):
-                if face >= 0:
-                    d, n = face_distance(colliders, k, face, p, d, n, face >= 0)
-            gap = d - r
-            if looks == 0 and CAREFUL * gap > fastest * limit:
-                done = True
-            else:
-                n = world(colliders, k, n, since + t)
-                if looks == 0:
-                    sunk = ti.max(0.0, -gap)
-                gap += sunk
-                if gap < SINK * r:
-                    gap += allowance(walls, i, k, n, settled, floor)
-                u = n.dot(v + t * a - surface_velocity(colliders, k, at, since + t))
-                looks += 1
-                if behind:
-                    if gap >= 0.0:
-                        left, above = t, gap
-                    else:
-                        right, below = t, gap
-                    if above <= finest or looks == MOST or right - left <= 1e-12 * limit:
-                        found, time, done = 1, left, True
-                elif gap < -finest:
-                    behind, right, below = True, t, gap
-                    if above <= finest:
-                        found, time, done = 1, left, True
-                elif gap <= finest and u < 0.0:
-                    found, time, done = 1, t, True
-                else:
-                    left, above = t, gap
-                    step = 2.0 * limit
-                    solid = face >= 0 or not within
-                    if ti.static(colliders.has_mesh):
-                        solid = solid and colliders.shape[k].kind != MESH
-                    if solid:
-                        step = crossing(ti.max(gap, 0.0), u, n.dot(a) - curve, step)
-                    elif fastest > 0.0:
-                        step = CAREFUL * gap / fastest
-                    if t + step >= limit or t >= limit:
-                        done = True
-                    else:
-                        if fastest > 0.0:
-                            step = (
-                                ti.max(step, STRIDE * r / fastest) if not solid or step * fastest < 1e-3 * r else step
-                            )
-                        t = ti.min(t + step, limit)
-            if behind:
-                part = above / ti.max(above - below, 1e-30)
-                t = left + (right - left) * ti.max(0.05, ti.min(0.95, part))
-        if not done:
-            found, time = -1, left
-            if behind:
-                found = 1
-    return found, time
-
-
-@ti.func
-def allowance(walls: ti.template(), i, k, n, settled, floor):
-    """How far [m] ball i may sink into collider k along n while it moves: a little where it rests on it. settled, floor: the
-    collider on which it came to rest within this step, and its normal there: other faces of it are met as any."""
-    sink = SINK * walls.model.radius[i]
-    rests = settled == k and n.dot(floor) > 0.9
-    if ti.static(walls.colliders.turns):
-        if rests:  # what turns carries a ball around a bend within the step
-            sink = BEND * walls.model.radius[i]
-    if walls.touched[i] > 0:
-        for c in range(i * walls.count + walls.planes, (i + 1) * walls.count):
-            if walls.contact[c].active == 1 and walls.contact[c].key // walls.faces == k:
-                rests = rests or n.dot(walls.contact[c].normal) > 0.9
-    return ti.select(rests, sink, 0.0)
-
-
-@ti.func
-def first_collider(walls: ti.template(), i, x, v, a, since, limit, settled, floor):
-    """Earliest of all colliders that ball i meets: its key (number times `faces`, and the face of a hollow box around the ball),
-    -1 for none, -2 where the way is not known; and the time. Each face for itself: that on which a ball rolls is the nearest one
-    all the way, and hides the next."""
-    hit = -1
-    time = limit
-    if walls.model.inverse_mass[i] > 0.0:
-        for k in range(walls.colliders.count):
-            if walls.colliders.minds(walls.model, i, k):
-                several = 0
-                if ti.static(walls.colliders.has_faces):
-                    if walls.colliders.shape[k].kind == BOX:
-                        _far, _away, inside = distance(walls.colliders, k, local(walls.colliders, k, x, since))
-                        if inside:
-                            several = 1
-                for face in range(ti.select(several == 1, walls.faces, 1)):
-                    which = ti.select(several == 1, face, -1)
-                    found, t = meeting(walls, walls.colliders, i, k, which, x, v, a, since, time, settled, floor)
-                    if found != 0 and t < time:
-                        time = t
-                        hit = ti.select(found == 1, k * walls.faces + face, -2)
-    return hit, time

@@ -29,6 +29,23 @@ def soft_impulse(u, target, mass, held):
 
 
 @ti.func
+def rebound(restitution, u, kick):
+    """Change of the normal speed u of two things that bounce. kick [m/s]: approach speed that forces gave them since contacts
+    were last looked for. What an impact throws back is the speed in the middle of that time, which belongs to the positions:
+    half of the kick is in it."""
+    return -(1.0 + restitution) * (u + 0.5 * kick)
+
+
+@ti.func
+def friction_impulse(model: ti.template(), law, n, u, slip, mass, sideways, held, total, threshold, time):
+    """Change of the tangential impulse [N s] of a contact that presses with `total` [N s], and its new Coulomb part, of which it
+    held `held`. u, slip [m/s]: relative velocity of the bodies, and of their surfaces, which spin; mass, sideways [kg]: what they
+    oppose to an impulse along the normal n, and along the surfaces. Viscous friction acts for `time` seconds."""
+    share = viscous_share(model, law, total, mass, threshold, u, time)
+    return sliding_impulse(model, slip, n, sideways, held, law.friction * total, share)
+
+
+@ti.func
 def sliding_impulse(model: ti.template(), u, n, mass, slide, bound, slip):
     """Change of the tangential impulse and its new Coulomb part (a vector that may not exceed `bound`).
 

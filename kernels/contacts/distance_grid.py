@@ -94,11 +94,11 @@ def spread(
 
 @ti.kernel
 def winding(
-    corner: ti.types.ndarray(ti.f64, 2), turns: ti.types.ndarray(ti.i32, 3), low: vec3, cell: ti.f64, shift: ti.f64
+    corner: ti.types.ndarray(ti.f64, 2), windings: ti.types.ndarray(ti.i32, 3), low: vec3, cell: ti.f64, shift: ti.f64
 ):
-    """How often the surface winds around each grid corner: crossings of the row along x, counted with their sign.
+    """How often the surface winds around each grid corner: crossings of the line along x, counted with their sign.
 
-    Rows are shifted by a part of a cell, so that none runs along an edge of a mesh with round coordinates.
+    Lines are shifted by a part of a cell, so that none runs along an edge of a mesh with round coordinates.
     """
     ti.loop_config(serialize=True)
     for t in range(corner.shape[0] // 3):
@@ -108,8 +108,8 @@ def winding(
         area = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
         first = ti.cast(ti.floor(ti.min(a, b, c)), ti.i32) - 1
         last = ti.cast(ti.floor(ti.max(a, b, c)), ti.i32) + 1
-        for k in range(ti.max(first[2], 0), ti.min(last[2] + 1, turns.shape[0])):
-            for j in range(ti.max(first[1], 0), ti.min(last[1] + 1, turns.shape[1])):
+        for k in range(ti.max(first[2], 0), ti.min(last[2] + 1, windings.shape[0])):
+            for j in range(ti.max(first[1], 0), ti.min(last[1] + 1, windings.shape[1])):
                 y, z = j + shift, k + 0.7 * shift
                 wa = (c[1] - b[1]) * (z - b[2]) - (c[2] - b[2]) * (y - b[1])
                 wb = (a[1] - c[1]) * (z - c[2]) - (a[2] - c[2]) * (y - c[1])
@@ -118,10 +118,10 @@ def winding(
                 if inside and area != 0.0:
                     x = (wa * a[0] + wb * b[0] + wc * c[0]) / (wa + wb + wc)
                     i = ti.max(ti.cast(ti.ceil(x), ti.i32), 0)
-                    if i < turns.shape[2]:
-                        turns[k, j, i] += ti.select(area > 0.0, 1, -1)
-    for k, j in ti.ndrange(turns.shape[0], turns.shape[1]):
+                    if i < windings.shape[2]:
+                        windings[k, j, i] += ti.select(area > 0.0, 1, -1)
+    for k, j in ti.ndrange(windings.shape[0], windings.shape[1]):
         total = 0
-        for i in range(turns.shape[2]):
-            total += turns[k, j, i]
-            turns[k, j, i] = total
+        for i in range(windings.shape[2]):
+            total += windings[k, j, i]
+            windings[k, j, i] = total

@@ -13,10 +13,10 @@ from taichi_sim.device.engine import ti
 
 
 @ti.func
-def stopped(solver: ti.template(), ball: ti.template()):
+def note_stopped(solver: ti.template(), ball: ti.template()):
     """Note the velocities where the pairs that touched have stopped."""
     for i in range(solver.n):
-        solver.stop_v[i] = ball[i].v
+        solver.stopped_velocity[i] = ball[i].v
         if ti.static(solver.has_walls):
             if ti.static(solver.walls.told):
                 solver.walls.received.note(i)
@@ -26,23 +26,23 @@ def stopped(solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def compare_with_before(solver: ti.template()):
-    """Take the velocities before the solve as those that `tame` scales back to."""
+    """Take the velocities before the solve as those that `limit` scales back to."""
     for i in range(solver.n):
-        solver.stop_v[i] = solver.before[i]
+        solver.stopped_velocity[i] = solver.before[i]
         if ti.static(solver.spins):
             solver.stopped_spin[i] = solver.before_spin[i]
 
 
 @ti.func
-def tame(solver: ti.template(), ball: ti.template()):
-    """Scale the changes of velocity since `stopped` so that no energy has been added since `before`."""
+def limit(solver: ti.template(), ball: ti.template()):
+    """Scale the changes of velocity since `note_stopped` so that no energy has been added since `before`."""
     for c in range(solver.parts_of_energy):
         lost, linear, square = ti.cast(0.0, solver.wide), ti.cast(0.0, solver.wide), ti.cast(0.0, solver.wide)
         for i in range(c * PART, ti.min((c + 1) * PART, solver.n)):
             w = solver.model.inverse_mass[i]
             if w > 0.0:
                 v0 = ti.cast(solver.before[i], solver.wide)
-                v1 = ti.cast(solver.stop_v[i], solver.wide)
+                v1 = ti.cast(solver.stopped_velocity[i], solver.wide)
                 d = ti.cast(ball[i].v, solver.wide) - v1
                 lost += 0.5 * (v0 - v1).dot(v0 + v1) / w
                 linear += v1.dot(d) / w
@@ -76,7 +76,7 @@ def tame(solver: ti.template(), ball: ti.template()):
     for i in range(solver.n):
         less = ti.cast(solver.energy[solver.parts_of_energy].linear, float)
         if less < 0.0:
-            solver.state.kick(i, less * (ball[i].v - solver.stop_v[i]))
+            solver.state.kick(i, less * (ball[i].v - solver.stopped_velocity[i]))
             if ti.static(solver.has_walls):
                 if ti.static(solver.walls.told):
                     solver.walls.received.scale(i, less)

@@ -4,29 +4,31 @@ Within a step the path is a parabola from x with start velocity v - a h / 2 and 
 so an elastic bounce loses nothing. A scheme without acceleration inside the step passes a = 0 and moves on a straight line.
 """
 
-from taichi_sim.kernels.contacts.colliders import first_collider, surface_velocity
+from taichi_sim.kernels.contacts.ccd_colliders import NOTHING, first_collider
+from taichi_sim.kernels.contacts.colliders import surface_velocity
 from taichi_sim.kernels.contacts.contact_law import decayed
+from taichi_sim.kernels.contacts.kinds import RESTING
 from taichi_sim.kernels.contacts.parabola import crossing
 from taichi_sim.kernels.vectors import cross, lever
 
 from taichi_sim.device.engine import ti
 
-AT_ONCE = 1.0 / 16.0  # of a step: a flight that is shorter ends in rest
-IMPACTS = 8  # per ball and step; a wedge that asks for more stops the ball for the rest of the step
+SHORTEST_FLIGHT = 1.0 / 16.0  # of a step: one that is shorter ends in rest
+MOST_IMPACTS = 8  # per ball and step; a wedge that asks for more stops the ball for the rest of the step
 
 
 @ti.func
 def first_wall(walls: ti.template(), i, x, v, a, remaining):
-    """Earliest wall hit by ball i within `remaining` seconds: its number or -1, and the time."""
-    hit = -1
+    """Earliest wall hit by ball i within `remaining` seconds: its number or NOTHING, and the time."""
+    hit = NOTHING
     time = remaining
-    for k in range(walls.planes):
-        wall = walls.wall[k]
-        gap = walls.gap(x, i, k)
+    for k in range(walls.planes.count):
+        wall = walls.planes.wall[k]
+        gap = walls.planes.gap(x, i, k)
         u = wall.normal.dot(v)
         pull = wall.normal.dot(a)
         closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining
-        resting = walls.touched[i] > 0 and walls.contact[i * walls.count + k].active == 1
+        resting = walls.touched[i] > 0 and walls.contact[i * walls.count + k].role == RESTING
         if gap >= -walls.tolerance(x, i, 0.0) and closest <= 0.0 and not resting:
             t = crossing(ti.max(gap, 0.0), u, pull, 2.0 * remaining)
             if t < time:
@@ -71,15 +73,15 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
 def is_caught(law, u, press, threshold, h):
     """Whether a ball that arrives with the normal speed u < 0 rests: it is slow, does not bounce, or what presses it into the
     surface [m/s^2] would bring it back at once, so that the bounces to come add up to a small part of the step."""
-    return -u <= threshold or law.restitution == 0.0 or -2.0 * law.restitution * u < AT_ONCE * h * press
+    return -u <= threshold or law.restitution == 0.0 or -2.0 * law.restitution * u < SHORTEST_FLIGHT * h * press
 
 
 @ti.func
 def surface(walls: ti.template(), key, x, after):
     """Direction from a collider, or a face of it, see kernels.colliders.first_collider, to a ball at x that touches it `after`
     seconds into the step, and its velocity there."""
-    k = key // walls.faces
-    d, n, _ = walls.colliders.distance(k, key % walls.faces, x, after)
+    k = key // walls.colliders.faces
+    d, n, _ = walls.colliders.distance(k, key % walls.colliders.faces, x, after)
     return n, surface_velocity(walls.colliders, k, x - d * n, after)
 
 
@@ -88,7 +90,7 @@ def strike(walls: ti.template(), i, key, x, v, a, after, threshold, h):
     """Velocity and acceleration of ball i after it met a collider `after` seconds into the step, whether it rests on it, and
     the normal there."""
     n, own = surface(walls, key, x, after)
-    law = walls.law_with(i, walls.colliders.shape[key // walls.faces].surface)
+    law = walls.law_with(i, walls.colliders.shape[key // walls.colliders.faces].surface)
     u = n.dot(v - own)
     speed, pull = v, a
     rests = True  # what does not approach
@@ -112,11 +114,11 @@ def press(walls: ti.template(), i, v, a):
     Those are the contact solve's to undo, friction with them; the path only must not enter the wall meanwhile.
     """
     for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
-        if walls.contact[i * walls.count + k].active == 1:
+        if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
             if ti.static(walls.has_colliders):
                 least = 0.0 * v[0]
-                if k >= walls.planes:  # a surface that falls away is followed
+                if k >= walls.planes.count:  # a surface that falls away is followed
                     least = ti.min(0.0, walls.contact[i * walls.count + k].target)
                 v -= ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
             else:
@@ -129,11 +131,11 @@ def press(walls: ti.template(), i, v, a):
 def tell_pressed(walls: ti.template(), i, v):
     """What `press` took of the velocity of ball i, for probes: it stays away where the ball met something."""
     for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
-        if walls.contact[i * walls.count + k].active == 1:
+        if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
             least = 0.0 * v[0]
             if ti.static(walls.has_colliders):
-                if k >= walls.planes:
+                if k >= walls.planes.count:
                     least = ti.min(0.0, walls.contact[i * walls.count + k].target)
             change = -ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
             v += change
@@ -163,23 +165,23 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
     speed = along - 0.5 * h * pull
     shift = h * along
     touched = False
-    settled = -1  # the collider on which it came to rest within this step, and the normal there
+    settled = NOTHING  # the collider on which it came to rest within this step, and the normal there
     floor = 0.0 * v
-    swift = False  # it may have to stop on its way at another ball (kernels.swept), so that must be straight
+    swift = False  # it may have to stop on its way at another ball (kernels.ccd_balls), so that must be straight
     if ti.static(walls.straight):
         swift = shift.dot(shift) > walls.model.radius[i] ** 2
-    for _ in range(IMPACTS):
+    for _ in range(MOST_IMPACTS):
         if remaining > 0.0:
             start = ti.select(touched, shift, 0.0 * shift)
             hit, t = first_wall(walls, i, x + start, speed, pull, remaining)
-            other = -1
+            other = NOTHING
             if ti.static(walls.has_colliders):
                 other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled, floor)
             far = 0.0 * t
             if ti.static(walls.has_colliders):
                 if other >= 0:
-                    far = walls.colliders.far(other // walls.faces)
-            waits = swift and (other != -1 or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
+                    far = walls.colliders.far(other // walls.colliders.faces)
+            waits = swift and (other != NOTHING or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
             if waits:
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
                 if ti.static(walls.moves):
@@ -187,7 +189,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                         shift += pushed(walls, other, x + shift, h - remaining + t, remaining - t)
                 speed += remaining * pull
                 remaining = 0.0
-            elif other != -1:
+            elif other != NOTHING:
                 shift = start + t * (speed + 0.5 * t * pull)
                 speed += t * pull
                 if ti.static(walls.has_colliders):
@@ -197,15 +199,17 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                             walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
                         )
                         if rests:
-                            settled = other // walls.faces
+                            settled = other // walls.colliders.faces
                             floor = n
                         remaining -= t
                         if ti.static(walls.told):
                             change = speed - came + remaining * (pull - load)
                             walls.received.add(
-                                i, walls.received.solid[other // walls.faces], change / walls.model.inverse_mass[i]
+                                i,
+                                walls.received.solid[other // walls.colliders.faces],
+                                change / walls.model.inverse_mass[i],
                             )
-                    else:
+                    else:  # UNKNOWN_WAY: it waits where it is
                         remaining = 0.0
                 touched = True
             elif hit >= 0:
@@ -214,7 +218,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                 speed, pull, rests = bounce(
                     walls,
                     i,
-                    walls.wall[hit].normal,
+                    walls.planes.wall[hit].normal,
                     walls.law(i, hit),
                     came,
                     pull,

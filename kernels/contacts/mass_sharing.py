@@ -17,12 +17,12 @@ def shares(solver: ti.template(), ball: ti.template(), i):
         t, c = solver.walls.shares(ball, i)
         T += t
         count += c
-    if ti.static(solver.has_sticks and solver.rule != "sum"):
+    if ti.static(solver.has_sticks and not solver.sums_plainly):
         t, c = solver.sticks.shares(i)
         T += t
         count += c
-    if ti.static(solver.has_facets and solver.rule != "sum"):
-        t, c = solver.facets.shares(i)
+    if ti.static(solver.has_triangles and not solver.sums_plainly):
+        t, c = solver.triangles.shares(i)
         T += t
         count += c
     return T, count

@@ -1,15 +1,14 @@
 """Impacts among balls that change velocities in turn (Gauss-Seidel): each by itself, before what rests is held.
 
 Newton's law between two bodies, u' = -e u, is exact for one pair; asked of many contacts at once it is not, and adds energy
-where a pass has not converged. So pairs that close fast bounce one after another, as many times as it takes until none does:
-each bounce keeps momentum and never adds energy, and at e = 1 without friction all of it stays. What then still closes is slow,
-or does not bounce, and is stopped by the passes (target speed 0), whose impulses only take energy. Walls take their turn with
-the pairs of the balls that touch others.
+where an iteration has not converged. So pairs that close fast bounce one after another, as many times as it takes until none
+does: each bounce keeps momentum and never adds energy, and at e = 1 without friction all of it stays. What then still closes is
+slow, or does not bounce, and is stopped by the iterations (target speed 0), whose impulses only take energy. Walls take their
+turn with the pairs of the balls that touch others.
 
-Speed that forces gave a pair since contacts were last looked for is a load and no impact: it is held, not thrown back. What
-an impact throws back is the speed in the middle of that time, which belongs to the positions: half of the load is in it.
+Speed that forces gave a pair since contacts were last looked for is a load and no impact: it is held, not thrown back.
 
-Blocks (see kernels.sweeps) in which nothing closes fast, nor in those beside them, are passed over, and in the others the balls
+Blocks (see pair_sweeps) in which nothing closes fast, nor in those beside them, are passed over, and in the others the balls
 none of whose contacts may have changed: `stirred` is 0 where one closes fast at first, then the round that follows the last
 impact on the ball, or on one that it lists; else CALM.
 """
@@ -17,29 +16,26 @@ impact on the ball, or on one that it lists; else CALM.
 import math
 
 from taichi_sim.kernels.contacts import contact_law, wall_impacts
+from taichi_sim.kernels.contacts.kinds import FAST
+from taichi_sim.kernels.contacts.pair_sweeps import torque, zero_spin
 from taichi_sim.kernels.contacts.pairs import GRAIN, law_of
-from taichi_sim.kernels.vectors import cross, lever
+from taichi_sim.kernels.vectors import lever
 
 from taichi_sim.device.engine import ti
 
-AT_ONCE = 2  # rounds on all threads; what goes on bouncing is little, and one thread does it
-ROUNDS = 24  # of impacts in one step; what closes fast after them is stopped, or at e = 1 left to the next step
+PARALLEL_ROUNDS = 2  # rounds on all threads; what goes on bouncing is little, and one thread does it
+IMPACT_ROUNDS = 24  # of impacts in one step; what closes fast after them is stopped, or at e = 1 left to the next step
 CALM = -1
 NO_ROW = -1
-SPENT = 0.02  # of an approach speed: a contact has lost the rest after so many bounces that e^k is less
+SPENT_PART = 0.02  # of an approach speed: a contact has lost the rest after so many bounces that e^k is less
 STILL = 0.01  # of the threshold: what moves less rests
 ALERT = 0.5  # of the threshold: what closes faster may be fast once forces have acted
 
 
 @ti.func
-def load(solver: ti.template(), i, j, n):
-    """Approach speed that forces gave balls i and j along n since contacts were last looked for."""
-    return ti.max(0.0, kick(solver, i, j, n))
-
-
-@ti.func
 def kick(solver: ti.template(), i, j, n):
-    """The same, negative where forces pull them apart."""
+    """Approach speed that forces gave balls i and j along n since contacts were last looked for, negative where they pull them
+    apart."""
     u = 0.0 * n[0]
     if ti.static(solver.loaded):
         u = -(solver.kicked[j] - solver.kicked[i]).dot(n)
@@ -67,16 +63,16 @@ def note_kicks(solver: ti.template(), ball: ti.template()):
 def all_rounds(solver: ti.template(), ball: ti.template(), time):
     """Impacts until nothing closes fast that bounces."""
     if ti.static(not solver.serial):
-        for now in ti.static(range(AT_ONCE)):
+        for now in ti.static(range(PARALLEL_ROUNDS)):
             for parity in ti.static(range(2)):
                 for g in range((solver.pairs.blocks[0] + 1 - parity) // 2 * GRAIN):
                     if g % GRAIN == 0:
                         one_block(solver, ball, g // GRAIN * 2 + parity, now, time)
     ti.loop_config(serialize=True)
     for _ in range(1):
-        first = ti.static(0 if solver.serial else AT_ONCE)
+        first = ti.static(0 if solver.serial else PARALLEL_ROUNDS)
         going, now = True, first
-        while going and now < ROUNDS:
+        while going and now < IMPACT_ROUNDS:
             going = False
             for parity in range(2):
                 for g in range((solver.pairs.blocks[0] + 1 - parity) // 2):
@@ -131,7 +127,7 @@ def bounces_on(solver: ti.template(), i, j, restitution):
     on = True
     if ti.static(not solver.accelerates):
         number = ti.max(solver.rebounds[i], solver.rebounds[j])
-        on = number * ti.log(restitution) > ti.static(math.log(SPENT))
+        on = number * ti.log(restitution) > ti.static(math.log(SPENT_PART))
     return on
 
 
@@ -155,19 +151,23 @@ def one_ball(solver: ti.template(), ball: ti.template(), i, now, time):
                     solver.rebounds[i] = solver.rebounds[i] + 1
                     solver.rebounds[j] = solver.rebounds[j] + 1
                     other = solver.model.inverse_mass[j]
-                    total = -(1.0 + law.restitution) * (u.dot(n) + 0.5 * pressed) / (w + other)
+                    mass = 1.0 / (w + other)
+                    total = contact_law.rebound(law.restitution, u.dot(n), pressed) / (w + other)
                     p = -total * n
                     if ti.static(solver.model.has_friction):
-                        mass = 1.0 / (w + other)
-                        slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
+                        slip, sideways = u, mass
                         if ti.static(solver.spins):
-                            u -= solver.pairs.row[c].arm * lever(solver.state.spin[i] + solver.state.spin[j], n)
-                            mass *= contact_law.sideways(solver, i, j)
-                        change, _ = contact_law.sliding_impulse(
-                            solver.model, u, n, mass, 0.0 * p, law.friction * total, slip
+                            slip -= solver.pairs.row[c].arm * lever(solver.state.spin[i] + solver.state.spin[j], n)
+                            sideways *= contact_law.sideways(solver, i, j)
+                        change, _ = contact_law.friction_impulse(
+                            solver.model, law, n, u, slip, mass, sideways, 0.0 * p, total, solver.threshold[0], time
                         )
                         p -= change
-                    strike(solver, i, j, c, p)
+                    t = zero_spin(solver)
+                    if ti.static(solver.spins):
+                        t = torque(solver, c, p)
+                    solver.apply(i, p, t)
+                    solver.apply(j, -p, t)
                     stir(solver, i, now + 1)
                     stir(solver, j, now + 1)
     if ti.static(solver.among):
@@ -178,29 +178,27 @@ def one_ball(solver: ti.template(), ball: ti.template(), i, now, time):
 
 
 @ti.func
-def limit(solver: ti.template(), ball: ti.template(), i):
-    """Of what the contacts of ball i hold after an impact, what may be a load: the next solve starts with it."""
-    begin = solver.pairs.first[i]
-    for c in range(begin, begin + solver.pairs.touching[i]):
-        j = solver.pairs.link[c].other
-        held = solver.pairs.link[c].impulse
-        most = wall_impacts.bound(solver, solver.pairs.row[c].target, i, j)
-        if held > most:
-            solver.pairs.link[c].impulse = most
-            if ti.static(solver.model.has_friction):
-                solver.pairs.link[c].slide = most / held * solver.pairs.link[c].slide
-    if ti.static(solver.among):
-        wall_impacts.limit(solver.walls, solver, i)
+def limit_block(solver: ti.template(), ball: ti.template(), b, begin, end, time, how: ti.template()):
+    """Limit what the contacts of a block accumulated, where anything in it was struck."""
+    if solver.struck[b] > 0:
+        for k in range(begin, end):
+            limit(solver, solver.pairs.grid.order[k])
 
 
 @ti.func
-def strike(solver: ti.template(), i, j, c, p):
-    """Impulse p on ball i and -p on ball j, through their contact in row c."""
-    t = 0.0 * cross(p, p)
-    if ti.static(solver.spins):
-        t = solver.pairs.row[c].arm * cross(solver.pairs.row[c].normal, p)
-    solver.apply(i, p, t)
-    solver.apply(j, -p, t)
+def limit(solver: ti.template(), i):
+    """Of what the contacts of ball i accumulated in an impact, what may be a load: the next solve starts with it."""
+    begin = solver.pairs.first[i]
+    for c in range(begin, begin + solver.pairs.touching[i]):
+        j = solver.pairs.link[c].other
+        accumulated = solver.pairs.link[c].impulse
+        most = wall_impacts.bound(solver, solver.pairs.row[c].start, i, j)
+        if accumulated > most:
+            solver.pairs.link[c].impulse = most
+            if ti.static(solver.model.has_friction):
+                solver.pairs.link[c].slide = most / accumulated * solver.pairs.link[c].slide
+    if ti.static(solver.among):
+        wall_impacts.limit(solver.walls, solver, i)
 
 
 @ti.func
@@ -209,7 +207,7 @@ def alert(solver: ti.template()):
     for b in range(solver.pairs.blocks[0]):
         begin = b * solver.pairs.length[0]
         for k in range(begin, ti.min(begin + solver.pairs.length[0], solver.n)):
-            if solver.walls.crowded[solver.pairs.grid.order[k]] > 1:
+            if solver.walls.crowded[solver.pairs.grid.order[k]] == FAST:
                 solver.mark[b] = 1
                 solver.struck[b] = 1
                 solver.stirred[solver.pairs.grid.order[k]] = 0

@@ -1,7 +1,7 @@
-"""Finding contacts between balls, each pair once, and what the passes need of it: normal, depth, mass.
+"""Finding contacts between balls, each pair once, and what they start with.
 
-A pair is listed by that of its balls which comes first in the sorted grid. Passes take the balls in that order too, in blocks
-that are longer than any pair reaches: see kernels.sweeps.
+A pair is listed by that of its balls which comes first in the sorted grid. Iterations take the balls in that order too, in
+blocks that are longer than any pair reaches: see pair_sweeps.
 """
 
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
@@ -14,7 +14,7 @@ FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
 
 
 GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
-NONE = -1e30  # as an aim: the contact neither pushes nor bounced
+RIGID = -1.0  # as a bias velocity [m/s]: the contact is not soft, and pushes nothing out
 ONE = 0x3F800000  # the bits of 1.0
 
 
@@ -127,8 +127,10 @@ def settle(pairs: ti.template(), own, at, found):
 def forget(pairs: ti.template(), e):
     """Link e holds nothing from before."""
     pairs.link[e].impulse = 0.0
-    if ti.static(pairs.has_aim):
-        pairs.link[e].aim = NONE
+    if ti.static(pairs.soft):
+        pairs.link[e].bias_velocity = RIGID
+    if ti.static(pairs.has_rebounds):
+        pairs.link[e].rebound_speed = 0.0
     if ti.static(pairs.model.has_friction):
         pairs.link[e].slide = zero_slide(pairs)
 
@@ -155,8 +157,12 @@ def store(pairs: ti.template()):
                 pairs.row[c].mass = ti.bit_cast(link.other + ONE, ti.f32)
             else:
                 pairs.row[c].mass = ti.cast(link.other, float)
-            if ti.static(pairs.has_aim):
-                pairs.row[c].target = link.aim
+            if ti.static(pairs.soft and pairs.has_target):
+                pairs.row[c].target = link.bias_velocity
+            elif ti.static(pairs.soft):
+                pairs.row[c].start = link.bias_velocity
+            if ti.static(pairs.has_rebounds):
+                pairs.row[c].rebound_speed = link.rebound_speed
             if ti.static(pairs.model.has_friction):
                 if ti.static(pairs.model.dim == 2):
                     pairs.row[c].normal[0] = link.slide
@@ -177,7 +183,7 @@ def stored_other(pairs: ti.template(), c):
 def recall(pairs: ti.template(), i, j, at):
     """Copy into link `at` what the contact of i and j held when the lists were last made; either of them may have listed it.
 
-    Starting from these impulses, passes need not build up the load of a pile from nothing in every step.
+    Starting from these impulses, iterations need not build up the load of a pile from nothing in every step.
     """
     forget(pairs, at)
     for which in ti.static(range(2)):
@@ -189,8 +195,12 @@ def recall(pairs: ti.template(), i, j, at):
             if stored_other(pairs, c) == two:
                 row = pairs.row[c]
                 pairs.link[at].impulse = row.depth
-                if ti.static(pairs.has_aim):
-                    pairs.link[at].aim = row.target
+                if ti.static(pairs.soft and pairs.has_target):
+                    pairs.link[at].bias_velocity = row.target
+                elif ti.static(pairs.soft):
+                    pairs.link[at].bias_velocity = row.start
+                if ti.static(pairs.has_rebounds):
+                    pairs.link[at].rebound_speed = row.rebound_speed
                 if ti.static(pairs.model.has_friction):
                     # a scalar along the normal turned by 90 degrees is the same seen from the other ball
                     if ti.static(pairs.model.dim == 2):

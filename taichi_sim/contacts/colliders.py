@@ -8,20 +8,23 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import colliders as geometry
+from taichi_sim.kernels.contacts import kinds
 from taichi_sim.kernels.contacts.collision_groups import meets
-from taichi_sim.scene.colliders import BOX, MESH, ROUND
+from taichi_sim.scene.colliders import BOX, CUSTOM, MESH, ROUND
 from taichi_sim.scene.keyframes import TICKS
 
 __all__ = ["Colliders"]
+
+KIND = {ROUND: kinds.ROUND, BOX: kinds.BOX, MESH: kinds.MESH, CUSTOM: kinds.CUSTOM}
 
 
 @ti.data_oriented
 class Colliders:
     """All colliders of a scene. What no collider is or does compiles to nothing.
 
-    `pose` holds centre, the images of the local x and y axes, velocity and angular velocity for the step that begins; motions
-    are worked out on the host in float64, for up to TICKS substeps at a time: `row`, of which `tick` is the present one.
-    grids: of `distance_grids`.
+    `pose` holds centre, the images of the local x and y axes, velocity and angular velocity `spin` for the step that begins;
+    motions are worked out on the host in float64, for up to TICKS substeps at a time: `motion`, of which `tick` is the present
+    one. custom: number and shape of each collider whose shape is the user's own. grids: of `distance_grids`.
     """
 
     def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
@@ -29,28 +32,30 @@ class Colliders:
         self.dim, self.scene, self.count = model.dim, scene, len(scene.colliders)
         kinds = {c.kind for c in scene.colliders}
         self.has_round, self.has_box, self.has_mesh = ROUND in kinds, BOX in kinds, MESH in kinds
+        self.custom = [(k, c.shape) for k, c in enumerate(scene.colliders) if c.kind == CUSTOM]
+        self.has_custom = bool(self.custom)
+        eps = float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
+        self.difference = eps ** (1 / 3)  # of its extent: between points whose distances give a direction
         self.has_hollow = any(c.hollow > 0 for c in scene.colliders)
         self.has_faces = any(c.hollow > 0 and c.kind == BOX for c in scene.colliders)
         self.faces = 2 * model.dim if self.has_faces else 1
         moving = [k for k, c in enumerate(scene.colliders) if c.motion.moves]
         self.moving = moving
         self.movers, self.moves = len(moving), bool(moving)
-        self.turns = any(bool(np.any(scene.colliders[k].motion.turns)) for k in moving)
+        self.rotates = any(bool(np.any(scene.colliders[k].motion.turns)) for k in moving)
         self._shapes(model, fields, grids)
-        vector, turn = ti.types.vector(model.dim, fields.real), fields.real
-        if model.dim == 3:
-            turn = vector
-        columns = {"x": vector, "along": vector, "v": vector, "turn": turn}
+        vector = ti.types.vector(model.dim, fields.real)
+        columns = {"x": vector, "along": vector, "v": vector, "spin": fields.real if model.dim == 2 else vector}
         if model.dim == 3:
             columns["across"] = vector
-        x, turned = (np.array(part) for part in zip(*(self._start(k) for k in range(self.count))))
-        turns = np.zeros(self.count) if model.dim == 2 else np.zeros((self.count, 3))
-        first = {"x": x, "along": turned[:, :, 0], "across": turned[:, :, 1], "v": np.zeros_like(x), "turn": turns}
+        x, rotation = (np.array(part) for part in zip(*(self._start(k) for k in range(self.count))))
+        spin = np.zeros(self.count) if model.dim == 2 else np.zeros((self.count, 3))
+        first = {"x": x, "along": rotation[:, :, 0], "across": rotation[:, :, 1], "v": np.zeros_like(x), "spin": spin}
         self.pose = fields.table(columns, self.count, first)
         if self.moves:
             self.mover = fields.integers(np.array(moving))
             self.tick = fields.integers(1)
-            self.row = fields.table(columns, (TICKS + 1) * self.movers)
+            self.motion = fields.table(columns, (TICKS + 1) * self.movers)
             self.width = sum(getattr(kind, "n", 1) for kind in columns.values())
 
     def _shapes(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
@@ -60,7 +65,7 @@ class Colliders:
         vector, whole = ti.types.vector(dim, real), ti.types.vector(3, ti.i32)
         columns = {"kind": ti.i32, "half": vector, "radius": real, "hollow": real, "surface": ti.i32, "extent": real}
         data: dict[str, NDArray] = {
-            "kind": np.array([c.kind for c in colliders]),
+            "kind": np.array([KIND[c.kind] for c in colliders]),
             "half": np.array([c.half for c in colliders]),
             "radius": np.array([c.radius for c in colliders]),
             "hollow": np.array([c.hollow for c in colliders]),
@@ -87,8 +92,8 @@ class Colliders:
         return ti.abs(self.pose[k].x).max()
 
     def _start(self, k: int) -> tuple[NDArray, NDArray]:
-        x, turned = self.scene.colliders[k].motion.at(0.0)
-        return x[0], turned[0]
+        x, rotation = self.scene.colliders[k].motion.at(0.0)
+        return x[0], rotation[0]
 
     def load(self, time: float, h: float, steps: int) -> None:
         """Work out the motion for `steps` substeps of h from `time` on, at most TICKS."""
@@ -96,9 +101,9 @@ class Colliders:
             return
         table = np.empty((steps + 1, self.movers, self.width), dtype=np.float64)
         for m, k in enumerate(self.moving):
-            x, turned, v, turn = self.scene.colliders[k].motion.steps(time, h, steps)
-            table[:, m] = np.concatenate([x, turned[:, :, 0], v, turn, turned[:, :, 1]], axis=1)[:, : self.width]
-        real = np.float64 if self.row.x.dtype == ti.f64 else np.float32
+            x, rotation, v, spin = self.scene.colliders[k].motion.steps(time, h, steps)
+            table[:, m] = np.concatenate([x, rotation[:, :, 0], v, spin, rotation[:, :, 1]], axis=1)[:, : self.width]
+        real = np.float64 if self.motion.x.dtype == ti.f64 else np.float32
         self._load(np.ascontiguousarray(table.reshape(-1, self.width), dtype=real))
 
     @ti.kernel
@@ -107,14 +112,14 @@ class Colliders:
         self.tick[0] = 0
         for r in range(table.shape[0]):
             for a in ti.static(range(d)):
-                self.row[r].x[a] = table[r, a]
-                self.row[r].along[a] = table[r, d + a]
-                self.row[r].v[a] = table[r, 2 * d + a]
+                self.motion[r].x[a] = table[r, a]
+                self.motion[r].along[a] = table[r, d + a]
+                self.motion[r].v[a] = table[r, 2 * d + a]
                 if ti.static(d == 3):
-                    self.row[r].turn[a] = table[r, 3 * d + a]
-                    self.row[r].across[a] = table[r, 4 * d + a]
+                    self.motion[r].spin[a] = table[r, 3 * d + a]
+                    self.motion[r].across[a] = table[r, 4 * d + a]
             if ti.static(d == 2):
-                self.row[r].turn = table[r, 3 * d]
+                self.motion[r].spin = table[r, 3 * d]
 
     @ti.func
     def rewind(self):
@@ -132,15 +137,15 @@ class Colliders:
             for _ in range(1):
                 self.tick[0] = self.tick[0] + 1
                 for m in range(self.movers):
-                    self.pose[self.mover[m]] = self.row[self.tick[0] * self.movers + m]
+                    self.pose[self.mover[m]] = self.motion[self.tick[0] * self.movers + m]
 
     @ti.func
-    def minds(self, model: ti.template(), i, k):
+    def collides_with(self, model: ti.template(), i, k):
         """Whether ball i collides with collider k at all."""
-        minded = True
+        allowed = True
         if ti.static(self.has_groups):
-            minded = meets(model.group[i], model.mask[i], self.shape[k].group, self.shape[k].mask)
-        return minded
+            allowed = meets(model.group[i], model.mask[i], self.shape[k].group, self.shape[k].mask)
+        return allowed
 
     @ti.func
     def distance(self, k, face, x, after):

@@ -13,8 +13,8 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["DistanceGrid", "distance_grid", "distance_grids"]
 
 MOST_CORNERS = 1 << 24
-BORDER = 2  # cells
-SHIFT = 1e-5  # of a cell
+BORDER = 2  # cells around what comes near the mesh
+ROW_SHIFT = 1e-5  # of a cell, see `winding`
 
 
 class DistanceGrid(NamedTuple):
@@ -47,10 +47,10 @@ def distance_grid(collider: Collider, reach: float) -> DistanceGrid:
     for distance in [*reaches, 2, 1]:
         source = closest.copy()
         loops.spread(corner, source, closest, best, origin, cell, distance)
-    turns = np.zeros(shape, dtype=np.int32)
-    loops.winding(corner, turns, origin, cell, SHIFT)
+    windings = np.zeros(shape, dtype=np.int32)
+    loops.winding(corner, windings, origin, cell, ROW_SHIFT)
     ti.sync()
-    return DistanceGrid(np.where(turns != 0, -1.0, 1.0) * np.sqrt(best), start, cell)
+    return DistanceGrid(np.where(windings != 0, -1.0, 1.0) * np.sqrt(best), start, cell)
 
 
 def distance_grids(scene: Scene) -> list[DistanceGrid]:

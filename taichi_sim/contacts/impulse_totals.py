@@ -15,7 +15,7 @@ __all__ = ["Received"]
 class Received:
     """`sum` (n times bodies) [N s]: what each ball gave each body since the last good state, so that threads need no atomics and
     single precision keeps its digits; `total` (bodies, dim), in float64, until then. scaled: a solve may take back part of what
-    it gave (kernels.energy_limiter), from what stood in `mark`.
+    it gave (kernels.contacts.energy_limiter), from what stood in `mark`.
     """
 
     def __init__(self, model: Model, fields: Fields, scaled: bool) -> None:

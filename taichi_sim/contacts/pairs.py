@@ -1,8 +1,9 @@
-"""Pairs: contacts between balls, found through the grid and kept, each once, in lists for all passes of a step."""
+"""Pairs: contacts between balls, found through the grid and kept, each once, in lists for all iterations of a step."""
 
 import numpy as np
 
 from taichi_sim.contacts.grid import Grid
+from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.contacts.walls import SLOP, TOUCH
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
@@ -23,13 +24,12 @@ GAP = 0.02  # of the radii: soft contacts hold balls that nearly touch, lest tho
 class Pairs:
     """Ball-ball contacts: each ball lists the later balls near it, those that touch it first.
 
-    `link` holds the other ball and what the contact holds from step to step: its impulse [N s], with friction the impulse along
-    the surface, and `aim` [m/s]: the speed with which it pushes out overlap, or minus the one with which it bounced, or NONE.
-    `row` holds what only one step needs: normal, depth [m], mass [kg], target speed [m/s], or, where impacts are resolved in
-    turn, the impulse held before the solve [N s]. warm: contacts start from the
-    impulses of the step before. soft: they are damped springs, see kernels.contact_law. unequal: masses differ much.
-    linked: each ball also knows the rows in which others list it. room: links that are known to be needed.
-    """
+    `link` holds the other ball and what the contact keeps from step to step: its accumulated `impulse` [N s] and, with
+    friction, tangential impulse `slide`; where contacts are soft its `bias_velocity` [m/s], with which it pushes out overlap,
+    or RIGID; where restitution is part of the solve its `rebound_speed` [m/s], 0 if it did not bounce. `row` holds what only
+    one step needs: `normal`, `depth` [m], `mass` [kg], and `target` [m/s], the normal speed to come to, or, where impacts are
+    resolved in turn, `start` [N s], the impulse before the solve, and who lists it: each ball then knows the rows in which
+    others list it. capacity: links that are known to be needed."""
 
     what = "pairs of balls within reach of each other"
 
@@ -38,41 +38,43 @@ class Pairs:
         model: Model,
         fields: Fields,
         grid: Grid,
-        warm: bool,
-        soft: bool,
-        unequal: bool,
-        linked: bool,
-        room: int = 0,
+        plan: ContactPlan,
+        capacity: int = 0,
     ) -> None:
         scene = model.scene
-        self.model, self.grid, self.warm, self.soft = model, grid, warm, soft
-        self.unequal = unequal
-        self.slop, self.gap = SLOP, GAP if soft else 0.0
+        self.model, self.grid, self.warm, self.soft = model, grid, plan.warm_starts, plan.soft
+        self.slop, self.gap = SLOP, GAP if plan.soft else 0.0
         self.block = BLOCK
         self.room = BLOCK * PER_BALL[model.dim]
         self.pool = -(-model.n // BLOCK) * self.room
-        self.capacity = max(room, self.pool + max(model.n // 2, min(model.n**2, POOL)))
+        self.capacity = max(capacity, self.pool + max(model.n // 2, min(model.n**2, POOL)))
         before = fields.bytes
         self.used, self.overflow = fields.integers(1), fields.integers(1)
         self.furthest, self.length, self.blocks = fields.integers(1), fields.integers(1), fields.integers(1)
         self.single = fields.real == ti.f32
-        self.has_aim = model.has_restitution or soft or warm
+        self.has_rebounds = model.has_restitution and not plan.impacts_in_turn
+        self.has_target = self.has_rebounds or (plan.soft and not plan.impacts_in_turn)
         vector = ti.types.vector(model.dim, fields.real)
         columns = {"other": ti.i32, "impulse": fields.real}
         if model.has_friction:
             columns["slide"] = fields.real if model.dim == 2 else vector  # in 2D along the normal turned by 90 degrees
-        if self.has_aim:
-            columns["aim"] = fields.real
+        if plan.soft:
+            columns["bias_velocity"] = fields.real
+        if self.has_rebounds:
+            columns["rebound_speed"] = fields.real
         self.link = fields.table(columns, self.capacity)
         columns = {"normal": vector, "depth": fields.real, "mass": fields.real}
-        if self.has_aim:
+        if self.has_target:
             columns["target"] = fields.real
-        if unequal:
-            columns["noted"] = fields.real  # impulse before the last pass, see kernels.settle
-        if linked:
-            columns["lister"] = columns["next"] = (
-                ti.i32
-            )  # the ball whose row it is; the next row with the same other ball
+        if self.has_rebounds:
+            columns["rebound_speed"] = fields.real  # while lists are made anew
+        if plan.impacts_in_turn and plan.warm_starts:
+            columns["start"] = fields.real
+        if plan.line_search:
+            columns["noted"] = fields.real  # impulse before the last iteration, see impact_iterations
+        if plan.impacts_in_turn:
+            # the ball whose row it is; the next row with the same other ball
+            columns["lister"] = columns["next"] = ti.i32
             self.latest = fields.integers(model.n)  # the first of these
         if model.spins:
             columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
@@ -80,7 +82,7 @@ class Pairs:
         self.most = loops.FULL
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number, self.touching = (fields.integers(model.n) for _ in range(3))
-        if warm:
+        if plan.warm_starts:
             self.old_first, self.old_touching = fields.integers(model.n), fields.integers(model.n)
         kinds = np.unique(scene.material)
         self.only_law = int(kinds[0]) * (model.surfaces + 1) if len(kinds) == 1 else -1  # of balls of one material
@@ -107,7 +109,7 @@ class Pairs:
 
     @ti.func
     def survey(self, ball: ti.template(), i):
-        """Tally of the pairs that ball i lists and that touch, give or take rounding; see kernels.survey."""
+        """Tally of the pairs that ball i lists and that touch, give or take rounding; see kernels.contacts.statistics."""
         total = statistics.nothing()
         begin = self.first[i]
         for e in range(begin, begin + self.number[i]):

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.contacts import statistics
@@ -17,9 +17,9 @@ __all__ = ["ContactStatistics"]
 @ti.data_oriented
 class ContactStatistics:
     """Asks each kind of contact in `contacts.parts` for what ball i has of it: a function `survey(ball, i)` that returns a
-    tally, see kernels.survey. A contact of two balls belongs to one of them."""
+    tally, see kernels.contacts.statistics. A contact of two balls belongs to one of them."""
 
-    def __init__(self, fields: Fields, contacts: ContactSolver) -> None:
+    def __init__(self, fields: Fields, contacts: ContactRule) -> None:
         self.contacts, self.n = contacts, contacts.n
         self.chunks = -(-self.n // PART)
         self.tally = fields.vectors(self.chunks, statistics.SIZE)
@@ -34,7 +34,8 @@ class ContactStatistics:
             self.tally[c] = total
 
     def look(self, ball: Any) -> NDArray[np.float64]:
-        """The tally (survey.SIZE,) of all contacts at the present positions and velocities, which the last refresh has seen."""
+        """The tally (statistics.SIZE,) of all contacts at the present positions and velocities, which the last refresh has
+        seen."""
         self._look(ball)
         rows = self.tally.to_numpy().astype(np.float64)
         whole = np.concatenate([rows[:, : statistics.SUMS].sum(axis=0), rows[:, statistics.SUMS :].max(axis=0)])

@@ -1,7 +1,5 @@
 """Sticks: springs that balls bounce off."""
 
-import numpy as np
-
 from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.contacts.walls import SLOP
 from taichi_sim.device.engine import ti
@@ -20,26 +18,26 @@ MOST = 1 << 29  # rows; each has three entries
 
 @ti.data_oriented
 class Sticks:
-    """Ball-stick contacts: the stick is its two end balls, each taking part by how near the hit is. room: rows known to be
-    needed.
+    """Ball-stick contacts: the stick is its two end balls, each taking part by how near the hit is. capacity: rows
+    known to be needed.
 
-    `row` holds a pair: the normal from stick to ball, where on the stick (0 to 1) and how far off [m], its target speed [m/s] and
-    what it holds, from step to step where that is `warm`: see kernels.held and kernels.along. `push` [N s]: what is to be applied
-    to its ball; the ends get their parts of the reverse. The rows of a stick lie at `begin`, `length` of them.
-    """
+    `row` holds a pair: the normal from stick to ball, where on the stick (0 to 1) and how far off [m], its target speed [m/s]
+    and what it holds, from step to step where that is `warm`: see kernels.contacts.warm_start and stick_sweeps. `push` [N s]:
+    what is to be applied to its ball; the ends get their parts of the reverse. The rows of a stick lie at `begin`, `length` of
+    them."""
 
     what = "balls that touch sticks"
     places = 3
     most = MOST
 
-    def __init__(self, model: Model, fields: Fields, pairs: Pairs, room: int = 0) -> None:
+    def __init__(self, model: Model, fields: Fields, pairs: Pairs, capacity: int = 0) -> None:
         scene = model.scene
         ends = scene.pairs[scene.collides]
         self.model, self.pairs, self.grid = model, pairs, pairs.grid
         self.m = len(ends)
         self.one, self.two = fields.integers(ends[:, 0]), fields.integers(ends[:, 1])
         usual = max(MINIMUM_CAPACITY if model.n > 64 else self.m * model.n, 4 * (model.n + self.m))
-        self.capacity = max(room, usual)
+        self.capacity = max(capacity, usual)
         before = fields.bytes
         self.warm = pairs.warm
         real, vector = fields.real, ti.types.vector(model.dim, fields.real)
@@ -72,7 +70,7 @@ class Sticks:
 
     @ti.func
     def ball_of(self, entry):
-        """The ball of an entry, see kernels.entries: of its row the ball, or an end of the stick."""
+        """The ball of an entry, see contact_incidence: of its row the ball, or an end of the stick."""
         row = self.row[entry // 3]
         which = entry % 3
         return ti.select(which == 0, row.ball, ti.select(which == 1, self.one[row.stick], self.two[row.stick]))
@@ -85,7 +83,7 @@ class Sticks:
 
     @ti.func
     def shares(self, i):
-        """What decides into how many parts ball i splits its mass, see kernels.sharing: one for each stick, whose rows know of
+        """What decides into how many parts ball i splits its mass, see mass_sharing: one for each stick, whose rows know of
         each other. As an end it may be pushed in any direction by one."""
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         count, before = 0, -1
@@ -190,8 +188,3 @@ class Sticks:
                 depth = self.model.radius[i] - row.distance
                 total = statistics.join(total, statistics.one(ti.max(0.0, depth), self.model.radius[i], u, False, i))
         return total
-
-
-def has_sticks(model: Model) -> bool:
-    """Whether any spring of the scene collides."""
-    return bool(np.any(model.scene.collides))

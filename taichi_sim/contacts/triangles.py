@@ -1,4 +1,4 @@
-"""Facets: triangles that collide, as thick as their balls, with balls, with sticks, and with each other."""
+"""TriangleContacts: triangles that collide, as thick as their balls, with balls, with sticks, and with each other."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from taichi_sim.kernels.contacts.pair_sweeps import zero_spin
 from taichi_sim.kernels.vectors import cross, lever
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["Facets"]
+__all__ = ["TriangleContacts"]
 
 MINIMUM_CAPACITY, PER_BALL = 1 << 14, 16  # rows
 MOST = 1 << 28  # rows; each has four entries
@@ -29,26 +29,26 @@ FAR_APART = 1e12  # m, the same of a ball without triangles
 
 
 @ti.data_oriented
-class Facets:
+class TriangleContacts:
     """Contacts of balls and triangles, and of edges, with thickness: two things touch where they are as far apart as the radii
-    there, those of a triangle's balls weighted by how near they are. See kernels.facets, and for how they are found
-    kernels.patches. room: rows known to be needed.
+    there, those of a triangle's balls weighted by how near they are. See kernels.contacts.triangle_pairs, and for how
+    they are found triangle_bvh. capacity: rows known to be needed.
 
     `row` holds a pair: its normal and distance [m], `thickness` [m], the distance at touch, or -1 for what may not be gone
     through but does not push; target speed [m/s], and the impulse of this solve so far [N s]; `up` and `down` [m], see
-    kernels.facets.planes. `member` and `weight` hold its four balls. `ease` [1/kg]: inverse mass of the part of a ball that each
+    triangle_pairs.planes. `member` and `weight` hold its four balls. `ease` [1/kg]: inverse mass of the part of a ball that each
     contact gets, see `split`.
 
     `walker`: all balls, the `patches` ones with a patch first, as they lie in the leaves of the tree; `patch` and `node`: its
     boxes, how near others concern them [m], and how they move in a step [m]. `part` of its way that each ball may make, see
-    kernels.surfaces.limit; `hasty`: 1 where a ball is not where its `way` told.
+    ccd_triangles.limit; `hasty`: 1 where a ball is not where its `way` told.
     """
 
     what = "surfaces that touch"
     places = 4
     most = MOST
 
-    def __init__(self, model: Model, fields: Fields, pairs: Pairs, room: int = 0) -> None:
+    def __init__(self, model: Model, fields: Fields, pairs: Pairs, capacity: int = 0) -> None:
         scene, n = model.scene, model.n
         self.model, self.pairs, self.grid = model, pairs, pairs.grid
         triangles, beyond, edges, bare = patches(scene)
@@ -75,7 +75,7 @@ class Facets:
         self.node = fields.table({**box, "slow": vector, "fast": vector}, 2 * self.leaves)
         self.part, self.ease = fields.reals(n), fields.reals(n)
         self.work, self.fast, self.hasty = fields.integers(3), fields.integers(1), fields.integers(n)
-        self.capacity = max(room, MINIMUM_CAPACITY, PER_BALL * len(np.unique(triangles)))
+        self.capacity = max(capacity, MINIMUM_CAPACITY, PER_BALL * len(np.unique(triangles)))
         before = fields.bytes
         real = fields.real
         columns = {
@@ -98,11 +98,11 @@ class Facets:
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
-        return ["facets"]
+        return ["triangles"]
 
     @ti.func
     def ball_of(self, entry):
-        """The ball of an entry, see kernels.entries."""
+        """The ball of an entry, see contact_incidence."""
         return self.member[entry]
 
     @ti.func
@@ -138,7 +138,7 @@ class Facets:
         total = 0.0 * self.weight[4 * c]
         for k in ti.static(range(4)):
             i, g = self.member[4 * c + k], self.weight[4 * c + k]
-            if ti.static(solver.rule == "sum"):
+            if ti.static(solver.sums_plainly):
                 total += self.model.inverse_mass[i] * g * g
             elif g != 0.0:
                 total += self.ease[i]
@@ -197,7 +197,7 @@ class Facets:
                         if row.kind == 0 and self.turns[i] == 1:
                             u -= lever(solver.state.spin[i], n)
                             own = self.ease[i]
-                            if ti.static(solver.rule == "sum"):
+                            if ti.static(solver.sums_plainly):
                                 own = self.model.inverse_mass[i]
                             mass = 1.0 / (inverse + self.model.spin_response(i) * own)
                     change, slide = contact_law.sliding_impulse(

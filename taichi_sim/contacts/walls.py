@@ -1,16 +1,18 @@
-"""Walls and colliders: impacts at their exact time while a ball moves, resting contact as rows of the contact solve."""
+"""Walls and colliders: impacts at their exact time while a ball moves, resting contact as constraints of the contact solve."""
 
 import numpy as np
 
+from taichi_sim.contacts.collider_contacts import ColliderContacts
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.impulse_totals import Received
+from taichi_sim.contacts.planes import Planes
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.kernels.contacts import contact_law, impact, nearby_colliders, statistics, wall_impacts
-from taichi_sim.kernels.contacts.collision_groups import meets
-from taichi_sim.kernels.contacts.nearby_colliders import FAR
+from taichi_sim.kernels.contacts.kinds import ALONE, ARRIVING, CROWDED, FAST, LEAVING, NEAR, RESTING, SUNK
+from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 from taichi_sim.kernels.contacts.pair_impacts import ALERT
 from taichi_sim.kernels.contacts.pair_sweeps import zero_spin
 from taichi_sim.kernels.vectors import cross, lever
@@ -19,24 +21,18 @@ from taichi_sim.scene.probes import bodies_of
 __all__ = ["Walls"]
 
 TOUCH = 1e-5  # of the radius: a ball this close that hardly approaches rests on the wall
-# A wall is OUT of the solve for a ball that leaves it; one that ARRIVES fast is left to the move, with its exact time, but one
-# that SINKS, inside of the wall already, is turned by the solve.
-OUT, RESTING, NEAR, SINKS, ARRIVES = range(5)
-CROWDED, FAST = 1, 2  # a ball that touches others; one that arrives fast at a wall besides
 SLOP = 0.01  # of the radius: depth that position correction leaves
-SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
-# of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
-STEEP = 0.25
 
 
 @ti.data_oriented
 class Walls:
-    """All walls and colliders of a scene; each ball asks each of them.
+    """What balls have with all that has infinite mass: a contact of each ball with each wall, then with each slot for a collider
+    (`planes` and `collider_contacts`, which say where a surface is).
 
-    A ball has a contact for each wall, then a few slots for the colliders it touches. A slot holds what was found when contacts
-    were last looked for: `key` (which collider, which face of it), `gap` [m], `normal` and, where colliders move, `velocity`
-    [m/s], that of the surface. Impulses held from before stay with their key. colliders: None where the scene has none, then
-    nothing of this is compiled.
+    `contact` (n times `count`): `impulse` [N s] along the normal and, with friction, `slide` along the surface, which stay with
+    their wall or collider from step to step; `target` [m/s], the normal speed that the solve gives; `role`, see kernels.kinds.
+    colliders: None where the scene has none, then nothing of this is compiled. crowds: pairs of balls take part in the solve.
+    straight: ways are, where a ball moves by more than its radius in a step, see kernels.ccd_balls.
     """
 
     def __init__(
@@ -50,39 +46,23 @@ class Walls:
         colliders: Colliders | None = None,
         limits_energy: bool = False,
     ) -> None:
-        self.straight = straight  # the way of what is fast within a step, see kernels.swept
         self.model, self.state, self.colliders, self.threshold = model, state, colliders, threshold
-        self.has_colliders = colliders is not None
-        self.moves, self.faces = False, 1
-        if colliders is not None:
-            self.moves, self.faces = colliders.moves, colliders.faces
+        self.crowds, self.straight = crowds, straight
         self.rounding = 4.0 * float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
-        walls = model.scene.walls
-        self.planes = len(walls)
-        self.slots = SLOTS[model.dim] if self.has_colliders else 0
-        self.count = self.planes + self.slots
-        vector = ti.types.vector(model.dim, fields.real)
-        columns = {"normal": vector, "offset": fields.real, "material": ti.i32}
-        if model.has_groups:
-            columns |= {"group": ti.i32, "mask": ti.i32}
-        values = {name: np.array([getattr(wall, name) for wall in walls]) for name in columns}
-        self.wall = fields.table(columns, self.planes, values)
-
-        columns = {"impulse": fields.real, "target": fields.real, "active": ti.i32}
+        self.planes = Planes(model, fields)
+        self.has_colliders = colliders is not None
+        self.moves, slots = False, 0
+        if colliders is not None:
+            self.collider_contacts = ColliderContacts(model, fields, colliders, self.rounding)
+            self.moves, slots = colliders.moves, self.collider_contacts.count
+        self.count = self.planes.count + slots
+        columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
         if model.has_friction:
-            columns["slide"] = vector
-        if self.has_colliders:
-            columns |= {"key": ti.i32, "gap": fields.real, "normal": vector}
-        if self.moves:
-            columns["velocity"] = vector
-        self.crowds = crowds
-        if crowds:
+            columns["slide"] = ti.types.vector(model.dim, fields.real)
+        if crowds:  # impulse before the solve, and before its last pass, see kernels.wall_impacts
             columns |= {"start": fields.real, "noted": fields.real}
-        self.contact = fields.table(columns, model.n * self.count)
-        if crowds:
             self.crowded = fields.integers(model.n)
-        if self.has_colliders:
-            self.held = fields.integers(model.n)  # slots in use
+        self.contact = fields.table(columns, model.n * self.count)
         self.share = fields.reals(model.n)  # into how many parts a ball splits its mass between its walls
         if not self.has_colliders:
             self.room = fields.reals(model.n)  # m to the nearest wall: most balls cannot reach any in a step
@@ -106,18 +86,18 @@ class Walls:
         """The same for its contact k."""
         far = 0.0 * self.model.radius[i]
         if ti.static(self.has_colliders):
-            if k >= self.planes and self.held[i] > 0 and self.contact[i * self.count + k].key >= 0:
-                far = self.colliders.far(self.contact[i * self.count + k].key // self.faces)
+            if k >= self.planes.count:
+                far = self.collider_contacts.far(i, k - self.planes.count)
         return self.tolerance(x, i, far)
 
     @ti.func
     def law(self, i, k):
-        """Pair law of ball i and its contact k."""
+        """Pair law of ball i and its contact k, which must be no empty slot."""
         surface = 0
-        if k < self.planes:
-            surface = self.wall[k].material
+        if k < self.planes.count:  # a table must not be read where it ends
+            surface = self.planes.wall[k].material
         elif ti.static(self.has_colliders):
-            surface = self.colliders.shape[self.contact[i * self.count + k].key // self.faces].surface
+            surface = self.colliders.shape[self.collider_contacts.collider(i, k - self.planes.count)].surface
         return self.law_with(i, surface)
 
     @ti.func
@@ -127,32 +107,22 @@ class Walls:
 
     @ti.func
     def gap(self, x, i, k):
-        """Distance from the surface of ball i to wall k [m], negative inside; of a slot as it was found."""
-        gap = FAR + 0.0 * self.model.radius[i]
-        if k < self.planes:
-            gap = self.plane_gap(x, i, k)
+        """Distance from the surface of ball i to its contact k [m], negative inside; of a slot as it was found."""
+        gap = FAR_GAP + 0.0 * self.model.radius[i]
+        if k < self.planes.count:
+            gap = self.planes.gap(x, i, k)
         elif ti.static(self.has_colliders):
-            if self.held[i] > 0:
-                gap = self.contact[i * self.count + k].gap
-        return gap
-
-    @ti.func
-    def plane_gap(self, x, i, k):
-        """The same of a wall where ball i is at x; one that it does not collide with is far."""
-        gap = self.wall[k].normal.dot(x) - self.wall[k].offset - self.model.radius[i]
-        if ti.static(self.model.has_groups):
-            if not meets(self.model.group[i], self.model.mask[i], self.wall[k].group, self.wall[k].mask):
-                gap = FAR
+            gap = self.collider_contacts.gap(i, k - self.planes.count)
         return gap
 
     @ti.func
     def normal(self, i, k):
         """Direction from contact k to ball i."""
         n = ti.Vector.zero(float, self.model.dim)
-        if k < self.planes:  # a table must not be read where it ends
-            n = self.wall[k].normal
+        if k < self.planes.count:
+            n = self.planes.wall[k].normal
         elif ti.static(self.has_colliders):
-            n = self.contact[i * self.count + k].normal
+            n = self.collider_contacts.normal(i, k - self.planes.count)
         return n
 
     @ti.func
@@ -160,17 +130,18 @@ class Walls:
         """Velocity of ball i, given its own, from the surface of its contact k."""
         u = v
         if ti.static(self.moves):
-            if k >= self.planes:
-                u -= self.contact[i * self.count + k].velocity
+            if k >= self.planes.count:
+                u -= self.collider_contacts.velocity(i, k - self.planes.count)
         return u
 
     @ti.func
     def tell(self, i, k, p):
         """Its contact k gave ball i the impulse p, for probes."""
-        if k < self.planes:
+        if k < self.planes.count:
             self.received.add(i, self.received.plane[k], p)
         elif ti.static(self.has_colliders):
-            self.received.add(i, self.received.solid[self.contact[i * self.count + k].key // self.faces], p)
+            solid = self.collider_contacts.collider(i, k - self.planes.count)
+            self.received.add(i, self.received.solid[solid], p)
 
     @ti.func
     def move(self, i, x, v, a, h, change):
@@ -180,33 +151,35 @@ class Walls:
 
     @ti.func
     def reach_of(self, i, touch, crowded):
-        """Gap [m] up to which ball i minds a wall. One among others may be pushed there by them in this very step."""
+        """Gap [m] up to which a wall is a contact of ball i. One among others may be pushed there by them in this very step."""
         return ti.select(crowded, ti.max(touch, self.model.radius[i]), touch)
 
     @ti.func
     def _role(self, gap, u, touch, crowded, arrives):
-        """Part that a wall plays for a ball with the normal speed u. arrives: whether it may ARRIVE: speed into the wall that
-        forces gave since contacts were last looked for is a load, which is held, and has friction, however large it is."""
-        role = ti.select(u > self.threshold[0], OUT, ti.select(arrives and u < -self.threshold[0], ARRIVES, RESTING))
+        """Part that a wall plays for a ball with the normal speed u. arrives: whether it may be ARRIVING: speed into the wall
+        that forces gave since contacts were last looked for is a load, which is held, and has friction, however large it is."""
+        role = ti.select(
+            u > self.threshold[0], LEAVING, ti.select(arrives and u < -self.threshold[0], ARRIVING, RESTING)
+        )
         if gap < -touch:
-            role = ti.select(role == ARRIVES, SINKS, RESTING)
+            role = ti.select(role == ARRIVING, SUNK, RESTING)
         if crowded:
             role = ti.select(gap <= touch, RESTING, NEAR)
         return role
 
     @ti.func
     def solved(self, c):
-        """Whether contact c is a row of the solve."""
-        return self.contact[c].active != OUT and self.contact[c].active != ARRIVES
+        """Whether contact c is a constraint of the solve."""
+        return self.contact[c].role != LEAVING and self.contact[c].role != ARRIVING
 
     @ti.func
     def measure(self, ball: ti.template(), solver: ti.template(), i, crowded):
-        """Which walls ball i touches, or minds; one that it left holds no impulse. crowded: it touches other balls."""
+        """Which walls ball i touches, or may be pushed to; one that it left holds no impulse. crowded: it touches other balls."""
         count = 0
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
         fast = False
-        room = FAR + 0.0 * self.model.radius[i]
+        room = FAR_GAP + 0.0 * self.model.radius[i]
         among = self.count
         if ti.static(self.has_colliders):
             among = nearby_colliders.find(self, ball[i].x, i, crowded)
@@ -219,36 +192,20 @@ class Walls:
                 count += 1
                 u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
                 fast = fast or u < -ALERT * self.threshold[0]
-                self.contact[c].active = self._role(gap, u, touch, crowded, True)
+                self.contact[c].role = self._role(gap, u, touch, crowded, True)
                 if self.solved(c):
                     n = self.normal(i, k)
                     T += n.outer_product(n)
                     solving += 1
             else:
                 self.forget_one(c)
-                self.contact[c].active = 0
+                self.contact[c].role = LEAVING
         self.touched[i] = count
         if ti.static(not self.has_colliders):
             self.room[i] = room
         self.share[i] = contact_law.share(T, solving, not self.model.has_friction)
         if ti.static(self.crowds):
-            self.crowded[i] = ti.select(crowded, ti.select(fast, FAST, CROWDED), 0)
-
-    @ti.func
-    def _following(self, x, v, i, k, h):
-        """Speed away from the surface with which ball i, sliding along it for h seconds, is neither in it nor off it: 0 where
-        it is plane. With it a ball on a curved surface moves along chords, which keeps its energy."""
-        c = i * self.count + k
-        n = self.contact[c].normal
-        u = self.relative(v, i, k)
-        after = x + h * (v - n.dot(u) * n)
-        key = self.contact[c].key
-        d, _, _ = self.colliders.distance(key // self.faces, key % self.faces, after, h)
-        fall = d - self.model.radius[i] - self.contact[c].gap
-        rounding = self.rounding * (ti.abs(x).max() + self.colliders.far(key // self.faces))
-        fall = ti.select(ti.abs(fall) > rounding, fall, 0.0)
-        most = STEEP * self.model.radius[i]
-        return -ti.max(-most, ti.min(most, fall)) / h
+            self.crowded[i] = ti.select(crowded, ti.select(fast, FAST, CROWDED), ALONE)
 
     @ti.func
     def shares(self, ball: ti.template(), i):
@@ -274,7 +231,7 @@ class Walls:
         v = ball[i].v
         crowded = False
         if ti.static(self.crowds):
-            crowded = self.crowded[i] > 0
+            crowded = self.crowded[i] != ALONE
         if ti.static(self.told and starts):
             self.received.note(i)
         for k in range(ti.select(self.touched[i] > 0, self.count, 0)):
@@ -284,36 +241,23 @@ class Walls:
             if gap <= self.reach_of(i, touch, crowded):
                 n = self.normal(i, k)
                 u = n.dot(self.relative(v, i, k))
-                role = self._role(gap, u, touch, crowded, self.contact[c].active >= SINKS)
-                self.contact[c].active = role
+                role = self._role(gap, u, touch, crowded, self.contact[c].role >= SUNK)
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
-                if u > self.threshold[0] or role >= SINKS or ti.static(not solver.warm):
+                if u > self.threshold[0] or role >= SUNK or ti.static(not solver.warm):
                     self.forget_one(c)
                 e = self.law(i, k).restitution
-                before = ti.select(crowded or role == SINKS, u, ti.max(0.0, u))  # alone, what approaches is pressed
+                before = ti.select(crowded or role == SUNK, u, ti.max(0.0, u))  # alone, what approaches is pressed
                 target = contact_law.target_speed(before, e, self.threshold[0], impacts)
                 if ti.static(solver.strikes and self.crowds):
                     self.contact[c].start = self.contact[c].impulse
+                if ti.static(self.crowds):
                     if crowded:
-                        # it may come to the wall, but not go on; one that rests stays: each move of a pile, however small,
-                        # would be the next one's impact
-                        target = ti.select(gap > touch, -gap * solver.rate[0], 0.0)
-                        closing = -(u + wall_impacts.load(self, solver, i, n))
-                        bounces = e > 0.0 and (e >= 1.0 or gap * solver.rate[0] > closing)
-                        if closing > self.threshold[0] and (bounces or ti.static(not impacts)):
-                            self.contact[c].active = OUT  # left to the move, else the solve takes its energy
-                elif ti.static(self.crowds):
-                    if crowded and gap > touch:
-                        # it may come to the wall, but not go on; what bounces there is left alone by the solve that ends a step
-                        there = -gap * solver.rate[0]
-                        if ti.static(impacts):
-                            if not (target > 0.0 and u < there):  # it bounces within this step
-                                target = there
-                        else:
-                            target = ti.min(there, target)
+                        target, role = self._among_others(solver, i, n, e, u, gap, touch, target, role, impacts)
+                self.contact[c].role = role
                 if ti.static(self.has_colliders and impacts):
-                    if k >= self.planes and target == 0.0 and self.solved(c) and role != NEAR:
-                        target = self._following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
+                    if k >= self.planes.count and target == 0.0 and self.solved(c) and role != NEAR:
+                        slot, away = k - self.planes.count, self.relative(v, i, k)
+                        target = self.collider_contacts.following(ball[i].x, v, away, i, slot, 1.0 / solver.rate[0])
                 self.contact[c].target = target
                 if ti.static(starts):
                     p = self.contact[c].impulse * n
@@ -324,12 +268,34 @@ class Walls:
                     solver.apply(i, p, -cross(n, p))
 
     @ti.func
+    def _among_others(
+        self, solver: ti.template(), i, n, restitution, u, gap, touch, target, role, impacts: ti.template()
+    ):
+        """Target speed and role of a wall for ball i, one among others, which may come to the wall, but not go on."""
+        there = -gap * solver.rate[0]
+        if ti.static(solver.strikes):
+            # one that rests stays: each move of a pile, however small, would be the next one's impact
+            target = ti.select(gap > touch, there, 0.0)
+            closing = -(u + ti.max(0.0, wall_impacts.kick(self, solver, i, n)))
+            bounces = restitution > 0.0 and (restitution >= 1.0 or gap * solver.rate[0] > closing)
+            if closing > self.threshold[0] and (bounces or ti.static(not impacts)):
+                role = LEAVING  # left to the move, else the solve takes its energy
+        elif gap > touch:
+            if ti.static(impacts):
+                if not (target > 0.0 and u < there):  # it bounces within this step
+                    target = there
+            else:  # what bounces there is left alone by the solve that ends a step
+                target = ti.min(there, target)
+        return target, role
+
+    @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i, time):
-        """Further impulse and twist on ball i from the walls it rests on or is inside of. Fast arrivals are left to `move`."""
-        total, twist = ti.Vector.zero(float, self.model.dim), zero_spin(solver)
-        v, turn = ball[i].v, zero_spin(solver)
+        """Further impulse and angular impulse on ball i from the walls it rests on or is inside of. Fast arrivals are left to
+        `move`."""
+        total, angular = ti.Vector.zero(float, self.model.dim), zero_spin(solver)
+        v, spin = ball[i].v, zero_spin(solver)
         if ti.static(solver.spins):
-            turn = solver.state.spin[i]
+            spin = solver.state.spin[i]
         w = self.model.inverse_mass[i]
         for k in range(ti.select(self.touched[i] > 0 and w > 0.0, self.count, 0)):
             c = i * self.count + k
@@ -346,23 +312,31 @@ class Walls:
                 p = (now - held) * n
                 self.contact[c].impulse = now
                 if ti.static(self.model.has_friction):
-                    law = self.law(i, k)
                     u = self.relative(v, i, k)
-                    slip = contact_law.viscous_share(self.model, law, now, mass, self.threshold[0], u, time)
+                    slip, sideways = u, mass
                     if ti.static(solver.spins):
-                        u -= lever(turn, n)
-                        mass *= self.model.sideways(i)
-                    change, slide = contact_law.sliding_impulse(
-                        self.model, u, n, mass, contact.slide, law.friction * now, slip
+                        slip -= lever(spin, n)
+                        sideways *= self.model.sideways(i)
+                    change, slide = contact_law.friction_impulse(
+                        self.model,
+                        self.law(i, k),
+                        n,
+                        u,
+                        slip,
+                        mass,
+                        sideways,
+                        contact.slide,
+                        now,
+                        self.threshold[0],
+                        time,
                     )
                     self.contact[c].slide = slide
                     p += change
                 if ti.static(self.told):
                     self.tell(i, k, p)
-                t = -cross(n, p)
                 total += p
-                twist += t
-        return total, twist
+                angular += -cross(n, p)
+        return total, angular
 
     @ti.func
     def offset(self, ball: ti.template(), solver: ti.template(), i, h):

@@ -26,13 +26,16 @@ LOW = ("low_position", "low_velocity")  # what single precision rounded off: wit
 
 
 def save_state(simulation: Any, path: str | PathLike[str]) -> None:
-    """Write a simulation. Its integrator must be a built-in one: an object of your own cannot be written to a file.
+    """Write a simulation. Its integrator and contact rule must be built-in ones: an object of your own cannot be written to a
+    file.
 
     What contacts hold from the last step is not kept: a pile that is restored finds it anew within a few steps.
     """
     scene = simulation.scene
     if simulation.has_custom_parts:
-        raise ValueError("save: forces, or an integrator with settings of your own, cannot be written to a file")
+        raise ValueError(
+            "save: forces, contact rules, or an integrator with settings of your own, cannot be written to a file"
+        )
     own = simulation.settings
     settings = {name.name: getattr(own, name.name) for name in fields(own)}
     settings.update(

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
@@ -58,7 +58,7 @@ class Integrator:
     def set_step(self, h: float) -> None:
         """Substeps have h seconds from now on; called once the fields are there, and for each new step. Damping is set too."""
 
-    def bind(self, model: Model, state: State, forces: TotalForce, contacts: ContactSolver, fields: Fields) -> None:
+    def bind(self, model: Model, state: State, forces: TotalForce, contacts: ContactRule, fields: Fields) -> None:
         """Take the parts of a simulation. Called once, before the fields exist."""
         self.model, self.state, self.forces, self.contacts = model, state, forces, contacts
         self.ball = state.ball

@@ -22,7 +22,7 @@ from taichi_sim.scene.keyframes import Motion, keyframe, turn_matrix
 __all__ = ["BOX", "MESH", "ROUND", "SHAPES", "Box", "Capsule", "Collider", "Mesh", "Sphere", "build", "shape_of"]
 
 Floats = NDArray[np.float64]
-ROUND, BOX, MESH = range(3)
+ROUND, BOX, MESH, CUSTOM = "round", "box", "mesh", "custom"
 FLAT = 1e-9  # of the cube around a mesh: what encloses less is a sheet
 MOST_CELLS = 512  # of a mesh's grid along its longest side
 
@@ -37,7 +37,7 @@ class Collider:
     """
 
     name: str
-    kind: int
+    kind: str
     half: Floats
     radius: float
     hollow: float

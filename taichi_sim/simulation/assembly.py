@@ -1,23 +1,25 @@
 """Assembly: from a scene and settings to model, state, forces, contacts, integrator and drivers, with only what is needed."""
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.accuracy import Setup
-from taichi_sim.analysis.contact_needs import may_collide, may_gain, slowest_bounce
 from taichi_sim.common import memory
 from taichi_sim.common.errors import SceneError
+from taichi_sim.contacts import CONTACT_RULES, ContactRule
+from taichi_sim.contacts.base import ContactParts
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
-from taichi_sim.contacts.grid import SKIN, Grid
+from taichi_sim.contacts.grid import Grid
 from taichi_sim.contacts.pairs import GAP, Pairs
-from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.contacts.plan import plan_contacts, slowest_bounce
 from taichi_sim.contacts.statistics import ContactStatistics
 from taichi_sim.contacts.sticks import Sticks
-from taichi_sim.contacts.triangles import Facets
+from taichi_sim.contacts.triangles import TriangleContacts
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.device.backend import Backend
 from taichi_sim.device.fields import Fields
@@ -42,7 +44,6 @@ from taichi_sim.simulation.step_doubling import SecondSolution
 __all__ = ["Assembly", "compensates"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
-UNEQUAL = 4.0  # times in mass: from here on passes converge slowly
 FINE = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
 MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
@@ -51,11 +52,11 @@ SPARE = 1.5  # room made, in units of what was found too much
 
 
 class ContactCapacity(NamedTuple):
-    """Entries that contacts are known to need: links of pairs, rows of sticks and of surfaces."""
+    """Entries that contacts are known to need: links of pairs, rows of sticks and of triangles."""
 
     pairs: int = 0
     sticks: int = 0
-    facets: int = 0
+    triangles: int = 0
 
 
 USUAL = ContactCapacity()
@@ -92,7 +93,10 @@ class Assembly:
     def _assemble(self, scene: Scene, settings: Settings, backend: Backend, h: float, forces: Sequence[Any]) -> None:
         """All parts in the order in which they need each other."""
         cpu = backend.arch == "cpu"
-        custom_parts = bool(forces) or type(settings.integrator) not in BUILT_IN  # they may know balls by their number
+        custom_parts = (
+            bool(forces) or type(settings.integrator) not in BUILT_IN or not isinstance(settings.contacts, str)
+        )
+        # they may know balls by their number
         order = None if custom_parts else spatial_order(scene)
         if order is not None:
             scene = in_order(scene, order)
@@ -138,83 +142,60 @@ class Assembly:
             order = "waves"
         return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
 
-    def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactSolver:
-        on = settings.contacts != "off" and bool(np.any(~scene.pinned))
-        sticks = on and bool(np.any(scene.collides)) and scene.n_balls > 2
-        facets = on and bool(np.any(scene.solid)) and scene.n_balls > 3
-        pairs = on and (sticks or facets or may_collide(scene))
-        walled = on and bool(scene.walls or scene.colliders)
-        if pairs or walled:
-            self.model.add_contact_fields()
-        # fields, so that another step compiles nothing anew
-        self.threshold = self.fields.reals(np.array([slowest_bounce(scene, h)])) if pairs or walled else None
-        # these look balls up in the grid itself, so it must be fresh; a user-defined integrator may move balls unseen
-        skin = 0.0 if sticks or facets or type(settings.integrator) not in BUILT_IN else SKIN
-        pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0))
-        warm = self.model.has_gravity or pulls or bool(self.forces.extra) or bool(scene.moving_pins)
-        # only what rests is soft, and that takes gravity: a rigid contact is exact for two balls
-        soft = self.model.has_gravity and pairs and settings.integrator.relaxes and settings.contacts != "sum"
+    def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactRule:
+        """The parts of the plan, bound to the rule that solves them."""
         rule = self._rule(settings, cpu)
-        mass = scene.mass[~scene.pinned]
-        unequal = rule == "gauss_seidel" and len(mass) > 0 and bool(mass.max() > UNEQUAL * mass.min())
-        most = self._spare_bytes() // PAIR_BYTES
-        grid = Grid(self.model, self.fields, skin, GAP if soft else 0.0, most) if pairs else None
-        strikes = pairs and rule == "gauss_seidel" and not sticks and not facets  # impacts one by one
-        pair_part = (
-            Pairs(self.model, self.fields, grid, warm, soft, unequal, strikes, self.room.pairs)
-            if grid is not None
-            else None
-        )
-        self.colliders = Colliders(self.model, self.fields, self._grids) if on and scene.colliders else None
-        # they may do work
-        pushed = (self.colliders is not None and self.colliders.moves) or bool(scene.moving_pins)
-        limits_energy = pairs and not pushed and may_gain(scene, rule, warm, bool(sticks or facets))
-        # walls take their turn with pairs
-        among = soft or strikes
-        wall_part = (
-            Walls(self.model, self.state, self.fields, self.threshold, among, pairs, self.colliders, limits_energy)
-            if walled
-            else None
-        )
-        if wall_part is not None and wall_part.told:
-            self.state.followers.append(wall_part.received)
-        stick_part = (
-            Sticks(self.model, self.fields, pair_part, self.room.sticks) if sticks and pair_part is not None else None
-        )
-        facet_part = (
-            Facets(self.model, self.fields, pair_part, self.room.facets) if facets and pair_part is not None else None
-        )
-        return ContactSolver(
-            self.model,
-            self.state,
-            self.fields,
-            wall_part,
-            pair_part,
-            stick_part,
-            facet_part,
-            threshold=self.threshold,
-            h=h,
-            iterations=settings.iterations(scene, rule),
-            rule=rule,
+        self.plan = plan_contacts(
+            scene,
+            rule,
+            relaxes=settings.integrator.relaxes,
+            custom_method=type(settings.integrator) not in BUILT_IN,  # it may move balls unseen
+            extra_forces=bool(self.forces.extra),
+            iterations=settings.iterations(scene, rule.in_turn),
             atomic=self.atomic or (settings.accumulate == "auto" and not cpu),  # blocks are too few for a GPU
             serial=self.fused,
-            warm=warm,
-            soft=soft,
-            loaded=pulls or bool(self.forces.extra) or self.model.has_gravity,
-            limits_energy=limits_energy,
         )
+        plan, model, fields = self.plan, self.model, self.fields
+        # fields, so that another step compiles nothing anew
+        self.threshold = fields.reals(np.array([slowest_bounce(scene, h)])) if plan.active else None
+        if plan.active:
+            model.add_contact_fields()
+        walls = pairs = sticks = triangles = None
+        if plan.pairs:
+            most = self._spare_bytes() // PAIR_BYTES
+            grid = Grid(model, fields, plan.skin, GAP if plan.soft else 0.0, most)
+            pairs = Pairs(model, fields, grid, plan, self.room.pairs)
+            sticks = Sticks(model, fields, pairs, self.room.sticks) if plan.sticks else None
+            triangles = TriangleContacts(model, fields, pairs, self.room.triangles) if plan.triangles else None
+        self.colliders = Colliders(model, fields, self._grids) if plan.colliders else None
+        if plan.walls:
+            walls = Walls(
+                model,
+                self.state,
+                fields,
+                self.threshold,
+                plan.walls_in_turn,
+                plan.pairs,
+                self.colliders,
+                plan.limits_energy,
+            )
+            if walls.told:
+                self.state.followers.append(walls.received)
+        parts = ContactParts(walls, pairs, sticks, triangles)
+        rule.bind(plan, model, self.state, fields, parts, self.threshold, h)
+        return rule
 
-    def _rule(self, settings: Settings, cpu: bool) -> str:
-        """A fixed order of pairs is what Gauss-Seidel is made of; atomics and GPUs take all at once. It needs half the passes,
-        and impacts one by one keep the energy of what bounces."""
-        if settings.contacts != "auto":
-            if settings.contacts == "gauss_seidel" and (self.atomic or not cpu):
-                why = "accumulate: 'atomic'" if self.atomic else "a GPU"
-                raise ValueError(
-                    f"contacts: 'gauss_seidel' changes velocities in a fixed order, which {why} does not have"
-                )
-            return settings.contacts
-        return "gauss_seidel" if cpu and not self.atomic else "jacobi"
+    def _rule(self, settings: Settings, cpu: bool) -> ContactRule:
+        """A fixed order of pairs is what Gauss-Seidel is made of; atomics and GPUs take all at once. It needs half the
+        iterations, and impacts one by one keep the energy of what bounces."""
+        ordered = cpu and not self.atomic
+        rule = settings.contacts
+        if isinstance(rule, str):
+            rule = CONTACT_RULES[("gauss_seidel" if ordered else "jacobi") if rule == "auto" else rule]()
+        if rule.in_turn and not ordered:
+            why = "accumulate: 'atomic'" if self.atomic else "a GPU"
+            raise ValueError(f"contacts: {rule.name!r} changes velocities in a fixed order, which {why} does not have")
+        return copy(rule)  # one object may serve several simulations
 
     @property
     def setup(self) -> Setup:
@@ -224,7 +205,7 @@ class Assembly:
         give = contact_law.LEAK / (contact_law.SOFT * contact_law.PUSH) if contacts.soft else 0.0
         if contacts.split:  # masses in two parts, those of a ball between two others
             give *= 2.0 / contacts.relaxation
-        rule = contacts.rule if contacts.active else "off"
+        rule = contacts.name if contacts.active else "off"
         rounds = compensates(scene, backend)
         return Setup(settings.integrator.name, self.h, backend.precision, rule, rounds, give, contacts.limits_energy)
 
@@ -272,7 +253,8 @@ class Assembly:
         self.h = h
 
     def contact_statistics(self) -> NDArray[np.float64]:
-        """Tally (survey.SIZE,) of all contacts, see kernels.survey, with the user's number of the ball; they must be active."""
+        """Tally (statistics.SIZE,) of all contacts, see kernels.contacts.statistics, with the user's number of the ball; they
+        must be active."""
         assert self._statistics is not None
         totals = self._statistics.look(self.state.ball)
         if self.state.order is not None:

@@ -31,7 +31,6 @@ DEFAULTS: dict[str, Any] = {
     "spin": "auto",
 }
 WORDS: dict[str, tuple[Any, ...]] = {
-    "contacts": ("auto", "gauss_seidel", "jacobi", "sum", "off"),
     "accumulate": ("auto", "ordered", "atomic"),
     "driver": ("auto", "fused", "parallel"),
     "spin": ("auto", True, False),
@@ -67,7 +66,7 @@ class Settings:
     precision: str | None
     arch: str | None
     threads: int | None
-    contacts: str
+    contacts: Any
     contact_iterations: int | str
     accumulate: str
     driver: str
@@ -94,6 +93,7 @@ class Settings:
                 words = ", ".join(str(word) for word in allowed)
                 raise ValueError(f"{name}: {values[name]!r} is not allowed; it must be one of {words}")
         _check_backend(values)
+        _check_contacts(values["contacts"])
         values["integrator"] = _integrator(values["integrator"])
         for name in ("contact_iterations", "substeps"):
             if values[name] != "auto":
@@ -110,15 +110,16 @@ class Settings:
                 raise ValueError(f"tolerance: {values['tolerance']:g} is not allowed; it must be less than 1")
         return cls(**values)
 
-    def iterations(self, scene: Scene, rule: str) -> int:
-        """Passes of each contact solve. "auto": by Gauss-Seidel 2, and 1 for more than a thousand balls, but not where they
-        differ tenfold in mass: a light ball under a heavy one trembles with 1; 10 where surfaces collide; with these or sticks
-        up to 4 more for balls that bounce well. With split masses 4 for small scenes to 8 for those whose piles can be high, and
-        up to 12 more where balls bounce well: what has not converged then takes energy for good."""
+    def iterations(self, scene: Scene, in_turn: bool) -> int:
+        """Iterations of each contact solve. "auto": where contacts see what those before them changed (in_turn) 2, and 1 for
+        more than a thousand balls, but not where they differ tenfold in mass: a light ball under a heavy one trembles with 1;
+        10 where surfaces collide; with these or sticks up to 4 more for balls that bounce well. With split masses 4 for small
+        scenes to 8 for those whose piles can be high, and up to 12 more where balls bounce well: what has not converged then
+        takes energy for good."""
         if self.contact_iterations != "auto":
             return int(self.contact_iterations)
         surfaces = SURFACE_PASSES if scene.solid.any() else 0
-        if rule == "gauss_seidel":
+        if in_turn:
             mass = scene.mass[~scene.pinned]
             few = 1 if len(mass) > MANY and mass.max() <= UNEQUAL * mass.min() else 2
             few = max(few, surfaces)
@@ -182,6 +183,16 @@ def _whole(name: str, value: Any, most: int = 2**31 - 1) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
         raise ValueError(f"{name}: {value!r} is not allowed; it must be a whole number from 1 to {most}")
     return int(value)
+
+
+def _check_contacts(value: Any) -> None:
+    if value == "auto":
+        return
+    from taichi_sim.contacts import CONTACT_RULES, ContactRule  # brings Taichi: only when a simulation is made
+
+    if not isinstance(value, ContactRule) and not (isinstance(value, str) and value in CONTACT_RULES):
+        words = ", ".join(["auto", *(name for name in CONTACT_RULES if name != "off"), "off"])
+        raise ValueError(f"contacts: {value!r} is not allowed; it must be one of {words}, or a ContactRule")
 
 
 def _integrator(value: Any) -> Any:

@@ -50,7 +50,8 @@ class Simulation(Reader):
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
             ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
-        contacts: "auto", "gauss_seidel", "jacobi", "sum", "off" ("auto": gauss_seidel on the CPU, jacobi on a GPU).
+        contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a
+            GPU).
         contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
             by jacobi; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with sticks or surfaces ("auto").
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
@@ -75,7 +76,8 @@ class Simulation(Reader):
             check_colliders(scene, h)
         s = self.settings
         self.backend = backend.start(s.arch, s.precision, s.threads)
-        self.has_custom_parts = bool(forces) or type(s.integrator) not in BUILT_IN or bool(vars(s.integrator))
+        own = type(s.integrator) not in BUILT_IN or bool(vars(s.integrator)) or not isinstance(s.contacts, str)
+        self.has_custom_parts = bool(forces) or own
         diagnostics.check_tearing(scene)
         if s.tolerance is not None and np.isfinite(scene.break_strain).any():
             raise ValueError("tolerance: cannot be kept where springs tear; give dt, or leave break_strain out")

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_sim.contacts.solver import ContactSolver
+from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
@@ -31,7 +31,7 @@ class SecondSolution:
     """
 
     def __init__(
-        self, state: State, integrator: Integrator, contacts: ContactSolver, fields: Fields, serial: bool
+        self, state: State, integrator: Integrator, contacts: ContactRule, fields: Fields, serial: bool
     ) -> None:
         self.state, self.integrator, self.serial = state, integrator, serial
         self.n = state.n
@@ -61,7 +61,7 @@ class SecondSolution:
             return fields.table(phase_type(self.state.dim, fields.real), n)
         return fields.vectors(n, field.n) if hasattr(field, "n") else fields.reals(n)
 
-    def _memory(self, contacts: ContactSolver) -> list[Any]:
+    def _memory(self, contacts: ContactRule) -> list[Any]:
         """Fields that say what contacts hold: all that one step hands to the next where `prime` follows."""
         found: list[Any] = []
         self.lists: dict[
@@ -75,7 +75,8 @@ class SecondSolution:
             found += [self.sticks.used, self.sticks.row, self.sticks.begin, self.sticks.length]
         if contacts.walls is not None:
             found.append(contacts.walls.contact)
-            found += [contacts.walls.held] if contacts.walls.has_colliders else []
+            if contacts.walls.has_colliders:
+                found += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.held]
         return found
 
     @ti.func

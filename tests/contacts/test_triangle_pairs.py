@@ -43,7 +43,7 @@ def soup():
 
 def rows(sim):
     """The listed pairs as (balls, weights, normal, distance, thickness or -1)."""
-    facets = sim._parts.contacts.facets
+    facets = sim._parts.contacts.triangles
     used = int(facets.used[0])
     row = facets.row
     member, weight = (f.to_numpy()[: 4 * used].reshape(-1, 4) for f in (facets.member, facets.weight))
@@ -87,7 +87,7 @@ def test_pairs_and_one_pass_as_by_brute_force(soup_run):
         sim.contacts()  # finds them
         listed = ref.pairs(x, v, scene.radius, scene.triangles, scene.pairs, H, scene.position)
         listed = {key(p.edge, p.balls): p for p in listed if w[list(p.balls)].any()}
-        kinds = sim._parts.contacts.facets.row.kind.to_numpy()
+        kinds = sim._parts.contacts.triangles.row.kind.to_numpy()
         found = {}
         for c, (balls, *row) in enumerate(rows(sim)):
             assert key(kinds[c] > 0, balls) not in found, "a pair is listed twice"
@@ -300,7 +300,7 @@ def flight():
 @pytest.mark.slow
 def test_nothing_goes_through(flight):
     names, looks, _, v = flight
-    assert "facets" in names
+    assert "triangles" in names
     assert np.all(looks[:, 0] == 0), "edges pierce triangles"
     assert np.all(looks[:, 1] == 0), "balls went through"
     assert looks[:, 2].min() < -0.02  # and the sheet was hit

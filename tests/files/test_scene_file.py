@@ -351,6 +351,7 @@ def test_bad_meshes(tmp_path):
 
 
 def test_words_are_those_of_the_simulation():
+    from taichi_sim.contacts import CONTACT_RULES
     from taichi_sim.device import backend
     from taichi_sim.files.toml_schema import Simulation
     from taichi_sim.integrators import BUILT_IN
@@ -364,6 +365,7 @@ def test_words_are_those_of_the_simulation():
     assert words["arch"] == set(backend.ARCHES)
     assert words["precision"] == set(backend.PRECISIONS)
     assert words["integrator"] == {kind.name for kind in BUILT_IN}
+    assert words["contacts"] == {"auto", *CONTACT_RULES}
     for name, allowed in WORDS.items():
         assert words[name] == set(allowed)
 

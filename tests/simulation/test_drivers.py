@@ -12,7 +12,7 @@ from physics_sticks import stick_run
 from physics_support import EPS, F64, PRECISION, VARIANTS, each_dim, error, exact, relaxed_pass, simulate
 
 import taichi_sim as ts
-from taichi_sim.contacts.solver import RELAXATION
+from taichi_sim.contacts.jacobi import RELAXATION
 from taichi_sim.simulation import assembly
 
 pytestmark = pytest.mark.slow_in("f32")

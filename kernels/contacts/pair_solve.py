@@ -1,0 +1,278 @@
+"""One iteration over the pairs: further impulses from the present velocities, in turn (Gauss-Seidel) or all at once."""
+
+from dataclasses import dataclass
+
+from taichi_sim.kernels.contacts import contact_law, pair_impacts
+from taichi_sim.kernels.contacts.pair_measures import tangent
+from taichi_sim.kernels.contacts.pair_sweeps import add, torque, zero_spin
+from taichi_sim.kernels.contacts.pairs import RIGID, law_of
+from taichi_sim.kernels.vectors import lever
+
+from taichi_sim.device.engine import ti
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What an iteration does, fixed when it is compiled.
+
+    prepares: it finds masses, target speeds and bias velocities on its way, and viscous friction acts: the first of a solve.
+    impacts: of these, whether what closes fast is solved too, or left for the next solve. stops_first: where the energy limiter
+    compares both, what touches is stopped before it bounces. rigid: soft contacts are rigid and push nothing out. takes_back:
+    the speed with which the solve before the move pushed out overlap. starts: this solve began with what contacts accumulated
+    before; else that was applied before the move.
+    """
+
+    prepares: bool = False
+    impacts: bool = False
+    stops_first: bool = False
+    rigid: bool = False
+    takes_back: bool = False
+    starts: bool = True
+
+
+FIRST = Iteration(prepares=True, impacts=True, stops_first=True)
+NEXT = Iteration(stops_first=True)
+AFTER_IMPACTS = Iteration(rigid=True)  # see impact_iterations
+BOUNCE = Iteration()  # where restitution is a matter of its own, see energy_limiter
+LAST = Iteration(prepares=True, takes_back=True)  # of the short solve at the end of a step
+RELAX = Iteration(prepares=True, takes_back=True, starts=False)  # the same where a method ends with the move
+
+
+@ti.func
+def block_in_turn(solver: ti.template(), ball: ti.template(), b, begin, end, time, how: ti.template()):
+    """The pairs of a block, each seeing what those before it changed."""
+    for k in range(begin, end):
+        i = solver.pairs.grid.order[k]
+        first = solver.pairs.first[i]
+        solve_in_turn(solver, ball, i, first, first + solver.pairs.touching[i], time, how)
+
+
+@ti.func
+def block_at_once(solver: ti.template(), ball: ti.template(), b, begin, end, time, how: ti.template()):
+    """The pairs of a block from old velocities."""
+    for k in range(begin, end):
+        solve_at_once(solver, ball, solver.pairs.grid.order[k], time, how)
+
+
+@ti.func
+def block_of_corrections(solver: ti.template(), ball: ti.template(), b, begin, end, h, how: ti.template()):
+    """Position corrections of the pairs of a block."""
+    for k in range(begin, end):
+        correct_positions(solver, ball, solver.pairs.grid.order[k], h)
+
+
+@ti.func
+def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, time, how: ti.template()):
+    """Each pair changes the velocities that the next one sees. Returns the largest change of a relative velocity [m/s]."""
+    most = ti.cast(0.0, float)
+    v = ball[i].v
+    w = solver.model.inverse_mass[i]
+    spin = zero_spin(solver)
+    if ti.static(solver.spins):
+        spin = solver.state.spin[i]
+    for c in range(begin, end):
+        j = solver.pairs.link[c].other
+        p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
+        v += w * p
+        ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
+        most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
+        if ti.static(solver.spins):
+            t = torque(solver, c, p)
+            spin += w * (solver.model.spin_response(i) * t)
+            t = solver.model.spin_response(j) * t
+            solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * t
+    ball[i].v = v
+    if ti.static(solver.spins):
+        solver.state.spin[i] = spin
+    return most
+
+
+@ti.func
+def solve_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
+    """All pairs that ball i lists see the old velocities; impulses are summed in `impulse` and `angular_impulse`, to be applied
+    at the end."""
+    v = ball[i].v
+    total = ti.Vector.zero(float, solver.model.dim)
+    spin, angular = zero_spin(solver), zero_spin(solver)
+    if ti.static(solver.spins):
+        spin = solver.state.spin[i]
+    begin = solver.pairs.first[i]
+    for c in range(begin, begin + solver.pairs.touching[i]):
+        j = solver.pairs.link[c].other
+        p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
+        total += p
+        add(solver, solver.impulse, j, -p)
+        if ti.static(solver.spins):
+            t = torque(solver, c, p)
+            angular += t
+            add(solver, solver.angular_impulse, j, t)
+    add(solver, solver.impulse, i, total)
+    if ti.static(solver.spins):
+        add(solver, solver.angular_impulse, i, angular)
+
+
+@ti.func
+def further_impulse(solver: ti.template(), ball: ti.template(), i, j, c, v, spin, time, how: ti.template()):
+    """Further impulse [N s] on ball i (at velocity v, spin) from its pair with j in link c; -impulse acts on j."""
+    n = solver.pairs.row[c].normal
+    before = solver.pairs.link[c].impulse
+    if ti.static(how.prepares and not solver.warm):
+        before = 0.0
+    u = ball[j].v - v
+    if ti.static(how.prepares):
+        if ti.static(solver.strikes):
+            prepare_after_impacts(solver, i, j, c, n, before, how)
+        else:
+            prepare(solver, i, j, c, n, how)
+    total = normal_impulse(solver, c, u.dot(n), before, how)
+    solver.pairs.link[c].impulse = ti.max(0.0, total)
+    if ti.static(solver.soft and how.rigid):  # it does not push out any more: nothing is to be taken back
+        solver.pairs.link[c].bias_velocity = ti.min(0.0, solver.pairs.link[c].bias_velocity)
+    p = (before - total) * n
+    if ti.static(solver.model.has_friction):
+        mass = solver.pairs.row[c].mass
+        slide = solver.pairs.link[c].slide
+        if ti.static(how.prepares and not solver.warm):
+            slide = slide * 0.0
+        law = law_of(solver.pairs, i, j)
+        slip = 0.0 * mass
+        if ti.static(how.prepares):
+            slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
+        arm = 0.0 * mass
+        if ti.static(solver.spins):
+            arm = solver.pairs.row[c].arm
+            mass *= contact_law.sideways(solver, i, j)
+        bound = law.friction * ti.max(0.0, total)
+        if ti.static(solver.model.dim == 2):
+            s = tangent(n).dot(u)
+            if ti.static(solver.spins):
+                s -= arm * (spin + solver.state.spin[j])
+            change, slide = contact_law.sliding_impulse_2d(solver.model, s, mass, slide, bound, slip)
+            solver.pairs.link[c].slide = slide
+            p -= change * tangent(n)
+        else:
+            if total > 0.0 or slide.dot(slide) > 0.0:
+                if ti.static(solver.spins):
+                    u -= arm * lever(spin + solver.state.spin[j], n)
+                change, slide = contact_law.sliding_impulse(solver.model, u, n, mass, slide, bound, slip)
+                p -= change
+            solver.pairs.link[c].slide = slide
+    return p
+
+
+@ti.func
+def push_out_speed(solver: ti.template(), depth):
+    """Speed [m/s] with which a soft contact pushes out so much overlap [m]."""
+    return ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push * solver.threshold[0])
+
+
+@ti.func
+def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
+    """Mass of a contact where it is split, its target speed from the velocities before the solve, and its bias velocity."""
+    if ti.static(solver.split):
+        alone = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
+        solver.pairs.row[c].mass = ti.min(solver.relaxation / (solver.lightness[i] + solver.lightness[j]), alone)
+    if ti.static(solver.pairs.has_target):
+        speed = (solver.before[j] - solver.before[i]).dot(n)
+        restitution = 0.0 * speed
+        if ti.static(solver.model.has_restitution):
+            restitution = law_of(solver.pairs, i, j).restitution
+        target = contact_law.target_speed(speed, restitution, solver.threshold[0], how.impacts)
+        fast = speed < -solver.threshold[0]  # an impact: never soft
+        rebound, bias = 0.0 * speed, RIGID + 0.0 * speed
+        if ti.static(solver.model.has_restitution):
+            rebound = ti.select(fast and target > 0.0, target, rebound)
+        if ti.static(solver.soft):
+            depth = solver.pairs.row[c].depth
+            if depth <= 0.0:  # it may close the gap, but not go on; what bounces does so when it touches
+                target = ti.min(target, ti.select(fast and restitution > 0.0, speed, depth * solver.rate[0]))
+                rebound = 0.0
+            elif not fast:
+                bias = push_out_speed(solver, depth)
+        if ti.static(how.impacts):
+            if ti.static(solver.model.has_restitution):
+                solver.pairs.link[c].rebound_speed = rebound
+            if ti.static(solver.soft):
+                solver.pairs.link[c].bias_velocity = bias
+        elif ti.static(solver.soft):  # what was held stays so, what bounced keeps its speed
+            bounced = 0.0 * speed
+            if ti.static(solver.model.has_restitution):
+                bounced = solver.pairs.link[c].rebound_speed
+            if bounced > 0.0 or solver.pairs.link[c].bias_velocity >= 0.0:
+                target = ti.max(target, ti.max(0.0, ti.min(bounced, speed)))
+        solver.pairs.row[c].target = target
+
+
+@ti.func
+def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.template()):
+    """Mass and bias velocity of a contact where impacts come first, see pair_impacts. What closes fast is left alone (mass 0) by
+    the solve that ends a step, whose one iteration is for what rests; and by the others if it bounces at e = 1, or before it
+    touches: they would take its energy."""
+    depth = solver.pairs.row[c].depth
+    speed = (solver.before[j] - solver.before[i]).dot(n)
+    fast = speed + ti.max(0.0, pair_impacts.kick(solver, i, j, n)) < -solver.threshold[0]
+    mass = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
+    if ti.static(not how.impacts):
+        mass = ti.select(fast, 0.0, mass)
+    elif ti.static(solver.model.has_restitution):
+        e = law_of(solver.pairs, i, j).restitution
+        if fast and e > 0.0 and (e >= 1.0 or depth <= 0.0):
+            mass = 0.0
+    solver.pairs.row[c].mass = mass
+    if ti.static(how.impacts and solver.warm):
+        solver.pairs.row[c].start = before
+    if ti.static(how.impacts and solver.soft):
+        bias = ti.cast(RIGID, float)
+        rests = (
+            before > 0.0
+            or ti.abs(speed) <= pair_impacts.STILL * solver.threshold[0]
+            or not pair_impacts.is_lossless(solver, i, j)
+        )
+        if depth > 0.0 and not fast and rests:
+            bias = push_out_speed(solver, depth)
+        solver.pairs.link[c].bias_velocity = bias
+
+
+@ti.func
+def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
+    """New accumulated normal impulse of pair c, which approaches with -u [m/s] and had accumulated `before`."""
+    mass = solver.pairs.row[c].mass
+    target = 0.0 * u
+    if ti.static(solver.strikes):
+        if ti.static(solver.soft):  # it may close the gap, but not go on
+            target = ti.min(0.0, solver.pairs.row[c].depth * solver.rate[0])
+    elif ti.static(solver.pairs.has_target):
+        target = solver.pairs.row[c].target
+        if ti.static(solver.limits_energy and how.stops_first):
+            target = ti.select(solver.pairs.row[c].depth > 0.0, 0.0, target)
+    total = contact_law.normal_impulse(u, target, mass, before)
+    if ti.static(solver.soft and not how.rigid):
+        bias = solver.pairs.link[c].bias_velocity
+        if ti.static(how.takes_back):
+            least = -ti.min(before, mass * ti.max(0.0, bias))
+            if ti.static(not how.starts):
+                least += before
+            total = ti.max(least, before + (target - u) * mass)
+        elif bias >= 0.0:
+            total = contact_law.soft_impulse(u, target + bias, mass, before)
+    return total
+
+
+@ti.func
+def correct_positions(solver: ti.template(), ball: ti.template(), i, h):
+    """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
+    begin = solver.pairs.first[i]
+    for c in range(begin, begin + solver.pairs.touching[i]):
+        j = solver.pairs.link[c].other
+        row = solver.pairs.row[c]
+        depth = row.depth - solver.pairs.slop * ti.min(solver.model.radius[i], solver.model.radius[j])
+        depth -= h * ti.max(0.0, row.normal.dot(ball[j].v - ball[i].v))
+        inverse_mass = solver.model.inverse_mass[i] + solver.model.inverse_mass[j]
+        if ti.static(solver.in_turn):
+            depth -= row.normal.dot(solver.offset[j] - solver.offset[i])
+        else:
+            inverse_mass = solver.lightness[i] + solver.lightness[j]
+        if depth > 0.0:
+            q = solver.push_out * depth / inverse_mass * row.normal
+            add(solver, solver.offset, i, -solver.model.inverse_mass[i] * q)
+            add(solver, solver.offset, j, solver.model.inverse_mass[j] * q)

@@ -1,0 +1,78 @@
+"""ColliderContacts: the colliders that each ball is at, in a few slots per ball."""
+
+from taichi_sim.contacts.colliders import Colliders
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
+
+__all__ = ["ColliderContacts"]
+
+SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
+# of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
+STEEPEST_FALL = 0.25
+
+
+@ti.data_oriented
+class ColliderContacts:
+    """`slot` (n times `count`): what was found when contacts were last looked for. `key`: the collider times `faces` plus the
+    face of it, -1 in an empty slot; `gap` [m]; `normal`; and, where colliders move, `velocity` [m/s], that of the surface.
+    `held` (n): slots in use. rounding: of a coordinate, as a part of it.
+    """
+
+    def __init__(self, model: Model, fields: Fields, colliders: Colliders, rounding: float) -> None:
+        self.model, self.colliders, self.rounding = model, colliders, rounding
+        self.moves, self.faces = colliders.moves, colliders.faces
+        self.count = SLOTS[model.dim]
+        vector = ti.types.vector(model.dim, fields.real)
+        columns = {"key": ti.i32, "gap": fields.real, "normal": vector}
+        if self.moves:
+            columns["velocity"] = vector
+        self.slot = fields.table(columns, model.n * self.count)
+        self.held = fields.integers(model.n)
+
+    @ti.func
+    def gap(self, i, s):
+        """Distance [m] from the surface of ball i to the collider in its slot s as it was found, negative inside."""
+        gap = FAR_GAP + 0.0 * self.model.radius[i]
+        if self.held[i] > 0:
+            gap = self.slot[i * self.count + s].gap
+        return gap
+
+    @ti.func
+    def normal(self, i, s):
+        """Direction from the collider in slot s to ball i."""
+        return self.slot[i * self.count + s].normal
+
+    @ti.func
+    def velocity(self, i, s):
+        """Velocity [m/s] of the surface in slot s of ball i, where colliders move."""
+        return self.slot[i * self.count + s].velocity
+
+    @ti.func
+    def collider(self, i, s):
+        """The collider in slot s of ball i, which must not be empty."""
+        return self.slot[i * self.count + s].key // self.faces
+
+    @ti.func
+    def far(self, i, s):
+        """How far [m] from the origin the collider in slot s of ball i is; 0 where the slot is empty."""
+        far = 0.0 * self.model.radius[i]
+        if self.held[i] > 0 and self.slot[i * self.count + s].key >= 0:
+            far = self.colliders.far(self.collider(i, s))
+        return far
+
+    @ti.func
+    def following(self, x, v, u, i, s, h):
+        """Speed away from the surface in slot s with which ball i at x, sliding along it for h seconds, is neither in it nor off
+        it: 0 where it is plane. With it a ball on a curved surface moves along chords, which keeps its energy. v, u [m/s]:
+        velocity of the ball, and from the surface."""
+        slot = self.slot[i * self.count + s]
+        n = slot.normal
+        after = x + h * (v - n.dot(u) * n)
+        d, _, _ = self.colliders.distance(slot.key // self.faces, slot.key % self.faces, after, h)
+        fall = d - self.model.radius[i] - slot.gap
+        rounding = self.rounding * (ti.abs(x).max() + self.colliders.far(slot.key // self.faces))
+        fall = ti.select(ti.abs(fall) > rounding, fall, 0.0)
+        most = STEEPEST_FALL * self.model.radius[i]
+        return -ti.max(-most, ti.min(most, fall)) / h

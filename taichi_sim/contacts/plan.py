@@ -1,0 +1,178 @@
+"""ContactPlan: what the contacts of one simulation are made of, and why."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.contacts.grid import SKIN
+from taichi_sim.scene.scene import Scene, max_restitution, used_materials
+
+__all__ = ["ContactPlan", "plan_contacts", "slowest_bounce"]
+
+MOST_BOUNCE = 0.5  # restitution above which iterations over many contacts could add energy
+UNEQUAL_MASSES = 4.0  # times: from here on iterations converge slowly
+
+
+@dataclass(frozen=True)
+class ContactPlan:
+    """What is built, and then compiled; a part that the scene lacks is no code at all.
+
+    pairs, walls, colliders, sticks, triangles: kinds of contact. skin: of a radius, see Grid. warm_starts: solves start from
+    the accumulated impulses of the step before, the load of piles. soft: pairs are damped springs, see
+    kernels.contacts.contact_law, else rigid and pushed apart. impacts_in_turn: pairs that close fast bounce one by one, before
+    what rests is solved, see kernels.contacts.pair_impacts; bounces: any of them may; walls_in_turn: so do walls of balls among
+    others. foresees: pairs that may meet within the step count. loaded: what forces add in a step is told from impacts.
+    line_search: see kernels.contacts.impact_iterations. limits_energy: see kernels.contacts.energy_limiter. iterations: of the
+    solve before the move. atomic: impulses are added by atomics. serial: one thread runs all. reasons: a line for each
+    decision."""
+
+    pairs: bool
+    walls: bool
+    colliders: bool
+    sticks: bool
+    triangles: bool
+    skin: float
+    warm_starts: bool
+    soft: bool
+    impacts_in_turn: bool
+    bounces: bool
+    walls_in_turn: bool
+    foresees: bool
+    loaded: bool
+    line_search: bool
+    limits_energy: bool
+    iterations: int
+    atomic: bool
+    serial: bool
+    reasons: tuple[str, ...]
+
+    @property
+    def active(self) -> bool:
+        """Whether there may be any contact at all."""
+        return self.pairs or self.walls
+
+    def __str__(self) -> str:
+        return "\n".join(self.reasons)
+
+
+def plan_contacts(
+    scene: Scene,
+    rule: Any,
+    *,
+    relaxes: bool,
+    custom_method: bool,
+    extra_forces: bool,
+    iterations: int,
+    atomic: bool,
+    serial: bool,
+) -> ContactPlan:
+    """The plan of a scene whose contacts a ContactRule solves. relaxes, custom_method: of the integrator; extra_forces: there are
+    others than gravity and springs."""
+    reasons: list[str] = []
+
+    def decide(name: str, choice: Any, reason: str) -> bool:
+        reasons.append(f"{name}: {'yes' if choice else 'no'} ({reason})")
+        return bool(choice)
+
+    on = decide("contacts", rule.name != "off" and np.any(~scene.pinned), "unless off, where some ball is not pinned")
+    sticks = decide(
+        "sticks",
+        on and scene.collides.any() and scene.n_balls > 2,
+        "a spring that collides, and a ball that it may meet",
+    )
+    triangles = decide(
+        "triangles",
+        on and scene.solid.any() and scene.n_balls > 3,
+        "a triangle that collides, and a ball that it may meet",
+    )
+    joints = sticks or triangles  # contacts of more than two balls
+    pairs = decide(
+        "pairs",
+        on and (joints or may_collide(scene)),
+        "two balls that may touch; sticks and triangles look for theirs too",
+    )
+    walls = decide("walls", on and (scene.walls or scene.colliders), "the scene has walls or colliders")
+    colliders = decide("colliders", on and scene.colliders, "the scene has some")
+    skin = decide(
+        "skin", not (joints or custom_method), "sticks, triangles and custom methods need a grid made anew in each step"
+    )
+    gravity = bool(np.any(scene.gravity != 0))
+    pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0)) or extra_forces
+    warm_starts = decide(
+        "warm_starts",
+        rule.warm_starts and (gravity or pulls or scene.moving_pins),
+        "something may press balls together for long",
+    )
+    soft = decide(
+        "soft",
+        rule.softens and gravity and pairs and relaxes,
+        "what rests under gravity, with a method that takes back what pushing out adds; a rigid contact is exact for two balls",
+    )
+    impacts_in_turn = decide(
+        "impacts_in_turn",
+        rule.impacts_in_turn and pairs and not joints,
+        "exact for pairs; not for contacts of three balls and more",
+    )
+    restitution = any(material.restitution > 0 for material in used_materials(scene))
+    bounces = decide("bounces", impacts_in_turn and restitution, "some material has restitution")
+    foresees = decide("foresees", impacts_in_turn and soft and not bounces, "what bounces has to touch first")
+    loaded = decide("loaded", bounces and (pulls or gravity), "forces may press single balls together")
+    mass = scene.mass[~scene.pinned]
+    line_search = decide(
+        "line_search",
+        impacts_in_turn and len(mass) > 0 and mass.max() > UNEQUAL_MASSES * mass.min(),
+        f"masses differ more than {UNEQUAL_MASSES:g} times",
+    )
+    walls_in_turn = decide(
+        "walls_in_turn", soft or impacts_in_turn, "balls among others are pushed into walls within a step"
+    )
+    driven = scene.moving_pins or any(collider.motion.moves for collider in scene.colliders)  # they may do work
+    gains = joints if rule.in_turn else warm_starts  # split masses gain nothing from nothing, nor pairs in turn
+    limits_energy = decide(
+        "limits_energy",
+        rule.energy_limiter and pairs and not driven and gains and max_restitution(scene) > MOST_BOUNCE,
+        "a crowd that bounces well and could gain energy, to which nothing driven gives any",
+    )
+    return ContactPlan(
+        pairs=pairs,
+        walls=walls,
+        colliders=colliders,
+        sticks=sticks,
+        triangles=triangles,
+        skin=SKIN if skin else 0.0,
+        warm_starts=warm_starts,
+        soft=soft,
+        impacts_in_turn=impacts_in_turn,
+        bounces=bounces,
+        walls_in_turn=walls_in_turn,
+        foresees=foresees,
+        loaded=loaded,
+        line_search=line_search,
+        limits_energy=limits_energy,
+        iterations=iterations,
+        atomic=atomic,
+        serial=serial,
+        reasons=tuple(reasons),
+    )
+
+
+def slowest_bounce(scene: Scene, h: float) -> float:
+    """The approach speed below which nothing bounces [m/s]: twice what gravity adds in a substep of h seconds; without gravity
+    everything does."""
+    return 2.0 * float(np.linalg.norm(scene.gravity)) * h
+
+
+def may_collide(scene: Scene) -> bool:
+    """Whether any two balls may touch: not both pinned, not of one body, not joined by a spring."""
+    n = scene.n_balls
+    total = n * (n - 1) // 2
+    held = int(scene.pinned.sum())
+    bodies = np.bincount(scene.body[scene.body > 0]).astype(np.int64)
+    both = np.bincount(scene.body[(scene.body > 0) & scene.pinned]).astype(np.int64)  # pinned and of one body: once
+    total -= held * (held - 1) // 2 + int(np.sum(bodies * (bodies - 1) // 2) - np.sum(both * (both - 1) // 2))
+    pairs = np.unique(np.sort(scene.pairs, axis=1), axis=0)
+    i, j = pairs[:, 0], pairs[:, 1]
+    apart = (scene.body[i] == 0) | (scene.body[i] != scene.body[j])
+    total -= int(np.sum(apart & ~(scene.pinned[i] & scene.pinned[j])))
+    return total > 0
