@@ -1,15 +1,15 @@
 # make demo   make the environment, render the jelly video
-# make test   make the environment, pass the tests
+# make test   make the environment, pass the tests that are worth most, in minutes
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: help env demo test test-slow check bench referee clean
+.PHONY: help env demo test test-slow test-all check bench referee clean
 
 help:
-	@echo "make env | demo | test | test-slow | check | bench | referee | clean"
+	@echo "make env | demo | test | test-slow | test-all | check | bench | referee | clean"
 
 env: $(STAMP)
 
@@ -29,9 +29,12 @@ test: env
 	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m "not slow"
 	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m "not slow"
 
+# what `make test` leaves out: hours
 test-slow: env
 	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m slow
 	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m slow
+
+test-all: test test-slow
 
 check: env
 	$(BIN)/ruff format --check .

@@ -7,11 +7,14 @@ from physics_support import PRECISION
 
 
 def _is_slow(item):
-    params = getattr(item, "callspec", None)
-    for mark in item.iter_markers("slow_where"):
-        found = {name: params.params[name] for name in mark.kwargs}  # a name that the test does not take is a mistake
-        if all(
-            found[name] == one or (isinstance(one, tuple) and found[name] in one) for name, one in mark.kwargs.items()
+    params = item.callspec.params if hasattr(item, "callspec") else {}
+    for node, mark in item.iter_markers_with_node("slow_where"):
+        unknown = [name for name in mark.kwargs if name not in params]
+        if unknown and node is item:
+            raise pytest.UsageError(f"{item.nodeid}: slow_where names {unknown[0]}, which the test does not take")
+        if not unknown and all(
+            params[name] in value if isinstance(value, list) else params[name] == value
+            for name, value in mark.kwargs.items()
         ):
             return True
     return any(PRECISION in mark.args for mark in item.iter_markers("slow_in"))

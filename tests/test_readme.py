@@ -4,8 +4,11 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
+
+pytestmark = pytest.mark.once
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 

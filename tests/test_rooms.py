@@ -7,6 +7,8 @@ import pytest
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.once
+
 ROOT = Path(__file__).resolve().parent.parent
 # From the outermost room to the innermost: a file imports from its own room and from those after it, at its top or inside a
 # function. The second part knows nothing of Taichi.

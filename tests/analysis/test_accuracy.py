@@ -13,6 +13,8 @@ from taichi_sim.analysis.outcome import Scales, of_depth, of_energy, of_passes
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
 
+pytestmark = pytest.mark.slow_in("f32")
+
 G, R = 10.0, 0.05
 SLOW = pytest.mark.slow
 
@@ -172,6 +174,7 @@ def test_crowds_lose_what_is_said():
 # Cloth ------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_cloth_lets_through_what_is_said_and_shows_what_is_said_of_the_rest():
     """Sheets dropped on posts of a tenth, three and six tenths of the spacing, on blades, and on a sphere."""
     a, r = 1.0 / 15.0, 0.03
@@ -236,6 +239,7 @@ def test_small_balls_go_through_cloth_unless_its_surface_collides():
 # While it runs and after ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_piston_that_squeezes_is_warned_of_and_judged():
     """Three rows of five balls between a wall and a piston: one warning, with the time and how deep."""
     scene = ts.Scene(dim=2, gravity=(0.0, -G))

@@ -7,6 +7,8 @@ import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 from taichi_sim.outputs import export
 
+pytestmark = pytest.mark.once
+
 
 def scene():
     scene = ts.Scene(dim=2, gravity=(0, -10))

@@ -10,6 +10,8 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs import export, open_output
 from taichi_sim.scene.probes import KINDS, Look
 
+pytestmark = pytest.mark.slow_in("f32")
+
 G = 10.0  # m/s^2
 MASS, STIFFNESS, DAMPING, SPEED = 2.0, 1e3, 40.0, 0.5
 DIGITS = 1e-9 if PRECISION == "f64" else 1e-4
@@ -242,6 +244,7 @@ def crowd():
     return crowd
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "settings"),
     [
@@ -260,6 +263,7 @@ def test_walls_and_colliders_receive_all_that_balls_lose(make, settings):
         assert sum(np.linalg.norm(one) > 0.1 for one in impulses) >= 2
 
 
+@pytest.mark.slow
 def test_what_lies_still_presses_with_its_weight(tmp_path):
     """Floor, sides and sphere carry it together; what is restored holds the sums."""
     scene = boxed(0.5, 0.4)

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.once
+
 BALL = """# One ball falls.
 format = 1
 gravity = [0.0, -10.0]

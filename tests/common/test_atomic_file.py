@@ -6,6 +6,8 @@ import pytest
 
 from taichi_sim.common.atomic_file import PartFile, replacing
 
+pytestmark = pytest.mark.once
+
 
 def test_a_file_appears_when_complete(tmp_path):
     with replacing(tmp_path / "a.bin") as file:

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import reference as ref
-from physics_sticks import CROWD_STEPS, STICK_CASES, STICK_IDS, stick_run
+from physics_sticks import CROWD_STEPS, STICK_CASES, stick_run
 from physics_support import (
     CONTACT_CASES,
     EPS,
+    EXTREMES,
     F64,
     METHODS,
     each_dim,
@@ -20,6 +21,8 @@ from physics_support import (
 )
 
 import taichi_sim as ts
+
+pytestmark = pytest.mark.slow_in("f32")
 
 H, G, R = 1e-3, 10.0, 0.05
 STILL = EPS * G * H  # m/s: one kick of gravity, to its rounding
@@ -170,6 +173,7 @@ def crowd_scene(dim, mu):
     return scene, crowds
 
 
+@pytest.mark.slow_where(mu=0.0)
 @pytest.mark.parametrize(("method", "mu"), [("verlet", 0.0), ("verlet", 0.5), ("symplectic_euler", 0.0)])
 @each_dim
 def test_a_dense_crowd_never_gains_energy(dim, method, mu):
@@ -193,6 +197,7 @@ def test_a_dense_crowd_never_gains_energy(dim, method, mu):
     assert max(gains.values()) < (1e-12 if F64 else 1e-5), f"one step gains, by restitution: {gains}"
 
 
+@pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler", "rk4"])
 @pytest.mark.parametrize("method", METHODS)
 def test_an_elastic_gas_in_a_box_keeps_its_energy(method):
     """64 discs that fill 0.4 of a box, a ninth of a radius a step: half of the energy went when passes were too few."""
@@ -211,6 +216,8 @@ def test_an_elastic_gas_in_a_box_keeps_its_energy(method):
         assert np.all(np.abs(sim.position) < 1.0)
 
 
+@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow_where(variant=EXTREMES[1])
 @each_extreme
 @each_dim
 def test_stack_of_10(dim, variant):
@@ -234,7 +241,7 @@ def test_stack_of_10(dim, variant):
 WORKED = {0.5: (1 / 3, -2 / 3, -2 / 3), 0.25: (3 / 13, -12 / 13, -4 / 13), 0.0: (0.0, -1.0, 0.0)}
 
 
-@pytest.fixture(scope="module", params=STICK_CASES, ids=STICK_IDS)
+@pytest.fixture(scope="module", params=STICK_CASES)
 def sticks(request):
     return stick_run(*request.param)
 

@@ -13,11 +13,13 @@ from physics_support import DIMS, EPS, F64, METHODS, simulate, vector
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 
+pytestmark = pytest.mark.slow_in("f32")
+
 STILL = EPS * G * H  # m/s: one kick of gravity, to its rounding
 BULLET_STEPS, STEPS = 16, 1400
 
 
-@pytest.fixture(scope="module", params=DIMS, ids=["2d", "3d"])
+@pytest.fixture(scope="module", params=[pytest.param(2, marks=pytest.mark.slow), 3], ids=["2d", "3d"])
 def laboratory(request):
     """Bullets for a few steps, then everything from the start again with the bullets far away."""
     lab = Laboratory(request.param)
@@ -214,6 +216,7 @@ def drum_scene(dim):
     return scene
 
 
+@pytest.mark.slow
 def test_a_pile_in_a_turning_drum_is_lifted_and_stays_within():
     scene = drum_scene(2)
     with simulate(scene, dt=2e-3) as sim:

@@ -6,6 +6,8 @@ from physics_support import simulate
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f64")
+
 NAMES = ("default", "net", "fish", "water", "rock")
 
 
@@ -120,6 +122,7 @@ def test_files_keep_groups(tmp_path):
         ts.load_scene(tmp_path / "x.toml")
 
 
+@pytest.mark.slow
 def test_colliders_meet_their_groups_only(tmp_path):
     """Three balls fall: one minds the box below it, one does not, one starts inside another box that it does not mind."""
     scene = ts.Scene(gravity=(0.0, -10.0))

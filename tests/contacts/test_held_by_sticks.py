@@ -6,6 +6,8 @@ from physics_support import F64
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 R = 0.04
 
 

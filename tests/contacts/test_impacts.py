@@ -7,6 +7,8 @@ from physics_support import F64, simulate, vector
 import taichi_sim as ts
 from taichi_sim.shapes import jelly
 
+pytestmark = pytest.mark.slow_in("f32")
+
 G = 10.0
 
 # Friction of what forces press into a surface --------------------------------------------------------------------------
@@ -43,6 +45,7 @@ def sledges(floor):
     return scene
 
 
+@pytest.mark.slow_where(method="rk4")
 @pytest.mark.parametrize(
     ("floor", "method"),
     [

@@ -11,6 +11,8 @@ import taichi_sim as ts
 from taichi_sim.common import memory
 from taichi_sim.contacts import pairs, sticks
 
+pytestmark = pytest.mark.slow_in("f32")
+
 H = 1e-3
 
 
@@ -27,6 +29,7 @@ def brute_force(x, radius):
     return {(i, j) for i, j in zip(*np.nonzero(d < radius[:, None] + radius[None])) if i < j}
 
 
+@pytest.mark.slow_where(dim=2)
 @pytest.mark.parametrize("far", [0.0, 1e3, 1e5], ids=["together", "apart", "far_apart"])
 @each_dim
 def test_rows_side_by_side_or_spread(dim, far):
@@ -66,6 +69,7 @@ def test_a_crowded_cell_is_sorted_whatever_the_threads_did(monkeypatch):
     assert np.all(np.isin(falls, start))
 
 
+@pytest.mark.slow_where(dim=2)
 @each_dim
 def test_penetration_is_that_of_the_deepest_contact(dim):
     scene = ts.Scene(dim=dim)
@@ -82,6 +86,7 @@ def test_penetration_is_that_of_the_deepest_contact(dim):
         assert sim.penetration() == pytest.approx(0.3, rel=1e-12 if F64 else 1e-6)
 
 
+@pytest.mark.slow
 @each_dim
 def test_a_short_lever_does_not_throw_a_stick(dim):
     """A stick hinged inside a pinned ball overlaps it however it turns: it must not be flung about."""
@@ -168,6 +173,7 @@ def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):
         assert found.grid is not grid
 
 
+@pytest.mark.slow
 def test_rows_of_sticks_grow(monkeypatch):
     """Twenty sticks through a hundred balls that touch each of them."""
     monkeypatch.setattr(sticks, "MINIMUM_CAPACITY", 1)

@@ -7,6 +7,8 @@ from physics_support import EPS, F64, VARIANTS, each_dim, simulate, vector
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 
+pytestmark = pytest.mark.slow_in("f64")
+
 G, R = 10.0, 0.05
 SOLVERS = ("gauss_seidel", "jacobi")
 each_solver = pytest.mark.parametrize("contacts", SOLVERS)
@@ -28,6 +30,7 @@ def box_of_balls(dim, columns, rows, **material):
     return scene
 
 
+@pytest.mark.slow_where(dim=2)
 @pytest.mark.parametrize("method", ["explicit_euler", "verlet"])
 @each_dim
 def test_a_sliding_ball_ends_rolling(dim, method):
@@ -51,6 +54,8 @@ def test_a_sliding_ball_ends_rolling(dim, method):
         assert abs(sim.energy().kinetic - want) < 1e-6 * want
 
 
+@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow_where(contacts="jacobi")
 @each_solver
 @each_dim
 def test_friction_with_spin_keeps_angular_momentum(dim, contacts):
@@ -89,6 +94,7 @@ def test_both_solvers_converge_to_the_same_velocities():
     assert np.max(np.abs(ends[1] - ends[0])) < (1e-7 if F64 else 1e-3)
 
 
+@pytest.mark.slow_where(dim=3)
 @each_dim
 def test_a_pile_comes_to_rest(dim):
     """Dropped loosely into a box, with friction and spin: it lies still, hardly overlaps, and nothing has left it."""
@@ -131,6 +137,7 @@ def elastic_pack():
     return scene
 
 
+@pytest.mark.slow_where(contacts="jacobi")
 @each_solver
 def test_an_elastic_pack_that_hits_the_floor_gains_no_energy(contacts):
     """Where balls touch several others at once, a solve that has not converged, or Newton's restitution with friction, would
@@ -166,6 +173,7 @@ def test_what_an_elastic_pack_is_thrown_back_with_does_not_depend_on_the_step():
     assert abs(means[0] - means[1]) < 4.0, means
 
 
+@pytest.mark.slow
 def test_what_spins_is_saved(tmp_path):
     scene = box_of_balls(2, 4, 5, friction=0.4)
     with simulate(scene, dt=1e-3) as sim:
@@ -178,6 +186,7 @@ def test_what_spins_is_saved(tmp_path):
             assert again.energy() == sim.energy()
 
 
+@pytest.mark.slow
 def test_settings_of_the_solver():
     smooth, rough = box_of_balls(2, 2, 2), box_of_balls(2, 2, 2, friction=0.1)
     lively, weightless = box_of_balls(2, 2, 2, restitution=0.9), box_of_balls(2, 2, 2, restitution=0.9)

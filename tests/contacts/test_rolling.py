@@ -6,6 +6,8 @@ from physics_support import simulate
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 V, MU, G, R = 1.6, 0.25, 10.0, 0.05
 STEPS, H = 300, 1e-3  # it has slipped for .3 s, and slides yet
 
@@ -37,6 +39,7 @@ def dumbbell(ground: str, dim: int) -> ts.Scene:
     return scene
 
 
+@pytest.mark.slow_where(dim=3)
 @pytest.mark.parametrize(
     ("ground", "dim", "contacts"),
     [
@@ -62,6 +65,7 @@ def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
     assert not turned[:-1].any()
 
 
+@pytest.mark.slow_where(dim=2)
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi", "sum"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_loose_ball_rolls_on_one_that_does_not(dim, contacts):

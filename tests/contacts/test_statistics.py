@@ -9,6 +9,8 @@ import taichi_sim as ts
 from taichi_sim.outputs import export, open_output
 from taichi_sim.reports.memory import breakdown
 
+pytestmark = pytest.mark.slow_in("f64")
+
 G, R = 10.0, 0.05
 CLOSE = 1e-11 if F64 else 2e-5
 
@@ -50,6 +52,8 @@ def by_brute_force(scene, x, v):
     return len(found), depth.max(), depth.mean(), part.max(), part.mean(), left.max(), np.sqrt(np.mean(left**2))
 
 
+@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow_where(variant=VARIANTS[1])
 @pytest.mark.parametrize("variant", VARIANTS[:2], ids="-".join)
 @each_dim
 def test_random_scenes_equal_brute_force(dim, variant):

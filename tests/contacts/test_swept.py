@@ -6,6 +6,8 @@ from physics_support import VARIANTS, each_dim, simulate
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 R, H = 0.05, 1e-3
 SPEED = 10 * R / H
 APART = 8.0  # m between two trials, none of which meets another
@@ -66,6 +68,7 @@ def check_bullets(dim, n, seed, variant=VARIANTS[0], **settings):
     assert np.max(beyond) < 0.0
 
 
+@pytest.mark.slow_where(dim=2)
 @each_dim
 def test_bullets_of_ten_radii_a_step_hit(dim):
     check_bullets(dim, 60, seed=1)
@@ -90,6 +93,7 @@ def test_a_swung_stick_takes_balls_at_rest_along():
         assert np.min(x[small, 1] - x[ends, 1].mean()) > 0.0
 
 
+@pytest.mark.slow_where(variant=VARIANTS[0])
 @pytest.mark.parametrize("variant", [VARIANTS[0], VARIANTS[1]], ids="-".join)
 def test_a_ball_before_the_wall_is_hit_and_not_run_through_twice(variant):
     """A bullet that would reach the wall behind a ball and come back through it within one step."""
@@ -105,6 +109,7 @@ def test_a_ball_before_the_wall_is_hit_and_not_run_through_twice(variant):
         assert sim.energy().kinetic == pytest.approx(0.5 * 2000.0**2, rel=1e-6)
 
 
+@pytest.mark.slow
 @each_dim
 def test_a_bullet_leaves_the_stick_that_it_hit(dim):
     """What stopped at a stick in one step lies just at the distance of touch in the next, and must not be held there."""
@@ -140,6 +145,7 @@ def test_a_row_of_bullets_stops_one_by_one():
         assert sim.penetration() < r
 
 
+@pytest.mark.slow
 def test_a_ball_slides_fast_along_a_stick():
     """Further than its radius in a step, just at the distance of touch."""
     scene = ts.Scene(dim=2)
@@ -151,6 +157,7 @@ def test_a_ball_slides_fast_along_a_stick():
         assert sim.position[2, 0] == pytest.approx(0.2, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", [True, False], ids=["that_moves", "beside_one_that_moves"])
 def test_a_bullet_that_bounces_off_a_collider_meets_what_lies_behind(own):
     """Within one step: a path with a bend is never taken for its chord, whatever moves."""

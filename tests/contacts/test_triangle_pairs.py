@@ -14,6 +14,8 @@ from taichi_sim.kernels.contacts.triangle_pairs import LEVER
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 H = 1e-3
 ROUNDING = 1e-12 if F64 else 2e-5
 
@@ -155,6 +157,7 @@ def cluster_run(request):
         yield sim, at
 
 
+@pytest.mark.slow
 def test_a_pass_keeps_momentum_and_never_adds_energy(cluster_run):
     """Any masses, pins, restitutions, frictions and spins, of triangles, edges and balls on top of each other."""
     sim, at = cluster_run
@@ -188,6 +191,7 @@ def test_a_pass_keeps_momentum_and_never_adds_energy(cluster_run):
     assert met > 0.9 * 40 * PLACES
 
 
+@pytest.mark.slow
 def test_what_pins_hold_throws_nothing():
     """A pin beside the edge between two others, or led onto it: the third corner can do nothing about it."""
     scene, free = ts.Scene(dim=3), []
@@ -293,6 +297,7 @@ def flight():
         return sim.kernels(), np.array(looks), sim.position, sim.velocity
 
 
+@pytest.mark.slow
 def test_nothing_goes_through(flight):
     names, looks, _, v = flight
     assert "triangles" in names

@@ -22,6 +22,8 @@ from physics_support import (
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 H, G, R = 1e-3, 10.0, 0.05
 STILL = EPS * G * H  # m/s: one kick of gravity, to its rounding
 
@@ -151,6 +153,7 @@ def test_viscous_slide(floor):
         assert np.max(np.abs(way - expected[:, 1])) < SPEED * H
 
 
+@pytest.mark.slow_where(dim=3)
 @each_dim
 def test_elastic_bounces_keep_the_energy(dim):
     """Verlet, e = 1, 1000 bounces: 1e-9. The article's reflection at the end of the step does not."""
@@ -181,6 +184,8 @@ def test_elastic_bounces_keep_the_energy(dim):
 # Inclines, corners, wedges, coplanar walls ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler", "rk4"])
 @pytest.mark.parametrize("method", METHODS)
 @each_extreme
 @each_dim
@@ -216,6 +221,8 @@ def test_incline_slides_iff_steeper_than_friction(dim, method, variant):
             assert abs(v[ball] @ down - a * t) < (1e-9 if F64 else 1e-4)
 
 
+@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow_where(method=["symplectic_euler", "rk4"])
 @pytest.mark.parametrize("method", METHODS)
 @each_dim
 def test_corner_brings_to_rest_in_two_passes(dim, method):
@@ -234,6 +241,7 @@ def test_corner_brings_to_rest_in_two_passes(dim, method):
         assert np.max(np.abs(sim.position - R)) < max(1e-5 * R, 4 * EPS)
 
 
+@pytest.mark.slow_where(dim=2)
 @each_dim
 def test_wedge_of_20_degrees_does_not_eject(dim):
     half = np.radians(10)
@@ -253,6 +261,8 @@ def test_wedge_of_20_degrees_does_not_eject(dim):
     assert np.max(np.abs(x[-1, :, 1] - rest)) < 0.1 * R
 
 
+@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow_where(method="symplectic_euler")
 @pytest.mark.parametrize("method", ["symplectic_euler", "verlet"])
 @each_dim
 def test_two_coplanar_wall_pieces_act_as_one(dim, method):
@@ -272,6 +282,7 @@ def test_two_coplanar_wall_pieces_act_as_one(dim, method):
     assert np.max(np.abs(ends[0][1] - ends[1][1])) < (1e-9 if F64 else 1e-3)
 
 
+@pytest.mark.slow_where(method=["symplectic_euler", "rk4"])
 @pytest.mark.parametrize("method", METHODS)
 def test_a_ball_that_lies_in_a_corner_stays_still_at_every_step(method):
     """Once it lies there: a cycle of two steps would hide from a look at every second one."""

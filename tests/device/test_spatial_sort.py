@@ -9,6 +9,8 @@ from physics_support import F64, each_dim, error, simulate
 import taichi_sim as ts
 from taichi_sim.device import spatial_sort
 
+pytestmark = pytest.mark.slow_in("f32")
+
 H = 1e-3
 
 
@@ -36,6 +38,7 @@ def test_neighbours_lie_near_each_other():
     assert np.median(np.linalg.norm(np.diff(sorted_x, axis=0), axis=1)) < 1.5
 
 
+@pytest.mark.slow
 @each_dim
 def test_a_pile_moves_the_same_in_either_order(dim, monkeypatch):
     scene = physics_bits.pile(dim)

@@ -8,6 +8,8 @@ import pytest
 import taichi_sim as ts
 from taichi_sim.analysis.damping import predicts_damping
 
+pytestmark = pytest.mark.slow_in("f64")
+
 
 def small_scene():
     scene = ts.Scene(dim=2, gravity=(0, -10))
@@ -39,6 +41,7 @@ def test_restored_run_continues_with_the_same_bits(tmp_path):
             assert np.array_equal(again.velocity, sim.velocity)
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.parametrize("method", ["verlet", "tr_bdf2"])
 def test_what_a_method_remembers_is_saved(tmp_path, method):
     """Accelerations at predicted velocities, slopes; TR-BDF2 solves its first stage from another guess."""
@@ -65,6 +68,7 @@ def test_what_a_method_remembers_is_saved(tmp_path, method):
             assert np.abs(again.velocity - sim.velocity).max() > off
 
 
+@pytest.mark.slow
 def test_a_crowd_is_restored_whose_lists_have_grown(tmp_path):
     """Lists grow as soon as it is primed; what the method remembers goes into the fields that are there then."""
     scene = ts.Scene(dim=2, gravity=(0, -9.81))

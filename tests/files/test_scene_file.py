@@ -9,6 +9,8 @@ from taichi_sim import Scene, SceneError, shapes
 from taichi_sim.files.toml_lines import key_name, line_of
 from taichi_sim.files.toml_reader import load_scene
 
+pytestmark = pytest.mark.once
+
 GOOD = """format = 1
 dim = 2
 gravity = [0.0, -10.0]

@@ -12,6 +12,8 @@ from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.forces.wind import gusts
 from taichi_sim.scene.elements import cell_volumes
 
+pytestmark = pytest.mark.slow_in("f32")
+
 H = 1e-3  # s
 
 
@@ -135,6 +137,7 @@ def test_damped_bending_lets_a_folded_sheet_turn(method):
         assert sim.energy().total < energy.total - 1e-3 * energy.kinetic
 
 
+@pytest.mark.slow_where(driver="fused")
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
 @pytest.mark.parametrize("make", [box, square, joined])
 def test_forces_agree_with_numpy(make, driver):

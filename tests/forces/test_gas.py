@@ -10,6 +10,8 @@ from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators.implicit_euler import ImplicitEuler
 
+pytestmark = pytest.mark.slow_in("f32")
+
 STIFF = ("implicit_euler", "xpbd")
 
 
@@ -34,6 +36,7 @@ def test_a_turning_balloon_keeps_its_angular_momentum(method):
     assert own - 0.003 < kept < 1.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", STIFF)
 def test_a_balloon_held_at_its_side_falls_as_by_verlet(method):
     """A quarter of a turn about the ball that is held."""

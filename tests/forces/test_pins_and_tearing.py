@@ -9,6 +9,8 @@ from physics_support import EPS, PRECISION, simulate, vector
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f64")
+
 EACH_DRIVER = pytest.mark.parametrize("driver", ["fused", "parallel"])
 PATH = [(0.0, (0.0, 0.0)), (0.1, (0.2, 0.1)), (0.3, (0.2, -0.3), 90.0)]
 
@@ -34,6 +36,7 @@ def place(time: float) -> np.ndarray:
     return np.array([centre - arm, centre + arm])
 
 
+@pytest.mark.slow_where(driver="fused")
 @pytest.mark.parametrize("method", ["symplectic_euler", "verlet", "rk4", "implicit_euler"])
 @EACH_DRIVER
 def test_pins_follow_their_path(method, driver):
@@ -68,6 +71,7 @@ def test_a_run_is_restored_on_its_path(tmp_path):
         np.testing.assert_array_equal(again.position, end)
 
 
+@pytest.mark.slow_where(dim=2)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_moving_pin_pushes_what_it_meets(dim):
     """An elastic blow of a ball that nothing stops: the other leaves at twice its speed."""
@@ -81,6 +85,7 @@ def test_a_moving_pin_pushes_what_it_meets(dim):
         np.testing.assert_allclose(sim.velocity[1], vector(dim, 4.0), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_walls_do_not_hold_moving_pins():
     scene = ts.Scene(dim=2)
     scene.add_balls([[0.0, 0.0], [5.0, 0.0]], radius=0.1)
@@ -104,6 +109,7 @@ def strip(break_strain=0.5) -> ts.Scene:
 ORDERS = [("verlet", "fused"), ("verlet", "parallel"), ("xpbd", "fused"), ("implicit_euler", "parallel")]
 
 
+@pytest.mark.slow_where(method="implicit_euler")
 @pytest.mark.parametrize(("method", "driver"), ORDERS, ids="-".join)
 def test_a_spring_tears_at_its_strain_and_pulls_no_more(method, driver):
     with simulate(strip(), ("ordered", driver), integrator=method, dt=1e-3, contacts="off") as sim:

@@ -9,6 +9,8 @@ from taichi_sim.analysis.stability import stability
 from taichi_sim.forces.pointer import MOST, PART
 from taichi_sim.simulation.assembly import ContactCapacity
 
+pytestmark = pytest.mark.slow_in("f64")
+
 DT = 1e-3
 HELD, FREE, PINNED = 1, 0, 2
 TARGET = np.array([0.3, 1.2])
@@ -165,6 +167,7 @@ def sheet(**balls: object) -> Scene:
     return scene
 
 
+@pytest.mark.slow_where(method="implicit_euler")
 @pytest.mark.parametrize(
     ("method", "mass"), [("verlet", 1e-3), ("verlet", 1e4), ("xpbd", 1.0), ("implicit_euler", 1e4)]
 )

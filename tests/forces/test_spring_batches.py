@@ -5,6 +5,8 @@ import pytest
 
 from taichi_sim.forces.spring_batches import waves
 
+pytestmark = pytest.mark.once
+
 
 def random_pairs(seed):
     rng = np.random.default_rng(seed)

@@ -1,9 +1,12 @@
 """Edges that pierce triangles, counted by cells and by brute force."""
 
 import numpy as np
+import pytest
 
 from taichi_sim.geometry.intersections import crossings
 from taichi_sim.geometry.mesh import unique_edges
+
+pytestmark = pytest.mark.once
 
 
 def pierces(p, q, a, b, c):

@@ -7,6 +7,8 @@ import taichi_sim as ts
 from taichi_sim.geometry.level_set import level_set
 from taichi_sim.geometry.mesh import volume
 
+pytestmark = pytest.mark.once
+
 
 def ball(p):
     return np.linalg.norm(p - (0.1, 0.0, -0.2), axis=-1) - 0.5

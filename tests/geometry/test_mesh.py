@@ -9,6 +9,8 @@ import pytest
 from taichi_sim import SceneError
 from taichi_sim.geometry.mesh import Surface, hinge_pairs, read_surface, surface_area, unique_edges
 
+pytestmark = pytest.mark.once
+
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 STL_FACET = "facet normal 0 0 1\nouter loop\n{}endloop\nendfacet\n"
 PLY_HEAD = """ply

@@ -14,6 +14,8 @@ from taichi_sim.analysis.slow_modes import slow_decays
 from taichi_sim.analysis.stability import stability
 from taichi_sim.reports import check
 
+pytestmark = pytest.mark.slow_in("f32")
+
 LINKS, GAP, LIGHT, HEAVY = 12, 0.25, 0.07, 75.0  # of a chain: springs, m, kg, times that at its end
 
 
@@ -251,6 +253,8 @@ def drawn_exactly(scene):
     return y
 
 
+@pytest.mark.slow_where(method="verlet", damping=0.2)
+@pytest.mark.slow_where(method="tr_bdf2", damping=6.0)
 @pytest.mark.skipif(not F64, reason="rounding hides the small steps")
 @pytest.mark.parametrize(("method", "damping"), [("verlet", 0.2), ("verlet", 6.0), ("tr_bdf2", 0.2), ("tr_bdf2", 6.0)])
 def test_order_2_behind_a_pin_that_turns_corners_f64(method, damping):

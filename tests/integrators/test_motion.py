@@ -32,8 +32,18 @@ import taichi_sim as ts
 H = 1e-3
 LOOKS = (1, 2, 10, 100, 500, 1000)  # steps after which the state is compared
 GRAVITY = (0.7, -9.81, 0.3)
-CASES = [c for c in product(DIMS, METHODS, VARIANTS) if c[1] == "verlet" or c[2] in EXTREMES]
-IDS = [f"{d}d-{m}-{'-'.join(v)}" for d, m, v in CASES]
+# (dim, method, variant); in `make test` each method once
+QUICK = {
+    (2, "symplectic_euler", VARIANTS[0]),
+    (2, "rk4", VARIANTS[0]),
+    (3, "verlet", VARIANTS[0]),
+    (3, "explicit_euler", VARIANTS[3]),
+}
+CASES = [
+    pytest.param((d, m, v), id=f"{d}d-{m}-{'-'.join(v)}", marks=[] if (d, m, v) in QUICK else [pytest.mark.slow])
+    for d, m, v in product(DIMS, METHODS, VARIANTS)
+    if m == "verlet" or v in EXTREMES
+]
 
 
 # Without gravity: oscillators, rotating pairs, modes ------------------------------------------------------------------
@@ -104,7 +114,7 @@ def free_scene(dim, method):
     return scene, at
 
 
-@pytest.fixture(scope="module", params=CASES, ids=IDS)
+@pytest.fixture(scope="module", params=CASES)
 def free(request):
     dim, method, variant = request.param
     scene, at = free_scene(dim, method)
@@ -252,7 +262,7 @@ def falling_scene(dim):
     return scene, at
 
 
-@pytest.fixture(scope="module", params=CASES, ids=IDS)
+@pytest.fixture(scope="module", params=CASES)
 def falling(request):
     dim, method, variant = request.param
     scene, at = falling_scene(dim)

@@ -10,6 +10,8 @@ import taichi_sim as ts
 from taichi_sim.analysis.methods import BUILT_IN_METHODS
 from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler, coarse_preconditioner
 
+pytestmark = pytest.mark.slow_in("f32")
+
 STIFF = ("xpbd", "implicit_euler", "tr_bdf2")
 KINDS = {"xpbd": XPBD, "implicit_euler": ImplicitEuler, "tr_bdf2": TRBDF2}
 FUSED, PARALLEL = ("ordered", "fused"), ("ordered", "parallel")
@@ -60,6 +62,7 @@ def test_methods_that_no_spring_limits():
             assert "any step" in sim.stability().reason
 
 
+@pytest.mark.slow_where(dim=2)
 @each_dim
 @each_stiff
 def test_agrees_with_dense_matrices(method, dim):
@@ -133,6 +136,7 @@ def closing_speed(scene, x, v):
     return float(np.sqrt(np.mean((np.sum((v[j] - v[i]) * r, axis=1) / np.linalg.norm(r, axis=1)) ** 2)))
 
 
+@pytest.mark.slow_where(power=[2, 4])
 @pytest.mark.parametrize("power", [2, 4, 6])
 @each_stiff
 def test_any_stiffness(method, power):
@@ -155,6 +159,7 @@ def test_any_stiffness(method, power):
         assert np.allclose(sim.momentum(), momentum, atol=(1e-9 if F64 else 1e-4) * size)
 
 
+@pytest.mark.slow_where(power=[2, 4])
 @pytest.mark.parametrize("power", [2, 4, 6])
 @each_stiff
 def test_any_damping(method, power):
@@ -189,6 +194,7 @@ def test_heavy_end(method):
         assert abs(-sim.position[-1, 1] - 0.1 * n - stretch) < 0.01 * stretch
 
 
+@pytest.mark.slow_where(method=["xpbd", "implicit_euler"])
 @each_stiff
 def test_both_drivers_give_the_same_bits(method):
     """A net of four blocks."""
@@ -205,6 +211,7 @@ def test_both_drivers_give_the_same_bits(method):
     assert np.max(np.abs(found[0][1])) > 0.1
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @each_stiff
 def test_atomic_sums_agree(method):
     scene = random_net(2, 9)
@@ -258,6 +265,7 @@ def test_pinned_balls_keep_still(method):
         assert np.array_equal(sim.velocity, np.zeros_like(sim.velocity))
 
 
+@pytest.mark.slow
 def test_tr_bdf2_takes_forces_of_ones_own_to_second_order():
     """Linear drag on a swinging spring, which is explicit, against the closed form by matrix exponential."""
     import taichi as ti
@@ -291,6 +299,7 @@ def test_a_tolerance_out_of_range_is_refused():
         ImplicitEuler(tolerance=0)
 
 
+@pytest.mark.slow
 def test_small_steps_keep_single_precision():
     """A sheet at ten times smaller steps is no further from its end than at larger ones: velocities are no differences."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
@@ -306,6 +315,7 @@ def test_small_steps_keep_single_precision():
     assert e[2] < 0.3 * e[1]
 
 
+@pytest.mark.slow
 def test_patches_save_passes(monkeypatch):
     """Patches condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))

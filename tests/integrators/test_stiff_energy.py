@@ -6,6 +6,8 @@ from physics_support import F64, simulate
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 
 def hanging(pendulum: float, rope: float) -> ts.Scene:
     """A pendulum and a rope that start level; their stiffness [N/m]."""
@@ -18,6 +20,7 @@ def hanging(pendulum: float, rope: float) -> ts.Scene:
     return scene
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.parametrize(("method", "stiffer"), [("implicit_euler", 1.0), ("tr_bdf2", 10.0)])
 def test_implicit_methods_gain_no_energy(method, stiffer):
     """With what the tolerance left, the springs gave them several times the energy of their fall."""

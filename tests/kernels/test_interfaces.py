@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.once
+
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 PACKAGE = "taichi_sim.kernels"
 NOT_YET = {"contacts", "springs", "render"}  # folders without declarations

@@ -16,6 +16,8 @@ from taichi_sim.analysis.frame import Contacts
 from taichi_sim.analysis.outcome import Scales
 from taichi_sim.outputs import Output, export, open_output
 
+pytestmark = pytest.mark.once
+
 SIZE = (64, 48)
 NAMES = ["x.mp4", "x.gif", "x.npz", "frames/"]
 
@@ -90,11 +92,15 @@ class FakeRenderer:
         pass
 
 
+def draw_with(monkeypatch, renderer):
+    """Exports draw with this class."""
+    made = lambda frame, size, style: renderer(frame, size, **style)  # noqa: E731
+    monkeypatch.setitem(export.__globals__, "_renderer", made)
+
+
 @pytest.fixture(autouse=True)
 def _renderer(monkeypatch):
-    monkeypatch.setattr(
-        "taichi_sim.outputs.export._renderer", lambda frame, size, style: FakeRenderer(frame, size, **style)
-    )
+    draw_with(monkeypatch, FakeRenderer)
 
 
 def unstable() -> UnstableError:

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from test_outputs import SIZE, FakeRenderer, FakeSimulation, make, pictures, unstable
+from test_outputs import SIZE, FakeRenderer, FakeSimulation, draw_with, make, pictures, unstable
 
 from taichi_sim import UnstableError
 from taichi_sim.outputs import Output, export, open_output
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture(autouse=True)
 def _renderer(monkeypatch):
-    monkeypatch.setattr(
-        "taichi_sim.outputs.export._renderer", lambda frame, size, style: FakeRenderer(frame, size, **style)
-    )
+    draw_with(monkeypatch, FakeRenderer)
 
 
 def cut_off(folder, name="x.mp4", at=13, error=None, **options):
@@ -57,8 +57,8 @@ def test_a_killed_run_is_resumed(tmp_path):
         import os, signal, sys
         sys.path.insert(0, {str(Path(__file__).parent)!r})
         import test_outputs as t
-        from taichi_sim.outputs import export, open_output, run
-        run._renderer = lambda frame, size, style: t.FakeRenderer(frame, size, **style)
+        from taichi_sim.outputs import export, open_output
+        export.__globals__["_renderer"] = lambda frame, size, style: t.FakeRenderer(frame, size, **style)
         class Killed(t.FakeSimulation):
             def contacts(self):
                 if getattr(self, "asked", 0) == 20:
@@ -164,7 +164,7 @@ def test_pictures_with_alpha(tmp_path, monkeypatch):
             image = super().render(frame)
             return np.concatenate([image, image[:, :, :1]], axis=2)
 
-    monkeypatch.setattr("taichi_sim.outputs.export._renderer", lambda frame, size, style: Clear(frame, size, **style))
+    draw_with(monkeypatch, Clear)
     style = {"transparent": True}
     export(FakeSimulation(), open_output(tmp_path / "frames"), duration=0.1, size=SIZE, style=style)
     with Image.open(tmp_path / "frames" / "frame_00003.png") as image:

@@ -10,6 +10,8 @@ from taichi_sim.outputs import open_output
 from taichi_sim.outputs.geometry import surface_of
 from taichi_sim.shapes.balloon import _sphere
 
+pytestmark = pytest.mark.once
+
 
 def frame(scene):
     return Frame(

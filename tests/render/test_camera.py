@@ -14,6 +14,8 @@ from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.tracker import Tracker
 from taichi_sim.scene.camera_path import CameraPath, eased
 
+pytestmark = pytest.mark.once
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:

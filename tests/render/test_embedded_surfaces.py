@@ -9,6 +9,8 @@ from taichi_sim.files.toml_reader import load_scene
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
 
+pytestmark = pytest.mark.once
+
 RED, GREEN = (0.9, 0.05, 0.05), (0.05, 0.8, 0.05)
 COLUMNS = ("corners", "weights", "triangles", "covers")
 SIZE = (160, 90)

@@ -12,6 +12,8 @@ from taichi_sim.geometry.graph import components
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.tiles import tile_lists
 
+pytestmark = pytest.mark.once
+
 SIZE = (160, 90)
 RED, GREEN = (0.9, 0.05, 0.05), (0.05, 0.8, 0.05)
 FRONT = Camera(eye=(0.0, 0.0, 10.0), target=(0.0, 0.0, 0.0), fov=30.0)

@@ -11,6 +11,8 @@ from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 from taichi_sim.render.subdivision import subdivide
 
+pytestmark = pytest.mark.once
+
 OCTAHEDRON = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
 FAN = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [4, 3, 5]])  # open; 0 is a corner of it
 BOOK = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])  # an edge of three triangles

@@ -10,6 +10,8 @@ from taichi_sim.reports.bench import cases, main
 from taichi_sim.reports.bench.piles import Lie, PileReport, overlaps
 from taichi_sim.reports.peers import PeerMissingError, granular_lammps
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.slow
 @pytest.mark.skipif(F64, reason="the benchmark runs in single precision")

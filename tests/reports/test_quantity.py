@@ -13,6 +13,8 @@ from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS
 from taichi_sim.reports.speed_error.worker import Outcome
 
+pytestmark = pytest.mark.once
+
 NONE = {"progress": False, "say": lambda line: None}
 
 

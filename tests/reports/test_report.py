@@ -17,6 +17,8 @@ from taichi_sim.reports.speed_error.folder import Folder
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):

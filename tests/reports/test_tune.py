@@ -16,6 +16,8 @@ from taichi_sim.reports import check
 from taichi_sim.reports.speed_error import command, tune
 from taichi_sim.simulation.settings import Settings
 
+pytestmark = pytest.mark.once
+
 FILE = """# Two balls on a spring
 format = 1   # the only one
 dim = 2

@@ -8,6 +8,8 @@ import pytest
 
 from taichi_sim import Scene, SceneError
 
+pytestmark = pytest.mark.once
+
 NAN, INF = float("nan"), float("inf")
 
 

@@ -7,6 +7,8 @@ from statics import at_rest
 from taichi_sim import Scene, SceneError, shapes
 from taichi_sim.geometry.mesh import Surface
 
+pytestmark = pytest.mark.once
+
 STRETCH, SHEAR, RIGIDITY = 80.0, 20.0, 1e-3
 
 

@@ -13,6 +13,8 @@ from taichi_sim.scene.elements import cell_volumes
 from taichi_sim.shapes.balloon import _sphere
 from taichi_sim.shapes.jelly_material import box_surface, connected, inside, skin_of_tetrahedra, springs_of
 
+pytestmark = pytest.mark.once
+
 CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 
 

@@ -6,6 +6,8 @@ import pytest
 from taichi_sim import Scene, SceneError, shapes
 from taichi_sim.geometry.mesh import Surface
 
+pytestmark = pytest.mark.once
+
 TETRAHEDRON = Surface(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], dtype=np.int32),

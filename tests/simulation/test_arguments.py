@@ -7,6 +7,8 @@ from physics_support import F64, PRECISION, simulate
 import taichi_sim as ts
 from taichi_sim.device import backend
 
+pytestmark = pytest.mark.slow_in("f64")
+
 H = 1e-3
 OTHER = "f32" if F64 else "f64"
 

@@ -15,9 +15,12 @@ import taichi_sim as ts
 from taichi_sim.contacts.jacobi import RELAXATION
 from taichi_sim.simulation import assembly
 
+pytestmark = pytest.mark.slow_in("f32")
+
 H = 1e-3
 
 
+@pytest.mark.slow_where(dim=2)
 @pytest.mark.parametrize("method", ["verlet", "rk4"])
 @each_dim
 def test_cloth_has_the_same_bits_in_both_drivers_and_every_run(dim, method):
@@ -44,9 +47,7 @@ def test_blocks_have_the_same_bits_in_both_drivers(monkeypatch):
 @pytest.mark.parametrize(
     ("dim", "contacts"),
     [
-        pytest.param(
-            dim, rule, id=f"{dim}d-{rule}", marks=[] if (dim == 3) == (rule == "jacobi") else [pytest.mark.slow]
-        )
+        pytest.param(dim, rule, id=f"{dim}d-{rule}", marks=[] if (dim, rule) == (3, "jacobi") else [pytest.mark.slow])
         for dim in (2, 3)
         for rule in ("gauss_seidel", "jacobi")
     ],
@@ -59,6 +60,7 @@ def test_pile_has_the_same_bits_in_both_drivers_and_every_run(dim, contacts):
         assert physics_bits.digest(scene, 100, PRECISION, driver=driver, **settings) == first, driver
 
 
+@pytest.mark.slow
 def test_sticks_have_the_same_bits_in_both_drivers():
     one, two = stick_run(2, VARIANTS[0]), stick_run(2, VARIANTS[1])
     assert one.bits == two.bits, f"{np.max(np.abs(one.last.x - two.last.x)):.2e} m apart"
@@ -76,6 +78,8 @@ def test_one_and_two_threads_have_the_same_bits():
     assert run(2) == one
 
 
+@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow_where(method="symplectic_euler")
 @pytest.mark.parametrize("method", ["verlet", "symplectic_euler"])
 @each_dim
 def test_all_orders_of_springs_agree(dim, method, monkeypatch):
@@ -117,8 +121,12 @@ N, TRIALS = 60, 25
 
 @pytest.fixture(
     scope="module",
-    params=[(d, v) for d in (2, 3) for v in (VARIANTS[0], VARIANTS[3])],
-    ids=lambda p: f"{p[0]}d-{p[1][0]}",
+    params=[
+        pytest.param((2, VARIANTS[0]), id="2d-ordered"),
+        pytest.param((2, VARIANTS[3]), id="2d-atomic", marks=pytest.mark.slow),
+        pytest.param((3, VARIANTS[0]), id="3d-ordered", marks=pytest.mark.slow),
+        pytest.param((3, VARIANTS[3]), id="3d-atomic"),
+    ],
 )
 def searching(request):
     """One simulation, moved to a new random scene for each trial: radii 1 : 20, some balls joined, of one body, pinned."""

@@ -9,6 +9,8 @@ from physics_support import EPS, PRECISION, each_dim, error, exact, simulate, ve
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f64")
+
 H = 1e-3
 
 
@@ -152,15 +154,17 @@ def test_safe_step_of_one_oscillator(method, c, limit, exact_limit):
         assert sim.stability().dt_any_shape == pytest.approx(limit / 10.0, rel=1e-6)
         assert sim.stability().spring == 0
         assert sim.stability().ball == 1
-    with simulate(scene, integrator=method, dt=0.98 * limit / 10.0, contacts="off") as sim:
+        sim.set_dt(0.98 * limit / 10.0)
         sim.step(2000)
         assert np.max(np.abs(sim.position)) < 10.0
-    if exact_limit is not None:
-        with (
-            simulate(scene, integrator=method, dt=1.02 * exact_limit / 10.0, contacts="off") as sim,
-            pytest.raises(ts.UnstableError),
-        ):
-            sim.step(200_000)  # explicit Euler grows by only 4e-4 a step there
+        if exact_limit is not None:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # a step above the safe bound is meant
+                sim.set_dt(1.02 * exact_limit / 10.0)
+            sim.set_position(scene.position)
+            sim.set_velocity(scene.velocity)
+            with pytest.raises(ts.UnstableError):
+                sim.step(200_000)  # explicit Euler grows by only 4e-4 a step there
 
 
 def test_dt_above_the_bound_warns_before_the_first_step():
@@ -173,6 +177,7 @@ def test_dt_above_the_bound_warns_before_the_first_step():
         ts.Simulation(oscillator(), arch="cpu", precision=PRECISION, dt=0.3, substeps=2).close()
 
 
+@pytest.mark.slow_where(driver="parallel")
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
 def test_unstable_error_and_what_is_kept(driver):
     scene = oscillator(k=1e4)
@@ -216,6 +221,7 @@ def test_unstable_without_springs_has_no_safe_dt():
 # Changing it between steps --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_where(dim=2)
 @each_dim
 def test_impulse_position_velocity(dim):
     scene = ts.Scene(dim=dim)
@@ -343,6 +349,8 @@ class Drift(ts.Integrator):
             self.ball[i].x += h * self.ball[i].v
 
 
+@pytest.mark.slow_where(dim=2, driver="parallel")
+@pytest.mark.slow_where(dim=3, driver="fused")
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
 @each_dim
 def test_own_force(dim, driver):

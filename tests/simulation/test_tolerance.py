@@ -9,6 +9,8 @@ from physics_support import F64, PRECISION, error, simulate
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 T = 0.5
 
 

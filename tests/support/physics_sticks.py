@@ -8,6 +8,7 @@ import hashlib
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from physics_support import VARIANTS, simulate, vector
 
 import taichi_sim as ts
@@ -16,8 +17,10 @@ CROWD, CROWD_STEPS, H = 1000, 40, 1e-3
 PARAMETERS = (0.5, 0.25, 0.0)  # t of the worked numbers
 RANDOM_HITS = 12
 # sticks cost 10 to 20 s of compiling each, so not every pair of settings in both dimensions
-STICK_CASES = ((2, VARIANTS[0]), (2, VARIANTS[1]), (3, VARIANTS[0]), (3, VARIANTS[3]))
-STICK_IDS = [f"{d}d-{'-'.join(v)}" for d, v in STICK_CASES]
+STICK_CASES = [
+    pytest.param((d, v), id=f"{d}d-{'-'.join(v)}", marks=[] if (d, v) == (3, VARIANTS[3]) else [pytest.mark.slow])
+    for d, v in ((2, VARIANTS[0]), (2, VARIANTS[1]), (3, VARIANTS[0]), (3, VARIANTS[3]))
+]
 
 
 def _frame(rng, dim):

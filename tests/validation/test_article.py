@@ -11,6 +11,8 @@ from physics_support import EPS, F64, VARIANTS, each_dim, record, simulate, vect
 
 import taichi_sim as ts
 
+pytestmark = [pytest.mark.slow_in("f32"), pytest.mark.slow_where(dim=2)]
+
 H, G, R = 1e-3, 10.0, 0.05
 NEAR = 1e-12 if F64 else 2e-6
 

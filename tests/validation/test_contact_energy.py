@@ -7,6 +7,8 @@ from physics_support import F64, each_dim, simulate
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 BATCHES = 10_000 // PLACES
 ROUNDING = 1e-13 if F64 else 1e-5
 SLOW = pytest.mark.slow

@@ -7,6 +7,8 @@ import pytest
 import taichi_sim as ts
 from taichi_sim.files.source import built_in, demos, open_scene, resolve
 
+pytestmark = pytest.mark.once
+
 DEMOS = demos()
 
 
@@ -18,12 +20,11 @@ def check_box(sim):
     assert sim.energy().kinetic < 1e-4 * sim.energy().gravity
 
 
-# minutes each; `taichi-sim demos --all` renders them
-LONG = ("flag", "million", "net", "sphere", "tower", "wind")
+QUICK = ("jelly", "shell", "thread/10_truss", "thread/14_order")  # of each kind one, seconds each
 CHECKS = {"box": check_box}  # scene files hold no code
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in DEMOS])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in DEMOS])
 def test_demo_ends_as_its_check_says(name):
     scene = open_scene(DEMOS[name])
     assert scene is not None, "a demo defines scene(), so that its output and settings are known"

@@ -8,6 +8,8 @@ from taichi_sim.reports.hard_cases import case as hard_case
 from taichi_sim.reports.hard_cases import contacts as hard_cases
 from taichi_sim.reports.hard_cases import springs
 
+pytestmark = pytest.mark.slow_in("f32")
+
 QUICK = (("everything pinned", 2), ("empty scene", 2), ("corner of three walls", 2), ("negative coordinates", 1))
 CASES = {case.name: case for case in hard_cases.CASES}
 SPRINGS = {case.name: case for case in springs.CASES}
@@ -28,6 +30,7 @@ def test_quick_hard_cases():
             assert verdict.passed, f"{name}, {contacts}: {verdict.figure:.3g} {verdict.words}"
 
 
+@pytest.mark.slow
 def test_quick_hard_cases_of_springs():
     """Each of the quick ones, in its short form: explicit methods say which step is safe, the others go on."""
     for name, methods in QUICK_SPRINGS.items():

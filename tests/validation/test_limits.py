@@ -216,6 +216,7 @@ def networks(dim, method, damped):
     return scene
 
 
+@pytest.mark.slow_where(method="rk4")
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize(
     ("method", "damped"),

@@ -17,6 +17,8 @@ from physics_support import (
 
 import taichi_sim as ts
 
+pytestmark = [pytest.mark.slow_in("f32"), pytest.mark.slow_where(dim=2)]
+
 H = 1e-3
 ZETAS = (0.1, 0.5, 1.0, 3.0)
 CHAIN_N, CHAIN_M, CHAIN_K, CHAIN_L = 8, 0.5, 200.0, 0.25
@@ -86,6 +88,7 @@ def test_pendulum_period(dim, method):
     assert abs(found / T - 1) < tolerance, f"T = {found:.9f} s, relative {found / T - 1:.2e}"
 
 
+@pytest.mark.slow
 @each_dim
 def test_damped_chain_comes_to_its_stretch(dim):
     scene = ts.Scene(dim=dim, gravity=(0.0, -9.81, 0.0)[:dim])

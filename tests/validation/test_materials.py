@@ -10,6 +10,8 @@ from taichi_sim import Box, Scene, shapes
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.shapes.balloon import _sphere
 
+pytestmark = pytest.mark.slow_in("f32")
+
 
 @ti.data_oriented
 class Drag:
@@ -62,6 +64,7 @@ def test_bar_and_strip_come_to_rest_where_newton_finds_them(precision):
         assert off[part].max() < (1e-6 if precision == "f64" else 2e-3) * sag
 
 
+@pytest.mark.slow
 def test_a_filled_ball_comes_back_from_being_squeezed_flat():
     """A piston presses it to a hundredth of its height, so that cells turn inside out, and leaves: after 1 s none is."""
     scene = Scene(dim=3)

@@ -31,7 +31,7 @@ def _fails(family, seed, scenes, reason, relations=None, slow=False):
 @pytest.mark.parametrize(
     ("family", "seed", "scenes", "relations"),
     [
-        _holds("few_balls", 7, 8, (*FROM_ANYWHERE, "energy_never_grows")),
+        _holds("few_balls", 7, 8, (*FROM_ANYWHERE, "energy_never_grows"), slow=True),
         _holds("chain", 4, 10),
         _holds("chain", 2, 10),
         _holds("sled", 2, 12),

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import reference as ref
 
+pytestmark = pytest.mark.once
+
 METHODS = ("explicit_euler", "symplectic_euler", "verlet", "rk4")
 K, H = 100.0, 1e-3
 

@@ -211,6 +211,7 @@ def test_moduli_of_plane_lattices():
     close(expected)
 
 
+@pytest.mark.slow
 def test_moduli_of_a_cubic_lattice():
     """Edges and diagonals of faces alike: E = 2.5 k / a, Poisson's ratio 1/4, and so C44 = k / a."""
     k, s = 3.0, SMALL
@@ -227,6 +228,7 @@ def close(expected):
         assert abs(found / exact - 1.0) < 10 * SMALL, name
 
 
+@pytest.mark.slow
 def test_cantilever():
     """A bar of squares, clamped at one end, sags under a small weight as the dense solution of K u = f says; its tip as that of
     Timoshenko's beam, but for what eight cells are off a continuum."""

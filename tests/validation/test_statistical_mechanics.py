@@ -9,6 +9,8 @@ from physics_support import F64, each_dim, simulate
 
 import taichi_sim as ts
 
+pytestmark = pytest.mark.slow_in("f32")
+
 G, R, H = 10.0, 0.05, 1e-3
 
 
@@ -30,6 +32,7 @@ def contact_forces(sim: ts.Simulation) -> dict[tuple[int, int], float]:
     return forces
 
 
+@pytest.mark.slow_where(contacts="jacobi")
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
 def test_forces_in_a_stack_of_10(contacts):
     """Contact s from the floor carries (N - s + 1) m g; overlap below the slop and 1 % r; no drift."""
@@ -133,6 +136,7 @@ def compressibility(dim, y):
     return (1 + y**2 / 8) / (1 - y) ** 2 if dim == 2 else (1 + y + y**2 - y**3) / (1 - y) ** 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dim", "n", "filled", "share", "steps", "bound"), GASES)
 def test_elastic_gas(dim, n, filled, share, steps, bound):
     """Energy kept, speeds Maxwellian, pressure by the equation of state."""

@@ -9,6 +9,8 @@ from taichi_sim.viewer import overlay
 from taichi_sim.viewer.orbit import NOTCH, Orbit, Slide, pick, view_of
 from taichi_sim.viewer.pace import BUDGET, STALL, Pace
 
+pytestmark = pytest.mark.once
+
 SIZE = (200, 100)
 EYE = Camera(eye=(1.0, 2.0, 8.0), target=(1.0, 2.0, 3.0))
 

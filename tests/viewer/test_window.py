@@ -16,6 +16,8 @@ from taichi_sim import Frame
 from taichi_sim.render import Renderer
 from taichi_sim.viewer.orbit import view_of
 
+pytestmark = pytest.mark.once
+
 SIZE = (320, 240)
 HELD, OTHER, PINNED = 0, 1, 2
 
