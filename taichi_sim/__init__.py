@@ -25,6 +25,7 @@ from taichi_sim.scene.spring_units import spring_from_rates
 
 if TYPE_CHECKING:
     from taichi_sim.files.toml_reader import load_scene
+    from taichi_sim.forces.element import Element
     from taichi_sim.forces.pointer import Pointer
     from taichi_sim.integrators import Integrator
     from taichi_sim.simulation.simulation import Simulation
@@ -36,6 +37,7 @@ __all__ = [
     "BackendError",
     "Box",
     "Capsule",
+    "Element",
     "Frame",
     "Integrator",
     "Mesh",
@@ -54,6 +56,7 @@ __all__ = [
 ]
 
 _LAZY = {
+    "Element": "taichi_sim.forces.element",
     "Integrator": "taichi_sim.integrators",
     "Pointer": "taichi_sim.forces.pointer",
     "Simulation": "taichi_sim.simulation.simulation",
