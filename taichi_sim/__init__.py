@@ -26,6 +26,7 @@ from taichi_sim.scene.spring_units import spring_from_rates
 if TYPE_CHECKING:
     from taichi_sim.contacts import ContactRule
     from taichi_sim.files.toml_reader import load_scene
+    from taichi_sim.forces.element import Element
     from taichi_sim.forces.pointer import Pointer
     from taichi_sim.integrators import Integrator
     from taichi_sim.simulation.simulation import Simulation
@@ -39,6 +40,7 @@ __all__ = [
     "Capsule",
     "ColliderShape",
     "ContactRule",
+    "Element",
     "Frame",
     "Integrator",
     "Mesh",
@@ -58,6 +60,7 @@ __all__ = [
 
 _LAZY = {
     "ContactRule": "taichi_sim.contacts",
+    "Element": "taichi_sim.forces.element",
     "Integrator": "taichi_sim.integrators",
     "Pointer": "taichi_sim.forces.pointer",
     "Simulation": "taichi_sim.simulation.simulation",

@@ -9,7 +9,9 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 
-__all__ = ["Corners"]
+__all__ = ["NAMES", "Corners"]
+
+NAMES = "abcdefgh"  # of the balls in a row
 
 
 @ti.data_oriented
@@ -35,7 +37,7 @@ class Corners:
         order = np.argsort(own, kind="stable")
         start = np.zeros(model.n + 1, dtype=np.int32)
         np.cumsum(np.bincount(own, minlength=model.n), out=start[1:])
-        names = "abc"[: others.shape[1]]
+        names = NAMES[: others.shape[1]]
         typed = {**dict.fromkeys(names, ti.i32), **columns}
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}

@@ -14,8 +14,12 @@ A force of your own is a small class with one function; it may read any field of
 
     Simulation(scene, forces=[Drag(0.1)])
 
-It may have `allocate(model, state, fields)`, called before the simulation's fields exist, to declare fields of its own: see
-`Fields` and, for an example, `Pointer`.
+It may have, too,
+- `stiffness_rate(scene)` [1/s^2] and `damping_rate(scene)` [1/s]: the largest eigenvalues of M^-1 K and M^-1 D of what it does,
+  which then bound the step; here the coefficient over the least mass. Without them the force is not counted.
+- `energy(position, velocity)` [J] of (n, dim) NumPy arrays, counted in `Simulation.energy`.
+- `allocate(model, state, fields)`, called before the simulation's fields exist, to declare fields of its own: see `Fields` and,
+  for an example, `Pointer`.
 
 `verlet` asks for it at predicted velocities, where springs are not strongly damped: drag is then of order 2, and stable while
 h c / m < 1.
@@ -32,9 +36,12 @@ from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.forces.bending import Bending
 from taichi_sim.forces.cells import Cells
+from taichi_sim.forces.element import Element
 from taichi_sim.forces.gas import Gases
+from taichi_sim.forces.incidence import Corners
 from taichi_sim.forces.springs import Springs
 from taichi_sim.forces.wind import Wind
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["TotalForce", "checked_forces"]
 
@@ -50,7 +57,7 @@ class TotalForce:
         elements = [kind(model, fields) for kind in _elements(model)]
         self.springs, self.extra = springs, [*elements, *extra]
         self.external_forces = self.extra  # those that `external` sums
-        self.elements = elements
+        self.elements = [*elements, *(force for force in extra if isinstance(force, Corners))]
         self.stores = [force for force in elements if force.elastic]  # energy, that the gauge counts
         self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(self.extra)
         self.impulse = fields.vectors(model.n if self.has_impulse else 0, model.dim)  # N s, summed from old values
@@ -142,8 +149,8 @@ class TotalForce:
         self._extra(ball, h, time)
 
 
-def checked_forces(forces: Sequence[Any]) -> Sequence[Any]:
-    """The forces that a user hands in. Raises ValueError where something is not one."""
+def checked_forces(scene: Scene, forces: Sequence[Any]) -> Sequence[Any]:
+    """The forces that a user hands in. Raises ValueError where something is not one, SceneError for corners of elements."""
     if not isinstance(forces, (list, tuple)):
         raise ValueError(f"forces: {forces!r} is not allowed; it must be a list of forces")
     for force in forces:
@@ -151,12 +158,17 @@ def checked_forces(forces: Sequence[Any]) -> Sequence[Any]:
         if not callable(function):
             raise ValueError(f"forces: {force!r} has no function accumulate(model, ball, impulse, h, time)")
         taken, name = list(signature(function).parameters), type(force).__name__
-        if len(taken) != 5:
+        if isinstance(force, Element):
+            force.corners(scene)
+            function = getattr(force, "force", None)
+            if not callable(function) or len(signature(function).parameters) != 3:
+                raise ValueError(f"forces: {name} is an Element without a function force(ball, row, time)")
+        elif len(taken) != 5:
             raise ValueError(
                 f"forces: {name}.accumulate takes ({', '.join(taken)}); it must take (model, ball, impulse, h, time)"
             )
         if not getattr(function, "_is_taichi_function", False):
-            raise ValueError(f"forces: {name}.accumulate is not a Taichi function; write @ti.func above it")
+            raise ValueError(f"forces: {name}.{function.__name__} is not a Taichi function; write @ti.func above it")
     return forces
 
 

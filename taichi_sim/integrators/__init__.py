@@ -1,17 +1,28 @@
-"""Integrators: one time-stepping method per file, each a small class with its declared order.
+"""Integrators: one time-stepping method per file, each a small class that carries its declaration, see analysis.methods.
 
-A method of your own subclasses Integrator and needs a name, an order, and `substep`:
+A method of your own subclasses Integrator and needs a `method` and a `substep`. This one is symplectic Euler, contacts and all:
 
     @ti.data_oriented
-    class Drift(Integrator):
-        name, order = "drift", 1
+    class KickDrift(Integrator):
+        method = Method("kick_drift", order=1, symplectic=True, limit=StabilityLimit(undamped=2.0, damped=2.0))
 
         @ti.func
         def substep(self, h, time):
+            self.forces.total(self.ball, h, time)
             for i in range(self.model.n):
-                self.ball[i].x += h * self.ball[i].v
+                self.state.kick(i, self.forces.change(i, h))
+            self.contacts.solve(self.ball, h, self.contacts.iterations, True)
+            self.contacts.separate(self.ball, h)
+            for i in range(self.model.n):
+                v = self.ball[i].v
+                shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, self.forces.change(i, h))
+                self.state.shift(i, shift)
+                self.ball[i].v = drift
+            self.contacts.refresh(self.ball)
 
-    Simulation(scene, integrator=Drift())
+    Simulation(scene, integrator=KickDrift())
+
+Without a declared limit it runs only with a number as dt; without the lines on contacts balls pass through everything.
 """
 
 from taichi_sim.integrators.base import Integrator

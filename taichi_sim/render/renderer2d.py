@@ -142,6 +142,7 @@ class Renderer2D:
             linear = [np.full(3, -1.0) if tint is None else to_linear(np.array(tint)) for tint in tints]
             self._canvas.tint.from_numpy(np.array(linear, dtype=np.float32))
             linear = [self._wall_colour if tint[0] < 0 else tint for tint in linear]
+        self._filling = np.array(linear, dtype=np.float32)[owner] if len(owner) else np.zeros((0, 3), dtype=np.float32)
         self._base = self._base_colours(content)
 
     def _shapes(self, frame: Frame) -> tuple[NDArray[np.float32], NDArray, NDArray]:

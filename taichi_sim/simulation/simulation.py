@@ -70,7 +70,7 @@ class Simulation(Reader):
         self.scene = scene
         self.settings = Settings.resolve(scene, settings)
         scene.has_groups()  # a mistyped name is an error, whatever collides
-        self.force_rates = declared_rates(scene, checked_forces(forces))
+        self.force_rates = declared_rates(scene, checked_forces(scene, forces))
         self._forces = tuple(forces)
         self._stability = stability(scene, self.settings.integrator.method, None, self.force_rates)
         self.dt, substeps = self.settings.time_step(scene, self._stability)

@@ -339,7 +339,7 @@ class Tide:
 
 @ti.data_oriented
 class Drift(ts.Integrator):
-    """The example of integrators/__init__.py."""
+    """Balls that nothing slows down."""
 
     method = ts.Method("drift", order=1)
 

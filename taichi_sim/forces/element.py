@@ -1,0 +1,81 @@
+"""Element: forces between a few balls each, of a user's own.
+
+    @ti.data_oriented
+    class Rod(Element):
+        def __init__(self, balls, stiffness):
+            self.balls = balls  # (e, 3)
+            self.columns = {"stiffness": stiffness}  # N/m
+
+        @ti.func
+        def force(self, ball: ti.template(), row, time):
+            bend = ball[row.a].x - 2.0 * ball[row.b].x + ball[row.c].x
+            return -row.stiffness * ti.select(row.corner == 1, -2.0, 1.0) * bend
+
+    Simulation(scene, forces=[Rod([[0, 1, 2]], 100.0)])
+
+docs/extending.md adds its energy and its stability.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import State
+from taichi_sim.forces.incidence import NAMES, Corners
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["Element"]
+
+
+@ti.data_oriented
+class Element(Corners):
+    """A kind of element of 2 to 8 balls each; a subclass, itself @ti.data_oriented, gives `balls` and `force`.
+
+    `balls` (e, k): the corners of each element. `columns`: what each element has besides, name to one number or (e,).
+    `force(ball, row, time)`, a ti.func: what element `row` does to its corner number row.corner [N], from places and velocities
+    ball[j].x and ball[j].v at j = row.a, row.b, ..., its corners in their order, and the columns row.name. Forces must sum to 0
+    over the corners, else momentum is not kept. As any force it may have `stiffness_rate(scene)` [1/s^2], see `largest_rate`,
+    and `damping_rate(scene)` [1/s]. `energies(position)`, NumPy: (e,) J at (n, dim) m, counted in `Simulation.energy`. An
+    element two of whose balls a torn spring joined acts no more.
+    """
+
+    elastic = False
+    balls: ArrayLike
+    force: Callable[..., Any]
+    columns: Mapping[str, Any] = {}
+
+    def corners(self, scene: Scene) -> NDArray[np.int32]:
+        """`balls`, checked."""
+        where = f"{type(self).__name__}.balls"
+        balls = np.asarray(self.balls)
+        if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(NAMES):
+            raise SceneError(f"{where}: shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(NAMES)}")
+        return validation.indices(where, balls, scene.n_balls, balls.shape[1])
+
+    def allocate(self, model: Model, state: State, fields: Fields) -> None:
+        """List for each ball the elements that it is a corner of."""
+        balls = self.corners(model.scene)
+        count, k = balls.shape
+        self.n, self.dim = model.n, model.dim
+        data = {name: np.tile(np.broadcast_to(value, count), k) for name, value in self.columns.items()}
+        types = {"corner": ti.i32, **dict.fromkeys(data, fields.real)}
+        data["corner"] = np.repeat(np.arange(k), count)
+        self.gather(model, fields, np.tile(balls, (k, 1)), balls.T.ravel(), types, data)
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        """Each ball gathers from its elements."""
+        for i in range(self.n):
+            f = ti.Vector.zero(float, self.dim)
+            for e in range(self.start[i], self.start[i + 1]):
+                row = self.row[e]
+                if self.holds(e):
+                    f += self.force(ball, row, time)
+            impulse[i] = impulse[i] + h * f
