@@ -16,7 +16,7 @@ from taichi_sim.reports import check
 pytestmark = pytest.mark.slow_in("f32")
 
 G, R = 10.0, 0.05
-SLOW = pytest.mark.slow
+LONG = pytest.mark.long
 
 
 def said(sim, subject):
@@ -113,8 +113,8 @@ def test_directions_after_impacts_are_off_as_said():
     ("method", "contacts"),
     [
         ("verlet", "gauss_seidel"),
-        pytest.param("symplectic_euler", "gauss_seidel", marks=SLOW),
-        pytest.param("verlet", "jacobi", marks=SLOW),
+        pytest.param("symplectic_euler", "gauss_seidel", marks=LONG),
+        pytest.param("verlet", "jacobi", marks=LONG),
     ],
 )
 def test_columns_sink_in_as_said(method, contacts):
@@ -128,7 +128,7 @@ def test_columns_sink_in_as_said(method, contacts):
         assert sim.contacts().unsolved < 2.0 * G * sim.dt
 
 
-@SLOW
+@LONG
 def test_a_heap_sinks_in_as_said():
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
     scene.add_balls(heap(), radius=R)
@@ -152,7 +152,7 @@ def heap():
     )
 
 
-@SLOW
+@LONG
 def test_crowds_lose_what_is_said():
     rng = np.random.default_rng(3)
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
