@@ -41,7 +41,6 @@ __all__ = ["Reader", "load_scene"]
 _Path = tuple[str | int, ...]
 _KEY = re.compile(r"^(?:\w+(?:\[\d+\])?\.|material '.*?': )?(?P<key>\w[\w\[\].]*): (?P<what>.*)$", re.DOTALL)
 _ALLOWED = re.compile(r"^(?:Input|List|Tuple|Value) should (?:be|have) (?:a valid |an instance of )?")
-RENAMED = {"contact_passes": "contact_iterations", "skins": "embedded_surfaces"}  # keys of earlier versions
 _PLAIN = {
     "integer": "a whole number",
     "boolean": "true or false",
@@ -359,8 +358,6 @@ def _unknown(path: _Path) -> str:
     from taichi_sim.files.toml_schema import TABLES, Document, Output, Simulation, Wind
 
     key = str(path[-1])
-    if key in RENAMED:
-        return f"is now called {RENAMED[key]}"
     table = (
         {"simulation": Simulation, "output": Output, "wind": Wind, **TABLES}.get(str(path[0]))
         if len(path) > 1
