@@ -1,6 +1,6 @@
 """Integrators: one time-stepping method per file, each a small class that carries its declaration, see analysis.methods.
 
-A method of your own subclasses Integrator and needs a `method` and a `substep`. This one is symplectic Euler, contacts and all:
+A user-defined one subclasses Integrator and needs a `method` and a `substep`. This one is symplectic Euler, contacts and all:
 
     @ti.data_oriented
     class KickDrift(Integrator):
@@ -9,20 +9,19 @@ A method of your own subclasses Integrator and needs a `method` and a `substep`.
         @ti.func
         def substep(self, h, time):
             self.forces.total(self.ball, h, time)
-            for i in range(self.model.n):
-                self.state.kick(i, self.forces.change(i, h))
-            self.contacts.solve(self.ball, h, self.contacts.iterations, True)
-            self.contacts.separate(self.ball, h)
-            for i in range(self.model.n):
-                v = self.ball[i].v
-                shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, self.forces.change(i, h))
-                self.state.shift(i, shift)
-                self.ball[i].v = drift
-            self.contacts.refresh(self.ball)
+            self.contacts.advance(self.ball, self, h, h)  # kicks by `before_move`, solves contacts, moves
+
+        @ti.func
+        def before_move(self, i, h):
+            self.state.kick(i, self.forces.change(i, h))
+
+        @ti.func
+        def load(self, i, h):
+            return self.forces.change(i, h)
 
     Simulation(scene, integrator=KickDrift())
 
-Without a declared limit it runs only with a number as dt; without the lines on contacts balls pass through everything.
+Without a declared limit it runs only with a number as dt; a substep that moves balls itself solves no contacts.
 """
 
 from taichi_sim.integrators.base import Integrator

@@ -73,6 +73,11 @@ class Renderer:
     def camera(self, camera: Any) -> None:
         self._painter.look(camera)
 
+    @property
+    def buffers(self) -> Any:
+        """The fields of what is drawn, `Buffers` in 3D, a `Canvas` in 2D; made anew only where a frame has more of anything."""
+        return self._painter.buffers
+
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn, for later ones to look as if it had been."""
         if self._painter is None:

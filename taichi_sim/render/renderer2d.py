@@ -62,7 +62,7 @@ class Renderer2D:
         self._wall_colour = wall
         self._look = paint2d.Look(np.stack([self._top, bottom, wall, hatch, edge]).tolist())
         self._content: Any = None
-        self._canvas: Any = None
+        self.buffers: Any = None
         self._capacity = (-1, -1, -1)
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
@@ -75,7 +75,7 @@ class Renderer2D:
         shape, low, high = self._shapes(frame)
         tile = 8 if len(shape) > CROWD else 16
         entry, start = tile_lists(low, high, self.size, tile)
-        canvas = self._canvas
+        canvas = self.buffers
         if len(shape):
             canvas.shape.from_numpy(padded(shape, self._capacity[0]))
             canvas.colour.from_numpy(padded(np.concatenate([self._filling, self._colours(frame)]), self._capacity[0]))
@@ -114,9 +114,9 @@ class Renderer2D:
 
     def close(self) -> None:
         """Free the fields."""
-        if self._canvas is not None:
-            self._canvas.close()
-        self._content, self._canvas = None, None
+        if self.buffers is not None:
+            self.buffers.close()
+        self._content, self.buffers = None, None
 
     def _prepare(self, frame: Frame) -> None:
         fixed = (len(frame.walls) if frame.walls.size else 0, len(frame.colliders))
@@ -130,17 +130,17 @@ class Renderer2D:
         owner = filled(frame)[1]
         counts = (len(owner) + len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
         if self._capacity[0] < sum(counts) or self._capacity[1:] != fixed:  # springs that tear leave room
-            if self._canvas is not None:
-                self._canvas.close()
+            if self.buffers is not None:
+                self.buffers.close()
             self._capacity = (sum(counts), *fixed)
-            self._canvas = Canvas(*self._capacity, self.size[0] * self.size[1], self._transparent)
+            self.buffers = Canvas(*self._capacity, self.size[0] * self.size[1], self._transparent)
         kind = np.repeat([paint2d.TRIANGLE, paint2d.ROD, paint2d.ROD, paint2d.DISC], counts).astype(np.int32)
         if len(kind):
-            self._canvas.kind.from_numpy(padded(kind, self._capacity[0]))
+            self.buffers.kind.from_numpy(padded(kind, self._capacity[0]))
         if frame.colliders:
             tints = [p.collider.colour for p in frame.colliders]
             linear = [np.full(3, -1.0) if tint is None else to_linear(np.array(tint)) for tint in tints]
-            self._canvas.tint.from_numpy(np.array(linear, dtype=np.float32))
+            self.buffers.tint.from_numpy(np.array(linear, dtype=np.float32))
             linear = [self._wall_colour if tint[0] < 0 else tint for tint in linear]
         self._filling = np.array(linear, dtype=np.float32)[owner] if len(owner) else np.zeros((0, 3), dtype=np.float32)
         self._base = self._base_colours(content)

@@ -161,10 +161,12 @@ def test_vertices_on_the_device_are_the_weighted_means():
     with Renderer(frame_of(scene), size=SIZE) as renderer:
         x = scene.position + np.random.default_rng(4).normal(size=(5, 3))
         renderer.render(frame_of(scene, x))
-        painter = renderer._painter
-        vertices = painter._buffers.ball.to_numpy()[5:9, :3] * painter._unit + painter._origin
-    skin = scene.embedded_surfaces[0]
-    assert vertices == pytest.approx(np.einsum("sk,skd->sd", skin.weights, x[skin.corners]), abs=1e-5)
+        drawn = renderer.buffers.ball.to_numpy()[:9, :3]  # in units of the scene's size about its centre
+    surface = scene.embedded_surfaces[0]
+    assert np.diff(drawn[:5], axis=0) / np.diff(x, axis=0) == pytest.approx(
+        (drawn[1, 0] - drawn[0, 0]) / (x[1, 0] - x[0, 0]), rel=1e-4
+    )
+    assert drawn[5:] == pytest.approx(np.einsum("sk,skd->sd", surface.weights, drawn[surface.corners]), abs=1e-5)
 
 
 def test_in_pictures():
