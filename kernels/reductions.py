@@ -1,10 +1,19 @@
-"""Energy and speed of balls, summed in double precision in parts of a fixed length: the same bits for any number of threads."""
-
-from taichi_sim.kernels.vectors import unit
+"""Sums over balls in double precision, in parts of a fixed length: the same bits for any number of threads."""
 
 from taichi_sim.device.engine import ti
 
+GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one part
+PART = 1024  # balls whose terms one thread sums; parts are added in order
 BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, SIZE = range(7)  # members of a row
+
+
+@ti.func
+def each_on_a_thread(count: ti.template(), visit: ti.template(), arguments: ti.template(), first: ti.template() = 0,
+                     stride: ti.template() = 1):  # fmt: skip
+    """visit(c, *arguments) for `count` numbers c = first, first + stride, ...: each, much work as it is, on one thread."""
+    for k in range(count * GRAIN):
+        if k % GRAIN == 0:
+            visit(k // GRAIN * stride + first, *arguments)
 
 
 @ti.func
@@ -14,18 +23,3 @@ def good(ball, far):
     for a in ti.static(range(ball.x.n)):
         fine = fine and ti.abs(ball.x[a]) < far and ti.abs(ball.v[a]) < far
     return fine
-
-
-@ti.func
-def stored(ball: ti.template(), springs: ti.template(), i, real: ti.template()):
-    """Elastic energy [J] of the springs that ball i lists."""
-    energy = ti.cast(0.0, real)
-    for e in range(springs.start[i], springs.start[i + 1]):
-        place = e
-        if ti.static(springs.order == "waves"):
-            place = springs.place[e]
-        spring = springs.spring[place]
-        _, d = unit(ball[spring.other].x - ball[i].x, i, spring.other)
-        stretch = ti.cast(d - spring.rest_length, real)
-        energy += 0.5 * ti.cast(spring.stiffness, real) * stretch * stretch
-    return energy

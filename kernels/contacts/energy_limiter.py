@@ -7,7 +7,7 @@ Where the energy of v1 + d is more than that of v0, all d are scaled down to whe
 momentum; what only rests is held all the same.
 """
 
-from taichi_sim.kernels.springs.law import PART
+from taichi_sim.kernels.reductions import PART
 
 from taichi_sim.device.engine import ti
 

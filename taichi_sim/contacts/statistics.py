@@ -9,7 +9,7 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.contacts import statistics
-from taichi_sim.kernels.springs.law import PART
+from taichi_sim.kernels.reductions import PART
 
 __all__ = ["ContactStatistics"]
 

@@ -36,7 +36,7 @@ class Tearing:
         # a number that is larger than any length, but not infinite, which single precision would refuse
         stored = np.where(number < 0, np.inf, limit[number])
         self.limit = fields.reals(np.minimum(stored, 1e30))
-        self.torn, self.kept = fields.integers(springs.padded), fields.integers(springs.padded)
+        self.torn, self.kept = fields.integers(springs.entries), fields.integers(springs.entries)
         self.stiffness = np.where(number < 0, 0.0, scene.stiffness[number])
         self.ties = [_Ties(scene, springs, force, fields) for force in elements]
 
@@ -46,7 +46,7 @@ class Tearing:
         for i in range(self.n):
             for e in range(self.springs.start[i], self.springs.start[i + 1]):
                 place = e
-                if ti.static(self.springs.order == "waves"):
+                if ti.static(self.springs.order == "batches"):
                     place = self.springs.place[e]
                 r = ball[self.springs.spring[place].other].x - ball[i].x
                 if r.dot(r) > self.limit[place] * self.limit[place]:

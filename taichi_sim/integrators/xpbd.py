@@ -7,8 +7,8 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.integrators.gas_pass import GasPass
-from taichi_sim.kernels.springs import edge_blocks, simd_batches
+from taichi_sim.integrators.implicit_gas import GasConstraints
+from taichi_sim.kernels.springs import edge_blocks, law, padded_blocks, simd_batches
 from taichi_sim.kernels.vectors import unit
 
 __all__ = ["XPBD"]
@@ -21,8 +21,8 @@ class XPBD(Integrator):
     Each spring asks where its ends would be after the step, and gives the impulse that would be right at the end of it if the
     spring were alone: J = h (k (d - l) + c u) / (1 + (h^2 k + h c) W), d and u predicted, W the sum of inverse masses. That is
     XPBD's projection, written for velocities: with v a variable, and not a difference of positions, small steps lose no digits.
-    Springs see what those before them changed (Gauss-Seidel, in a fixed order: blocks, in small scenes waves); where sums are
-    atomic, and on GPUs, all act on old values and every ball splits its mass between its springs. Order 1 with a large
+    Springs see what those before them changed (Gauss-Seidel, in a fixed order: blocks, in small scenes SIMD batches); where sums
+    are atomic, and on GPUs, all act on old values and every ball splits its mass between its springs. Order 1 with a large
     constant: stiff springs act softer than they are, unless steps are small.
     """
 
@@ -41,9 +41,9 @@ class XPBD(Integrator):
         gases = self.forces.take(Gases) if self.active else None
         self.inflated = gases is not None
         if self.inflated:
-            self.gas = GasPass(gases, self.model, fields)
+            self.gas = GasConstraints(gases, self.model, fields)
         self.at_once = self.active and self.springs.order == "atomic"
-        self.in_waves = self.active and self.springs.order == "waves"
+        self.in_batches = self.active and self.springs.order == "batches"
         if self.at_once:
             self.sum = fields.vectors(self.model.n, self.dim)
             count = np.bincount(self.model.scene.pairs.ravel(), minlength=self.model.n)
@@ -57,10 +57,10 @@ class XPBD(Integrator):
         if ti.static(split):
             wi *= self.parts[i]
             wj *= self.parts[j]
-        pull = spring.stiffness * (d - spring.rest_length)
+        closing = (self.ball[j].v - self.ball[i].v).dot(n)
+        pull = law.tension(spring, 1.0, d, 1.0, closing, self.springs.damped)
         rate = h * spring.stiffness
         if ti.static(self.springs.damped):
-            pull += spring.damping * (self.ball[j].v - self.ball[i].v).dot(n)
             rate += spring.damping
         return h * pull / (1.0 + h * rate * (wi + wj)) * n
 
@@ -92,7 +92,7 @@ class XPBD(Integrator):
         """The impulse of spring e on ball i where its ends do not meet, without a branch; the square of their distance."""
         r = self._ahead(i, j, h)
         square = r.dot(r)
-        inverse = ti.rsqrt(ti.max(square, simd_batches.NEAR))
+        inverse = ti.rsqrt(ti.max(square, padded_blocks.COINCIDENT))
         return self._impulse(i, j, e, h, r * inverse, square * inverse, False), square
 
     @ti.func
@@ -115,7 +115,7 @@ class XPBD(Integrator):
             edge_blocks.sums(self, self.springs, h)
             for i in range(self.model.n):
                 self.state.kick(i, self.model.inverse_mass[i] * self.sum[i])
-        elif ti.static(self.in_waves):
+        elif ti.static(self.in_batches):
             simd_batches.in_turn(self, self.springs, h)
         elif ti.static(self.active):
             edge_blocks.in_turn(self, self.springs, h)

@@ -21,7 +21,7 @@ class Drivers:
     @ti.func
     def _lead(self, forth: ti.template()):
         if ti.static(self.leads):
-            self.pins.lead(forth)
+            self.pins.drive(forth)
 
     @ti.func
     def _tear(self):

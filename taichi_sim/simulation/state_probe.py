@@ -11,7 +11,8 @@ from taichi_sim.device.model import Model
 from taichi_sim.device.state import FAR, State
 from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels import reductions
-from taichi_sim.kernels.springs.law import GRAIN, PART
+from taichi_sim.kernels.reductions import GRAIN, PART
+from taichi_sim.kernels.springs import law
 
 __all__ = ["StateProbe", "StateSample"]
 
@@ -86,7 +87,7 @@ class StateProbe:
                     gravity += height / w
                     weight += ti.abs(height) / w
             if ti.static(self.has_springs):
-                elastic += self.share * reductions.stored(self.state.ball, self.springs, i, self.wide)
+                elastic += self.share * law.stored(self.state.ball, self.springs, i, self.wide)
             for force in ti.static(self.stores):
                 elastic += force.stored(self.state.ball, i, self.wide)
         row[c, reductions.BAD] = ti.cast(bad, self.wide)

@@ -10,7 +10,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
 from taichi_sim.device.state import FAR, State
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.kernels.springs.law import GRAIN, PART
+from taichi_sim.kernels.reductions import GRAIN, PART
 
 __all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "LIVE", "NEXT", "START", "SecondSolution"]
 

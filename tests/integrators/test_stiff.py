@@ -323,7 +323,7 @@ def test_patches_save_passes(monkeypatch):
     scene.pinned[sheet.balls[:20]] = True
     found = []
     for fewest in (32, 10**6):
-        monkeypatch.setattr(coarse_preconditioner, "FEWEST", fewest)
+        monkeypatch.setattr(coarse_preconditioner, "FEWEST_BALLS", fewest)
         with simulate(scene, integrator=ImplicitEuler(1e-3), dt=1e-2, contacts="off") as sim:
             sim.step(20)
             found.append((sim.solver().passes, sim.position))
