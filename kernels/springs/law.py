@@ -6,20 +6,10 @@ balls: `impulse` takes h times the elastic force, `damping_impulse` takes `tau` 
 `impulse` takes both.
 """
 
-from typing import NamedTuple
-
 from taichi_sim.kernels.reductions import each_on_a_thread
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
-
-
-class Terms(NamedTuple):
-    """What of the law a loop sums, known when it is compiled: what is off costs nothing. apart: damping apart from the rest."""
-
-    elastic: bool
-    damped: bool
-    apart: bool
 
 
 @ti.func

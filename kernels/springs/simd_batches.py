@@ -3,31 +3,33 @@
 Springs of a batch share no ball, so none waits for another one of it: all loads and arithmetic come before all stores.
 """
 
+from taichi_sim.kernels.springs.interfaces import BatchSweep
 from taichi_sim.kernels.springs.padded_blocks import COINCIDENT
 
 from taichi_sim.device.engine import ti
 
 BATCH_WIDTH = 8
+READS = {"sweep": BatchSweep}
 
 
 @ti.func
-def in_turn(part: ti.template(), springs: ti.template(), h):
-    """For all springs e from ball i to ball j part.take(i, j, part.give(i, j, e, h)), each seeing what those before it changed;
-    part.change(i, j, e, h) is the same for ends that may coincide. For batches see forces.spring_batches."""
+def in_turn(sweep: ti.template(), springs: ti.template(), h):
+    """For all springs e from ball i to ball j sweep.take(i, j, sweep.give(i, j, e, h)), each seeing what those before it changed;
+    sweep.change(i, j, e, h) is the same for ends that may coincide. For batches see forces.spring_batches."""
     ti.loop_config(serialize=True)
     for batch in range(springs.batches):
         e = batch * BATCH_WIDTH
-        f = ti.Matrix.zero(float, BATCH_WIDTH, part.dim)
+        f = ti.Matrix.zero(float, BATCH_WIDTH, sweep.dim)
         nearest = ti.cast(1.0, float)
         for q in ti.static(range(BATCH_WIDTH)):
-            df, square = part.give(springs.spring[e + q].one, springs.spring[e + q].other, e + q, h)
+            df, square = sweep.give(springs.spring[e + q].one, springs.spring[e + q].other, e + q, h)
             nearest = ti.min(nearest, square)
-            for a in ti.static(range(part.dim)):
+            for a in ti.static(range(sweep.dim)):
                 f[q, a] = df[a]
         if nearest < COINCIDENT:
             for k in range(e, e + BATCH_WIDTH):
-                part.change(springs.spring[k].one, springs.spring[k].other, k, h)
+                sweep.change(springs.spring[k].one, springs.spring[k].other, k, h)
         else:
             for q in ti.static(range(BATCH_WIDTH)):
-                df = ti.Vector([f[q, a] for a in ti.static(range(part.dim))])
-                part.take(springs.spring[e + q].one, springs.spring[e + q].other, df)
+                df = ti.Vector([f[q, a] for a in ti.static(range(sweep.dim))])
+                sweep.take(springs.spring[e + q].one, springs.spring[e + q].other, df)

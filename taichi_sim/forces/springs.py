@@ -10,7 +10,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model, incidence, phase_type
 from taichi_sim.forces.spring_batches import batches
 from taichi_sim.kernels.springs import law, padded_blocks, simd_batches
-from taichi_sim.kernels.springs.law import Terms
+from taichi_sim.kernels.springs.interfaces import Terms
 
 __all__ = ["Springs"]
 

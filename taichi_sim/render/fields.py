@@ -27,7 +27,7 @@ class Buffers:
         self.capacity = _sizes(content)
         n, m, t = self.capacity[:3]
         self.has_spheres = bool(np.any(content.radius > 0))
-        self.has_rods, self.has_triangles, self.has_skins = m > 0, t > 0, len(content.binding) > 0
+        self.has_rods, self.has_triangles, self.has_bound = m > 0, t > 0, len(content.binding) > 0
         builder = ti.FieldsBuilder()
         self.ball = place(builder, ti.Vector.field(4, ti.f32), n)
         self.colour = place(builder, ti.Vector.field(3, ti.f32), n)
@@ -40,7 +40,7 @@ class Buffers:
             self.incident = place(builder, ti.field(ti.i32), 3 * t)
             self.start = place(builder, ti.field(ti.i32), n + 1)
             self.normal = place(builder, ti.Vector.field(3, ti.f32), n)
-        if self.has_skins:
+        if self.has_bound:
             self.bound_start = place(builder, ti.field(ti.i32), len(content.binding) + 1)
             self.bound_entry = place(builder, ti.field(ti.i32), content.binding.weights.nnz)
             self.bound_weight = place(builder, ti.field(ti.f32), content.binding.weights.nnz)
@@ -55,14 +55,14 @@ class Buffers:
     def holds(self, content: Content) -> bool:
         """Whether this content fits and draws the same kinds of things."""
         sizes = _sizes(content)
-        fits = all(0 < now <= room or now == room for now, room in zip(sizes[1:3], self.capacity[1:3]))
+        fits = all(0 < now <= capacity or now == capacity for now, capacity in zip(sizes[1:3], self.capacity[1:3]))
         same = (sizes[0], *sizes[3:]) == (self.capacity[0], *self.capacity[3:])
         return fits and same and self.has_spheres == bool(np.any(content.radius > 0))
 
     def load(self, content: Content, colour: NDArray, unit: float) -> None:
         """Take over what does not change from frame to frame; colour linear."""
         n = self.vertices
-        _, self.rods, self.triangles = _sizes(content)[:3]  # fewer than there is room for, where springs tore
+        _, self.rods, self.triangles = _sizes(content)[:3]  # fewer than there is capacity for, where springs tore
         self.bodies = content.bodies
         if n == 0:
             return
@@ -86,7 +86,7 @@ class Buffers:
             self.corner.from_numpy(padded(self._corners, self.capacity[2]))
             self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * self.capacity[2]))
             self.start.from_numpy(start)
-        if self.has_skins:
+        if self.has_bound:
             self.bound_start.from_numpy(content.binding.weights.indptr.astype(np.int32))
             self.bound_entry.from_numpy(content.binding.weights.indices.astype(np.int32))
             self.bound_weight.from_numpy(content.binding.weights.data.astype(np.float32))
@@ -114,7 +114,7 @@ class Buffers:
         value = np.zeros(max(self.balls, 1), dtype=np.float32)
         value[: self.balls] = values
         vertex_binding.paint_balls(value, table, self.colour, self.balls)
-        if self.has_skins:
+        if self.has_bound:
             start, entry, weight = self.bound_start, self.bound_entry, self.bound_weight
             vertex_binding.paint_bound(value, table, self.colour, start, entry, weight, self.balls, self.bound)
 
@@ -131,7 +131,7 @@ class Buffers:
     def _send(self) -> None:
         """Balls to the device, and the vertices of surfaces after them."""
         self.ball.from_numpy(self._upload)
-        if self.has_skins:
+        if self.has_bound:
             vertex_binding.bind(
                 self.ball, self.bound_start, self.bound_entry, self.bound_weight, self.balls, self.bound
             )
@@ -175,7 +175,7 @@ class Canvas:
         self.keys = place(builder, ti.field(ti.i64), pixels * samples)
         self.image = place(builder, ti.Vector.field(3, ti.f32), pixels)
         self.shadow: Any = place(builder, ti.field(ti.i64), self.shadow_side**2) if shadow else None
-        cells = (self.shadow_side // shade.CELL) ** 2
+        cells = (self.shadow_side // shade.COARSE_TEXELS) ** 2
         self.cell: Any = place(builder, ti.field(ti.f32), cells) if shadow else None
         self.coarse: Any = place(builder, ti.field(ti.f32), cells) if shadow else None
         self.openness: Any = place(builder, ti.field(ti.f32), pixels) if occlusion else None
@@ -216,6 +216,6 @@ def padded(values: NDArray, rows: int) -> NDArray:
 
 
 def place(builder: Any, field: Any, count: int) -> Any:
-    """The field with room for `count`, at least one."""
+    """The field with capacity for `count`, at least one."""
     builder.dense(ti.i, max(count, 1)).place(field)
     return field

@@ -13,7 +13,7 @@ from taichi_sim.geometry.mesh import Edges
 from taichi_sim.kernels.render import paint2d
 from taichi_sim.render.bodies import filled
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
-from taichi_sim.render.colouring import Colouring
+from taichi_sim.render.colouring import FULL_STRAIN, Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import finished, padded, place
 from taichi_sim.render.palette import background_colours, to_linear
@@ -24,12 +24,15 @@ from taichi_sim.scene.colliders import CUSTOM
 
 __all__ = ["Renderer2D"]
 
-TOP, BOTTOM = (0.975, 0.975, 0.970), (0.925, 0.935, 0.945)  # sRGB
-COMPRESSED, NEUTRAL, STRETCHED = (0.13, 0.40, 0.67), (0.60, 0.60, 0.62), (0.78, 0.16, 0.17)  # sRGB, colour-blind safe
-FULL_STRAIN = 0.1
-CROWD = 4000  # shapes: from here smaller tiles are faster
-STICK, STICK_ON_DARK = (0.27, 0.29, 0.34), (0.62, 0.65, 0.70)
-MARGIN, EDGE = 0.06, 26.0  # of the picture; px of a wall to show
+BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.975, 0.975, 0.970), (0.925, 0.935, 0.945)  # sRGB
+COMPRESSED_COLOUR, NEUTRAL_COLOUR, STRETCHED_COLOUR = (
+    (0.13, 0.40, 0.67),
+    (0.60, 0.60, 0.62),
+    (0.78, 0.16, 0.17),
+)  # sRGB, colour-blind safe
+MANY_SHAPES = 4000  # shapes: from here smaller tiles are faster
+STICK_COLOUR, STICK_COLOUR_ON_DARK = (0.27, 0.29, 0.34), (0.62, 0.65, 0.70)
+VIEW_MARGIN, SHOWN_WALL = 0.06, 26.0  # of the picture; px of a wall to show
 NO_BODY = -2e9  # px, a radius: nothing is nearer to it than to anything else
 THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 
@@ -52,7 +55,7 @@ class Renderer2D:
         low, scale, self._extent = _view(frame, size)
         self.camera = Flat((float(low[0]), float(low[1])), scale)
         self._follower = self._place(frame, camera)
-        self._top, bottom = background_colours(background, TOP, BOTTOM)
+        self._top, bottom = background_colours(background, BACKGROUND_TOP, BACKGROUND_BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
         wall, hatch, edge = (
             (bottom + shift for shift in (0.05, 0.14, 0.35))
@@ -73,7 +76,7 @@ class Renderer2D:
         self.skip(frame)
         width, height = self.size
         shape, low, high = self._shapes(frame)
-        tile = 8 if len(shape) > CROWD else 16
+        tile = 8 if len(shape) > MANY_SHAPES else 16
         entry, start = tile_lists(low, high, self.size, tile)
         canvas = self.buffers
         if len(shape):
@@ -192,7 +195,7 @@ class Renderer2D:
         result = np.zeros((t + o + m + len(self._discs), 3), dtype=np.float32)
         result[:t] = 0.55 * colour[content.triangles].mean(axis=1) + 0.45 * self._top
         result[t : t + o] = 0.6 * colour[self._outline[:, 0]]
-        result[t + o : t + o + m] = to_linear(np.array(STICK_ON_DARK if self._dark else STICK))
+        result[t + o : t + o + m] = to_linear(np.array(STICK_COLOUR_ON_DARK if self._dark else STICK_COLOUR))
         result[t + o + m :] = colour[self._discs]
         return result
 
@@ -201,10 +204,10 @@ class Renderer2D:
         spring = ~content.rod_stick[self._rods]
         if spring.any() and len(frame.strain) == len(frame.springs):
             strain = np.tanh(frame.strain[content.rods[self._rods[spring]]] / FULL_STRAIN)[:, None]
-            ends = np.where(strain > 0, to_linear(np.array(STRETCHED)), to_linear(np.array(COMPRESSED)))
+            ends = np.where(strain > 0, to_linear(np.array(STRETCHED_COLOUR)), to_linear(np.array(COMPRESSED_COLOUR)))
             first = len(content.triangles) + len(self._outline)
             share = np.abs(strain)
-            self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL)) * (1 - share) + ends * share
+            self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL_COLOUR)) * (1 - share) + ends * share
         if self._colouring is not None:
             value = self._colouring.values(frame)[:, None]
             value = np.concatenate([value, content.binding.apply(value)])[:, 0]
@@ -277,7 +280,7 @@ def _view(frame: Frame, size: tuple[int, int]) -> tuple[NDArray, float, float]:
             low[axis], high[axis] = min(low[axis], foot[axis]), max(high[axis], foot[axis])
             shown = True
     extent = np.maximum(high - low, 1e-9 * bounds.size)
-    border = np.array(size) * MARGIN + (min(EDGE, 0.05 * min(size)) if shown else 0.0)
+    border = np.array(size) * VIEW_MARGIN + (min(SHOWN_WALL, 0.05 * min(size)) if shown else 0.0)
     scale = float(((np.array(size) - 2 * border) / extent).min())
     return (low + high) / 2 - np.array(size) / 2 / scale, scale, bounds.size
 

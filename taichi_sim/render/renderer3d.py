@@ -19,11 +19,11 @@ from taichi_sim.render.tracker import Tracker
 __all__ = ["Renderer3D"]
 
 HORIZON, ZENITH = (0.905, 0.915, 0.925), (0.56, 0.65, 0.76)  # sRGB
-PINNED = (0.24, 0.25, 0.28)
-MANY = 150_000  # primitives: from here one sample per pixel and a smoothing pass instead of four samples
+PINNED_COLOUR = (0.24, 0.25, 0.28)
+MANY_PRIMITIVES = 150_000  # primitives: from here one sample per pixel and a smoothing pass instead of four samples
 MOST_TESTS = 1.5e8  # ray tests of spheres in one picture
-LAMP_TURN, LAMP_HEIGHT = -58.0, 52.0  # degrees: to the left of the camera, above the ground
-FILL_TURN, FILL_HEIGHT = 65.0, 12.0  # degrees
+LAMP_AZIMUTH, LAMP_ELEVATION = -58.0, 52.0  # degrees: to the left of the camera, above the ground
+FILL_AZIMUTH, FILL_ELEVATION = 65.0, 12.0  # degrees
 
 
 class Renderer3D:
@@ -132,11 +132,13 @@ class Renderer3D:
             self.buffers = Buffers(content)
         if self._canvas is None:
             drawn = int(np.count_nonzero(content.radius)) + len(content.rods)
-            samples = 1 if drawn > MANY and not self._transparent else 4
+            samples = 1 if drawn > MANY_PRIMITIVES and not self._transparent else 4
             self._canvas = Canvas(self.size, samples, self._shadow, self._ambient_occlusion, self._transparent)
         colour = to_linear(content.colour)
         if len(frame.pinned) == len(colour) and not len(frame.triangles):
-            colour = np.where(frame.pinned[:, None] & (frame.colour.size == 0), to_linear(np.array(PINNED)), colour)
+            colour = np.where(
+                frame.pinned[:, None] & (frame.colour.size == 0), to_linear(np.array(PINNED_COLOUR)), colour
+            )
         self.buffers.load(content, colour, self._unit)
 
     def _look_matrix(self) -> Any:
@@ -211,20 +213,20 @@ def _vec(vector: Any) -> Any:
 
 def _lamp(camera: Camera) -> NDArray[np.float64]:
     """Direction to the key light: from the left, above and a little before the camera."""
-    return _around(camera, LAMP_TURN, LAMP_HEIGHT)
+    return _around(camera, LAMP_AZIMUTH, LAMP_ELEVATION)
 
 
 def _fill(camera: Camera) -> NDArray[np.float64]:
-    return _around(camera, FILL_TURN, FILL_HEIGHT)
+    return _around(camera, FILL_AZIMUTH, FILL_ELEVATION)
 
 
-def _around(camera: Camera, turn: float, height: float) -> NDArray[np.float64]:
-    """A direction `turn` degrees to the right of the camera's place and `height` degrees above the ground."""
+def _around(camera: Camera, azimuth: float, height: float) -> NDArray[np.float64]:
+    """A direction `azimuth` degrees to the right of the camera's place and `height` degrees above the ground."""
     axes = camera.axes()
     flat = np.array([-axes[2][0], 0.0, -axes[2][2]])
     flat = flat / np.linalg.norm(flat) if np.linalg.norm(flat) > 1e-6 else np.array([0.0, 0.0, 1.0])
     side = np.array([flat[2], 0.0, -flat[0]])  # to the right of the camera
-    level = flat * math.cos(math.radians(turn)) + side * math.sin(math.radians(turn))
+    level = flat * math.cos(math.radians(azimuth)) + side * math.sin(math.radians(azimuth))
     return np.array([0.0, math.sin(math.radians(height)), 0.0]) + level * math.cos(math.radians(height))
 
 

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.once
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 PACKAGE = "taichi_sim.kernels"
-NOT_YET = {"contacts", "springs", "render"}  # folders without declarations
+NOT_YET = {"contacts"}  # folders without declarations
 
 
 class Declarations:

@@ -6,7 +6,7 @@ from test_embedded_surfaces import frame_of
 
 from taichi_sim import Frame, Scene, Simulation, shapes
 from taichi_sim.render import Camera, Renderer
-from taichi_sim.render.colouring import SCALE, Colouring
+from taichi_sim.render.colouring import COLOUR_SCALE, Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 from taichi_sim.render.subdivision import subdivide
@@ -135,7 +135,7 @@ def oklab(srgb):
 
 
 def test_the_scale_is_even_to_the_eye():
-    lab = oklab(SCALE)
+    lab = oklab(COLOUR_SCALE)
     step = np.linalg.norm(np.diff(lab, axis=0), axis=1)
     assert np.all(np.diff(lab[:, 0]) > 0.02)  # ever lighter: it survives grey print
     assert np.ptp(step) < 0.1 * step.mean()
