@@ -14,9 +14,8 @@ __all__ = ["Bending"]
 class Bending(Corners):
     """Forces -w_i (k b + c n n . db/dt), b = sum_j w_j x_j, n = b / |b|; weights sum to 0, so that places count from ball i.
 
-    Damped is the size of b, not its direction, which turns with the body: a sheet that is folded turns freely. The torque of an
-    element is b x n, which is 0. Where b is 0 nothing turns, and all of db/dt is damped.
-    """
+    Damped is the size of b, not its direction, which rotates with the body: a sheet that is folded rotates freely. The torque of
+    an element is b x n, which is 0. Where b is 0 nothing rotates, and all of db/dt is damped."""
 
     name = "bending"
     elastic = True
@@ -59,7 +58,7 @@ class Bending(Corners):
                     if square > 0.0:
                         change = bent.dot(change) / square * bent
                     pull += row.damping * change
-                if self.holds(e):
+                if self.is_whole(e):
                     f -= row.own * pull
             impulse[i] = impulse[i] + h * f
 
@@ -70,6 +69,6 @@ class Bending(Corners):
         for e in range(self.start[i], self.start[i + 1]):
             row = self.row[e]
             curve = self._curve(ball, i, row)
-            if self.holds(e):
+            if self.is_whole(e):
                 energy += 0.125 * ti.cast(row.stiffness, real) * ti.cast(curve.dot(curve), real)
         return energy

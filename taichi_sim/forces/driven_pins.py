@@ -77,12 +77,12 @@ class DrivenPins:
         return pose.v + pose.change @ pin.arm
 
     @ti.func
-    def face(self, both: ti.template()):
+    def set_velocities(self, mean: ti.template()):
         """Give pins the mean of their velocities in this substep and the next, or that in this one, after `drive`."""
         for k in range(self.m):
             pin = self.pin[k]
             v = self._velocity(pin, self.tick[0] - 1)
-            if ti.static(both):
+            if ti.static(mean):
                 v = 0.5 * (v + self.ahead(k))
             self.state.ball[pin.ball].v = v
 

@@ -28,7 +28,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
-from taichi_sim.forces.incidence import NAMES, Corners
+from taichi_sim.forces.incidence import CORNER_NAMES, Corners
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["Element"]
@@ -55,8 +55,10 @@ class Element(Corners):
         """`balls`, checked."""
         where = f"{type(self).__name__}.balls"
         balls = np.asarray(self.balls)
-        if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(NAMES):
-            raise SceneError(f"{where}: shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(NAMES)}")
+        if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(CORNER_NAMES):
+            raise SceneError(
+                f"{where}: shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(CORNER_NAMES)}"
+            )
         return validation.indices(where, balls, scene.n_balls, balls.shape[1])
 
     def allocate(self, model: Model, state: State, fields: Fields) -> None:
@@ -76,6 +78,6 @@ class Element(Corners):
             f = ti.Vector.zero(float, self.dim)
             for e in range(self.start[i], self.start[i + 1]):
                 row = self.row[e]
-                if self.holds(e):
+                if self.is_whole(e):
                     f += self.force(ball, row, time)
             impulse[i] = impulse[i] + h * f

@@ -9,9 +9,9 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 
-__all__ = ["NAMES", "Corners"]
+__all__ = ["CORNER_NAMES", "Corners"]
 
-NAMES = "abcdefgh"  # of the balls in a row
+CORNER_NAMES = "abcdefgh"  # of the balls in a row
 
 
 @ti.data_oriented
@@ -32,12 +32,12 @@ class Corners:
         """Declare the fields.
 
         own: (r,) the ball of each row; others: (r, k) the further balls of its element, as members "a", "b", ...; columns, data:
-        what else a row holds, name to Taichi type and (r,) values.
+        what else a row is_whole, name to Taichi type and (r,) values.
         """
         order = np.argsort(own, kind="stable")
         start = np.zeros(model.n + 1, dtype=np.int32)
         np.cumsum(np.bincount(own, minlength=model.n), out=start[1:])
-        names = NAMES[: others.shape[1]]
+        names = CORNER_NAMES[: others.shape[1]]
         typed = {**dict.fromkeys(names, ti.i32), **columns}
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
@@ -48,7 +48,7 @@ class Corners:
             self.members = np.concatenate([own[order, None], others[order]], axis=1)
 
     @ti.func
-    def holds(self, e):
+    def is_whole(self, e):
         """Whether the element of row e is whole."""
         whole = True
         if ti.static(self.tears):

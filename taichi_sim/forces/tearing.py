@@ -41,7 +41,7 @@ class Tearing:
         self.ties = [_Ties(scene, springs, force, fields) for force in elements]
 
     @ti.func
-    def look(self, ball: ti.template()):
+    def cut_overstretched(self, ball: ti.template()):
         """Mark and cut what is too long. Where both balls list a spring, both come to the same."""
         for i in range(self.n):
             for e in range(self.springs.start[i], self.springs.start[i + 1]):

@@ -199,10 +199,10 @@ class Verlet(Integrator):
                 self.state.shift(i, h * (self.ball[i].v + 0.5 * change))
                 self.state.kick(i, change)
         if ti.static(self.driven):  # what acts here acts half in this step and half in the next
-            self.pins.face(True)
+            self.pins.set_velocities(True)
         self.forces.total(self.ball, h, time + h)
         if ti.static(self.driven):
-            self.pins.face(False)
+            self.pins.set_velocities(False)
         for i in range(self.model.n):
             a = self.forces.change(i, h) / h
             self.state.kick(i, 0.5 * h * (a - self.pull[i]))

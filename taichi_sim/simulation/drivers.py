@@ -26,7 +26,7 @@ class Drivers:
     @ti.func
     def _tear(self):
         if ti.static(self.tears):
-            self.tearing.look(self.integrator.ball)
+            self.tearing.cut_overstretched(self.integrator.ball)
 
     @ti.kernel
     def prime(self, h: float, time: float, fused: ti.template()):

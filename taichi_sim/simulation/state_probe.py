@@ -8,7 +8,7 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.device.state import FAR, State
+from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels import reductions
 from taichi_sim.kernels.reductions import GRAIN, PART
@@ -69,7 +69,7 @@ class StateProbe:
         gravity, weight = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
         for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
             ball = self.state.ball[i]
-            if not reductions.good(ball, FAR):
+            if not reductions.good(ball, WORLD_RADIUS):
                 bad = ti.min(bad, i)
             w = ti.cast(self.model.inverse_mass[i], self.wide)
             if w > 0.0:

@@ -9,7 +9,7 @@ from physics_support import EPS, F64, simulate
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.element_rates import element_rates
-from taichi_sim.forces.wind import gusts
+from taichi_sim.forces.wind import GUST_WAVES, SIDEWAYS_GUSTS, axes
 from taichi_sim.scene.elements import cell_volumes
 
 pytestmark = pytest.mark.slow_in("f32")
@@ -84,6 +84,19 @@ def elastic_forces(scene: ts.Scene, x: np.ndarray) -> np.ndarray:
     return force
 
 
+def gusts(wind, x: np.ndarray, time: float) -> np.ndarray:
+    """Velocity of the air (3,) [m/s] at x (3,): waves of three lengths that go with the wind."""
+    velocity = np.array(wind.velocity)
+    along, one, two = axes(velocity)
+    speed = float(np.linalg.norm(velocity))
+    s, p, q = x @ along - speed * time, x @ one, x @ two
+    angles = np.array(
+        [2.0 * np.pi / wind.gust_length * (a * s + b * p + c * q) + phase for a, b, c, phase in GUST_WAVES]
+    )
+    waves = np.sin(angles).mean() * along + SIDEWAYS_GUSTS * np.cos(1.3 * angles).mean() * one
+    return velocity + wind.gust * speed * waves
+
+
 def wind_forces(scene: ts.Scene, x: np.ndarray, v: np.ndarray, h: float) -> np.ndarray:
     """Air on triangles (n, 3), one after another."""
     force, wind = np.zeros_like(x), scene.wind
@@ -93,9 +106,7 @@ def wind_forces(scene: ts.Scene, x: np.ndarray, v: np.ndarray, h: float) -> np.n
         area = 0.5 * np.cross(x[t[1]] - x[t[0]], x[t[2]] - x[t[0]])
         size = np.linalg.norm(area)
         n = area / size
-        u = gusts(np.array(wind.velocity), wind.gust, wind.gust_length, x[t].mean(axis=0)[None], 0.0)[0] - v[t].mean(
-            axis=0
-        )
+        u = gusts(wind, x[t].mean(axis=0), 0.0) - v[t].mean(axis=0)
         most = 0.5 / (h * (w[t] * count[t]).sum() / 9.0)
         across, slip = u @ n, u - (u @ n) * n
         f = min(0.5 * wind.density * wind.drag * size * abs(across), most) * across * n

@@ -6,7 +6,7 @@ import pytest
 from taichi_sim import Pointer, Scene, SceneError, Simulation, shapes
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
-from taichi_sim.forces.pointer import MOST, PART
+from taichi_sim.forces.pointer import DRAGGED_PART, MOST_RATE_STEP
 from taichi_sim.simulation.assembly import ContactCapacity
 
 pytestmark = pytest.mark.slow_in("f64")
@@ -180,11 +180,11 @@ def test_a_cloth_of_any_mass_hangs_from_the_hand(method, mass):
         target = np.array([0.5, 0.5, 0.5])
         pointer.grab(70, target)
         held = pointer._balls
-        assert scene.mass[held].sum() == pytest.approx(PART * scene.mass.sum(), abs=1.001 * scene.mass[0])
+        assert scene.mass[held].sum() == pytest.approx(DRAGGED_PART * scene.mass.sum(), abs=1.001 * scene.mass[0])
         sim.run(2.0)
         x = sim.position
-        rate = min(50.0, MOST / sim.dt)
-        sag = 10.0 / PART / rate**2
+        rate = min(50.0, MOST_RATE_STEP / sim.dt)
+        sag = 10.0 / DRAGGED_PART / rate**2
         assert np.linalg.norm(x[held].mean(axis=0) - target) < 2 * sag + 0.1
         assert sim.energy().kinetic < 0.5 * scene.mass.sum() * 2.0**2  # it still swings
 
