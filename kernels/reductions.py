@@ -1,4 +1,5 @@
-"""Sums over balls in double precision, in parts of a fixed length: the same bits for any number of threads."""
+"""Work in parts of a fixed size, in an order that does not depend on threads, so that sums have the same bits for any number of
+them; and what is summed of balls so, in double precision."""
 
 from taichi_sim.device.engine import ti
 
@@ -8,12 +9,21 @@ BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, SIZE = range(7)  # members of a r
 
 
 @ti.func
-def each_on_a_thread(count: ti.template(), visit: ti.template(), arguments: ti.template(), first: ti.template() = 0,
-                     stride: ti.template() = 1):  # fmt: skip
-    """visit(c, *arguments) for `count` numbers c = first, first + stride, ...: each, much work as it is, on one thread."""
+def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template()):
+    """visit(part, *arguments) for each part below `count`, on any thread."""
     for k in range(count * GRAIN):
         if k % GRAIN == 0:
-            visit(k // GRAIN * stride + first, *arguments)
+            visit(k // GRAIN, *arguments)
+
+
+@ti.func
+def even_then_odd(count: ti.template(), visit: ti.template(), arguments: ti.template()):
+    """The same for parts of which one writes to itself and the next: those with even numbers, then the others. At the top level
+    of a kernel only an unrolled loop leaves the inner ones parallel."""
+    for parity in ti.static(range(2)):
+        for k in range((count + 1 - parity) // 2 * GRAIN):
+            if k % GRAIN == 0:
+                visit(k // GRAIN * 2 + parity, *arguments)
 
 
 @ti.func

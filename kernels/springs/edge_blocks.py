@@ -1,10 +1,10 @@
 """Loops over springs, each once, that change or sum something at both of its ends.
 
-Springs are listed with their lower ball (a half edge list), and blocks of balls run as `law.each_block` says, also where each
-spring reads what the one before it wrote (Gauss-Seidel).
+Springs are listed with their lower ball (a half edge list), and blocks of balls run as in `law.blocks`, also where each spring
+reads what the one before it wrote (Gauss-Seidel).
 """
 
-from taichi_sim.kernels.springs.law import each_block
+from taichi_sim.kernels.reductions import even_then_odd
 
 from taichi_sim.device.engine import ti
 
@@ -24,7 +24,7 @@ def sums(total: ti.template(), springs: ti.template(), h):
             total.sum[i] += f
             total.sum[j] -= f
     else:
-        each_block(springs, sum_block, (total, springs, h))
+        even_then_odd(springs.blocks, sum_block, (total, springs, h))
 
 
 @ti.func
@@ -46,7 +46,7 @@ def sum_block(b, total: ti.template(), springs: ti.template(), h):
 @ti.func
 def in_turn(sweep: ti.template(), springs: ti.template(), h):
     """sweep.change(i, j, e, h) for all springs e, i its lower ball, each seeing what those before it changed."""
-    each_block(springs, change_block, (sweep, springs, h))
+    even_then_odd(springs.blocks, change_block, (sweep, springs, h))
 
 
 @ti.func

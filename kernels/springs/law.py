@@ -6,7 +6,7 @@ balls: `impulse` takes h times the elastic force, `damping_impulse` takes `tau` 
 `impulse` takes both.
 """
 
-from taichi_sim.kernels.reductions import each_on_a_thread
+from taichi_sim.kernels.reductions import even_then_odd
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
@@ -110,15 +110,6 @@ def add(impulse: ti.template(), damping_impulse: ti.template(), i, f, g, what: t
 
 
 @ti.func
-def each_block(springs: ti.template(), visit: ti.template(), arguments: ti.template()):
-    """visit(b, *arguments) for all blocks b of a half edge list, without atomics: they are longer than any spring's index
-    distance, so that a block writes to itself and the next one only. Even blocks run first, in any order, then odd ones: the same
-    sums for any number of threads."""
-    each_on_a_thread((springs.blocks + 1) // 2, visit, arguments, 0, 2)
-    each_on_a_thread(springs.blocks // 2, visit, arguments, 1, 2)
-
-
-@ti.func
 def sum_block(b, ball: ti.template(), springs: ti.template(), impulse: ti.template(), damping_impulse: ti.template(), h, tau,
               what: ti.template()):  # fmt: skip
     """The springs whose lower ball lies in block b, each once; before that, an even block clears what the next one adds to."""
@@ -142,8 +133,9 @@ def sum_block(b, ball: ti.template(), springs: ti.template(), impulse: ti.templa
 @ti.func
 def blocks(ball: ti.template(), springs: ti.template(), impulse: ti.template(), damping_impulse: ti.template(), h, tau,
            what: ti.template()):  # fmt: skip
-    """Each spring once, see `each_block`."""
-    each_block(springs, sum_block, (ball, springs, impulse, damping_impulse, h, tau, what))
+    """Each spring once, without atomics, from its lower ball (a half edge list): blocks of balls are longer than any spring's
+    index distance, so that a block writes to itself and the next one only."""
+    even_then_odd(springs.blocks, sum_block, (ball, springs, impulse, damping_impulse, h, tau, what))
 
 
 @ti.func

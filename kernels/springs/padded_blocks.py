@@ -4,7 +4,8 @@ A vector of three numbers is loaded, subtracted and stored one by one, one of fo
 processor's cache, where arithmetic and not memory is the limit, that takes a third to half of the time.
 """
 
-from taichi_sim.kernels.springs.law import each_block, factors, law, store
+from taichi_sim.kernels.reductions import even_then_odd
+from taichi_sim.kernels.springs.law import factors, law, store
 
 from taichi_sim.device.engine import ti
 
@@ -91,7 +92,7 @@ def blocks(ball: ti.template(), springs: ti.template(), impulse: ti.template(), 
         springs.sum[i] = ti.Vector.zero(float, ti.static(width(dim)))
         if ti.static(what.apart):
             springs.damping_sum[i] = ti.Vector.zero(float, ti.static(width(dim)))
-    each_block(springs, sum_block, (ball, springs, h, tau, what))
+    even_then_odd(springs.blocks, sum_block, (ball, springs, h, tau, what))
     for i in range(springs.n):
         f, g = cut(springs.sum[i], dim), ti.Vector.zero(float, dim)
         if ti.static(what.apart):

@@ -7,7 +7,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.kernels.reductions import PART, each_on_a_thread
+from taichi_sim.kernels.reductions import PART, each_part
 
 __all__ = ["Gases"]
 
@@ -70,7 +70,7 @@ class Gases(Corners):
     @ti.func
     def press(self, ball: ti.template()):
         """Volumes and pressures of all gases at the places ball.x (n)."""
-        each_on_a_thread(self.parts, self._measure, (ball,))
+        each_part(self.parts, self._measure, (ball,))
         ti.loop_config(serialize=True)
         for _ in range(1):
             for g in range(self.count):

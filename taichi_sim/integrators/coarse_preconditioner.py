@@ -12,7 +12,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.springs import Springs
-from taichi_sim.kernels.reductions import each_on_a_thread
+from taichi_sim.kernels.reductions import each_part
 
 __all__ = ["Aggregates", "bisected"]
 
@@ -75,7 +75,7 @@ class Aggregates:
     def factor(self):
         """The matrix of the springs as they are, and its Cholesky factor."""
         size = ti.static(self.size)
-        each_on_a_thread(self.count, self._assemble, ())
+        each_part(self.count, self._assemble, ())
         ti.loop_config(serialize=True)
         for j in range(size):
             for i in range(j, size):
@@ -116,7 +116,7 @@ class Aggregates:
     def solve(self, residual: ti.template()):
         """What aggregates make of a residual (n); its scalar product with that is `product`."""
         size = ti.static(self.size)
-        each_on_a_thread(self.count, self._restrict, (residual,))
+        each_part(self.count, self._restrict, (residual,))
         ti.loop_config(serialize=True)
         for i in range(size):
             total = self.load[i]

@@ -8,7 +8,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.geometry.graph import components
-from taichi_sim.kernels.reductions import PART, each_on_a_thread
+from taichi_sim.kernels.reductions import PART, each_part
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["FreeBodies", "StageWork"]
@@ -67,7 +67,7 @@ class FreeBodies:
     def _collect(self, table: ti.template(), target: ti.template(), part):
         """shift = the momentum that each body has by the velocities `target` (n), less `part` of what table.v gives it, over its
         mass. A sum of its springs' impulses would be off by the rounding of large numbers."""
-        each_on_a_thread(self.parts, self._collect_part, (table, target, part))
+        each_part(self.parts, self._collect_part, (table, target, part))
         for k in range(self.bodies):
             total = ti.Vector.zero(self.wide, self.dim)
             for c in range(self.part[k], self.part[k + 1]):
@@ -134,7 +134,7 @@ class StageWork:
              number: ti.template()):  # fmt: skip
         """residual (n) [kg m/s] of the velocities base.v, which were `first` (n) before the stage; bodies: FreeBodies, whose
         means are those of this stage: what the residual gives counts in the frame of each."""
-        each_on_a_thread(self.parts, self._find_part, (base, residual, first, bodies))
+        each_part(self.parts, self._find_part, (base, residual, first, bodies))
         ti.loop_config(serialize=True)
         for _ in range(1):
             excess = gained = ti.cast(0.0, self.wide)

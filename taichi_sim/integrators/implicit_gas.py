@@ -7,7 +7,7 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.kernels.reductions import each_on_a_thread
+from taichi_sim.kernels.reductions import each_part
 from taichi_sim.kernels.springs import padded_blocks
 
 __all__ = ["GasConstraints", "StageGas"]
@@ -89,7 +89,7 @@ class StageGas:
     @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):
         """total (n) += the gas's part of the matrix times p (n), all padded."""
-        each_on_a_thread(self.gases.parts, self._change, (p,))
+        each_part(self.gases.parts, self._change, (p,))
         ti.loop_config(serialize=True)
         for _ in range(1):
             for g in range(self.gases.count):
@@ -140,7 +140,7 @@ class StageGas:
         for side in ti.static((1, 0)):
             for i in range(self.n):
                 self.here[i].x = base[i].x + s * (base[i].v - ti.static(float(side)) * part * dv[i])
-            each_on_a_thread(self.gases.parts, self._volume, ())
+            each_part(self.gases.parts, self._volume, ())
             ti.loop_config(serialize=True)
             for _ in range(1):
                 self.energy[side] = 0.0

@@ -13,7 +13,7 @@ from taichi_sim.integrators.free_bodies import FreeBodies, StageWork
 from taichi_sim.integrators.implicit_gas import StageGas
 from taichi_sim.integrators.newton_decisions import MISSED_TOLERANCES, MOST_TRIES, NUMBERS, Verdicts, solve_stage
 from taichi_sim.integrators.newton_operators import Product, Residual
-from taichi_sim.kernels.reductions import PART, each_on_a_thread
+from taichi_sim.kernels.reductions import PART, each_part
 from taichi_sim.kernels.springs import edge_blocks, newton_terms, padded_blocks
 
 __all__ = ["StageSolver"]
@@ -104,7 +104,7 @@ class StageSolver(Verdicts):
     def linearise(self, s, step):
         """Add `step` of the change to the velocities; residual, matrix with its blocks and aggregates, and their size there."""
         self._move(s, step)
-        each_on_a_thread(self.parts, self._measure, (s,))
+        each_part(self.parts, self._measure, (s,))
         ti.loop_config(serialize=True)
         for _ in range(1):
             force = self._sum(self.part.force)
@@ -167,7 +167,7 @@ class StageSolver(Verdicts):
     def evaluate(self, s, step):
         """The same with blocks and aggregates as they were: they condition well enough, and the residual keeps its measure."""
         self._move(s, step)
-        each_on_a_thread(self.parts, self._measure_residual, ())
+        each_part(self.parts, self._measure_residual, ())
         ti.loop_config(serialize=True)
         for _ in range(1):
             self.number[0].residual = self._sum(self.part.residual)
@@ -186,7 +186,7 @@ class StageSolver(Verdicts):
     @ti.func
     def compare(self, s, part):
         """The potential at the velocities and before `part` of the change was added."""
-        each_on_a_thread(self.parts, self._sum_potentials, (s, part))
+        each_part(self.parts, self._sum_potentials, (s, part))
         if ti.static(self.inflated):
             self.gas.compare(self.base, self.dv, s, part)
         ti.loop_config(serialize=True)
@@ -265,7 +265,7 @@ class StageSolver(Verdicts):
         edge_blocks.sums(self.product, self.springs, 0.0)
         if ti.static(self.inflated):
             self.gas.multiply(self.product.p, self.product.sum)
-        each_on_a_thread(self.parts, self._project, ())
+        each_part(self.parts, self._project, ())
         ti.loop_config(serialize=True)
         for _ in range(1):
             descent, curvature = self._sum(self.part.descent), self._sum(self.part.curvature)
@@ -278,7 +278,7 @@ class StageSolver(Verdicts):
             self.number[0].step = step
             self.number[0].gain = step * descent  # dv A dv grows by that
             self.number[0].moved += step * descent
-        each_on_a_thread(self.parts, self._descend, ())
+        each_part(self.parts, self._descend, ())
         if ti.static(self.aggregates.active):
             self.aggregates.solve(self.sum)
         ti.loop_config(serialize=True)
