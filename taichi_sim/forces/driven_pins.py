@@ -137,7 +137,7 @@ class DrivenPinSlopes:
         """At the end of a step: from the velocities of pins in this step to those in the next, in slope (n) [m/s^2]."""
         for b in range(self.m):
             i = self.ball[b]
-            change = 0.0 * slope[i]
+            change = ti.Vector.zero(float, self.model.dim)
             for k in range(self.first[b], self.first[b + 1]):
                 damper = self.damper[k]
                 x, far = self.state.ball[i].x, self.state.ball[damper.far]

@@ -61,7 +61,7 @@ class Gases(Corners):
         """Volume of part c."""
         part = self.part[c]
         home = ball[self.law[part.gas].home].x
-        volume = 0.0 * home[0]
+        volume = ti.cast(0.0, float)
         for k in range(part.first, part.last):
             t = self.triangle[k]
             volume += (ball[t.a].x - home).dot((ball[t.b].x - home).cross(ball[t.c].x - home))

@@ -98,7 +98,7 @@ class Tearing:
 
 @ti.data_oriented
 class _Ties:
-    """Which rows of a force hold both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
+    """Which rows of a force have both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
 
     def __init__(self, scene: Scene, springs: Springs, force: Corners, fields: Fields) -> None:
         self.force = force

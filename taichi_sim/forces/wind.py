@@ -21,7 +21,7 @@ class Wind(Corners):
     third of it on each corner.
 
     A coefficient c of u is never more than MOST_TAKEN / (h D), D = sum over corners w_j t_j / 9 with t_j the triangles at ball j:
-    with masses split so, a step can never reverse what it slows, however light the cloth. What is held against the wind would
+    with masses split so, a step can never reverse what it slows, however light the cloth. What resists the wind would
     then feel less than it should: at the advised step, see element_rates, no coefficient is that large."""
 
     name = "wind"
@@ -48,10 +48,10 @@ class Wind(Corners):
     @ti.func
     def air(self, x, time):
         """Velocity of the air at x [m/s], with waves of three lengths that it takes along."""
-        u = ti.Vector([0.0 * x[0], 0.0 * x[0], 0.0 * x[0]]) + self.velocity
+        u = ti.Vector.zero(float, 3) + self.velocity
         if ti.static(self.gusty):
             s, p, q = self.along.dot(x) - self.speed * time, self.one.dot(x), self.two.dot(x)
-            more, aside = 0.0 * s, 0.0 * s
+            more = aside = ti.cast(0.0, float)
             for a, b, c, phase in ti.static(GUST_WAVES):
                 angle = self.number * (a * s + b * p + c * q) + phase
                 more += ti.sin(angle) / ti.static(len(GUST_WAVES))

@@ -91,7 +91,7 @@ class DampedKick:
                 self.began[i] = v
                 self.slope[i] = slope
                 self.change[i] = y
-                self.change[self.n + i] = 0.0 * y
+                self.change[self.n + i] = ti.Vector.zero(float, self.model.dim)
                 self.ball[i].v = v + y
 
     @ti.func

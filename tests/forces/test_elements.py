@@ -126,7 +126,7 @@ def bend_damping(scene: ts.Scene, x: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("method", ["verlet", "rk4"])
 def test_damped_bending_lets_a_folded_sheet_turn(method):
-    """Two rows of triangles, folded along each edge, turn freely, and come to rest in themselves."""
+    """Two rows of triangles, folded along each edge, rotate freely, and come to rest in themselves."""
     scene, x = ts.Scene(dim=3), np.array([[0.3 * i, 0.5 * j, 0.2 * (i % 2)] for i in range(5) for j in range(3)])
     balls = scene.add_balls(x, radius=0.01, mass=np.linspace(0.05, 0.2, 15))
     rows = balls.reshape(5, 3)
@@ -226,12 +226,12 @@ def closed(dim: int) -> ts.Scene:
 def test_momentum_and_energy_are_kept(dim):
     scene = closed(dim)
     with simulate(scene, dt=5e-4, contacts="off") as sim:
-        start, momentum, turn = sim.energy(), sim.momentum(), np.atleast_1d(sim.angular_momentum())
+        start, momentum, angular = sim.energy(), sim.momentum(), np.atleast_1d(sim.angular_momentum())
         largest = start.spring + start.kinetic + 1.0
         sim.step(400)
         size = float(np.sum(scene.mass[:, None] * np.abs(sim.velocity))) + 1.0
         assert np.abs(sim.momentum() - momentum).max() < 40 * EPS * size * 20
-        assert np.abs(np.atleast_1d(sim.angular_momentum()) - turn).max() < 40 * EPS * size * 40
+        assert np.abs(np.atleast_1d(sim.angular_momentum()) - angular).max() < 40 * EPS * size * 40
         assert abs(sim.energy().total - start.total) < 2e-3 * largest
         assert sim.energy().kinetic > 0.05  # it moved
 

@@ -317,7 +317,7 @@ def test_small_steps_keep_single_precision():
 
 @pytest.mark.slow
 def test_patches_save_passes(monkeypatch):
-    """Patches condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
+    """Aggregates condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(20, 20), stiffness=1e4, mass=0.3)
     scene.pinned[sheet.balls[:20]] = True
