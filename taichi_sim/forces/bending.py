@@ -22,7 +22,6 @@ class Bending(Corners):
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        self.n, self.dim = model.n, model.dim
         bends, weights = scene.bends, scene.bend_weights
         self.damped = bool(np.any(scene.bend_damping > 0))
         rest = [[j for j in range(4) if j != k] for k in range(4)]
@@ -43,32 +42,21 @@ class Bending(Corners):
         return row.wa * (ball[row.a].x - x) + row.wb * (ball[row.b].x - x) + row.wc * (ball[row.c].x - x)
 
     @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        """Each ball gathers from its elements."""
-        for i in range(self.n):
-            f = ti.Vector.zero(float, self.dim)
-            for e in range(self.start[i], self.start[i + 1]):
-                row = self.row[e]
-                pull = row.stiffness * self._curve(ball, i, row)
-                if ti.static(self.damped):
-                    v = ball[i].v
-                    change = row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
-                    bent = self._curve(ball, i, row)
-                    square = bent.dot(bent)
-                    if square > 0.0:
-                        change = bent.dot(change) / square * bent
-                    pull += row.damping * change
-                if self.is_whole(e):
-                    f -= row.own * pull
-            impulse[i] = impulse[i] + h * f
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """By the curvature, and by the rate of its size."""
+        bent = self._curve(ball, i, row)
+        pull = row.stiffness * bent
+        if ti.static(self.damped):
+            v = ball[i].v
+            change = row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
+            square = bent.dot(bent)
+            if square > 0.0:
+                change = bent.dot(change) / square * bent
+            pull += row.damping * change
+        return -row.own * pull
 
     @ti.func
-    def stored(self, ball: ti.template(), i, real: ti.template()):
-        """Ball i's share of the energy [J]: a quarter of each element."""
-        energy = ti.cast(0.0, real)
-        for e in range(self.start[i], self.start[i + 1]):
-            row = self.row[e]
-            curve = self._curve(ball, i, row)
-            if self.is_whole(e):
-                energy += 0.125 * ti.cast(row.stiffness, real) * ti.cast(curve.dot(curve), real)
-        return energy
+    def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
+        """A quarter of the element's."""
+        bent = self._curve(ball, i, row)
+        return 0.125 * ti.cast(row.stiffness, real) * ti.cast(bent.dot(bent), real)

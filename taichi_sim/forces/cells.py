@@ -26,7 +26,6 @@ class Cells(Corners):
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        self.n, self.dim = model.n, model.dim
         self.share = 1.0 / (model.dim + 1)  # of a cell's energy that each corner counts
         cells, others_of = scene.cells, OTHER_CORNERS[model.dim]
         others = np.concatenate([cells[:, list(rest)] for rest in others_of])
@@ -88,35 +87,28 @@ class Cells(Corners):
         return strain, strength
 
     @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        """Each ball gathers from its cells."""
+    def prepare(self, ball: ti.template()):
+        """Pressures of groups."""
         if ti.static(self.shared):
             for g in range(self.groups):
                 strain, modulus = self._together(ball, g)
                 self.pressure[g] = modulus * strain
-        for i in range(self.n):
-            f = ti.Vector.zero(float, self.dim)
-            for e in range(self.start[i], self.start[i + 1]):
-                row = self.row[e]
-                volume, g = self._volume(ball, i, row)
-                pressure = row.pressure * (volume * row.inverse - 1.0)
-                if ti.static(self.shared):
-                    pressure = self.pressure[row.group]
-                if self.is_whole(e):
-                    f -= pressure * g
-            impulse[i] = impulse[i] + h * f
 
     @ti.func
-    def stored(self, ball: ti.template(), i, real: ti.template()):
-        """Ball i's share of the energy [J]."""
-        energy = ti.cast(0.0, real)
-        for e in range(self.start[i], self.start[i + 1]):
-            row = self.row[e]
-            volume, _ = self._volume(ball, i, row)
-            strain, modulus = volume * row.inverse - 1.0, row.pressure
-            if ti.static(self.shared):
-                strain, modulus = self._together(ball, row.group)
-            part = ti.cast(strain, real)
-            if self.is_whole(e):
-                energy += self.share * 0.5 * ti.cast(modulus / row.inverse, real) * part * part
-        return energy
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """By the pressure of the cell or of its group."""
+        volume, g = self._volume(ball, i, row)
+        pressure = row.pressure * (volume * row.inverse - 1.0)
+        if ti.static(self.shared):
+            pressure = self.pressure[row.group]
+        return -pressure * g
+
+    @ti.func
+    def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
+        """The same part of the cell's for each corner."""
+        volume, _ = self._volume(ball, i, row)
+        strain, modulus = volume * row.inverse - 1.0, row.pressure
+        if ti.static(self.shared):
+            strain, modulus = self._together(ball, row.group)
+        part = ti.cast(strain, real)
+        return self.share * 0.5 * ti.cast(modulus / row.inverse, real) * part * part

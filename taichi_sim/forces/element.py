@@ -65,19 +65,12 @@ class Element(Corners):
         """List for each ball the elements that it is a corner of."""
         balls = self.corners(model.scene)
         count, k = balls.shape
-        self.n, self.dim = model.n, model.dim
         data = {name: np.tile(np.broadcast_to(value, count), k) for name, value in self.columns.items()}
         types = {"corner": ti.i32, **dict.fromkeys(data, fields.real)}
         data["corner"] = np.repeat(np.arange(k), count)
         self.gather(model, fields, np.tile(balls, (k, 1)), balls.T.ravel(), types, data)
 
     @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        """Each ball gathers from its elements."""
-        for i in range(self.n):
-            f = ti.Vector.zero(float, self.dim)
-            for e in range(self.start[i], self.start[i + 1]):
-                row = self.row[e]
-                if self.is_whole(e):
-                    f += self.force(ball, row, time)
-            impulse[i] = impulse[i] + h * f
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """The user's."""
+        return self.force(ball, row, time)

@@ -27,7 +27,7 @@ class Gases(Corners):
 
     def __init__(self, model: Model, fields: Fields) -> None:
         gases = model.scene.gases
-        self.n, self.count = model.n, len(gases)
+        self.count = len(gases)
         real = fields.real
         t = np.concatenate([gas.triangles for gas in gases])
         gas = np.repeat(np.arange(self.count), [len(g.triangles) for g in gases])

@@ -41,6 +41,7 @@ class Corners:
         typed = {**dict.fromkeys(names, ti.i32), **columns}
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
+        self.n, self.dim = model.n, model.dim
         self.start, self.row = fields.integers(start), fields.table(typed, len(own), values)
         self.tears = bool(np.isfinite(model.scene.break_strain).any())
         if self.tears:
@@ -54,3 +55,37 @@ class Corners:
         if ti.static(self.tears):
             whole = self.gone[e] == 0
         return whole
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        """Each ball gathers from its elements."""
+        self.prepare(ball)
+        for i in range(self.n):
+            f = ti.Vector.zero(float, self.dim)
+            for e in range(self.start[i], self.start[i + 1]):
+                if self.is_whole(e):
+                    f += self.corner_force(ball, i, self.row[e], time)
+            impulse[i] = impulse[i] + h * f
+
+    @ti.func
+    def prepare(self, ball: ti.template()):
+        """Before forces are asked for: what elements have in common."""
+
+    @ti.func
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """What the element of a row does to ball i [N]; a force of elements overrides it."""
+        return ti.Vector.zero(float, self.dim)
+
+    @ti.func
+    def stored(self, ball: ti.template(), i, real: ti.template()):
+        """Ball i's share of the energy [J]."""
+        energy = ti.cast(0.0, real)
+        for e in range(self.start[i], self.start[i + 1]):
+            if self.is_whole(e):
+                energy += self.corner_energy(ball, i, self.row[e], real)
+        return energy
+
+    @ti.func
+    def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
+        """Ball i's share of the energy of the element of a row [J], where it holds some."""
+        return ti.cast(0.0, real)

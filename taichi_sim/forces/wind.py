@@ -31,7 +31,6 @@ class Wind(Corners):
         scene = model.scene
         assert scene.wind is not None
         wind, t = scene.wind, scene.triangles
-        self.n = model.n
         real = fields.real
         count = np.bincount(t.ravel(), minlength=model.n)
         give = (model.inverse_mass_array * count)[t].sum(axis=1) / 9.0

@@ -58,8 +58,8 @@ class Verlet(Integrator):
         if self.splits:
             self.kick = DampedKick(self.model, self.state, self.forces, fields)
         self.network = self.splits and self.kick.network
-        self.turns_corners = self.network and self.pins is not None
-        if self.turns_corners:
+        self.has_corners = self.network and self.pins is not None
+        if self.has_corners:
             assert self.forces.springs is not None
             self.corners = DrivenPinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
         self.hosted = self.network
@@ -100,18 +100,23 @@ class Verlet(Integrator):
         if ti.static(self.predicts):
             self._predicted(h, time)
         elif ti.static(self.splits):
-            if ti.static(self.network):
-                self._open(h)
-                for j in range(1, self.kick.count[0]):
-                    self.kick.stage(0, j, h, self.pull, self.delayed)
-            self._move(h, time)
-            if ti.static(self.network):
-                for j in range(1, self.kick.count[1]):
-                    self.kick.stage(1, j, h, self.pull, False)
-            self._close(h)
+            self._damped(h, time)
         else:
             self._undamped(h, time)
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
+
+    @ti.func
+    def _damped(self, h, time):
+        """With strong damping in stages before and after the drift."""
+        if ti.static(self.network):
+            self._open(h)
+            for j in range(1, self.kick.count[0]):
+                self.kick.stage(0, j, h, self.pull, self.delayed)
+        self._move(h, time)
+        if ti.static(self.network):
+            for j in range(1, self.kick.count[1]):
+                self.kick.stage(1, j, h, self.pull, False)
+        self._close(h)
 
     def advance(self, h: float, time: float) -> None:
         """The same from the host, where the number of stages is not known when loops are compiled."""
@@ -173,7 +178,7 @@ class Verlet(Integrator):
         if ti.static(self.network):
             self.forces.elastic_and_damping(self.ball, h, 0.5 * h, time + h)
             self.kick.start(1, h, self.pull, False)
-            if ti.static(self.turns_corners):
+            if ti.static(self.has_corners):
                 self.corners.renew(self.kick.brake)
         else:
             self.forces.elastic(self.ball, h, time + h)
