@@ -219,7 +219,7 @@ class Renderer2D:
         return self._base
 
     def _bodies(self, frame: Frame) -> NDArray[np.float32]:
-        """The colliders as `kernels.paint2d` wants them, (k, 8) px from the top left."""
+        """The colliders as kernels.render.paint2d wants them, (k, 8) px from the top left."""
         rows = np.zeros((len(frame.colliders), 8), dtype=np.float32)
         for row, placed in zip(rows, frame.colliders):
             shape, along = placed.collider, placed.rotation[:, 0]
