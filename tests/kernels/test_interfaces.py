@@ -1,8 +1,9 @@
 """What kernels read of the objects handed to them is what the folder's `interfaces.py` declares, no less and no more.
 
 A folder of `kernels/` declares in `interfaces.py` a Protocol for each kind of object, a line for each attribute with its
-shape and unit, and in `READS` which Protocol each parameter has that is annotated `ti.template()`; a module that means something
-else by a name has a `READS` of its own. Source is read, not run: `solver.pairs.row[c].depth` uses `pairs` of the solver's
+shape and unit, and in `READS` which Protocol a parameter of a name has; a module that means something else by a name has a `READS`
+of its own. What no folder says is what `kernels/interfaces.py` says, for all of them. Every parameter annotated `ti.template()`
+of which anything is read must be there. Source is read, not run: `solver.pairs.row[c].depth` uses `pairs` of the solver's
 Protocol, `row` of that of `pairs`, and `depth` of that of `row`, whose Protocol describes one entry of the table.
 """
 
@@ -60,7 +61,8 @@ class Declarations:
     def of_parameter(self, module, name):
         """The Protocol of a parameter, or None."""
         folder = ".".join([*module.split(".")[:-1], "interfaces"])
-        return self.reads[module].get(name) or self.reads.get(folder, {}).get(name)
+        places = (module, folder, "interfaces")
+        return next((self.reads[place][name] for place in places if name in self.reads.get(place, {})), None)
 
 
 def read_table(tree):
@@ -85,10 +87,8 @@ class Reader(ast.NodeVisitor):
         self.declared, self.module, self.function = declared, module, function
         self.functions, self.imported = functions, imported
         self.used, self.faults = set(), []
-        self.kinds = dict.fromkeys(templates(function))
-        for name in self.kinds:
-            self.kinds[name] = declared.of_parameter(module, name)
-        self.templates = set(self.kinds)
+        self.kinds = {a.arg: declared.of_parameter(module, a.arg) for a in function.args.args}
+        self.templates = templates(function)
         for statement in function.body:
             self.visit(statement)
 
@@ -200,8 +200,8 @@ def examine(sources, skip=()):
 
 
 def kernel_sources():
-    """The text of every module of `kernels` that lies in a folder, by its dotted name below it."""
-    paths = sorted(KERNELS.glob("*/*.py"))
+    """The text of every module of `kernels`, by its dotted name below it."""
+    paths = sorted(KERNELS.rglob("*.py"))
     return {".".join(path.relative_to(KERNELS).with_suffix("").parts): path.read_text("utf-8") for path in paths}
 
 
