@@ -37,7 +37,7 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, face, x, v, a,
     extent = colliders.shape[k].extent
     found, time = MISSES, limit
     if start.norm() <= extent + r + travel:
-        finest = 1e-9 * r + walls.rounding * (ti.abs(x).max() + colliders.far(k))
+        finest = 1e-9 * r + walls.rounding * (ti.abs(x).max() + colliders.distance_from_origin(k))
         fastest, curve = approach(colliders, k, start, drift.norm() + a.norm() * limit, travel, extent + r)
         left, right, above, below = 0.0 * r, limit, 0.0 * r, 0.0 * r
         sunk = 0.0 * r
@@ -161,7 +161,7 @@ def allowance(walls: ti.template(), i, k, n, settled, floor):
     if ti.static(walls.colliders.rotates):
         if rests:  # what rotates carries a ball around a bend within the step
             sink = ROTATING_SINK * walls.model.radius[i]
-    if walls.touched[i] > 0:
+    if walls.touching[i] > 0:
         at = walls.collider_contacts
         for s in range(at.count):
             if walls.contact[i * walls.count + walls.planes.count + s].role == RESTING and at.collider(i, s) == k:

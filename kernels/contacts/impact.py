@@ -28,7 +28,7 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
         u = wall.normal.dot(v)
         pull = wall.normal.dot(a)
         closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining
-        resting = walls.touched[i] > 0 and walls.contact[i * walls.count + k].role == RESTING
+        resting = walls.touching[i] > 0 and walls.contact[i * walls.count + k].role == RESTING
         if gap >= -walls.tolerance(x, i, 0.0) and closest <= 0.0 and not resting:
             t = crossing(ti.max(gap, 0.0), u, pull, 2.0 * remaining)
             if t < time:
@@ -86,11 +86,11 @@ def surface(walls: ti.template(), key, x, after):
 
 
 @ti.func
-def strike(walls: ti.template(), i, key, x, v, a, after, threshold, h):
+def hit_collider(walls: ti.template(), i, key, x, v, a, after, threshold, h):
     """Velocity and acceleration of ball i after it met a collider `after` seconds into the step, whether it rests on it, and
     the normal there."""
     n, own = surface(walls, key, x, after)
-    law = walls.law_with(i, walls.colliders.shape[key // walls.colliders.faces].surface)
+    law = walls.law_of_material(i, walls.colliders.shape[key // walls.colliders.faces].surface)
     u = n.dot(v - own)
     speed, pull = v, a
     rests = True  # what does not approach
@@ -113,7 +113,7 @@ def press(walls: ti.template(), i, v, a):
 
     Those are the contact solve's to undo, friction with them; the path only must not enter the wall meanwhile.
     """
-    for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
+    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
         if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
             if ti.static(walls.has_colliders):
@@ -128,9 +128,9 @@ def press(walls: ti.template(), i, v, a):
 
 
 @ti.func
-def tell_pressed(walls: ti.template(), i, v):
+def record_pressed(walls: ti.template(), i, v):
     """What `press` took of the velocity of ball i, for probes: it stays away where the ball met something."""
-    for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
+    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
         if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
             least = 0.0 * v[0]
@@ -139,7 +139,7 @@ def tell_pressed(walls: ti.template(), i, v):
                     least = ti.min(0.0, walls.contact[i * walls.count + k].target)
             change = -ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
             v += change
-            walls.tell(i, k, change / walls.model.inverse_mass[i])
+            walls.record(i, k, change / walls.model.inverse_mass[i])
 
 
 @ti.func
@@ -150,7 +150,7 @@ def move(walls: ti.template(), i, x, v, a, h, threshold):
     way = ti.abs(shift).sum() + 0.5 * h * h * ti.abs(a).sum()  # at most
     near = True
     if ti.static(not walls.has_colliders):
-        near = way >= walls.room[i]
+        near = way >= walls.clearance[i]
     if near:
         shift, drift = move_among(walls, i, x, v, a, h, threshold)
     return shift, drift
@@ -180,7 +180,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
             far = 0.0 * t
             if ti.static(walls.has_colliders):
                 if other >= 0:
-                    far = walls.colliders.far(other // walls.colliders.faces)
+                    far = walls.colliders.distance_from_origin(other // walls.colliders.faces)
             waits = swift and (other != NOTHING or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
             if waits:
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
@@ -195,14 +195,14 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                 if ti.static(walls.has_colliders):
                     if other >= 0:
                         came, load = speed, pull
-                        speed, pull, rests, n = strike(
+                        speed, pull, rests, n = hit_collider(
                             walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
                         )
                         if rests:
                             settled = other // walls.colliders.faces
                             floor = n
                         remaining -= t
-                        if ti.static(walls.told):
+                        if ti.static(walls.probed):
                             change = speed - came + remaining * (pull - load)
                             walls.received.add(
                                 i,
@@ -227,7 +227,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                     remaining - t,
                 )
                 remaining -= t
-                if ti.static(walls.told):
+                if ti.static(walls.probed):
                     change = speed - came + remaining * (pull - load)
                     walls.received.add(i, walls.received.plane[hit], change / walls.model.inverse_mass[i])
                 touched = True
@@ -239,7 +239,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                 remaining = 0.0
     drift = v
     if touched:
-        if ti.static(walls.told):
-            tell_pressed(walls, i, v)
+        if ti.static(walls.probed):
+            record_pressed(walls, i, v)
         drift = speed - 0.5 * h * pressed  # the load on what it rested on is still the next solve's to hold
     return shift, drift

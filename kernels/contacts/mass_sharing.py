@@ -9,19 +9,19 @@ def shares(solver: ti.template(), ball: ti.template(), i):
     "gauss_seidel" only sticks and surfaces, whose weights count."""
     count = 0.0 * solver.model.inverse_mass[i]
     T = ti.Matrix.zero(float, solver.model.dim, solver.model.dim)
-    if ti.static(solver.has_grid and solver.split):
-        count = solver.count[i]
-        if ti.static(solver.by_tensor):
-            T = solver.tensor[i]
-    if ti.static(solver.has_walls and solver.split):
+    if ti.static(solver.plan.pairs and solver.split):
+        count = solver.pair_count[i]
+        if ti.static(solver.splits_by_direction):
+            T = solver.normal_tensor[i]
+    if ti.static(solver.plan.walls and solver.split):
         t, c = solver.walls.shares(ball, i)
         T += t
         count += c
-    if ti.static(solver.has_sticks and not solver.sums_plainly):
+    if ti.static(solver.plan.sticks and not solver.sums_plainly):
         t, c = solver.sticks.shares(i)
         T += t
         count += c
-    if ti.static(solver.has_triangles and not solver.sums_plainly):
+    if ti.static(solver.plan.triangles and not solver.sums_plainly):
         t, c = solver.triangles.shares(i)
         T += t
         count += c

@@ -16,13 +16,13 @@ def find(walls: ti.template(), x, i, crowded):
     and was far from all colliders, which are not even cleared."""
     at = walls.collider_contacts
     first = i * at.count
-    ready = at.held[i] > 0
+    ready = at.filled[i] > 0
     for e in range(first, ti.select(ready, first + at.count, first)):
         at.slot[e].gap = FAR_GAP
     if walls.model.inverse_mass[i] > 0.0:
         r = walls.model.radius[i]
         for k in range(walls.colliders.count):
-            reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.far(k)), crowded)
+            reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.distance_from_origin(k)), crowded)
             if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + reach):
                 for face in range(walls.colliders.faces):
                     d, n, within = walls.colliders.distance(k, face, x, 0.0)
@@ -39,7 +39,7 @@ def find(walls: ti.template(), x, i, crowded):
             at.slot[e].key = EMPTY
         else:
             held += 1
-    at.held[i] = held
+    at.filled[i] = held
     return ti.select(ready, walls.count, walls.planes.count)
 
 
@@ -61,7 +61,7 @@ def hold(walls: ti.template(), i, k, key, gap, n, point):
                 place = e
                 widest = at.slot[e].gap
         if place >= 0:
-            walls.forget_one(i * walls.count + walls.planes.count + place - first)
+            walls.forget(i * walls.count + walls.planes.count + place - first)
     if place >= 0:
         at.slot[place].key = key
         at.slot[place].gap = gap

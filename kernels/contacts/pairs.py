@@ -6,16 +6,17 @@ blocks that are longer than any pair reaches: see pair_sweeps.
 
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
+from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
 ENDLESS = 2**31 - 1  # what `overflow` says where cells hold so many pairs that none were looked for
-FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
+LIST_BLOCK = 64  # balls whose lists lie one behind the other
+COUNT_LIMIT = 1 << 30  # entries: no more are counted, lest the number wraps around
 
 
-GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
 RIGID = -1.0  # as a bias velocity [m/s]: the contact is not soft, and pushes nothing out
-ONE = 0x3F800000  # the bits of 1.0
+BITS_OF_ONE = 0x3F800000  # the bits of 1.0
 
 
 @ti.func
@@ -26,9 +27,9 @@ def may_touch(pairs: ti.template(), i, j):
         allowed = allowed and (pairs.body[i] == 0 or pairs.body[i] != pairs.body[j])
     if ti.static(pairs.model.has_groups):
         allowed = allowed and balls_meet(pairs.model, i, j)
-    if ti.static(pairs.has_joints):
-        for e in range(pairs.joint_start[i], pairs.joint_start[i + 1]):
-            allowed = allowed and pairs.joint_other[e] != j
+    if ti.static(pairs.has_springs):
+        for e in range(pairs.spring_start[i], pairs.spring_start[i + 1]):
+            allowed = allowed and pairs.spring_other[e] != j
     return allowed
 
 
@@ -116,7 +117,7 @@ def settle(pairs: ti.template(), own, at, found):
                 if pairs.grid.dense[0] == 0:
                     distance = pairs.grid.rank[j] - pairs.grid.rank[i]
             furthest = ti.max(furthest, distance)
-            if ti.static(pairs.warm):
+            if ti.static(pairs.plan.warm_starts):
                 recall(pairs, i, j, at + kept)
             pairs.link[at + kept].other = j
             kept += 1
@@ -127,56 +128,47 @@ def settle(pairs: ti.template(), own, at, found):
 def forget(pairs: ti.template(), e):
     """Link e holds nothing from before."""
     pairs.link[e].impulse = 0.0
-    if ti.static(pairs.soft):
+    if ti.static(pairs.plan.soft):
         pairs.link[e].bias_velocity = RIGID
     if ti.static(pairs.has_rebounds):
         pairs.link[e].rebound_speed = 0.0
     if ti.static(pairs.model.has_friction):
-        pairs.link[e].slide = zero_slide(pairs)
-
-
-@ti.func
-def zero_slide(pairs: ti.template()):
-    """No impulse along the surface: a scalar in 2D, a vector in 3D."""
-    if ti.static(pairs.model.dim == 2):
-        return ti.cast(0.0, float)
-    else:
-        return ti.Vector.zero(float, 3)
+        pairs.link[e].tangential_impulse = zero_scalar_in_2d(pairs.model.dim)
 
 
 @ti.func
 def store(pairs: ti.template()):
     """Before new lists are made: keep what touches hold in `row`, whose own content only lasts until then."""
-    for i in range(pairs.grid.work[0]):
+    for i in range(pairs.grid.work[0].balls):
         pairs.old_first[i] = pairs.first[i]
         pairs.old_touching[i] = pairs.touching[i]
         for c in range(pairs.first[i], pairs.first[i] + pairs.touching[i]):
             link = pairs.link[c]
-            pairs.row[c].depth = link.impulse
-            if ti.static(pairs.single):  # as a normal number: others might be flushed to 0
-                pairs.row[c].mass = ti.bit_cast(link.other + ONE, ti.f32)
+            pairs.contact[c].depth = link.impulse
+            if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
+                pairs.contact[c].mass = ti.bit_cast(link.other + BITS_OF_ONE, ti.f32)
             else:
-                pairs.row[c].mass = ti.cast(link.other, float)
-            if ti.static(pairs.soft and pairs.has_target):
-                pairs.row[c].target = link.bias_velocity
-            elif ti.static(pairs.soft):
-                pairs.row[c].start = link.bias_velocity
+                pairs.contact[c].mass = ti.cast(link.other, float)
+            if ti.static(pairs.plan.soft and pairs.has_target):
+                pairs.contact[c].target = link.bias_velocity
+            elif ti.static(pairs.plan.soft):
+                pairs.contact[c].starting_impulse = link.bias_velocity
             if ti.static(pairs.has_rebounds):
-                pairs.row[c].rebound_speed = link.rebound_speed
+                pairs.contact[c].rebound_speed = link.rebound_speed
             if ti.static(pairs.model.has_friction):
                 if ti.static(pairs.model.dim == 2):
-                    pairs.row[c].normal[0] = link.slide
+                    pairs.contact[c].normal[0] = link.tangential_impulse
                 else:
-                    pairs.row[c].normal = link.slide
+                    pairs.contact[c].normal = link.tangential_impulse
 
 
 @ti.func
 def stored_other(pairs: ti.template(), c):
     """The other ball of the link that `store` put into row c."""
-    if ti.static(pairs.single):
-        return ti.bit_cast(pairs.row[c].mass, ti.i32) - ONE
+    if ti.static(pairs.single_precision):
+        return ti.bit_cast(pairs.contact[c].mass, ti.i32) - BITS_OF_ONE
     else:
-        return ti.cast(pairs.row[c].mass, ti.i32)
+        return ti.cast(pairs.contact[c].mass, ti.i32)
 
 
 @ti.func
@@ -193,20 +185,20 @@ def recall(pairs: ti.template(), i, j, at):
         begin = pairs.old_first[one]
         for c in range(begin, begin + pairs.old_touching[one]):
             if stored_other(pairs, c) == two:
-                row = pairs.row[c]
+                row = pairs.contact[c]
                 pairs.link[at].impulse = row.depth
-                if ti.static(pairs.soft and pairs.has_target):
+                if ti.static(pairs.plan.soft and pairs.has_target):
                     pairs.link[at].bias_velocity = row.target
-                elif ti.static(pairs.soft):
-                    pairs.link[at].bias_velocity = row.start
+                elif ti.static(pairs.plan.soft):
+                    pairs.link[at].bias_velocity = row.starting_impulse
                 if ti.static(pairs.has_rebounds):
                     pairs.link[at].rebound_speed = row.rebound_speed
                 if ti.static(pairs.model.has_friction):
                     # a scalar along the normal turned by 90 degrees is the same seen from the other ball
                     if ti.static(pairs.model.dim == 2):
-                        pairs.link[at].slide = row.normal[0]
+                        pairs.link[at].tangential_impulse = row.normal[0]
                     else:
-                        pairs.link[at].slide = row.normal if ti.static(which == 0) else -row.normal
+                        pairs.link[at].tangential_impulse = row.normal if ti.static(which == 0) else -row.normal
 
 
 @ti.func
@@ -219,20 +211,20 @@ def search(pairs: ti.template()):
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        if pairs.grid.crowd[0] > pairs.grid.most[0]:
+        if pairs.grid.crowded_pairs[0] > pairs.grid.pair_limit[0]:
             pairs.overflow[0] = ENDLESS
-            pairs.grid.worst[0] = ti.max(pairs.grid.worst[0], pairs.grid.crowd[0])
-            pairs.grid.work[0] = 0
-        if pairs.grid.work[0] > 0:
+            pairs.grid.most_crowded_pairs[0] = ti.max(pairs.grid.most_crowded_pairs[0], pairs.grid.crowded_pairs[0])
+            pairs.grid.work[0].balls = 0
+        if pairs.grid.work[0].balls > 0:
             pairs.used[0] = 0
-            pairs.furthest[0] = 0
-    if ti.static(pairs.warm):
+            pairs.longest_reach[0] = 0
+    if ti.static(pairs.plan.warm_starts):
         store(pairs)
-    for block in range((pairs.grid.work[0] + pairs.block - 1) // pairs.block):
-        at = block * pairs.room
-        end = at + pairs.room
+    for block in range((pairs.grid.work[0].balls + LIST_BLOCK - 1) // LIST_BLOCK):
+        at = block * pairs.block_capacity
+        end = at + pairs.block_capacity
         furthest = 0
-        for k in range(block * pairs.block, ti.min((block + 1) * pairs.block, pairs.grid.n)):
+        for k in range(block * LIST_BLOCK, ti.min((block + 1) * LIST_BLOCK, pairs.grid.n)):
             first = at
             far = 0
             found = nearby(pairs, k, at, end - 1 - at)
@@ -240,9 +232,9 @@ def search(pairs: ti.template()):
                 found, far = settle(pairs, k, at, found)
                 at += found
             else:
-                used = FULL
-                if pairs.used[0] < FULL - pairs.pool:
-                    used = pairs.pool + ti.atomic_add(pairs.used[0], found + 1)
+                used = COUNT_LIMIT
+                if pairs.used[0] < COUNT_LIMIT - pairs.pool_start:
+                    used = pairs.pool_start + ti.atomic_add(pairs.used[0], found + 1)
                 if used + found < pairs.capacity:
                     first = used
                     nearby(pairs, k, first, found)
@@ -254,12 +246,12 @@ def search(pairs: ti.template()):
             i = pairs.grid.sorted[k]
             pairs.first[i] = first
             pairs.number[i] = found
-        ti.atomic_max(pairs.furthest[0], furthest)
+        ti.atomic_max(pairs.longest_reach[0], furthest)
     ti.loop_config(serialize=True)
     for _ in range(1):
-        if pairs.grid.work[0] > 0:
-            pairs.length[0] = ti.max(pairs.block, pairs.furthest[0])
-            pairs.blocks[0] = (pairs.model.n + pairs.length[0] - 1) // pairs.length[0]
+        if pairs.grid.work[0].balls > 0:
+            pairs.block_length[0] = ti.max(LIST_BLOCK, pairs.longest_reach[0])
+            pairs.blocks[0] = (pairs.model.n + pairs.block_length[0] - 1) // pairs.block_length[0]
 
 
 @ti.func

@@ -6,9 +6,9 @@ A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie t
 from taichi_sim.kernels.contacts import warm_start
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.contact_incidence import list_entries
-from taichi_sim.kernels.contacts.pairs import FULL
+from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT
 from taichi_sim.kernels.contacts.spatial_hash import (
-    FINE,
+    FINE_CELLS,
     bucket_of,
     cell_of,
     clip,
@@ -22,7 +22,7 @@ from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
 
-END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
+STICK_END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
 
 
 @ti.func
@@ -42,7 +42,7 @@ def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
     hit = False
     if i != one and i != two:
         t, r = closest(x, ball[one].x, ball[two].x)
-        hit = t > END and t < 1.0 - END and r.dot(r) < radius * radius
+        hit = t > STICK_END and t < 1.0 - STICK_END and r.dot(r) < radius * radius
         hit = (
             hit and sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two] > 0.0
         )
@@ -57,7 +57,7 @@ def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
 def slab(grid: ti.template(), level, a, d, axis, k):
     """Lowest and highest cell around the piece of a stick a .. a + d that lies in slab k of its longest axis.
 
-    A slab is as thick as a cell across x; along x it holds FINE cells.
+    A slab is as thick as a cell across x; along x it holds FINE_CELLS cells.
     """
     reach = largest(grid, level)
     width = 1.0 / inverse_cell(grid, level)
@@ -73,8 +73,8 @@ def slab(grid: ti.template(), level, a, d, axis, k):
     high = cell_of(ti.max(a + t0 * d, a + t1 * d) + reach, grid, level)
     for c in ti.static(range(a.n)):
         if c == axis:
-            low[c] = k * ti.static(FINE if c == 0 else 1)
-            high[c] = low[c] + ti.static(FINE - 1 if c == 0 else 0)
+            low[c] = k * ti.static(FINE_CELLS if c == 0 else 1)
+            high[c] = low[c] + ti.static(FINE_CELLS - 1 if c == 0 else 0)
     return low, high
 
 
@@ -102,14 +102,14 @@ def visit(sticks: ti.template(), ball: ti.template(), level, s, low, high, at, f
                     cell = cell_of(b.x, sticks.grid, level)
                     if same_row(left, cell) and cell[0] >= low[0] and cell[0] <= high[0]:
                         if ti.static(fill):
-                            sticks.row[at + found].ball = i
-                            sticks.row[at + found].stick = s
+                            sticks.contact[at + found].ball = i
+                            sticks.contact[at + found].stick = s
                         found += 1
     return found
 
 
 @ti.func
-def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template()):
+def traverse(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template()):
     """All balls that touch stick s, slab by slab along its longest axis."""
     a = ball[sticks.one[s]].x
     d = ball[sticks.two[s]].x - a
@@ -117,7 +117,7 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
     for c in ti.static(range(1, d.n)):
         if ti.abs(d[c]) > ti.abs(d[axis]):
             axis = c
-    cells = ti.select(axis == 0, FINE, 1)  # of a slab
+    cells = ti.select(axis == 0, FINE_CELLS, 1)  # of a slab
     found = 0
     for level in range(sticks.grid.levels):
         reach = largest(sticks.grid, level)
@@ -133,8 +133,8 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
                 b = sticks.grid.copy[k]
                 if touches(sticks, ball, sticks.grid.sorted[k], b.x, b.radius, sticks.one[s], sticks.two[s]):
                     if ti.static(fill):
-                        sticks.row[at + found].ball = sticks.grid.sorted[k]
-                        sticks.row[at + found].stick = s
+                        sticks.contact[at + found].ball = sticks.grid.sorted[k]
+                        sticks.contact[at + found].stick = s
                     found += 1
         else:
             for k in range(low, high + 1):
@@ -146,25 +146,25 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
 @ti.func
 def detect(sticks: ti.template(), ball: ti.template()):
     """Rows of all sticks, with what they held under the last list, then for each ball the list of its places in them."""
-    if ti.static(sticks.warm):
+    if ti.static(sticks.plan.warm_starts):
         warm_start.store(sticks)
     sticks.used[0] = 0
-    for s in range(ti.select(sticks.grid.work[0] > 0, sticks.m, 0)):  # none where the grid gave up
-        found = walk(sticks, ball, s, 0, False)
-        first = FULL
+    for s in range(ti.select(sticks.grid.work[0].balls > 0, sticks.m, 0)):  # none where the grid gave up
+        found = traverse(sticks, ball, s, 0, False)
+        first = COUNT_LIMIT
         if found > 0:
-            if sticks.used[0] < FULL:
+            if sticks.used[0] < COUNT_LIMIT:
                 first = ti.atomic_add(sticks.used[0], found)
             if first + found <= sticks.capacity:
-                walk(sticks, ball, s, first, True)
+                traverse(sticks, ball, s, first, True)
             else:
                 ti.atomic_max(sticks.overflow[0], first + found)
                 found = 0
         for c in range(first, first + found):
             measure(sticks, ball, c)
-            if ti.static(sticks.warm):
-                row = sticks.row[c]
-                sticks.row[c].speed = sticks.relative_velocity(ball, row).dot(row.normal)
+            if ti.static(sticks.plan.warm_starts):
+                row = sticks.contact[c]
+                sticks.contact[c].last_speed = sticks.relative_velocity(ball, row).dot(row.normal)
                 warm_start.recall(sticks, s, c, row.normal)
         sticks.begin[s], sticks.length[s] = first, found
     list_entries(sticks)
@@ -173,15 +173,15 @@ def detect(sticks: ti.template(), ball: ti.template()):
 @ti.func
 def measure(sticks: ti.template(), ball: ti.template(), c):
     """Where on the stick row c is, the normal from stick to ball, and the distance."""
-    row = sticks.row[c]
+    row = sticks.contact[c]
     one, two = sticks.one[row.stick], sticks.two[row.stick]
     t, r = closest(ball[row.ball].x, ball[one].x, ball[two].x)
     n, d = unit(r, row.stick, row.ball)
     if d == 0.0:  # the centre lies on the stick: any direction across it
         n = across(ball[two].x - ball[one].x)
-    sticks.row[c].at = ti.max(0.0, ti.min(1.0, t))
-    sticks.row[c].normal = n
-    sticks.row[c].distance = d
+    sticks.contact[c].at = ti.max(0.0, ti.min(1.0, t))
+    sticks.contact[c].normal = n
+    sticks.contact[c].distance = d
 
 
 @ti.func

@@ -13,22 +13,21 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
+from taichi_sim.kernels import reductions
 from taichi_sim.kernels.contacts import (
     ccd_balls,
     ccd_triangles,
     contact_law,
-    energy_limiter,
     mass_sharing,
     pair_measures,
     pair_solve,
     pair_sweeps,
     warm_start,
 )
+from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["ContactParts", "ContactRule"]
 
-PUSH_OUT = 0.5  # part of the remaining depth that one step removes
-FASTEST_PUSH_OUT = 20.0  # of the threshold speed: soft contacts do not push out faster
 STICK_CROSSING = 0.5  # of the smallest radius: what moves further may cross a stick
 
 
@@ -46,7 +45,7 @@ class ContactRule:
     """One way to solve the contacts of a scene; this one, "off", solves none.
 
     A rule of your own is a subclass with a `solve`, and is passed as an object, `Simulation(scene, contacts=Inelastic())`. Pair c
-    of balls i and j has `self.pairs.row[c]`, with `normal` from i to j, `depth` [m], negative where they are still apart, and
+    of balls i and j has `self.pairs.contact[c]`, with `normal` from i to j, `depth` [m], negative where they are still apart, and
     `mass` [kg], 1 / (1 / m_i + 1 / m_j). Fast impacts on walls and overlap are taken care of when balls move. The shortest:
 
         @ti.data_oriented
@@ -60,23 +59,20 @@ class ContactRule:
 
             @ti.func
             def stop(self, ball, i, j, c):
-                pair = self.pairs.row[c]
+                pair = self.pairs.contact[c]
                 closing = ti.min(0.0, (ball[j].v - ball[i].v).dot(pair.normal))
                 if pair.depth > 0.0:
                     self.exchange(i, j, pair.mass * closing * pair.normal)
 
-    with `ti` from `taichi_sim.device.engine`. A scene without pairs has no `self.pairs` (`self.has_grid` is False). For what
+    with `ti` from `taichi_sim.device.engine`. A scene without pairs has no `self.pairs` (`self.plan.pairs` is False). For what
     rests on walls, sticks and triangles, call `self.begin(ball, impacts)` before the first iteration, and
-    `self.solve_joints(ball, time)` and `self.solve_walls(ball, time)` in each.
+    `self.solve_sticks_and_triangles(ball, time)` and `self.solve_walls(ball, time)` in each.
 
     Class attributes: `in_turn`: each pair sees what those before it changed, which needs a fixed order; `split`: each ball splits
     its mass between its contacts, see kernels.contacts.contact_law.share; `sums_plainly`: none does; `warm_starts`, `softens`,
     `impacts_in_turn`, `energy_limiter`: what of these in ContactPlan the rule can do.
 
-    Fields that kernels read: `threshold` (1) [m/s], approach speed below which nothing bounces; `rate` (1) [1/s], 1 / h; `before`
-    (n) [m/s], velocities before a solve, and in a move the displacements [m]; `lightness` (n) [1/kg], inverse mass of the part of
-    a ball that each contact gets; `offset` (n) [m], the position correction; `warm_velocity` (n) [m/s] and `warm_spin` (n) [m/s],
-    changes by the accumulated impulses of pairs with which a solve starts.
+    Fields: those of kernels.contacts.interfaces.Solver. `rate` (1) [1/s]: 1 / h.
     """
 
     name = "off"
@@ -88,8 +84,6 @@ class ContactRule:
     impacts_in_turn = False
     energy_limiter = False
     relaxation = 1.0  # part of an impulse from split masses that is applied
-    still: Any
-    kicked: Any  # see GaussSeidel.allocate
 
     def bind(
         self,
@@ -104,57 +98,51 @@ class ContactRule:
         """Take the parts of a simulation with substeps of h seconds. Called once, before the fields exist."""
         if plan.active and type(self).solve is ContactRule.solve:
             raise TypeError(f"contacts: {type(self).__name__} has no solve(self, ball, time, iterations, impacts)")
-        self.rule = self.name
         self.plan, self.model, self.state, self.n = plan, model, state, model.n
         self.walls, self.pairs, self.sticks, self.triangles = parts
-        self.searched = [part for part in (self.pairs, self.sticks) if part is not None]
-        self.joints = [part for part in (self.sticks, self.triangles) if part is not None]  # of more than two balls
+        self.grid_parts = [part for part in (self.pairs, self.sticks) if part is not None]
+        self.sticks_and_triangles = [part for part in (self.sticks, self.triangles) if part is not None]
         self.parts = [part for part in parts if part is not None]
-        self.threshold, self.push_out, self.fastest_push = threshold, PUSH_OUT, FASTEST_PUSH_OUT
-        self.active, self.iterations = plan.active, plan.iterations
-        self.atomic, self.serial = plan.atomic, plan.serial
-        self.has_walls, self.has_grid, self.has_joints = plan.walls, plan.pairs, bool(self.joints)
-        self.has_sticks, self.has_triangles, self.has_colliders = plan.sticks, plan.triangles, plan.colliders
-        self.warm, self.soft, self.spins = plan.warm_starts, plan.soft, model.spins
-        self.strikes, self.bounces, self.foresees = plan.impacts_in_turn, plan.bounces, plan.foresees
-        self.loaded, self.accelerates, self.limits_energy = plan.loaded, plan.line_search, plan.limits_energy
-        self.among = plan.walls and plan.walls_in_turn
+        self.threshold, self.active, self.iterations = threshold, plan.active, plan.iterations
         # by the directions of contacts, not only their number; friction pushes sideways as well
-        self.by_tensor = plan.active and self.split and not model.has_friction
-        self.sums = plan.active and (self.has_joints or not self.in_turn)  # impulses from old velocities
-        self.has_offset = plan.active and (not self.soft or self.has_joints or self.has_walls)
-        self.counts = self.split or self.among  # the pairs that touch each ball, whoever lists them
+        self.splits_by_direction = plan.active and self.split and not model.has_friction
+        joint = plan.sticks or plan.triangles
+        self.shares_mass = plan.active and (joint or not self.in_turn)  # impulses from old velocities
+        self.corrects_positions = plan.active and (not plan.soft or joint or plan.walls)
+        self.counts_pairs = self.split or plan.walls_in_turn  # the pairs that touch each ball, whoever lists them
         if plan.active:
             self.rate = fields.reals(np.array([1.0 / h]))
-            self.before = fields.vectors(self.n, model.dim)
+            self.velocity_before = fields.vectors(self.n, model.dim)
             self._allocate_shared(fields)
             self.allocate(fields)
 
     def _allocate_shared(self, fields: Fields) -> None:
-        n, dim = self.n, self.model.dim
-        if self.has_grid:  # see ccd_balls
-            self.fast, self.longest = fields.integers(4), fields.reals(1)
-            self.stop, self.sooner = fields.reals(n), fields.reals(n)  # the part of a step that is made
-        if self.has_sticks:
+        n, dim, plan = self.n, self.model.dim, self.plan
+        if plan.pairs:  # see ccd_balls
+            self.displacement = self.velocity_before  # one memory: neither lasts from the move to the solve
+            self.swept = fields.table(dict.fromkeys(("moved_fast", "balls", "sticks", "shortened"), ti.i32), 1)
+            self.longest_displacement = fields.reals(1)
+            self.time_of_impact, self.next_time_of_impact = fields.reals(n), fields.reals(n)
+        if plan.sticks:
             smallest = float(np.min(self.model.scene.radius))
-            self.thin = fields.reals(np.array([(STICK_CROSSING * smallest) ** 2]))
-        if self.has_offset:
-            self.offset = fields.vectors(n, dim)
-        if self.limits_energy:
-            self.wide = ti.f64 if fields.has_doubles else fields.real
-            self.parts_of_energy = -(-n // energy_limiter.PART)
-            columns = dict.fromkeys(("lost", "linear", "square"), self.wide)
-            self.energy = fields.table(columns, self.parts_of_energy + 1)
+            self.crossing_squared = fields.reals(np.array([(STICK_CROSSING * smallest) ** 2]))
+        if self.corrects_positions:
+            self.position_correction = fields.vectors(n, dim)
+        if plan.limits_energy:
+            self.energy_type = ti.f64 if fields.has_doubles else fields.real
+            self.energy_parts = -(-n // reductions.PART)
+            columns = dict.fromkeys(("lost", "linear", "square"), self.energy_type)
+            self.energy = fields.table(columns, self.energy_parts + 1)
             self.stopped_velocity = fields.vectors(n, dim)  # where all that touched has stopped
-            if self.spins:
-                self.before_spin, self.stopped_spin = (fields.spins(n, dim) for _ in range(2))
-        if self.sums:
-            self.lightness = fields.reals(n)
-        if self.counts:
-            self.count = fields.integers(n)
-        if self.warm and self.has_grid:
+            if self.model.spins:
+                self.spin_before, self.stopped_spin = (fields.spins(n, dim) for _ in range(2))
+        if self.shares_mass:
+            self.effective_inverse_mass = fields.reals(n)
+        if self.counts_pairs:
+            self.pair_count = fields.integers(n)
+        if plan.warm_starts and plan.pairs:
             self.warm_velocity = fields.vectors(n, dim)
-            if self.spins:
+            if self.model.spins:
                 self.warm_spin = fields.spins(n, dim)
 
     def allocate(self, fields: Fields) -> None:
@@ -166,12 +154,12 @@ class ContactRule:
 
     def forget(self) -> None:
         """Start from nothing: balls were put elsewhere, where the load is another one. `prime` has to follow."""
-        for part in self.searched:
+        for part in self.grid_parts:
             part.forget()
         if self.walls is not None:
             self.walls.contact.impulse.fill(0)
             if self.model.has_friction:
-                self.walls.contact.slide.fill(0)
+                self.walls.contact.tangential_impulse.fill(0)
 
     def set_step(self, h: float, ratio: float) -> None:
         """Take substeps of h seconds, `ratio` times what they were: contacts that rest accumulate as much less or more."""
@@ -181,11 +169,11 @@ class ContactRule:
 
     @ti.kernel
     def _scale(self, ratio: float):
-        if ti.static(self.has_grid):
+        if ti.static(self.plan.pairs):
             warm_start.scale(self.pairs.link, self.pairs.capacity, ratio, self.model.has_friction)
-        if ti.static(self.has_sticks):
-            warm_start.scale(self.sticks.row, self.sticks.capacity, ratio, self.model.has_friction)
-        if ti.static(self.has_walls):
+        if ti.static(self.plan.sticks):
+            warm_start.scale(self.sticks.contact, self.sticks.capacity, ratio, self.model.has_friction)
+        if ti.static(self.plan.walls):
             warm_start.scale(self.walls.contact, self.n * self.walls.count, ratio, self.model.has_friction)
 
     # To be overridden
@@ -207,29 +195,25 @@ class ContactRule:
     def found(self, ball: ti.template()):
         """All contacts are measured at the present positions."""
 
-    @ti.func
-    def iterate(self, ball: ti.template(), time, how: ti.template()):
-        """One iteration over all contacts, see kernels.contacts.pair_solve.Iteration: what `repeat` repeats."""
-
     # Finding contacts
 
     @ti.func
     def _clear(self, i):
         """Nothing is summed yet of what pairs do to ball i."""
         self.clear(i)
-        if ti.static(self.counts):
-            self.count[i] = 0
-        if ti.static(self.warm):
+        if ti.static(self.counts_pairs):
+            self.pair_count[i] = 0
+        if ti.static(self.plan.warm_starts):
             self.warm_velocity[i] = ti.Vector.zero(float, self.model.dim)
-            if ti.static(self.spins):
-                self.warm_spin[i] = pair_sweeps.zero_spin(self)
+            if ti.static(self.model.spins):
+                self.warm_spin[i] = zero_scalar_in_2d(self.model.dim)
 
     @ti.func
     def prime(self, ball: ti.template()):
         """Find the contacts after positions were set from outside."""
-        if ti.static(self.has_colliders):
+        if ti.static(self.plan.colliders):
             self.walls.colliders.rewind()
-        if ti.static(self.has_grid):
+        if ti.static(self.plan.pairs):
             self.pairs.grid.expire()
         self._find(ball, False)
 
@@ -240,56 +224,56 @@ class ContactRule:
 
     @ti.func
     def _find(self, ball: ti.template(), moved: ti.template()):
-        if ti.static(self.has_colliders):
+        if ti.static(self.plan.colliders):
             self.walls.colliders.advance()
-        if ti.static(self.has_grid):
+        if ti.static(self.plan.pairs):
             ccd_balls.stop(self, ball)
-            if ti.static(self.has_triangles and moved):
+            if ti.static(self.plan.triangles and moved):
                 ccd_triangles.limit(self.triangles, self, ball)
             self.pairs.grid.build(ball)
-        for part in ti.static(self.searched):
+        for part in ti.static(self.grid_parts):
             part.detect(ball)
-        if ti.static(self.has_triangles):
+        if ti.static(self.plan.triangles):
             ccd_triangles.detect(self.triangles, self, ball)
-        if ti.static(self.has_grid):
-            if ti.static(self.warm or self.counts or self.strikes):
+        if ti.static(self.plan.pairs):
+            if ti.static(self.plan.warm_starts or self.counts_pairs or self.plan.impacts_in_turn):
                 for i in range(self.n):
                     self._clear(i)
             pair_sweeps.each_block(self, ball, pair_measures.measure_block, 0.0, None)
-        if ti.static(self.has_walls):
+        if ti.static(self.plan.walls):
             for i in range(self.n):
                 crowded = False
                 if ti.static(self.walls.crowds):
-                    crowded = self.count[i] > 0
+                    crowded = self.pair_count[i] > 0
                 self.walls.measure(ball, self, i, crowded)
         self.found(ball)
-        if ti.static(self.sums):
+        if ti.static(self.shares_mass):
             for i in range(self.n):
                 T, count = mass_sharing.shares(self, ball, i)
                 share = contact_law.share(T, count, not self.model.has_friction)
-                self.lightness[i] = share * self.model.inverse_mass[i]
-                if ti.static(self.has_triangles):
-                    self.triangles.split(T, count, i)
+                self.effective_inverse_mass[i] = share * self.model.inverse_mass[i]
+                if ti.static(self.plan.triangles):
+                    self.triangles.share_mass(T, count, i)
 
     # Pieces of a solve
 
     @ti.func
     def begin(self, ball: ti.template(), impacts: ti.template()):
         """Note the velocities that target speeds depend on, and start from what contacts have accumulated."""
-        for part in ti.static(self.joints):
-            part.begin_rows(ball, self, impacts)
+        for part in ti.static(self.sticks_and_triangles):
+            part.begin_contacts(ball, self, impacts)
         for i in range(self.n):
-            self.before[i] = ball[i].v
-            if ti.static(self.limits_energy and self.spins):
-                self.before_spin[i] = self.state.spin[i]
-            if ti.static(self.has_walls):
+            self.velocity_before[i] = ball[i].v
+            if ti.static(self.plan.limits_energy and self.model.spins):
+                self.spin_before[i] = self.state.spin[i]
+            if ti.static(self.plan.walls):
                 self.walls.begin(ball, self, i, impacts, True)
-            if ti.static(self.has_sticks and self.warm):
+            if ti.static(self.plan.sticks and self.plan.warm_starts):
                 p, t = self.sticks.gather(ball, self, i)
                 self.apply(i, p, t)
-            if ti.static(self.has_grid and self.warm):
+            if ti.static(self.plan.pairs and self.plan.warm_starts):
                 self.state.kick(i, self.warm_velocity[i])
-                if ti.static(self.spins):
+                if ti.static(self.model.spins):
                     self.state.spin[i] = self.state.spin[i] + self.warm_spin[i]
                 if ti.static(not impacts):
                     self.take_out_pairs(ball, i)
@@ -300,82 +284,42 @@ class ContactRule:
     @ti.func
     def take_out_pairs(self, ball: ti.template(), i):
         """Before that iteration: what the velocity of ball i would be without the impulses of its pairs."""
-        if ti.static(self.warm):
+        if ti.static(self.plan.warm_starts):
             self.warm_velocity[i] = ball[i].v - self.warm_velocity[i]
-            if ti.static(self.spins):
+            if ti.static(self.model.spins):
                 self.warm_spin[i] = self.state.spin[i] - self.warm_spin[i]
 
     @ti.func
     def put_back_pairs(self, ball: ti.template(), i):
         """After it: what pairs do to the velocity of ball i now."""
         self.warm_velocity[i] = ball[i].v - self.warm_velocity[i]
-        if ti.static(self.spins):
+        if ti.static(self.model.spins):
             self.warm_spin[i] = self.state.spin[i] - self.warm_spin[i]
 
     @ti.func
-    def begin_relaxing(self, ball: ti.template()):
-        """The same as `begin` after a move: accumulated impulses are applied already."""
-        for i in range(self.n):
-            self.before[i] = ball[i].v
-            if ti.static(self.loaded):
-                self.kicked[i] = ball[i].v - self.still[i]
-            if ti.static(self.has_walls):
-                self.walls.begin(ball, self, i, False, False)
-            self.take_out_pairs(ball, i)
-
-    @ti.func
-    def repeat(self, ball: ti.template(), number: ti.template(), how: ti.template()):
-        """So many iterations."""
-        if ti.static(self.serial):
-            for _ in range(number):
-                self.iterate(ball, 0.0, how)
-        else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
-            for _ in ti.static(range(number)):
-                self.iterate(ball, 0.0, how)
-
-    @ti.func
-    def limit_energy(self, ball: ti.template(), iterations: ti.template(), impacts: ti.template()):
-        """Let what has stopped bounce, as far as energy allows."""
-        if ti.static(self.limits_energy and impacts):
-            energy_limiter.note_stopped(self, ball)
-            self.repeat(ball, iterations, pair_solve.BOUNCE)
-            energy_limiter.limit(self, ball)
-        elif ti.static(
-            self.limits_energy
-        ):  # what carried an impact is no load that rests: one iteration may not undo it
-            energy_limiter.compare_with_before(self)
-            energy_limiter.limit(self, ball)
-
-    @ti.func
-    def joint_impulses(self, ball: ti.template(), i, how: ti.template()):
+    def gather_sticks_and_triangles(self, ball: ti.template(), i):
         """Impulse and angular impulse on ball i from all sticks and triangles."""
-        p, t = ti.Vector.zero(float, self.model.dim), pair_sweeps.zero_spin(self)
-        if ti.static(how.starts):
-            for part in ti.static(self.joints):
-                push, twist = part.gather(ball, self, i)
-                p += push
-                t += twist
-        if ti.static(how.takes_back and self.has_grid and self.warm):  # no pair accumulates these
-            self.warm_velocity[i] = self.warm_velocity[i] + self.model.inverse_mass[i] * p
-            if ti.static(self.spins):
-                response = self.model.spin_response(i) * self.model.inverse_mass[i]
-                self.warm_spin[i] = self.warm_spin[i] + response * t
+        p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
+        for part in ti.static(self.sticks_and_triangles):
+            push, angular = part.gather(ball, self, i)
+            p += push
+            t += angular
         return p, t
 
     @ti.func
-    def solve_joints(self, ball: ti.template(), time):
+    def solve_sticks_and_triangles(self, ball: ti.template(), time):
         """One iteration over sticks and triangles, always from old velocities."""
-        if ti.static(self.has_joints):
-            for part in ti.static(self.joints):
-                part.solve_rows(ball, self, time)
+        if ti.static(self.plan.sticks or self.plan.triangles):
+            for part in ti.static(self.sticks_and_triangles):
+                part.solve_contacts(ball, self, time)
             for i in range(self.n):
-                p, t = self.joint_impulses(ball, i, pair_solve.NEXT)
+                p, t = self.gather_sticks_and_triangles(ball, i)
                 self.apply(i, p, t)
 
     @ti.func
     def solve_walls(self, ball: ti.template(), time):
         """One iteration over the walls and colliders on which balls rest, or in which they are."""
-        if ti.static(self.has_walls):
+        if ti.static(self.plan.walls):
             for i in range(self.n):
                 p, t = self.walls.gather(ball, self, i, time)
                 self.apply(i, p, t)
@@ -383,7 +327,7 @@ class ContactRule:
     @ti.func
     def each_pair(self, ball: ti.template(), visit: ti.template()):
         """visit(ball, i, j, c) for each pair that touches or nearly does, in a fixed order but with contacts by atomics."""
-        if ti.static(self.has_grid):
+        if ti.static(self.plan.pairs):
             pair_sweeps.each_block(self, ball, pair_sweeps.own_pairs, 0.0, visit)
 
     @ti.func
@@ -397,7 +341,7 @@ class ContactRule:
         """Impulse p [N s] on ball i, and angular impulse t in units of its radius."""
         w = self.model.inverse_mass[i]
         self.state.kick(i, w * p)
-        if ti.static(self.spins):
+        if ti.static(self.model.spins):
             self.state.spin[i] = self.state.spin[i] + (self.model.spin_response(i) * w) * t
 
     # Moving
@@ -433,28 +377,30 @@ class ContactRule:
         of v by forces in this step, where `a` does not tell it."""
         shift = h * v
         drift = v
-        if ti.static(self.has_walls):
+        if ti.static(self.plan.walls):
             if self.model.inverse_mass[i] > 0.0:  # nothing holds a pin that is driven
                 shift, drift = self.walls.move(i, ball[i].x, v, a, h, change)
-        if ti.static(self.has_grid):
+        if ti.static(self.plan.pairs):
             ccd_balls.note(self, i, shift)  # what only undoes overlap goes through nothing
-        if ti.static(self.has_offset):
-            shift += self.offset[i]
-        if ti.static(self.has_grid):
+        if ti.static(self.corrects_positions):
+            shift += self.position_correction[i]
+        if ti.static(self.plan.pairs):
             self.pairs.grid.watch(i, ball[i].x + shift)
         return shift, drift
 
     @ti.func
     def _correct_positions(self, ball: ti.template(), h):
         """The displacements that undo overlap where contacts are rigid. Velocities never see them."""
-        if ti.static(self.has_offset):
+        if ti.static(self.corrects_positions):
             for i in range(self.n):
                 d = ti.Vector.zero(float, self.model.dim)
-                for part in ti.static(self.joints):
-                    d += part.offset(ball, self, i, h)
-                self.offset[i] = d
-            if ti.static(self.has_grid and not self.soft):
+                for part in ti.static(self.sticks_and_triangles):
+                    d += part.correct_positions(ball, self, i, h)
+                self.position_correction[i] = d
+            if ti.static(self.plan.pairs and not self.plan.soft):
                 pair_sweeps.each_block(self, ball, pair_solve.block_of_corrections, h, None)
-            if ti.static(self.has_walls):
+            if ti.static(self.plan.walls):
                 for i in range(self.n):
-                    self.offset[i] = self.offset[i] + self.walls.offset(ball, self, i, h)
+                    self.position_correction[i] = self.position_correction[i] + self.walls.correct_positions(
+                        ball, self, i, h
+                    )

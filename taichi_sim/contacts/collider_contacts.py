@@ -17,7 +17,7 @@ STEEPEST_FALL = 0.25
 class ColliderContacts:
     """`slot` (n times `count`): what was found when contacts were last looked for. `key`: the collider times `faces` plus the
     face of it, -1 in an empty slot; `gap` [m]; `normal`; and, where colliders move, `velocity` [m/s], that of the surface.
-    `held` (n): slots in use. rounding: of a coordinate, as a part of it.
+    `filled` (n): slots in use. rounding: of a coordinate, as a part of it.
     """
 
     def __init__(self, model: Model, fields: Fields, colliders: Colliders, rounding: float) -> None:
@@ -29,13 +29,13 @@ class ColliderContacts:
         if self.moves:
             columns["velocity"] = vector
         self.slot = fields.table(columns, model.n * self.count)
-        self.held = fields.integers(model.n)
+        self.filled = fields.integers(model.n)
 
     @ti.func
     def gap(self, i, s):
         """Distance [m] from the surface of ball i to the collider in its slot s as it was found, negative inside."""
         gap = FAR_GAP + 0.0 * self.model.radius[i]
-        if self.held[i] > 0:
+        if self.filled[i] > 0:
             gap = self.slot[i * self.count + s].gap
         return gap
 
@@ -55,11 +55,11 @@ class ColliderContacts:
         return self.slot[i * self.count + s].key // self.faces
 
     @ti.func
-    def far(self, i, s):
+    def distance_from_origin(self, i, s):
         """How far [m] from the origin the collider in slot s of ball i is; 0 where the slot is empty."""
         far = 0.0 * self.model.radius[i]
-        if self.held[i] > 0 and self.slot[i * self.count + s].key >= 0:
-            far = self.colliders.far(self.collider(i, s))
+        if self.filled[i] > 0 and self.slot[i * self.count + s].key >= 0:
+            far = self.colliders.distance_from_origin(self.collider(i, s))
         return far
 
     @ti.func
@@ -72,7 +72,7 @@ class ColliderContacts:
         after = x + h * (v - n.dot(u) * n)
         d, _, _ = self.colliders.distance(slot.key // self.faces, slot.key % self.faces, after, h)
         fall = d - self.model.radius[i] - slot.gap
-        rounding = self.rounding * (ti.abs(x).max() + self.colliders.far(slot.key // self.faces))
+        rounding = self.rounding * (ti.abs(x).max() + self.colliders.distance_from_origin(slot.key // self.faces))
         fall = ti.select(ti.abs(fall) > rounding, fall, 0.0)
         most = STEEPEST_FALL * self.model.radius[i]
         return -ti.max(-most, ti.min(most, fall)) / h

@@ -87,7 +87,7 @@ class Colliders:
         self.shape = fields.table(columns, self.count, data)
 
     @ti.func
-    def far(self, k):
+    def distance_from_origin(self, k):
         """How far collider k is from the origin: the larger, the coarser are places as seen from its centre."""
         return ti.abs(self.pose[k].x).max()
 

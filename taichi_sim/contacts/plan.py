@@ -125,7 +125,7 @@ def plan_contacts(
         f"masses differ more than {UNEQUAL_MASSES:g} times",
     )
     walls_in_turn = decide(
-        "walls_in_turn", soft or impacts_in_turn, "balls among others are pushed into walls within a step"
+        "walls_in_turn", walls and (soft or impacts_in_turn), "balls among others are pushed into walls within a step"
     )
     driven = scene.moving_pins or any(collider.motion.moves for collider in scene.colliders)  # they may do work
     gains = joints if rule.in_turn else warm_starts  # split masses gain nothing from nothing, nor pairs in turn

@@ -9,7 +9,7 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.contacts import statistics
-from taichi_sim.kernels.springs.law import PART
+from taichi_sim.kernels.reductions import PART
 
 __all__ = ["ContactStatistics"]
 
@@ -30,7 +30,7 @@ class ContactStatistics:
             total = statistics.nothing()
             for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
                 for part in ti.static(self.contacts.parts):
-                    total = statistics.join(total, part.survey(ball, i))
+                    total = statistics.join(total, part.statistics(ball, i))
             self.tally[c] = total
 
     def look(self, ball: Any) -> NDArray[np.float64]:
