@@ -1,9 +1,9 @@
-"""Swept tests: what moves further than its radius in a step stops where it first touches a ball or a stick.
+"""Continuous collision detection: what moves further than its radius in a step stops where it first touches a ball or a stick.
 
-It keeps its velocity, and the next contact solve finds it touching. Paths are straight within a step (`before` holds their
-displacements while positions are the new ones); a ball that moves less than its radius counts as being where it ends, for it
-cannot pass through anything meanwhile. Stops are found in rounds, each against the paths that the one before has left, so that
-what has stopped early is not run through by a third.
+It keeps its velocity, and the next contact solve finds it touching. Paths are straight within a step, and positions are the new
+ones already; a ball that moves less than its radius counts as being where it ends, for it cannot pass through anything meanwhile.
+Times of impact are found in rounds, each against the paths that the one before has left, so that what has stopped early is not
+run through by a third.
 """
 
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
@@ -21,7 +21,7 @@ STOP_DISTANCE = 0.995  # of the distance at touch: found touching in the next se
 
 
 @ti.func
-def stop(solver: ti.template(), ball: ti.template()):
+def shorten_ways(solver: ti.template(), ball: ti.template()):
     """Shorten the displacements of this step where something is in the way. Does nothing where all moved slowly."""
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -32,12 +32,12 @@ def stop(solver: ti.template(), ball: ti.template()):
     for i in range(solver.swept[0].balls):
         solver.time_of_impact[i] = 1.0
         solver.next_time_of_impact[i] = 1.0
-    look(solver, ball)
+    find_times_of_impact(solver, ball)
     ti.loop_config(serialize=True)  # few balls have others that stopped in their way: in turn, until nothing changes
     for _ in range(1):
         rounds = solver.swept[0].balls  # each of them settles at least the earliest stop that is left
         while rounds > 0 and solver.swept[0].shortened > 0:
-            look(solver, ball)
+            find_times_of_impact(solver, ball)
             rounds -= 1
     for i in range(solver.swept[0].balls):
         if solver.time_of_impact[i] < 1.0:
@@ -49,8 +49,8 @@ def stop(solver: ti.template(), ball: ti.template()):
 
 
 @ti.func
-def look(solver: ti.template(), ball: ti.template()):
-    """One round: where each path stops, given where the others did in the round before. swept.shortened: whether any changed."""
+def find_times_of_impact(solver: ti.template(), ball: ti.template()):
+    """One round: where each path stops, given where the others did in the round before. `shortened`: whether any changed."""
     for i in range(solver.swept[0].balls):
         if is_fast(solver, i):
             ti.atomic_min(solver.next_time_of_impact[i], first_touch(solver, solver.pairs.grid, ball, i))
@@ -67,14 +67,14 @@ def look(solver: ti.template(), ball: ti.template()):
 
 
 @ti.func
-def note(solver: ti.template(), i, shift):
+def note_displacement(solver: ti.template(), i, shift):
     """Keep the displacement of ball i, and whether anything must be looked at."""
     solver.displacement[i] = shift
     square = shift.dot(shift)
-    swift = solver.model.radius[i] ** 2
+    fast = solver.model.radius[i] ** 2
     if ti.static(solver.plan.sticks):  # they are thin: what counts is the ball that one may cross
-        swift = ti.min(swift, solver.crossing_squared[0])
-    if square > swift:
+        fast = ti.min(fast, solver.crossing_squared[0])
+    if square > fast:
         solver.swept[0].moved_fast = 1
         ti.atomic_max(solver.longest_displacement[0], ti.sqrt(square))
 
@@ -122,12 +122,12 @@ def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(),
             for k in range(end - begin + last - first):
                 own = ti.select(k < end - begin, begin + k, first + k - (end - begin))
                 if everywhere or same_row(cell, cell_of(grid.copy[own].x, grid, level)):
-                    t = ti.min(t, touch(solver, ball, i, grid.sorted[own]))
+                    t = ti.min(t, time_of_touch(solver, ball, i, grid.sorted[own]))
     return t
 
 
 @ti.func
-def touch(solver: ti.template(), ball: ti.template(), i, j):
+def time_of_touch(solver: ti.template(), ball: ti.template(), i, j):
     """Part of its way at which ball i first touches ball j, or 1."""
     t = 1.0 + 0.0 * ball[i].x[0]
     reach = solver.model.radius[i] + solver.model.radius[j]
@@ -139,21 +139,21 @@ def touch(solver: ti.template(), ball: ti.template(), i, j):
             r -= b
             one, two = solver.time_of_impact[i], solver.time_of_impact[j]
             both = ti.min(one, two)
-            distance = nearer(reach, r.norm())
+            distance = stopping_distance(reach, r.norm())
             t = meeting(r, b - a, distance, both)
             if t >= both:  # then only one of them still moves
                 alone = ti.select(one < two, b, -a)
                 later = meeting(r + both * (b - a), alone, distance, ti.max(one, two) - both)
                 t = ti.select(later < ti.max(one, two) - both, both + later, 1.0)
         else:
-            t = meeting(r, -a, nearer(reach, r.norm()), solver.time_of_impact[i])
+            t = meeting(r, -a, stopping_distance(reach, r.norm()), solver.time_of_impact[i])
             if t >= solver.time_of_impact[i]:
                 t = 1.0
     return t
 
 
 @ti.func
-def nearer(reach, distance):
+def stopping_distance(reach, distance):
     """Distance at which a mover stops; what touches or overlaps already may come a little nearer."""
     return ti.select(distance > TOUCHING_ALREADY * reach, STOP_DISTANCE * reach, NEARER_DISTANCE * distance)
 
@@ -166,7 +166,7 @@ def meeting(r, d, distance, end):
     speed = d.norm()
     if speed > 0.0:
         e = d / speed
-        square = distance * distance - aside(r, e)
+        square = distance * distance - squared_distance_from_line(r, e)
         c = r.dot(r) - distance * distance
         if r.dot(e) < 0.0 and c > 0.0 and square > 0.0:
             t = ti.min(end, c / (ti.sqrt(square) - r.dot(e)) / speed)
@@ -174,7 +174,7 @@ def meeting(r, d, distance, end):
 
 
 @ti.func
-def aside(r, e):
+def squared_distance_from_line(r, e):
     """Square of the distance of r from the line through the origin along the unit vector e."""
     away = cross(r, e)
     if ti.static(r.n == 2):
@@ -197,8 +197,8 @@ def sweep_stick(solver: ti.template(), ball: ti.template(), s):
         near = moved + shift.norm() > 0.5 * r
         for a in ti.static(range(solver.model.dim)):
             near = near and ti.max(x[a], x[a] - shift[a]) > low[a] - r and ti.min(x[a], x[a] - shift[a]) < high[a] + r
-        if near and collides(solver, i, one, two):
-            t = stick_touch(solver, ball, i, one, two)
+        if near and collides_with_stick(solver, i, one, two):
+            t = time_of_stick_touch(solver, ball, i, one, two)
             if t < 1.0:
                 ti.atomic_min(solver.next_time_of_impact[i], t)
                 ti.atomic_min(solver.next_time_of_impact[one], t)
@@ -206,7 +206,7 @@ def sweep_stick(solver: ti.template(), ball: ti.template(), s):
 
 
 @ti.func
-def collides(solver: ti.template(), i, one, two):
+def collides_with_stick(solver: ti.template(), i, one, two):
     """Whether ball i and the stick from `one` to `two` collide at all."""
     w = solver.model.inverse_mass[i] + solver.model.inverse_mass[one] + solver.model.inverse_mass[two]
     allowed = i != one and i != two and w > 0.0
@@ -224,7 +224,7 @@ def path(solver: ti.template(), ball: ti.template(), i, t):
 
 
 @ti.func
-def stick_touch(solver: ti.template(), ball: ti.template(), i, one, two):
+def time_of_stick_touch(solver: ti.template(), ball: ti.template(), i, one, two):
     """Part of the step at which ball i first touches the stick, or 1: conservative advancement.
 
     Seen along the direction from the nearest point of the stick to the ball, no point of the stick is nearer than the nearer of
@@ -232,15 +232,15 @@ def stick_touch(solver: ti.template(), ball: ti.template(), i, one, two):
     """
     t = 0.0 * solver.displacement[i][0]
     n, d = from_stick(solver, ball, i, one, two, t)
-    distance = nearer(solver.model.radius[i], d)
+    distance = stopping_distance(solver.model.radius[i], d)
     near = 1e-3 * distance
     for _ in range(STICK_ITERATIONS):
         if d > distance + near and t < 1.0:
-            x, u = path(solver, ball, i, t), speed(solver, i, t)
-            until = ti.min(later(solver, i, t), ti.min(later(solver, one, t), later(solver, two, t)))
+            x, u = path(solver, ball, i, t), present_displacement(solver, i, t)
+            until = ti.min(end_of_way(solver, i, t), ti.min(end_of_way(solver, one, t), end_of_way(solver, two, t)))
             for which in ti.static(range(2)):
                 end = one if ti.static(which == 0) else two
-                closing = n.dot(speed(solver, end, t) - u)
+                closing = n.dot(present_displacement(solver, end, t) - u)
                 if closing > 0.0:
                     until = ti.min(until, t + (n.dot(x - path(solver, ball, end, t)) - distance) / closing)
             t = until
@@ -249,13 +249,13 @@ def stick_touch(solver: ti.template(), ball: ti.template(), i, one, two):
 
 
 @ti.func
-def speed(solver: ti.template(), i, t):
+def present_displacement(solver: ti.template(), i, t):
     """How ball i moves at part t of the step [m per step]."""
     return ti.select(t < solver.time_of_impact[i], 1.0, 0.0) * solver.displacement[i]
 
 
 @ti.func
-def later(solver: ti.template(), i, t):
+def end_of_way(solver: ti.template(), i, t):
     """Part of the step at which ball i stops, or 1 where it has stopped already."""
     return ti.select(t < solver.time_of_impact[i], solver.time_of_impact[i], 1.0 + 0.0 * t)
 

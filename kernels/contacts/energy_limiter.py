@@ -4,7 +4,7 @@ Where a crowd bounces, a solve that has not converged can add energy: a pair is 
 still to come, already part it; so does Newton's restitution together with friction. So pairs of balls that touch are stopped
 first, from velocities v0 to v1, and bounce then, by changes d of v1 (walls and sticks have their target speeds in both).
 Where the energy of v1 + d is more than that of v0, all d are scaled down to where it is not, which keeps momentum and angular
-momentum; what only rests is held all the same.
+momentum; what only rests stays at rest all the same.
 """
 
 from taichi_sim.kernels.reductions import PART
@@ -35,7 +35,7 @@ def compare_with_before(solver: ti.template()):
 
 @ti.func
 def limit(solver: ti.template(), ball: ti.template()):
-    """Scale the changes of velocity since `note_stopped` so that no energy has been added since `before`."""
+    """Scale the changes of velocity since `note_stopped` so that no energy has been added since `velocity_before`."""
     for c in range(solver.energy_parts):
         lost, linear, square = (
             ti.cast(0.0, solver.energy_type),
@@ -51,7 +51,7 @@ def limit(solver: ti.template(), ball: ti.template()):
                 lost += 0.5 * (v0 - v1).dot(v0 + v1) / w
                 linear += v1.dot(d) / w
                 square += d.dot(d) / w
-                if ti.static(solver.model.spins):  # I omega^2 = m turn^2 / turning
+                if ti.static(solver.model.spins):  # I omega^2 = m spin^2 / spin_inertia_ratio
                     t0 = ti.cast(solver.spin_before[i], solver.energy_type)
                     t1 = ti.cast(solver.stopped_spin[i], solver.energy_type)
                     t = ti.cast(solver.state.spin[i], solver.energy_type) - t1
@@ -94,7 +94,7 @@ def limit(solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def product(solver: ti.template(), a, b):
-    """a . b of two turns, which are scalars in 2D."""
+    """a . b of two spins, which are scalars in 2D."""
     if ti.static(solver.model.dim == 3):
         return a.dot(b)
     else:

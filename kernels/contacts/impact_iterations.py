@@ -1,14 +1,14 @@
-"""Further iterations where an impact came to rest among others, until what they change is slow.
+"""Further iterations where an impact came to rest in a crowd, until what they change is slow.
 
-Two iterations hold what rests, for they start from the impulses of the step before. An impact has no such start: what two of
-them leave of it goes on approaching, and comes back as overlap. So blocks in which something closed fast (pair_impacts) have
-iterations of their own.
+Two iterations suffice for what rests, for they start from the impulses of the step before. An impact has no such start: what
+two of them leave of it goes on approaching, and comes back as overlap. So blocks in which something closed fast (pair_impacts)
+have iterations of their own.
 
 A light ball between heavy ones converges as slowly as the ratio of masses: each iteration of the two contacts takes the same part
 of what is left. So each island of balls that touch goes on along the change that an iteration made, see line_search, as far as no
 contact would pull.
 
-There these iterations are rigid and push nothing out: a soft contact gives way to what it carries, which should be a load; to an
+There these iterations are rigid and push nothing out: a soft contact gives way to what it bears, which should be a load; to an
 impact of heavy balls it would give way by their speed.
 """
 

@@ -1,11 +1,11 @@
-"""Which colliders a ball is at: found where it is now, each held in a slot of the ball."""
+"""Which colliders a ball is at: found where it is now, each in a slot of the ball."""
 
 from taichi_sim.kernels.contacts import colliders as geometry
 from taichi_sim.kernels.contacts.kinds import BOX
 
 from taichi_sim.device.engine import ti
 
-FAR_GAP = 1e30  # m, the gap of a slot in which nothing is held
+FAR_GAP = 1e30  # m, the gap of an empty slot
 EMPTY = -1  # its key
 
 
@@ -32,19 +32,19 @@ def find(walls: ti.template(), x, i, crowded):
                             at.slot[e].gap = FAR_GAP
                             at.slot[e].key = EMPTY
                         ready = True
-                        hold(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n)
-    held = 0
+                        fill_slot(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n)
+    filled = 0
     for e in range(first, ti.select(ready, first + at.count, first)):
         if at.slot[e].gap == FAR_GAP:
             at.slot[e].key = EMPTY
         else:
-            held += 1
-    at.filled[i] = held
+            filled += 1
+    at.filled[i] = filled
     return ti.select(ready, walls.count, walls.planes.count)
 
 
 @ti.func
-def hold(walls: ti.template(), i, k, key, gap, n, point):
+def fill_slot(walls: ti.template(), i, k, key, gap, n, point):
     """Note a contact of ball i with collider k at a point: in the slot of its key, else in a free one, else in that of the widest
     gap."""
     at = walls.collider_contacts

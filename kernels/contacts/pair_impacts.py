@@ -1,4 +1,4 @@
-"""Impacts among balls that change velocities in turn (Gauss-Seidel): each by itself, before what rests is held.
+"""Impacts among balls that change velocities in turn (Gauss-Seidel): each by itself, before what rests is solved.
 
 Newton's law between two bodies, u' = -e u, is exact for one pair; asked of many contacts at once it is not, and adds energy
 where an iteration has not converged. So pairs that close fast bounce one after another, as many times as it takes until none
@@ -6,7 +6,7 @@ does: each bounce keeps momentum and never adds energy, and at e = 1 without fri
 slow, or does not bounce, and is stopped by the iterations (target speed 0), whose impulses only take energy. Walls take their
 turn with the pairs of the balls that touch others.
 
-Speed that forces gave a pair since contacts were last looked for is a load and no impact: it is held, not thrown back.
+Speed that forces gave a pair since contacts were last looked for is a load and no impact: it is borne, not thrown back.
 
 Blocks (see pair_sweeps) in which nothing closes fast, nor in those beside them, are passed over, and in the others the balls
 none of whose contacts may have changed: those with a `disturbed` before the present round.

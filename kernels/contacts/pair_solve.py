@@ -175,7 +175,7 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
                 solver.pairs.link[c].rebound_speed = rebound
             if ti.static(solver.plan.soft):
                 solver.pairs.link[c].bias_velocity = bias
-        elif ti.static(solver.plan.soft):  # what was held stays so, what bounced keeps its speed
+        elif ti.static(solver.plan.soft):  # what pressed stays, what bounced keeps its speed
             bounced = 0.0 * speed
             if ti.static(solver.model.has_restitution):
                 bounced = solver.pairs.link[c].rebound_speed
@@ -245,15 +245,15 @@ def correct_positions(solver: ti.template(), ball: ti.template(), i, h):
     begin = solver.pairs.first[i]
     for c in range(begin, begin + solver.pairs.touching[i]):
         j = solver.pairs.link[c].other
-        row = solver.pairs.contact[c]
-        depth = row.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
-        depth -= h * ti.max(0.0, row.normal.dot(ball[j].v - ball[i].v))
+        contact = solver.pairs.contact[c]
+        depth = contact.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
+        depth -= h * ti.max(0.0, contact.normal.dot(ball[j].v - ball[i].v))
         inverse_mass = solver.model.inverse_mass[i] + solver.model.inverse_mass[j]
         if ti.static(solver.in_turn):
-            depth -= row.normal.dot(solver.position_correction[j] - solver.position_correction[i])
+            depth -= contact.normal.dot(solver.position_correction[j] - solver.position_correction[i])
         else:
             inverse_mass = solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]
         if depth > 0.0:
-            q = contact_law.PUSH_OUT * depth / inverse_mass * row.normal
+            q = contact_law.PUSH_OUT * depth / inverse_mass * contact.normal
             add(solver, solver.position_correction, i, -solver.model.inverse_mass[i] * q)
             add(solver, solver.position_correction, j, solver.model.inverse_mass[j] * q)

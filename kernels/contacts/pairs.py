@@ -34,24 +34,24 @@ def may_touch(pairs: ti.template(), i, j):
 
 
 @ti.func
-def nearby(pairs: ti.template(), own, at, room):
+def nearby(pairs: ti.template(), own, at, free):
     """Write the sorted copies within reach of copy `own` that come after it, as links from `at` on; returns how many.
 
-    Links beyond `room` are counted; the last place holds any one of them.
+    Links beyond `free` are counted; the last place holds any one of them.
     """
     a = pairs.grid.copy[own]
     found = 0
     mine = level_of(a.radius, pairs.grid)
     for level in range(mine, pairs.grid.levels):
         if pairs.grid.dense[level] == 0:
-            found = scan(pairs, own, a, mine, level, at, found, room, False)
+            found = scan(pairs, own, a, mine, level, at, found, free, False)
         if pairs.grid.dense[level] == 1:
-            found = scan(pairs, own, a, mine, level, at, found, room, True)
+            found = scan(pairs, own, a, mine, level, at, found, free, True)
     return found
 
 
 @ti.func
-def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.template()):
+def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.template()):
     """`nearby` in one level, for one of the two ways to place rows in its table. Side by side, rows before the own one hold
     none after."""
     span = (a.radius + largest(pairs.grid, level)) * pairs.grid.enlarged * pairs.grid.margin
@@ -96,13 +96,13 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.t
                         if ti.static(ranked):
                             listed = listed and pairs.grid.rank[pairs.grid.sorted[k]] > rank
                         if listed:
-                            pairs.link[at + ti.min(found, room)].other = k
+                            pairs.link[at + ti.min(found, free)].other = k
                             found += 1
     return found
 
 
 @ti.func
-def settle(pairs: ti.template(), own, at, found):
+def keep_colliding(pairs: ti.template(), own, at, found):
     """Turn `found` links to sorted copies into links to the balls that may touch; returns how many those are, and how many
     places further on in the order the furthest is."""
     i = pairs.grid.sorted[own]
@@ -126,7 +126,7 @@ def settle(pairs: ti.template(), own, at, found):
 
 @ti.func
 def forget(pairs: ti.template(), e):
-    """Link e holds nothing from before."""
+    """Link e has accumulated nothing."""
     pairs.link[e].impulse = 0.0
     if ti.static(pairs.plan.soft):
         pairs.link[e].bias_velocity = RIGID
@@ -138,7 +138,7 @@ def forget(pairs: ti.template(), e):
 
 @ti.func
 def store(pairs: ti.template()):
-    """Before new lists are made: keep what touches hold in `row`, whose own content only lasts until then."""
+    """Before new lists are made: keep links of what touches in `contact`, whose own content only lasts until then."""
     for i in range(pairs.grid.work[0].balls):
         pairs.old_first[i] = pairs.first[i]
         pairs.old_touching[i] = pairs.touching[i]
@@ -164,7 +164,7 @@ def store(pairs: ti.template()):
 
 @ti.func
 def stored_other(pairs: ti.template(), c):
-    """The other ball of the link that `store` put into row c."""
+    """The other ball of the link that `store` put into contact c."""
     if ti.static(pairs.single_precision):
         return ti.bit_cast(pairs.contact[c].mass, ti.i32) - BITS_OF_ONE
     else:
@@ -173,7 +173,8 @@ def stored_other(pairs: ti.template(), c):
 
 @ti.func
 def recall(pairs: ti.template(), i, j, at):
-    """Copy into link `at` what the contact of i and j held when the lists were last made; either of them may have listed it.
+    """Copy into link `at` what the contact of i and j accumulated when the lists were last made; either of them may have listed
+    it.
 
     Starting from these impulses, iterations need not build up the load of a pile from nothing in every step.
     """
@@ -185,29 +186,29 @@ def recall(pairs: ti.template(), i, j, at):
         begin = pairs.old_first[one]
         for c in range(begin, begin + pairs.old_touching[one]):
             if stored_other(pairs, c) == two:
-                row = pairs.contact[c]
-                pairs.link[at].impulse = row.depth
+                old = pairs.contact[c]
+                pairs.link[at].impulse = old.depth
                 if ti.static(pairs.plan.soft and pairs.has_target):
-                    pairs.link[at].bias_velocity = row.target
+                    pairs.link[at].bias_velocity = old.target
                 elif ti.static(pairs.plan.soft):
-                    pairs.link[at].bias_velocity = row.starting_impulse
+                    pairs.link[at].bias_velocity = old.starting_impulse
                 if ti.static(pairs.has_rebounds):
-                    pairs.link[at].rebound_speed = row.rebound_speed
+                    pairs.link[at].rebound_speed = old.rebound_speed
                 if ti.static(pairs.model.has_friction):
                     # a scalar along the normal turned by 90 degrees is the same seen from the other ball
                     if ti.static(pairs.model.dim == 2):
-                        pairs.link[at].tangential_impulse = row.normal[0]
+                        pairs.link[at].tangential_impulse = old.normal[0]
                     else:
-                        pairs.link[at].tangential_impulse = row.normal if ti.static(which == 0) else -row.normal
+                        pairs.link[at].tangential_impulse = old.normal if ti.static(which == 0) else -old.normal
 
 
 @ti.func
 def search(pairs: ti.template()):
     """For each ball the list of the later balls within reach, in an order that the grid fixes; nothing where the last holds.
 
-    The lists of a block of balls lie one behind the other in the room of that block; what it cannot hold goes to a pool at
-    the end, where its place depends on the threads, but not what it holds. What does not fit there is counted and not kept;
-    the host then makes more room and repeats the steps.
+    The lists of a block of balls lie one behind the other in the entries of that block; what they cannot take goes to a pool at
+    the end, where its place depends on the threads, but not what it lists. What does not fit there is counted and not kept;
+    the host then makes a larger list and repeats the steps.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -229,7 +230,7 @@ def search(pairs: ti.template()):
             far = 0
             found = nearby(pairs, k, at, end - 1 - at)
             if at + found < end:
-                found, far = settle(pairs, k, at, found)
+                found, far = keep_colliding(pairs, k, at, found)
                 at += found
             else:
                 used = COUNT_LIMIT
@@ -238,7 +239,7 @@ def search(pairs: ti.template()):
                 if used + found < pairs.capacity:
                     first = used
                     nearby(pairs, k, first, found)
-                    found, far = settle(pairs, k, first, found)
+                    found, far = keep_colliding(pairs, k, first, found)
                 else:
                     ti.atomic_max(pairs.overflow[0], used + found + 1)
                     found = 0

@@ -1,7 +1,4 @@
-"""Contacts between balls and sticks: found by walking the grid along each stick, kept as rows with up to three balls.
-
-A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie together by stick.
-"""
+"""Contacts between balls and sticks: found by traversing the grid along each stick. Those of a stick lie together."""
 
 from taichi_sim.kernels.contacts import warm_start
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
@@ -80,7 +77,7 @@ def slab(grid: ti.template(), level, a, d, axis, k):
 
 @ti.func
 def visit(sticks: ti.template(), ball: ti.template(), level, s, low, high, at, fill: ti.template()):
-    """Count, or write as rows from `at` on, the balls in the cells low..high of a level that touch stick s."""
+    """Count, or write as contacts from `at` on, the balls in the cells low..high of a level that touch stick s."""
     one, two = sticks.one[s], sticks.two[s]
     found = 0
     depth = 1
@@ -128,7 +125,7 @@ def traverse(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.templat
         low, high = (from_cell // cells)[axis], (to_cell // cells)[axis]
         begin, size = table(sticks.grid, level)
         first_ball, last_ball = sticks.grid.start[begin], sticks.grid.start[begin + size]
-        if high - low > last_ball - first_ball:  # more slabs than balls: sooner asked one by one
+        if high - low > last_ball - first_ball:  # more slabs than balls: quicker one by one
             for k in range(first_ball, last_ball):
                 b = sticks.grid.copy[k]
                 if touches(sticks, ball, sticks.grid.sorted[k], b.x, b.radius, sticks.one[s], sticks.two[s]):
@@ -145,7 +142,7 @@ def traverse(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.templat
 
 @ti.func
 def detect(sticks: ti.template(), ball: ti.template()):
-    """Rows of all sticks, with what they held under the last list, then for each ball the list of its places in them."""
+    """Contacts of all sticks, with what they accumulated under the last list, then for each ball the list of its entries."""
     if ti.static(sticks.plan.warm_starts):
         warm_start.store(sticks)
     sticks.used[0] = 0
@@ -163,20 +160,20 @@ def detect(sticks: ti.template(), ball: ti.template()):
         for c in range(first, first + found):
             measure(sticks, ball, c)
             if ti.static(sticks.plan.warm_starts):
-                row = sticks.contact[c]
-                sticks.contact[c].last_speed = sticks.relative_velocity(ball, row).dot(row.normal)
-                warm_start.recall(sticks, s, c, row.normal)
+                contact = sticks.contact[c]
+                sticks.contact[c].last_speed = sticks.relative_velocity(ball, contact).dot(contact.normal)
+                warm_start.recall(sticks, s, c, contact.normal)
         sticks.begin[s], sticks.length[s] = first, found
     list_entries(sticks)
 
 
 @ti.func
 def measure(sticks: ti.template(), ball: ti.template(), c):
-    """Where on the stick row c is, the normal from stick to ball, and the distance."""
-    row = sticks.contact[c]
-    one, two = sticks.one[row.stick], sticks.two[row.stick]
-    t, r = closest(ball[row.ball].x, ball[one].x, ball[two].x)
-    n, d = unit(r, row.stick, row.ball)
+    """Where on the stick contact c is, the normal from stick to ball, and the distance."""
+    contact = sticks.contact[c]
+    one, two = sticks.one[contact.stick], sticks.two[contact.stick]
+    t, r = closest(ball[contact.ball].x, ball[one].x, ball[two].x)
+    n, d = unit(r, contact.stick, contact.ball)
     if d == 0.0:  # the centre lies on the stick: any direction across it
         n = across(ball[two].x - ball[one].x)
     sticks.contact[c].at = ti.max(0.0, ti.min(1.0, t))

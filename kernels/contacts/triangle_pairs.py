@@ -19,9 +19,8 @@ LISTED_DISTANCE = 1.1  # of the distance at touch: contacts that nearly touch co
 KEPT_DISTANCE = 0.1
 BORDER, NOT_OWNED = -1, -2  # what lies beyond an edge: no other triangle, or hits on the edge belong to the other one
 SHORTEST_LEVER = 0.1  # of a distance: what moves nearer to a pin than that part would be thrown as many times faster
-SMALLEST_ANGLE = (
-    1e-6  # squared sine of an angle: directions that are more alike do not tell what is at right angles to both
-)
+# squared sine of an angle: directions more alike do not say what is at right angles to both
+SMALLEST_ANGLE = 1e-6
 EDGE_END = 1e-4  # of an edge: nearer to its end, the hit is one of the ball there
 
 
@@ -182,7 +181,7 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
         else:
             if joined(triangles, b, kind):
                 thick = ti.min(thick, nearest)
-            # between points that pins hold nothing can be pushed, or only by a long lever
+            # between pinned points nothing can be pushed, or only by a long lever
             contact = whole and give > 0.0 and d < ti.max(LISTED_DISTANCE * thick, thick + way)
             triangles.contact[at].owner = p
             triangles.contact[at].place = place

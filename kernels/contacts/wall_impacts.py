@@ -1,4 +1,4 @@
-"""Walls of balls among others: impacts in turn with those of pairs (pair_impacts), and what impact_iterations asks."""
+"""Walls of crowded balls: impacts in turn with those of pairs (pair_impacts), and what impact_iterations asks."""
 
 from taichi_sim.kernels.contacts import contact_law
 from taichi_sim.kernels.contacts.kinds import BALL_ALONE
@@ -32,7 +32,7 @@ def approach_from_forces(walls: ti.template(), solver: ti.template(), i, n):
 
 @ti.func
 def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, time):
-    """Impacts of ball i, one among others, on the walls that it reaches in this step; whether there were any. It bounces where
+    """Impacts of ball i, a crowded one, on the walls that it reaches in this step; whether there were any. It bounces where
     it is: left to the move, a ball between a wall and a heavy one would bounce there in each step, and the heavy one come
     through."""
     bounced = 0

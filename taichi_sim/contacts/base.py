@@ -55,10 +55,10 @@ class ContactRule:
 
             @ti.func
             def solve(self, ball, time, iterations: ti.template(), impacts: ti.template()):
-                self.each_pair(ball, self.stop)
+                self.each_pair(ball, self.stop_pair)
 
             @ti.func
-            def stop(self, ball, i, j, c):
+            def stop_pair(self, ball, i, j, c):
                 pair = self.pairs.contact[c]
                 closing = ti.min(0.0, (ball[j].v - ball[i].v).dot(pair.normal))
                 if pair.depth > 0.0:
@@ -181,7 +181,7 @@ class ContactRule:
     @ti.func
     def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
         """Change velocities so that nothing approaches; friction acts for `time` seconds. Without `impacts` only slow contacts
-        are held, so that velocities reported at the end of a step are at rest where balls rest."""
+        are solved, so that velocities reported at the end of a step are at rest where balls rest."""
 
     @ti.func
     def relax(self, ball: ti.template(), time):
@@ -227,7 +227,7 @@ class ContactRule:
         if ti.static(self.plan.colliders):
             self.walls.colliders.advance()
         if ti.static(self.plan.pairs):
-            ccd_balls.stop(self, ball)
+            ccd_balls.shorten_ways(self, ball)
             if ti.static(self.plan.triangles and moved):
                 ccd_triangles.limit(self.triangles, self, ball)
             self.pairs.grid.build(ball)
@@ -374,14 +374,14 @@ class ContactRule:
     @ti.func
     def _way(self, ball: ti.template(), i, v, a, h, change):
         """Displacement of ball i over h, and its drift velocity v (mid-step, acceleration a) after impacts on walls. change:
-        of v by forces in this step, where `a` does not tell it."""
+        of v by forces in this step, where `a` does not say it."""
         shift = h * v
         drift = v
         if ti.static(self.plan.walls):
-            if self.model.inverse_mass[i] > 0.0:  # nothing holds a pin that is driven
+            if self.model.inverse_mass[i] > 0.0:  # nothing stops a driven pin
                 shift, drift = self.walls.move(i, ball[i].x, v, a, h, change)
         if ti.static(self.plan.pairs):
-            ccd_balls.note(self, i, shift)  # what only undoes overlap goes through nothing
+            ccd_balls.note_displacement(self, i, shift)  # what only undoes overlap goes through nothing
         if ti.static(self.corrects_positions):
             shift += self.position_correction[i]
         if ti.static(self.plan.pairs):

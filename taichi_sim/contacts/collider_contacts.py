@@ -8,7 +8,7 @@ from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 
 __all__ = ["ColliderContacts"]
 
-SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
+SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders in the solve; impacts need none
 # of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
 STEEPEST_FALL = 0.25
 

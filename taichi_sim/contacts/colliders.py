@@ -150,7 +150,7 @@ class Colliders:
     @ti.func
     def distance(self, k, face, x, after):
         """Distance of the point x from collider k (one face of it, where it is hollow with faces), direction away from it, and
-        whether x lies in the room of a hollow one; `after` seconds into the step."""
+        whether x lies inside of a hollow one; `after` seconds into the step."""
         p = geometry.local(self, k, x, after)
         d, n, within = geometry.distance(self, k, p)
         d, n = geometry.face_distance(self, k, face, p, d, n, within)

@@ -81,7 +81,7 @@ class GaussSeidel(IteratedRule):
 
     @ti.func
     def found(self, ball: ti.template()):
-        """Which balls arrive fast at walls, and from when on forces are told from impacts."""
+        """Which balls arrive fast at walls, and from when on forces count as load."""
         if ti.static(self.plan.impacts_in_turn and self.plan.walls_in_turn):
             pair_impacts.mark_arrivals_at_walls(self)
         if ti.static(self.plan.loaded):

@@ -111,8 +111,10 @@ class Pairs:
             n, d = unit(ball[j].x - ball[i].x, i, j)
             if d < (1.0 + TOUCH_TOLERANCE) * (one + two):
                 u = (ball[j].v - ball[i].v).dot(n)
-                held = False
+                presses = False
                 if ti.static(self.plan.warm_starts):
-                    held = self.link[e].impulse > 0.0
-                total = statistics.join(total, statistics.one(ti.max(0.0, one + two - d), ti.min(one, two), u, held, i))
+                    presses = self.link[e].impulse > 0.0
+                total = statistics.join(
+                    total, statistics.one(ti.max(0.0, one + two - d), ti.min(one, two), u, presses, i)
+                )
         return total

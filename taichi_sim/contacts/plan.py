@@ -21,8 +21,8 @@ class ContactPlan:
     pairs, walls, colliders, sticks, triangles: kinds of contact. skin: of a radius, see Grid. warm_starts: solves start from
     the accumulated impulses of the step before, the load of piles. soft: pairs are damped springs, see
     kernels.contacts.contact_law, else rigid and pushed apart. impacts_in_turn: pairs that close fast bounce one by one, before
-    what rests is solved, see kernels.contacts.pair_impacts; bounces: any of them may; walls_in_turn: so do walls of balls among
-    others. foresees: pairs that may meet within the step count. loaded: what forces add in a step is told from impacts.
+    what rests is solved, see kernels.contacts.pair_impacts; bounces: any of them may; walls_in_turn: so do walls of crowded
+    balls. foresees: pairs that may meet within the step count. loaded: what forces add in a step is no impact.
     line_search: see kernels.contacts.impact_iterations. limits_energy: see kernels.contacts.energy_limiter. iterations: of the
     solve before the move. atomic: impulses are added by atomics. serial: one thread runs all. reasons: a line for each
     decision."""
@@ -125,7 +125,7 @@ def plan_contacts(
         f"masses differ more than {UNEQUAL_MASSES:g} times",
     )
     walls_in_turn = decide(
-        "walls_in_turn", walls and (soft or impacts_in_turn), "balls among others are pushed into walls within a step"
+        "walls_in_turn", walls and (soft or impacts_in_turn), "crowded balls are pushed into walls within a step"
     )
     driven = scene.moving_pins or any(collider.motion.moves for collider in scene.colliders)  # they may do work
     gains = joints if rule.in_turn else warm_starts  # split masses gain nothing from nothing, nor pairs in turn
@@ -167,10 +167,10 @@ def may_collide(scene: Scene) -> bool:
     """Whether any two balls may touch: not both pinned, not of one body, not joined by a spring."""
     n = scene.n_balls
     total = n * (n - 1) // 2
-    held = int(scene.pinned.sum())
+    pinned = int(scene.pinned.sum())
     bodies = np.bincount(scene.body[scene.body > 0]).astype(np.int64)
     both = np.bincount(scene.body[(scene.body > 0) & scene.pinned]).astype(np.int64)  # pinned and of one body: once
-    total -= held * (held - 1) // 2 + int(np.sum(bodies * (bodies - 1) // 2) - np.sum(both * (both - 1) // 2))
+    total -= pinned * (pinned - 1) // 2 + int(np.sum(bodies * (bodies - 1) // 2) - np.sum(both * (both - 1) // 2))
     pairs = np.unique(np.sort(scene.pairs, axis=1), axis=0)
     i, j = pairs[:, 0], pairs[:, 1]
     apart = (scene.body[i] == 0) | (scene.body[i] != scene.body[j])

@@ -66,13 +66,13 @@ class Walls(Surfaces):
 
     @ti.func
     def reach_of(self, i, touch, crowded):
-        """Gap [m] up to which a wall is a contact of ball i. One among others may be pushed there by them in this very step."""
+        """Gap [m] up to which a wall is a contact of ball i. A crowded one may be pushed there by others in this very step."""
         return ti.select(crowded, ti.max(touch, self.model.radius[i]), touch)
 
     @ti.func
     def _role(self, gap, u, touch, crowded, arrives):
         """Part that a wall plays for a ball with the normal speed u. arrives: whether it may be ARRIVING: speed into the wall
-        that forces gave since contacts were last looked for is a load, which is held, and has friction, however large it is."""
+        that forces gave since contacts were last looked for is a load, which is borne, and has friction, however large it is."""
         role = ti.select(
             u > self.threshold[0], LEAVING, ti.select(arrives and u < -self.threshold[0], ARRIVING, RESTING)
         )
@@ -187,7 +187,7 @@ class Walls(Surfaces):
     def _crowded_target(
         self, solver: ti.template(), i, n, restitution, u, gap, touch, target, role, impacts: ti.template()
     ):
-        """Target speed and role of a wall for ball i, one among others, which may come to the wall, but not go on."""
+        """Target speed and role of a wall for ball i, a crowded one, which may come to the wall, but not go on."""
         there = -gap * solver.rate[0]
         if ti.static(solver.plan.impacts_in_turn):
             # one that rests stays: each move of a pile, however small, would be the next one's impact
@@ -271,6 +271,6 @@ class Walls(Surfaces):
             gap = self.gap(ball[i].x, i, k)
             if gap <= self.touch(ball[i].x, i, k):
                 u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
-                held = self.contact[i * self.count + k].impulse > 0.0
-                total = statistics.join(total, statistics.one(ti.max(0.0, -gap), self.model.radius[i], u, held, i))
+                presses = self.contact[i * self.count + k].impulse > 0.0
+                total = statistics.join(total, statistics.one(ti.max(0.0, -gap), self.model.radius[i], u, presses, i))
         return total
