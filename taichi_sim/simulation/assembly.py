@@ -11,9 +11,9 @@ from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.common import memory
 from taichi_sim.common.errors import SceneError
 from taichi_sim.contacts import CONTACT_RULES, ContactRule
-from taichi_sim.contacts.base import ContactParts
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
+from taichi_sim.contacts.found_contacts import ContactParts
 from taichi_sim.contacts.grid import Grid
 from taichi_sim.contacts.pairs import LISTED_GAP, Pairs
 from taichi_sim.contacts.plan import plan_contacts, slowest_bounce
