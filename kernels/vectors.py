@@ -52,3 +52,12 @@ def zero_scalar_in_2d(dim: ti.template()):
         return ti.cast(0.0, float)
     else:
         return ti.Vector.zero(float, 3)
+
+
+@ti.func
+def product(a, b, dim: ti.template()):
+    """Scalar product of two such."""
+    if ti.static(dim == 2):
+        return a * b
+    else:
+        return a.dot(b)

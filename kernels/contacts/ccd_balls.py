@@ -6,11 +6,11 @@ Times of impact are found in rounds, each against the paths that the one before 
 run through by a third.
 """
 
-from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.pairs import may_touch
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, largest, run, same_row
 from taichi_sim.kernels.contacts.sticks import closest
-from taichi_sim.kernels.vectors import cross, unit
+from taichi_sim.kernels.contacts.sticks import may_touch as may_touch_stick
+from taichi_sim.kernels.vectors import cross, product, unit
 
 from taichi_sim.device.engine import ti
 
@@ -166,21 +166,12 @@ def meeting(r, d, distance, end):
     speed = d.norm()
     if speed > 0.0:
         e = d / speed
-        square = distance * distance - squared_distance_from_line(r, e)
+        away = cross(r, e)  # from the line of the path
+        square = distance * distance - product(away, away, r.n)
         c = r.dot(r) - distance * distance
         if r.dot(e) < 0.0 and c > 0.0 and square > 0.0:
             t = ti.min(end, c / (ti.sqrt(square) - r.dot(e)) / speed)
     return t
-
-
-@ti.func
-def squared_distance_from_line(r, e):
-    """Square of the distance of r from the line through the origin along the unit vector e."""
-    away = cross(r, e)
-    if ti.static(r.n == 2):
-        return away * away
-    else:
-        return away.dot(away)
 
 
 @ti.func
@@ -197,24 +188,12 @@ def sweep_stick(solver: ti.template(), ball: ti.template(), s):
         near = moved + shift.norm() > 0.5 * r
         for a in ti.static(range(solver.model.dim)):
             near = near and ti.max(x[a], x[a] - shift[a]) > low[a] - r and ti.min(x[a], x[a] - shift[a]) < high[a] + r
-        if near and collides_with_stick(solver, i, one, two):
+        if near and may_touch_stick(solver.sticks, i, one, two):
             t = time_of_stick_touch(solver, ball, i, one, two)
             if t < 1.0:
                 ti.atomic_min(solver.next_time_of_impact[i], t)
                 ti.atomic_min(solver.next_time_of_impact[one], t)
                 ti.atomic_min(solver.next_time_of_impact[two], t)
-
-
-@ti.func
-def collides_with_stick(solver: ti.template(), i, one, two):
-    """Whether ball i and the stick from `one` to `two` collide at all."""
-    w = solver.model.inverse_mass[i] + solver.model.inverse_mass[one] + solver.model.inverse_mass[two]
-    allowed = i != one and i != two and w > 0.0
-    if ti.static(solver.pairs.has_bodies):
-        allowed = allowed and (solver.pairs.body[i] == 0 or solver.pairs.body[i] != solver.pairs.body[one])
-    if ti.static(solver.model.has_groups):
-        allowed = allowed and balls_meet(solver.model, i, one)
-    return allowed
 
 
 @ti.func

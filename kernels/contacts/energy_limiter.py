@@ -8,6 +8,7 @@ momentum; what only rests stays at rest all the same.
 """
 
 from taichi_sim.kernels.reductions import PART
+from taichi_sim.kernels.vectors import product
 
 from taichi_sim.device.engine import ti
 
@@ -55,9 +56,9 @@ def limit(solver: ti.template(), ball: ti.template()):
                     t0 = ti.cast(solver.spin_before[i], solver.energy_type)
                     t1 = ti.cast(solver.stopped_spin[i], solver.energy_type)
                     t = ti.cast(solver.state.spin[i], solver.energy_type) - t1
-                    lost += 0.5 * product(solver, t0 - t1, t0 + t1) / (w * solver.model.spin_inertia_ratio)
-                    linear += product(solver, t1, t) / (w * solver.model.spin_inertia_ratio)
-                    square += product(solver, t, t) / (w * solver.model.spin_inertia_ratio)
+                    lost += 0.5 * product(t0 - t1, t0 + t1, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
+                    linear += product(t1, t, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
+                    square += product(t, t, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
         solver.energy[c].lost = lost
         solver.energy[c].linear = linear
         solver.energy[c].square = square
@@ -90,12 +91,3 @@ def limit(solver: ti.template(), ball: ti.template()):
                     solver.walls.received.scale(i, less)
             if ti.static(solver.model.spins):
                 solver.state.spin[i] = solver.state.spin[i] + less * (solver.state.spin[i] - solver.stopped_spin[i])
-
-
-@ti.func
-def product(solver: ti.template(), a, b):
-    """a . b of two spins, which are scalars in 2D."""
-    if ti.static(solver.model.dim == 3):
-        return a.dot(b)
-    else:
-        return a * b

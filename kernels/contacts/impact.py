@@ -169,7 +169,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     settled = NOTHING  # the collider on which it came to rest within this step, and the normal there
     floor = 0.0 * v
     fast = False  # it may have to stop on its way at another ball (ccd_balls), so that must be straight
-    if ti.static(walls.straight):
+    if ti.static(walls.plan.pairs):
         fast = shift.dot(shift) > walls.model.radius[i] ** 2
     for _ in range(MOST_IMPACTS):
         if remaining > 0.0:

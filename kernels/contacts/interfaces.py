@@ -16,7 +16,6 @@ class Plan(Protocol):
     pairs: bool  # of balls
     walls: bool  # or colliders
     sticks: bool  # that balls touch
-    triangles: bool  # that collide
     warm_starts: bool  # whether solves start from what contacts accumulated in the step before
     soft: bool  # whether pairs are damped springs
     impacts_in_turn: bool  # whether pairs that close fast bounce one by one
@@ -461,6 +460,7 @@ class Walls(Protocol):
 
     model: Model  # of the scene
     state: State  # of the balls
+    plan: "Plan"  # of the scene
     threshold: Field  # (1) m/s, approach speed below which nothing bounces
     planes: "Planes"  # walls
     collider_contacts: "ColliderContacts"  # slots
@@ -472,7 +472,6 @@ class Walls(Protocol):
     touching: Field  # (n) number of surfaces that a ball touches: most touch none and are passed over
     crowded: Field  # (n) see kinds
     clearance: Field  # (n) m to the nearest wall, where there are no colliders: most balls cannot reach any in a step
-    straight: bool  # whether ways are, of balls that may have to stop on them
     rounding: float  # of a coordinate, as a part of it
     probed: bool  # whether probes ask for impulses
     received: "Received"  # these
@@ -544,7 +543,7 @@ class Solver(Protocol):
     walls: "Walls"  # and colliders
     pairs: "Pairs"  # of balls
     sticks: "Sticks"  # that balls touch
-    triangles: "Triangles"  # that collide
+    sticks_and_triangles: "Incidences"  # a list of those that there are
     threshold: Field  # (1) m/s, approach speed below which nothing bounces
     rate: Field  # (1) 1/s, one over the substep
     in_turn: bool  # each pair sees what those before it changed

@@ -17,12 +17,9 @@ def shares(solver: ti.template(), ball: ti.template(), i):
         t, c = solver.walls.shares(ball, i)
         T += t
         count += c
-    if ti.static(solver.plan.sticks and not solver.sums_plainly):
-        t, c = solver.sticks.shares(i)
-        T += t
-        count += c
-    if ti.static(solver.plan.triangles and not solver.sums_plainly):
-        t, c = solver.triangles.shares(i)
-        T += t
-        count += c
+    if ti.static(not solver.sums_plainly):
+        for part in ti.static(solver.sticks_and_triangles):
+            t, c = part.shares(i)
+            T += t
+            count += c
     return T, count

@@ -3,7 +3,7 @@ with."""
 
 from taichi_sim.kernels.contacts import pair_impacts
 from taichi_sim.kernels.contacts.pair_sweeps import add, torque
-from taichi_sim.kernels.contacts.pairs import forget
+from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
 from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
@@ -109,14 +109,6 @@ def starting_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
             solver.pairs.link[e].tangential_impulse = tangential
             p -= tangential
     return p
-
-
-@ti.func
-def forget_impulse(pairs: ti.template(), e):
-    """Link e starts from nothing."""
-    pairs.link[e].impulse = 0.0
-    if ti.static(pairs.model.has_friction):
-        pairs.link[e].tangential_impulse = zero_scalar_in_2d(pairs.model.dim)
 
 
 @ti.func

@@ -18,26 +18,9 @@ RELAX = Iteration(prepares=True, takes_back=True, starts=False)  # the same wher
 
 
 @ti.func
-def block_in_turn(solver: ti.template(), ball: ti.template(), b, begin, end, time, how: ti.template()):
-    """The pairs of a block, each seeing what those before it changed."""
-    for k in range(begin, end):
-        i = solver.pairs.grid.order[k]
-        first = solver.pairs.first[i]
-        solve_in_turn(solver, ball, i, first, first + solver.pairs.touching[i], time, how)
-
-
-@ti.func
-def block_at_once(solver: ti.template(), ball: ti.template(), b, begin, end, time, how: ti.template()):
-    """The pairs of a block from old velocities."""
-    for k in range(begin, end):
-        solve_at_once(solver, ball, solver.pairs.grid.order[k], time, how)
-
-
-@ti.func
-def block_of_corrections(solver: ti.template(), ball: ti.template(), b, begin, end, h, how: ti.template()):
-    """Position corrections of the pairs of a block."""
-    for k in range(begin, end):
-        correct_positions(solver, ball, solver.pairs.grid.order[k], h)
+def ball_in_turn(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
+    """The pairs that ball i lists, each seeing what those before it changed."""
+    solve_in_turn(solver, ball, i, solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i], time, how)
 
 
 @ti.func
@@ -67,7 +50,7 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
 
 
 @ti.func
-def solve_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
+def ball_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
     """All pairs that ball i lists see the old velocities; impulses are summed in `impulse` and `angular_impulse`, to be applied
     at the end."""
     v = ball[i].v
@@ -240,7 +223,7 @@ def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
 
 
 @ti.func
-def correct_positions(solver: ti.template(), ball: ti.template(), i, h):
+def correct_positions(solver: ti.template(), ball: ti.template(), i, h, how: ti.template()):
     """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
     begin = solver.pairs.first[i]
     for c in range(begin, begin + solver.pairs.touching[i]):

@@ -34,12 +34,23 @@ def one_block(b, solver: ti.template(), ball: ti.template(), visit: ti.template(
 
 
 @ti.func
-def own_pairs(solver: ti.template(), ball: ti.template(), b, begin, end, time, visit: ti.template()):
-    """visit(ball, i, j, c) for each pair c of the balls of a block that touch or nearly do: i lists it, j is the other ball."""
+def each_ball(solver: ti.template(), ball: ti.template(), visit: ti.template(), time, how: ti.template()):
+    """visit(solver, ball, i, time, how) for each ball i, block by block."""
+    each_block(solver, ball, balls_of_block, time, (visit, how))
+
+
+@ti.func
+def balls_of_block(solver: ti.template(), ball: ti.template(), b, begin, end, time, task: ti.template()):
+    """The balls of block b."""
     for k in range(begin, end):
-        i = solver.pairs.grid.order[k]
-        for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
-            visit(ball, i, solver.pairs.link[c].other, c)
+        task[0](solver, ball, solver.pairs.grid.order[k], time, task[1])
+
+
+@ti.func
+def own_pairs(solver: ti.template(), ball: ti.template(), i, time, visit: ti.template()):
+    """visit(ball, i, j, c) for each pair c of ball i that touches or nearly does: i lists it, j is the other ball."""
+    for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+        visit(ball, i, solver.pairs.link[c].other, c)
 
 
 @ti.func

@@ -22,14 +22,21 @@ BITS_OF_ONE = 0x3F800000  # the bits of 1.0
 @ti.func
 def may_touch(pairs: ti.template(), i, j):
     """Whether two balls collide at all: not both pinned, of one body, joined by a spring, or of groups that do not."""
-    allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0
-    if ti.static(pairs.has_bodies):
-        allowed = allowed and (pairs.body[i] == 0 or pairs.body[i] != pairs.body[j])
-    if ti.static(pairs.model.has_groups):
-        allowed = allowed and balls_meet(pairs.model, i, j)
+    allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0 and may_meet(pairs, i, j)
     if ti.static(pairs.has_springs):
         for e in range(pairs.spring_start[i], pairs.spring_start[i + 1]):
             allowed = allowed and pairs.spring_other[e] != j
+    return allowed
+
+
+@ti.func
+def may_meet(pairs: ti.template(), i, j):
+    """Whether two balls are neither of one body, nor of groups that do not collide."""
+    allowed = True
+    if ti.static(pairs.has_bodies):
+        allowed = pairs.body[i] == 0 or pairs.body[i] != pairs.body[j]
+    if ti.static(pairs.model.has_groups):
+        allowed = allowed and balls_meet(pairs.model, i, j)
     return allowed
 
 
@@ -127,11 +134,17 @@ def keep_colliding(pairs: ti.template(), own, at, found):
 @ti.func
 def forget(pairs: ti.template(), e):
     """Link e has accumulated nothing."""
-    pairs.link[e].impulse = 0.0
+    forget_impulse(pairs, e)
     if ti.static(pairs.plan.soft):
         pairs.link[e].bias_velocity = RIGID
     if ti.static(pairs.has_rebounds):
         pairs.link[e].rebound_speed = 0.0
+
+
+@ti.func
+def forget_impulse(pairs: ti.template(), e):
+    """Link e starts from nothing."""
+    pairs.link[e].impulse = 0.0
     if ti.static(pairs.model.has_friction):
         pairs.link[e].tangential_impulse = zero_scalar_in_2d(pairs.model.dim)
 

@@ -1,9 +1,8 @@
 """Contacts between balls and sticks: found by traversing the grid along each stick. Those of a stick lie together."""
 
 from taichi_sim.kernels.contacts import warm_start
-from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.contact_incidence import list_entries
-from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT
+from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT, may_meet
 from taichi_sim.kernels.contacts.spatial_hash import (
     FINE_CELLS,
     bucket_of,
@@ -34,19 +33,20 @@ def closest(x, a, b):
 
 
 @ti.func
+def may_touch(sticks: ti.template(), i, one, two):
+    """Whether ball i and the stick from `one` to `two` collide at all."""
+    w = sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two]
+    return i != one and i != two and w > 0.0 and may_meet(sticks.pairs, i, one)
+
+
+@ti.func
 def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
     """Whether ball i touches the inside of a stick. A hit at an end is the ball-ball contact with the ball there."""
     hit = False
     if i != one and i != two:
         t, r = closest(x, ball[one].x, ball[two].x)
         hit = t > STICK_END and t < 1.0 - STICK_END and r.dot(r) < radius * radius
-        hit = (
-            hit and sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two] > 0.0
-        )
-        if ti.static(sticks.model.has_groups):
-            hit = hit and balls_meet(sticks.model, i, one)
-        if ti.static(sticks.pairs.has_bodies):
-            hit = hit and (sticks.pairs.body[i] == 0 or sticks.pairs.body[i] != sticks.pairs.body[one])
+        hit = hit and may_touch(sticks, i, one, two)
     return hit
 
 

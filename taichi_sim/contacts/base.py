@@ -76,25 +76,17 @@ class ContactRule(FoundContacts):
                 if ti.static(self.model.spins):
                     self.state.spin[i] = self.state.spin[i] + self.warm_spin[i]
                 if ti.static(not impacts):
-                    self.take_out_pairs(ball, i)
-
-    # A solve whose iteration takes back (LAST, RELAX) leaves other impulses in the pairs, but moves nothing: the next solve,
-    # which starts from them, needs no measuring if `warm_velocity` follows. Meanwhile it is the velocity without their part.
+                    self.exclude_pairs(ball, i)
 
     @ti.func
-    def take_out_pairs(self, ball: ti.template(), i):
-        """Before that iteration: what the velocity of ball i would be without the impulses of its pairs."""
+    def exclude_pairs(self, ball: ti.template(), i):
+        """A solve whose iteration takes back (LAST, RELAX) leaves other impulses in the pairs, but moves nothing: the next solve,
+        which starts from them, needs no measuring if `warm_velocity` follows. Before that iteration this makes it the velocity of
+        ball i without its pairs, after it what they do now."""
         if ti.static(self.plan.warm_starts):
             self.warm_velocity[i] = ball[i].v - self.warm_velocity[i]
             if ti.static(self.model.spins):
                 self.warm_spin[i] = self.state.spin[i] - self.warm_spin[i]
-
-    @ti.func
-    def put_back_pairs(self, ball: ti.template(), i):
-        """After it: what pairs do to the velocity of ball i now."""
-        self.warm_velocity[i] = ball[i].v - self.warm_velocity[i]
-        if ti.static(self.model.spins):
-            self.warm_spin[i] = self.state.spin[i] - self.warm_spin[i]
 
     @ti.func
     def gather_sticks_and_triangles(self, ball: ti.template(), i):
@@ -128,7 +120,7 @@ class ContactRule(FoundContacts):
     def each_pair(self, ball: ti.template(), visit: ti.template()):
         """visit(ball, i, j, c) for each pair that touches or nearly does, in a fixed order but with contacts by atomics."""
         if ti.static(self.plan.pairs):
-            pair_sweeps.each_block(self, ball, pair_sweeps.own_pairs, 0.0, visit)
+            pair_sweeps.each_ball(self, ball, pair_sweeps.own_pairs, 0.0, visit)
 
     @ti.func
     def exchange(self, i, j, p):
@@ -198,7 +190,7 @@ class ContactRule(FoundContacts):
                     d += part.correct_positions(ball, self, i, h)
                 self.position_correction[i] = d
             if ti.static(self.plan.pairs and not self.plan.soft):
-                pair_sweeps.each_block(self, ball, pair_solve.block_of_corrections, h, None)
+                pair_sweeps.each_ball(self, ball, pair_solve.correct_positions, h, None)
             if ti.static(self.plan.walls):
                 for i in range(self.n):
                     self.position_correction[i] = self.position_correction[i] + self.walls.correct_positions(

@@ -201,7 +201,7 @@ class FoundContacts:
         if ti.static(self.plan.walls):
             for i in range(self.n):
                 crowded = False
-                if ti.static(self.walls.crowds):
+                if ti.static(self.plan.walls_in_turn):
                     crowded = self.pair_count[i] > 0
                 self.walls.measure(ball, self, i, crowded)
         self.found(ball)

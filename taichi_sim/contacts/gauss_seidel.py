@@ -61,14 +61,14 @@ class GaussSeidel(IteratedRule):
                 p, t = self.impulses_of_sticks_and_triangles(ball, i, how)
                 self.apply(i, p, t)
         if ti.static(self.plan.pairs):
-            pair_sweeps.each_block(self, ball, pair_solve.block_in_turn, time, how)
+            pair_sweeps.each_ball(self, ball, pair_solve.ball_in_turn, time, how)
         if ti.static(self.plan.walls or closes):
             for i in range(self.n):
                 p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
                 if ti.static(self.plan.walls):
                     p, t = self.walls.gather(ball, self, i, time)
                 if ti.static(closes):
-                    self.put_back_pairs(ball, i)
+                    self.exclude_pairs(ball, i)
                 if ti.static(self.plan.walls):
                     self.apply(i, p, t)
 

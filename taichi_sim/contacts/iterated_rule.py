@@ -55,7 +55,7 @@ class IteratedRule(ContactRule):
                     self.velocity_from_forces[i] = ball[i].v - self.velocity_when_found[i]
                 if ti.static(self.plan.walls):
                     self.walls.begin(ball, self, i, False, False)
-                self.take_out_pairs(ball, i)
+                self.exclude_pairs(ball, i)
             self.iterate(ball, time, pair_solve.RELAX)
 
     @ti.func

@@ -45,7 +45,7 @@ class Jacobi(IteratedRule):
             if ti.static(self.model.spins):
                 self.angular_impulse[i] = t
         if ti.static(self.plan.pairs):
-            pair_sweeps.each_block(self, ball, pair_solve.block_at_once, time, how)
+            pair_sweeps.each_ball(self, ball, pair_solve.ball_at_once, time, how)
         for i in range(self.n):
             p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
             if ti.static(self.plan.walls):
@@ -55,7 +55,7 @@ class Jacobi(IteratedRule):
                 angular = self.angular_impulse[i]
             self.apply(i, self.impulse[i], angular)
             if ti.static(self.plan.pairs and self.plan.warm_starts and how.takes_back):
-                self.put_back_pairs(ball, i)
+                self.exclude_pairs(ball, i)
             if ti.static(self.plan.walls):
                 self.apply(i, p, t)
 

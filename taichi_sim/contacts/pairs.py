@@ -28,14 +28,7 @@ class Pairs:
 
     what = "pairs of balls within reach of each other"
 
-    def __init__(
-        self,
-        model: Model,
-        fields: Fields,
-        grid: Grid,
-        plan: ContactPlan,
-        capacity: int = 0,
-    ) -> None:
+    def __init__(self, model: Model, fields: Fields, grid: Grid, plan: ContactPlan, capacity: int = 0) -> None:
         scene = model.scene
         self.model, self.grid, self.plan = model, grid, plan
         self.gap = LISTED_GAP if plan.soft else 0.0

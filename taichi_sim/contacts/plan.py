@@ -16,36 +16,27 @@ UNEQUAL_MASSES = 4.0  # times: from here on iterations converge slowly
 
 @dataclass(frozen=True)
 class ContactPlan:
-    """What is built, and then compiled; a part that the scene lacks is no code at all.
+    """What is built, and then compiled; a part that the scene lacks is no code at all."""
 
-    pairs, walls, colliders, sticks, triangles: kinds of contact. skin: of a radius, see Grid. warm_starts: solves start from
-    the accumulated impulses of the step before, the load of piles. soft: pairs are damped springs, see
-    kernels.contacts.contact_law, else rigid and pushed apart. impacts_in_turn: pairs that close fast bounce one by one, before
-    what rests is solved, see kernels.contacts.pair_impacts; bounces: any of them may; walls_in_turn: so do walls of crowded
-    balls. foresees: pairs that may meet within the step count. loaded: what forces add in a step is no impact.
-    line_search: see kernels.contacts.impact_iterations. limits_energy: see kernels.contacts.energy_limiter. iterations: of the
-    solve before the move. atomic: impulses are added by atomics. serial: one thread runs all. reasons: a line for each
-    decision."""
-
-    pairs: bool
+    pairs: bool  # of balls
     walls: bool
     colliders: bool
-    sticks: bool
-    triangles: bool
-    skin: float
-    warm_starts: bool
-    soft: bool
-    impacts_in_turn: bool
-    bounces: bool
-    walls_in_turn: bool
-    foresees: bool
-    loaded: bool
-    line_search: bool
-    limits_energy: bool
-    iterations: int
-    atomic: bool
-    serial: bool
-    reasons: tuple[str, ...]
+    sticks: bool  # that balls touch
+    triangles: bool  # that collide
+    skin: float  # of a radius, see Grid
+    warm_starts: bool  # solves start from the accumulated impulses of the step before, the load of piles
+    soft: bool  # pairs are damped springs, see kernels.contacts.contact_law, else rigid and pushed apart
+    impacts_in_turn: bool  # pairs that close fast bounce one by one first, see kernels.contacts.pair_impacts
+    bounces: bool  # any of them may
+    walls_in_turn: bool  # so do walls of crowded balls
+    foresees: bool  # pairs that may meet within the step count
+    loaded: bool  # what forces add in a step is no impact
+    line_search: bool  # see kernels.contacts.impact_iterations
+    limits_energy: bool  # see kernels.contacts.energy_limiter
+    iterations: int  # of the solve before the move
+    atomic: bool  # impulses are added by atomics
+    serial: bool  # one thread runs all
+    reasons: tuple[str, ...]  # a line for each decision
 
     @property
     def active(self) -> bool:

@@ -1,6 +1,9 @@
 """Walls and colliders: impacts at their exact time while a ball moves, resting contact as constraints of the contact solve."""
 
+from typing import Any
+
 from taichi_sim.contacts.colliders import Colliders
+from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.contacts.surfaces import Surfaces
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
@@ -26,26 +29,17 @@ __all__ = ["Walls"]
 
 @ti.data_oriented
 class Walls(Surfaces):
-    """A contact of each ball with each surface, see kernels.contacts.interfaces.Walls. crowds: pairs of balls take part in the
-    solve. straight: ways are, where a ball moves by more than its radius in a step, see kernels.contacts.ccd_balls."""
+    """A contact of each ball with each surface, see kernels.contacts.interfaces.Walls."""
 
     def __init__(
-        self,
-        model: Model,
-        state: State,
-        fields: Fields,
-        threshold: ti.Field,
-        crowds: bool,
-        straight: bool,
-        colliders: Colliders | None = None,
-        limits_energy: bool = False,
-    ) -> None:
-        super().__init__(model, fields, colliders, limits_energy)
-        self.state, self.threshold, self.crowds, self.straight = state, threshold, crowds, straight
+        self, model: Model, state: State, fields: Fields, plan: ContactPlan, threshold: Any, colliders: Colliders | None
+    ):
+        super().__init__(model, fields, colliders, plan.limits_energy)
+        self.state, self.plan, self.threshold = state, plan, threshold
         columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
         if model.has_friction:
             columns["tangential_impulse"] = ti.types.vector(model.dim, fields.real)
-        if crowds:
+        if plan.walls_in_turn:
             columns |= {"starting_impulse": fields.real, "previous_impulse": fields.real}
             self.crowded = fields.integers(model.n)
         self.contact = fields.table(columns, model.n * self.count)
@@ -120,7 +114,7 @@ class Walls(Surfaces):
         if ti.static(not self.has_colliders):
             self.clearance[i] = clearance
         self.mass_parts[i] = contact_law.share(T, solving, not self.model.has_friction)
-        if ti.static(self.crowds):
+        if ti.static(self.plan.walls_in_turn):
             self.crowded[i] = ti.select(crowded, ti.select(fast, BALL_ARRIVING, BALL_CROWDED), BALL_ALONE)
 
     @ti.func
@@ -146,7 +140,7 @@ class Walls(Surfaces):
         accumulated. A ball that arrives fast at a wall is left to `move`."""
         v = ball[i].v
         crowded = False
-        if ti.static(self.crowds):
+        if ti.static(self.plan.walls_in_turn):
             crowded = self.crowded[i] != BALL_ALONE
         if ti.static(self.probed and starts):
             self.received.note(i)
@@ -164,9 +158,9 @@ class Walls(Surfaces):
                 e = self.law(i, k).restitution
                 before = ti.select(crowded or role == SUNK, u, ti.max(0.0, u))  # alone, what approaches is pressed
                 target = contact_law.target_speed(before, e, self.threshold[0], impacts)
-                if ti.static(solver.plan.impacts_in_turn and self.crowds):
+                if ti.static(self.plan.impacts_in_turn):
                     self.contact[c].starting_impulse = self.contact[c].impulse
-                if ti.static(self.crowds):
+                if ti.static(self.plan.walls_in_turn):
                     if crowded:
                         target, role = self._crowded_target(solver, i, n, e, u, gap, touch, target, role, impacts)
                 self.contact[c].role = role

@@ -169,16 +169,7 @@ class Assembly:
             triangles = TriangleContacts(model, fields, pairs, self.room.triangles) if plan.triangles else None
         self.colliders = Colliders(model, fields, self._grids) if plan.colliders else None
         if plan.walls:
-            walls = Walls(
-                model,
-                self.state,
-                fields,
-                self.threshold,
-                plan.walls_in_turn,
-                plan.pairs,
-                self.colliders,
-                plan.limits_energy,
-            )
+            walls = Walls(model, self.state, fields, plan, self.threshold, self.colliders)
             if walls.probed:
                 self.state.followers.append(walls.received)
         parts = ContactParts(walls, pairs, sticks, triangles)

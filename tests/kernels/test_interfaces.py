@@ -137,6 +137,11 @@ class Reader(ast.NodeVisitor):
                 if isinstance(name, ast.Name):
                     self.kinds[name.id] = self.kind(value)
 
+    def visit_For(self, node):
+        if isinstance(node.target, ast.Name):
+            self.kinds[node.target.id] = self.kind(node.iter)
+        self.generic_visit(node)
+
     def visit_Call(self, node):
         self.generic_visit(node)
         called = self.imported.get(ast.unparse(node.func), (self.module, ast.unparse(node.func)))
