@@ -194,9 +194,6 @@ class Incidences(Protocol):
     def comes_after(self, entry: int, other: int) -> bool:
         """An order of entries that does not depend on where threads put contacts."""
 
-    def shares(self, i: int) -> Any:
-        """Sum of n n^T over the contacts of ball i, weighted, and their number."""
-
 
 class StickContact(Accumulated, Iterated, Protocol):
     """A ball and a stick: weights 1 on the ball and -(1 - at), -at on the stick's ends."""
@@ -509,9 +506,6 @@ class Walls(Protocol):
     def record(self, i: int, k: int, p: Any) -> None:
         """Surface k gave ball i the impulse p [N s], for probes."""
 
-    def shares(self, ball: Any, i: int) -> Any:
-        """Sum of n n^T over the surfaces that ball i touches, and their number."""
-
     def gather(self, ball: Any, solver: Any, i: int, time: float) -> Any:
         """Further impulse and angular impulse on ball i from the surfaces on which it rests."""
 
@@ -543,12 +537,10 @@ class Solver(Protocol):
     walls: "Walls"  # and colliders
     pairs: "Pairs"  # of balls
     sticks: "Sticks"  # that balls touch
-    sticks_and_triangles: "Incidences"  # a list of those that there are
     threshold: Field  # (1) m/s, approach speed below which nothing bounces
     rate: Field  # (1) 1/s, one over the substep
     in_turn: bool  # each pair sees what those before it changed
     split: bool  # each ball splits its mass between its contacts
-    sums_plainly: bool  # none does, and all see old velocities
     relaxation: float  # part of an impulse from split masses that is applied
     splits_by_direction: bool  # masses, not only by the number of contacts
     counts_pairs: bool  # whether `pair_count` is asked for

@@ -143,18 +143,8 @@ def traverse(triangles: ti.template(), solver: ti.template(), ball: ti.template(
 
 
 @ti.func
-def meet(
-    triangles: ti.template(),
-    solver: ti.template(),
-    ball: ti.template(),
-    p,
-    low,
-    high,
-    slot,
-    near,
-    found,
-    job: ti.template(),
-):
+def meet(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, low, high, slot, near, found,
+         job: ti.template()):  # fmt: skip
     """Balls of two leaves against triangles of the other, edges against edges, where they are nearer than `near`: the leaf of
     ball p, which lies between low and high, and the one in a slot. found: how many pairs it has listed; returned with these."""
     number = found

@@ -15,10 +15,8 @@ STEEPEST_FALL = 0.25
 
 @ti.data_oriented
 class ColliderContacts:
-    """`slot` (n times `count`): what was found when contacts were last looked for. `key`: the collider times `faces` plus the
-    face of it, -1 in an empty slot; `gap` [m]; `normal`; and, where colliders move, `velocity` [m/s], that of the surface.
-    `filled` (n): slots in use. rounding: of a coordinate, as a part of it.
-    """
+    """What was found when contacts were last looked for, see kernels.contacts.interfaces. rounding: of a coordinate, as a part of
+    it."""
 
     def __init__(self, model: Model, fields: Fields, colliders: Colliders, rounding: float) -> None:
         self.model, self.colliders, self.rounding = model, colliders, rounding

@@ -20,12 +20,8 @@ KIND = {ROUND: kinds.ROUND, BOX: kinds.BOX, MESH: kinds.MESH, CUSTOM: kinds.CUST
 
 @ti.data_oriented
 class Colliders:
-    """All colliders of a scene. What no collider is or does compiles to nothing.
-
-    `pose` holds centre, the images of the local x and y axes, velocity and angular velocity `spin` for the step that begins;
-    motions are worked out on the host in float64, for up to TICKS substeps at a time: `motion`, of which `tick` is the present
-    one. custom: number and shape of each collider whose shape is the user's own. grids: of `distance_grids`.
-    """
+    """All colliders of a scene, see kernels.contacts.interfaces. Motions are worked out on the host in float64, for up to TICKS
+    substeps at a time: `motion`, of which `tick` is the present one. grids: of `distance_grids`."""
 
     def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
         scene = model.scene

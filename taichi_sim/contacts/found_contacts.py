@@ -17,7 +17,6 @@ from taichi_sim.kernels.contacts import (
     ccd_balls,
     ccd_triangles,
     contact_law,
-    mass_sharing,
     pair_measures,
     pair_sweeps,
     warm_start,
@@ -111,6 +110,8 @@ class FoundContacts:
             self.effective_inverse_mass = fields.reals(n)
         if self.counts_pairs:
             self.pair_count = fields.integers(n)
+        if self.splits_by_direction:
+            self.normal_tensor = fields.matrices(n, dim)
         if plan.warm_starts and plan.pairs:
             self.warm_velocity = fields.vectors(n, dim)
             if self.model.spins:
@@ -161,6 +162,8 @@ class FoundContacts:
         self.clear(i)
         if ti.static(self.counts_pairs):
             self.pair_count[i] = 0
+        if ti.static(self.splits_by_direction):
+            self.normal_tensor[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         if ti.static(self.plan.warm_starts):
             self.warm_velocity[i] = ti.Vector.zero(float, self.model.dim)
             if ti.static(self.model.spins):
@@ -207,8 +210,27 @@ class FoundContacts:
         self.found(ball)
         if ti.static(self.shares_mass):
             for i in range(self.n):
-                T, count = mass_sharing.shares(self, ball, i)
-                share = contact_law.share(T, count, not self.model.has_friction)
-                self.effective_inverse_mass[i] = share * self.model.inverse_mass[i]
-                if ti.static(self.plan.triangles):
-                    self.triangles.share_mass(T, count, i)
+                self._share_mass(ball, i)
+
+    @ti.func
+    def _share_mass(self, ball: ti.template(), i):
+        """Split the mass of ball i, by the sums of n n^T and of 1 over all that is accumulated from old velocities: in turn those
+        are only sticks and triangles, whose weights count."""
+        T, count = ti.Matrix.zero(float, self.model.dim, self.model.dim), 0.0 * self.model.inverse_mass[i]
+        if ti.static(self.plan.pairs and self.split):
+            count = self.pair_count[i]
+            if ti.static(self.splits_by_direction):
+                T = self.normal_tensor[i]
+        if ti.static(self.plan.walls and self.split):
+            t, c = self.walls.shares(ball, i)
+            T += t
+            count += c
+        if ti.static(not self.sums_plainly):
+            for part in ti.static(self.sticks_and_triangles):
+                t, c = part.shares(i)
+                T += t
+                count += c
+        share = contact_law.share(T, count, not self.model.has_friction)
+        self.effective_inverse_mass[i] = share * self.model.inverse_mass[i]
+        if ti.static(self.plan.triangles):
+            self.triangles.share_mass(T, count, i)

@@ -30,8 +30,6 @@ class Jacobi(IteratedRule):
         self.impulse = fields.vectors(self.n, self.model.dim)
         if self.model.spins:
             self.angular_impulse = fields.spins(self.n, self.model.dim)
-        if self.splits_by_direction:
-            self.normal_tensor = fields.matrices(self.n, self.model.dim)
 
     @ti.func
     def iterate(self, ball: ti.template(), time, how: ti.template()):
@@ -58,9 +56,3 @@ class Jacobi(IteratedRule):
                 self.exclude_pairs(ball, i)
             if ti.static(self.plan.walls):
                 self.apply(i, p, t)
-
-    @ti.func
-    def clear(self, i):
-        """No contact has a direction yet."""
-        if ti.static(self.splits_by_direction):
-            self.normal_tensor[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)

@@ -61,9 +61,11 @@ def plan_contacts(
     """The plan of a scene whose contacts a ContactRule solves. relaxes, custom_method: of the integrator; extra_forces: there are
     others than gravity and springs."""
     reasons: list[str] = []
+    chosen: dict[str, Any] = {}
 
     def decide(name: str, choice: Any, reason: str) -> bool:
         reasons.append(f"{name}: {'yes' if choice else 'no'} ({reason})")
+        chosen[name] = bool(choice)
         return bool(choice)
 
     on = decide("contacts", rule.name != "off" and np.any(~scene.pinned), "unless off, where some ball is not pinned")
@@ -84,8 +86,8 @@ def plan_contacts(
         "two balls that may touch; sticks and triangles look for theirs too",
     )
     walls = decide("walls", on and (scene.walls or scene.colliders), "the scene has walls or colliders")
-    colliders = decide("colliders", on and scene.colliders, "the scene has some")
-    skin = decide(
+    decide("colliders", on and scene.colliders, "the scene has some")
+    decide(
         "skin", not (joints or custom_method), "sticks, triangles and custom methods need a grid made anew in each step"
     )
     gravity = bool(np.any(scene.gravity != 0))
@@ -107,45 +109,25 @@ def plan_contacts(
     )
     restitution = any(material.restitution > 0 for material in used_materials(scene))
     bounces = decide("bounces", impacts_in_turn and restitution, "some material has restitution")
-    foresees = decide("foresees", impacts_in_turn and soft and not bounces, "what bounces has to touch first")
-    loaded = decide("loaded", bounces and (pulls or gravity), "forces may press single balls together")
+    decide("foresees", impacts_in_turn and soft and not bounces, "what bounces has to touch first")
+    decide("loaded", bounces and (pulls or gravity), "forces may press single balls together")
     mass = scene.mass[~scene.pinned]
-    line_search = decide(
+    decide(
         "line_search",
         impacts_in_turn and len(mass) > 0 and mass.max() > UNEQUAL_MASSES * mass.min(),
         f"masses differ more than {UNEQUAL_MASSES:g} times",
     )
-    walls_in_turn = decide(
-        "walls_in_turn", walls and (soft or impacts_in_turn), "crowded balls are pushed into walls within a step"
-    )
+    decide("walls_in_turn", walls and (soft or impacts_in_turn), "crowded balls are pushed into walls within a step")
     driven = scene.moving_pins or any(collider.motion.moves for collider in scene.colliders)  # they may do work
     gains = joints if rule.in_turn else warm_starts  # split masses gain nothing from nothing, nor pairs in turn
-    limits_energy = decide(
+    decide(
         "limits_energy",
         rule.energy_limiter and pairs and not driven and gains and max_restitution(scene) > MOST_BOUNCE,
         "a crowd that bounces well and could gain energy, to which nothing driven gives any",
     )
-    return ContactPlan(
-        pairs=pairs,
-        walls=walls,
-        colliders=colliders,
-        sticks=sticks,
-        triangles=triangles,
-        skin=SKIN if skin else 0.0,
-        warm_starts=warm_starts,
-        soft=soft,
-        impacts_in_turn=impacts_in_turn,
-        bounces=bounces,
-        walls_in_turn=walls_in_turn,
-        foresees=foresees,
-        loaded=loaded,
-        line_search=line_search,
-        limits_energy=limits_energy,
-        iterations=iterations,
-        atomic=atomic,
-        serial=serial,
-        reasons=tuple(reasons),
-    )
+    del chosen["contacts"]
+    chosen["skin"] = SKIN if chosen["skin"] else 0.0
+    return ContactPlan(**chosen, iterations=iterations, atomic=atomic, serial=serial, reasons=tuple(reasons))
 
 
 def slowest_bounce(scene: Scene, h: float) -> float:
