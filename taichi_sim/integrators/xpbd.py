@@ -35,7 +35,7 @@ class XPBD(Integrator):
         self.dim = self.model.dim
         self.springs = self.forces.springs
         self.active = self.springs is not None
-        self.notes = self.contacts.has_walls
+        self.notes = self.contacts.plan.walls
         if self.notes:
             self.start = fields.vectors(self.model.n, self.dim)
         gases = self.forces.take(Gases) if self.active else None
@@ -127,5 +127,5 @@ class XPBD(Integrator):
         """What springs and other forces changed."""
         change = ti.Vector.zero(float, self.dim)
         if ti.static(self.notes):
-            change = self.contacts.before[i] - self.start[i]
+            change = self.contacts.velocity_before[i] - self.start[i]
         return change

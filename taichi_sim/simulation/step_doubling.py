@@ -47,12 +47,14 @@ class SecondSolution:
         self.seen = fields.table(
             {"x": ti.types.vector(state.dim, fields.real)}, self.n
         )  # the second solution, to be compared
-        self.pairs = contacts.pairs if contacts.pairs is not None and contacts.pairs.warm else None
-        self.sticks = contacts.sticks if contacts.sticks is not None and contacts.sticks.warm else None
+        self.pairs = contacts.pairs if contacts.plan.warm_starts else None
+        self.sticks = contacts.sticks if contacts.plan.warm_starts else None
         self.held = self._memory(contacts)
         self.held_stored = [_like_table(field, STORED, fields) for field in self.held]
         self.sizes = [field.shape[0] for field in self.held]
-        self.scaled = [[name for name in ("impulse", "slide") if name in getattr(f, "keys", [])] for f in self.held]
+        self.scaled = [
+            [name for name in ("impulse", "tangential_impulse") if name in getattr(f, "keys", [])] for f in self.held
+        ]
         self.h = [0.0] * (STORED + 1)  # s, of the substep in which contacts came to hold what they do; LIVE is the last
 
     def _like(self, field: Any, fields: Fields) -> Any:
@@ -68,15 +70,15 @@ class SecondSolution:
             int, tuple[int, int]
         ] = {}  # by number of a table: that of how much of it is used, beyond what always is
         if self.pairs is not None:
-            self.lists[1] = (0, self.pairs.pool)
+            self.lists[1] = (0, self.pairs.pool_start)
             found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.touching]
         if self.sticks is not None:
             self.lists[len(found) + 1] = (len(found), 0)
-            found += [self.sticks.used, self.sticks.row, self.sticks.begin, self.sticks.length]
+            found += [self.sticks.used, self.sticks.contact, self.sticks.begin, self.sticks.length]
         if contacts.walls is not None:
             found.append(contacts.walls.contact)
             if contacts.walls.has_colliders:
-                found += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.held]
+                found += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.filled]
         return found
 
     @ti.func
