@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model, phase_type
 
 __all__ = ["WORLD_RADIUS", "State"]
@@ -101,7 +101,7 @@ class State:
             if self.still is not None:
                 stored = np.where(self.still[:, None], 0.0, stored)
             shaped = stored[:, 0] if self.dim == 2 else stored
-            self.spin.from_numpy(shaped.astype(np.float64 if self.spin.dtype == ti.f64 else np.float32))
+            fill(self.spin, shaped)
 
     def _copy_in(self, table: Any, x: np.ndarray, v: np.ndarray) -> None:
         self.set_values(table.x, x)
@@ -109,8 +109,7 @@ class State:
 
     def set_values(self, field: Any, values: np.ndarray) -> None:
         """Fill a field (n) from (n, dim) in the user's order."""
-        stored = values if self.order is None else values[self.order]
-        field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
+        fill(field, values if self.order is None else values[self.order])
 
     def values(self, field: Any) -> np.ndarray:
         """A field (n) as (n, dim) in the user's order, a copy."""

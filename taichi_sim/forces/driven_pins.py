@@ -3,7 +3,7 @@
 import numpy as np
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import NUMPY_TYPES, Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.forces.springs import Springs
@@ -51,8 +51,7 @@ class DrivenPins:
             x, rotation = motion.at(t)
             columns = x[:-1], np.diff(x, axis=0) / h, rotation[:-1], np.diff(rotation, axis=0) / h
             table[:, k] = np.concatenate([part.reshape(steps + 1, -1) for part in columns], axis=1)
-        real = np.float64 if self.pose.x.dtype == ti.f64 else np.float32
-        self._load(np.ascontiguousarray(table.reshape(-1, self.width), dtype=real))
+        self._load(np.ascontiguousarray(table.reshape(-1, self.width), dtype=NUMPY_TYPES[self.pose.x.dtype]))
 
     @ti.kernel
     def _load(self, table: ti.types.ndarray()):

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.geometry.graph import components
@@ -72,8 +72,8 @@ class Pointer:
         x = self._state.position
         self.ball, self._balls = index, self._around(index, x)
         self._places = x[self._balls] - x[index]
-        self._set(self._dragged, _filled(self._balls, scene.n_balls))
-        self._set(self._place, _filled(self._places, scene.n_balls))
+        fill(self._dragged, _filled(self._balls, scene.n_balls))
+        fill(self._place, _filled(self._places, scene.n_balls))
         self._speed[0] = self.rate
         self._set_target(goal)
         self._count[0] = len(self._balls)
@@ -108,9 +108,6 @@ class Pointer:
     def _set_target(self, goal: NDArray[np.float64]) -> None:
         self._target = goal
         self._goal[0] = ti.Vector(goal.tolist(), dt=self._goal.dtype)
-
-    def _set(self, field: ti.Field, values: NDArray) -> None:
-        field.from_numpy(values.astype({ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}[field.dtype]))
 
     def _around(self, ball: int, x: NDArray[np.float64]) -> NDArray[np.int32]:
         """The ball and the nearest of those that hang on it, with DRAGGED_PART of their mass together."""

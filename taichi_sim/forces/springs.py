@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model, incidence, phase_type
 from taichi_sim.forces.spring_batches import batches
 from taichi_sim.kernels.springs import law, padded_blocks, simd_batches
@@ -85,11 +85,10 @@ class Springs:
         """Replace the damping (m,) [N s/m] of all springs."""
         self.given = damping
         if self.damped:
-            field = self.spring.damping
             stored = np.where(self.number < 0, 0.0, damping[self.number])
             if self.tearing is not None:
                 stored = np.where(self.tearing.whole(), stored, 0.0)
-            field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
+            fill(self.spring.damping, stored)
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""

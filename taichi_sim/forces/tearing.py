@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.forces.springs import Springs
@@ -32,7 +32,6 @@ class Tearing:
         tears = np.isfinite(scene.break_strain)
         limit = np.full(self.m, np.inf)  # also of what has no length at rest
         limit[tears] = scene.rest_length[tears] * (1.0 + scene.break_strain[tears])
-        self._real = np.float64 if fields.real == ti.f64 else np.float32
         # a number that is larger than any length, but not infinite, which single precision would refuse
         stored = np.where(number < 0, np.inf, limit[number])
         self.limit = fields.reals(np.minimum(stored, 1e30))
@@ -72,7 +71,7 @@ class Tearing:
 
     def _set(self, torn: NDArray[Any]) -> None:
         self.torn.from_numpy(torn)
-        self.springs.spring.stiffness.from_numpy(np.where(torn > 0, 0.0, self.stiffness).astype(self._real))
+        fill(self.springs.spring.stiffness, np.where(torn > 0, 0.0, self.stiffness))
         self.springs.set_damping(self.springs.given)
         for tie in self.ties:
             tie.set(torn > 0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from taichi_sim.analysis.damping import MOST_STAGES, lone, softened, stages
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import TotalForce
@@ -43,7 +43,6 @@ class DampedKick:
         columns = {"one": ti.i32, "other": ti.i32, "lost": real, "late": real}
         zero = np.zeros(self.m)
         self.lone = fields.table(columns, self.m, {"one": one, "other": other, "lost": zero, "late": zero})
-        self._real = np.float64 if real == ti.f64 else np.float32
         self.counts = (1, 1)
 
     def fit(self, h: float) -> None:
@@ -54,16 +53,16 @@ class DampedKick:
             weights = np.zeros((2 * MOST_STAGES, 4))
             weights[: len(both.before)] = both.before
             weights[MOST_STAGES : MOST_STAGES + len(both.after)] = both.after
-            self.weights.from_numpy(weights.astype(self._real))
+            fill(self.weights, weights)
             self.counts = (len(both.before), len(both.after))
-            self.count.from_numpy(np.array(self.counts, dtype=np.int32))
+            fill(self.count, np.array(self.counts))
         if self.m:
             w = self.model.inverse_mass_array[scene.pairs[self.alone]].sum(axis=1)
             z = tau * scene.damping[self.alone] * w
             lost = -np.expm1(-z)  # of the relative speed
             late = np.where(z > 1e-4, 1.0 - lost / np.where(z > 1e-4, z, 1.0), 0.5 * z - z * z / 6.0)
-            self.lone.lost.from_numpy(lost.astype(self._real))
-            self.lone.late.from_numpy(late.astype(self._real))
+            fill(self.lone.lost, lost)
+            fill(self.lone.late, late)
 
     @staticmethod
     def damping(scene: Scene, h: float) -> Any:

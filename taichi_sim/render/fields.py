@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.render import raster, shade, shading_pass, vertex_binding
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
-__all__ = ["Buffers", "Canvas", "finished", "padded", "place"]
+__all__ = ["Buffers", "Canvas", "finished", "padded"]
 
 SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 
@@ -28,23 +29,18 @@ class Buffers:
         n, m, t = self.capacity[:3]
         self.has_spheres = bool(np.any(content.radius > 0))
         self.has_rods, self.has_triangles, self.has_bound = m > 0, t > 0, len(content.binding) > 0
-        builder = ti.FieldsBuilder()
-        self.ball = place(builder, ti.Vector.field(4, ti.f32), n)
-        self.colour = place(builder, ti.Vector.field(3, ti.f32), n)
+        self._fields = fields = Fields(ti.f32)
+        self.ball, self.colour = fields.vectors(n, 4), fields.vectors(n, 3)
         if self.has_rods:
-            self.rod = place(builder, ti.Vector.field(2, ti.i32), m)
-            self.rod_radius = place(builder, ti.field(ti.f32), m)
-            self.rod_strain = place(builder, ti.field(ti.f32), m)
+            self.rod, self.rod_radius, self.rod_strain = fields.cells(m, 2), fields.reals(m), fields.reals(m)
         if self.has_triangles:
-            self.corner = place(builder, ti.Vector.field(3, ti.i32), t)
-            self.incident = place(builder, ti.field(ti.i32), 3 * t)
-            self.start = place(builder, ti.field(ti.i32), n + 1)
-            self.normal = place(builder, ti.Vector.field(3, ti.f32), n)
+            self.corner, self.incident = fields.cells(t, 3), fields.integers(3 * t)
+            self.start, self.normal = fields.integers(n + 1), fields.vectors(n, 3)
         if self.has_bound:
-            self.bound_start = place(builder, ti.field(ti.i32), len(content.binding) + 1)
-            self.bound_entry = place(builder, ti.field(ti.i32), content.binding.weights.nnz)
-            self.bound_weight = place(builder, ti.field(ti.f32), content.binding.weights.nnz)
-        self._tree = builder.finalize()
+            entries = content.binding.weights.nnz
+            self.bound_start = fields.integers(len(content.binding) + 1)
+            self.bound_entry, self.bound_weight = fields.integers(entries), fields.reals(entries)
+        fields.build()
         self.ball.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
         self._upload = np.zeros((max(n, 1), 4), dtype=np.float32)
         self.vertices, self.rods, self.triangles = n, m, t
@@ -122,7 +118,7 @@ class Buffers:
         """Leave out the farthest spheres of a view beyond a total area (px) of all discs: buried layers deep."""
         points = self._upload[: self.balls]
         depth = points[:, :3] @ view[2, :3] + view[2, 3]
-        scale = view[3, 0] / np.maximum(depth, raster.NEAR)
+        scale = view[3, 0] / np.maximum(depth, raster.NEAR_PLANE)
         order = np.argsort(depth - points[:, 3], kind="stable")
         covered = np.minimum(np.pi * (points[order, 3] * scale[order]) ** 2, 4 * view[3, 1] * view[3, 2])
         points[order[np.cumsum(covered) > area], 3] = 0.0
@@ -140,7 +136,7 @@ class Buffers:
         raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.vertices)
 
     def close(self) -> None:
-        self._tree.destroy()
+        self._fields.free()
 
 
 def _sizes(content: Content) -> tuple[int, ...]:
@@ -171,17 +167,14 @@ class Canvas:
     ) -> None:
         pixels = size[0] * size[1]
         self.samples, self.shadow_side = samples, SHADOW_SIDE[samples]
-        builder = ti.FieldsBuilder()
-        self.keys = place(builder, ti.field(ti.i64), pixels * samples)
-        self.image = place(builder, ti.Vector.field(3, ti.f32), pixels)
-        self.shadow: Any = place(builder, ti.field(ti.i64), self.shadow_side**2) if shadow else None
+        self._fields = fields = Fields(ti.f32)
+        self.keys, self.image = fields.keys(pixels * samples), fields.vectors(pixels, 3)
         cells = (self.shadow_side // shade.COARSE_TEXELS) ** 2
-        self.cell: Any = place(builder, ti.field(ti.f32), cells) if shadow else None
-        self.coarse: Any = place(builder, ti.field(ti.f32), cells) if shadow else None
-        self.openness: Any = place(builder, ti.field(ti.f32), pixels) if occlusion else None
-        self.open_raw: Any = place(builder, ti.field(ti.f32), pixels) if occlusion else None
-        self.alpha: Any = place(builder, ti.field(ti.f32), pixels) if transparent else None
-        self._tree = builder.finalize()
+        self.shadow: Any = fields.keys(self.shadow_side**2) if shadow else None
+        self.cell, self.coarse = (fields.reals(cells) if shadow else None for _ in range(2))
+        self.openness, self.open_raw = (fields.reals(pixels) if occlusion else None for _ in range(2))
+        self.alpha: Any = fields.reals(pixels) if transparent else None
+        fields.build()
         self.image.fill(0.0)  # see Buffers
         self._out = np.zeros(pixels, dtype=np.int32)
         self._scene: tuple[Buffers, _Scene] | None = None
@@ -196,7 +189,7 @@ class Canvas:
         return finished(self.image, self.alpha, self.samples == 1, width, height, self._out)
 
     def close(self) -> None:
-        self._tree.destroy()
+        self._fields.free()
         self._scene = None
 
 
@@ -213,9 +206,3 @@ def padded(values: NDArray, rows: int) -> NDArray:
     if len(values) == rows:
         return values
     return np.concatenate([values, np.zeros((rows - len(values), *values.shape[1:]), dtype=values.dtype)])
-
-
-def place(builder: Any, field: Any, count: int) -> Any:
-    """The field with capacity for `count`, at least one."""
-    builder.dense(ti.i, max(count, 1)).place(field)
-    return field

@@ -1,7 +1,6 @@
 """Pictures of 2D frames: discs, rods, triangles and walls with analytic edges."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,13 +8,14 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
 from taichi_sim.geometry.mesh import Edges
 from taichi_sim.kernels.render import paint2d
 from taichi_sim.render.bodies import filled
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
 from taichi_sim.render.colouring import FULL_STRAIN, Colouring
 from taichi_sim.render.content import Content
-from taichi_sim.render.fields import finished, padded, place
+from taichi_sim.render.fields import finished, padded
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 from taichi_sim.render.tracker import Follower
@@ -243,20 +243,22 @@ class Canvas:
     """What the kernel reads and writes: fields of shapes, walls and bodies, at least one of each, and the picture."""
 
     def __init__(self, shapes: int, walls: int, bodies: int, pixels: int, transparent: bool) -> None:
-        builder, vec3 = ti.FieldsBuilder(), partial(ti.Vector.field, 3, ti.f32)
-        self.shape = place(builder, ti.Vector.field(8, ti.f32), shapes)
-        self.colour, self.kind = place(builder, vec3(), shapes), place(builder, ti.field(ti.i32), shapes)
-        self.wall = place(builder, vec3(), walls)
-        self.body, self.tint = place(builder, ti.Vector.field(8, ti.f32), bodies), place(builder, vec3(), bodies)
-        self.image = place(builder, vec3(), pixels)
-        self.alpha = place(builder, ti.field(ti.f32), pixels if transparent else 1)
+        self._fields = fields = Fields(ti.f32)
+        self.shape, self.colour, self.kind = (
+            fields.vectors(shapes, 8),
+            fields.vectors(shapes, 3),
+            fields.integers(shapes),
+        )
+        self.wall = fields.vectors(walls, 3)
+        self.body, self.tint = fields.vectors(bodies, 8), fields.vectors(bodies, 3)
+        self.image, self.alpha = fields.vectors(pixels, 3), fields.reals(pixels if transparent else 1)
         self.transparent = transparent
-        self._tree = builder.finalize()
+        fields.build()
         self.wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
 
     def close(self) -> None:
         """Free the fields."""
-        self._tree.destroy()
+        self._fields.free()
 
 
 def _covered(frame: Frame, bounds: Bounds) -> tuple[NDArray, NDArray]:
