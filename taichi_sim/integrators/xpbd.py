@@ -35,8 +35,8 @@ class XPBD(Integrator):
         self.dim = self.model.dim
         self.springs = self.forces.springs
         self.active = self.springs is not None
-        self.notes = self.contacts.plan.walls
-        if self.notes:
+        self.notes_load = self.contacts.plan.walls
+        if self.notes_load:
             self.start = fields.vectors(self.model.n, self.dim)
         gases = self.forces.take(Gases) if self.active else None
         self.inflated = gases is not None
@@ -47,7 +47,7 @@ class XPBD(Integrator):
         if self.at_once:
             self.sum = fields.vectors(self.model.n, self.dim)
             count = np.bincount(self.model.scene.pairs.ravel(), minlength=self.model.n)
-            self.parts = fields.reals(count.astype(np.float64))  # springs of each ball
+            self.spring_count = fields.reals(count.astype(np.float64))  # springs of each ball
 
     @ti.func
     def _impulse(self, i, j, e, h, n, d, split: ti.template()):
@@ -55,8 +55,8 @@ class XPBD(Integrator):
         spring = self.springs.spring[e]
         wi, wj = self.model.inverse_mass[i], self.model.inverse_mass[j]
         if ti.static(split):
-            wi *= self.parts[i]
-            wj *= self.parts[j]
+            wi *= self.spring_count[i]
+            wj *= self.spring_count[j]
         closing = (self.ball[j].v - self.ball[i].v).dot(n)
         pull = law.tension(spring, 1.0, d, 1.0, closing, self.springs.damped)
         rate = h * spring.stiffness
@@ -106,26 +106,32 @@ class XPBD(Integrator):
         """Other forces, springs, contacts on the new velocity, then move."""
         self.forces.external(self.ball, h, time)
         for i in range(self.model.n):
-            if ti.static(self.notes):
+            if ti.static(self.notes_load):
                 self.start[i] = self.ball[i].v
             self.state.kick(i, self.forces.external_change(i, h))
         if ti.static(self.inflated):
             self.gas.push(self.ball, self.state, h)
+        if ti.static(self.active):
+            self._kick_by_springs(h)
+        self.contacts.advance(self.ball, self, h, h)
+        self.contacts.relax(self.ball, 0.0)
+
+    @ti.func
+    def _kick_by_springs(self, h):
+        """Each once: all at once, by batches or by blocks."""
         if ti.static(self.at_once):
             edge_blocks.sums(self, self.springs, h)
             for i in range(self.model.n):
                 self.state.kick(i, self.model.inverse_mass[i] * self.sum[i])
         elif ti.static(self.in_batches):
             simd_batches.in_turn(self, self.springs, h)
-        elif ti.static(self.active):
+        else:
             edge_blocks.in_turn(self, self.springs, h)
-        self.contacts.advance(self.ball, self, h, h)
-        self.contacts.relax(self.ball, 0.0)
 
     @ti.func
     def load(self, i, h):
         """What springs and other forces changed."""
         change = ti.Vector.zero(float, self.dim)
-        if ti.static(self.notes):
+        if ti.static(self.notes_load):
             change = self.contacts.velocity_before[i] - self.start[i]
         return change
