@@ -135,10 +135,10 @@ def test_a_rule_may_not_hide_a_field():
         def solve(self, ball, time, iterations, impacts):
             pass
 
-        def stop(self):
+        def rate(self):
             pass
 
     scene = ts.Scene(dim=2)
     scene.add_balls(ROW, radius=0.1)
-    with pytest.raises(TypeError, match=r"Hiding\.stop has the name of a field"):
+    with pytest.raises(TypeError, match=r"Hiding\.rate has the name of a field"):
         ts.Simulation(scene, contacts=Hiding())
