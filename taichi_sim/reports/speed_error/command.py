@@ -12,8 +12,6 @@ from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings
 
-__all__ = ["read", "require_own_file"]
-
 
 def read(
     name: str | None,

@@ -8,8 +8,6 @@ from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.plan import METHODS
 from taichi_sim.reports.speed_error.rows import CLEAR_OF_REFERENCE, STABLE, UNSTABLE, Row
 
-__all__ = ["draw", "png", "svg"]
-
 COLOURS = ("#3d85c6", "#d99a1c", "#2a9d78", "#8c8c8c", "#c5689c", "#d4623a", "#8a6fd6")  # seen on white and on black
 MARKERS = ("o", "s", "D", "x", "^", "v", "P")
 INK = "#010203"  # of words and axes; becomes the page's own colour
