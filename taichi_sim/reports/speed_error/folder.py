@@ -14,6 +14,7 @@ import numpy as np
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
+from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import Row
@@ -48,10 +49,7 @@ class Folder:
     def __init__(self, path: Path, key: str, overwrite: bool = False) -> None:
         """Raises OSError or ValueError before anything is written where the folder cannot be used."""
         self.path, self.key = path, key
-        if not path.parent.is_dir():
-            raise FileNotFoundError(f"{path}: there is no folder {str(path.parent)!r}; make it first")
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(f"{path}: is a file; give the name of a folder")
+        require_folder_place(path)
         if path.is_dir() and any(path.iterdir()):
             if not (path / MARK).is_file():
                 raise FileExistsError(f"{path}: the folder is not empty and holds no report; use another name")

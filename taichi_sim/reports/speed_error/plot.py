@@ -70,13 +70,10 @@ def _curve(axis: Any, findings: Findings, rows: list[Row], margin: float) -> Non
         return
     index = METHODS.index(rows[0].method)
     colour, marker = COLOURS[index], MARKERS[index]
-    good = [
-        (row.relative_error, row.seconds)
-        for row in rows
-        if row.verdict == STABLE and row.relative_error and row.seconds
-    ]
+    good = [row for row in rows if row.verdict == STABLE and row.relative_error and row.seconds]
     if good:
-        axis.plot(*zip(*good), color=colour, marker=marker, ms=5, lw=1.6, label=rows[0].method)
+        points = [(row.relative_error, row.seconds) for row in good]
+        axis.plot(*zip(*points), color=colour, marker=marker, ms=5, lw=1.6, label=rows[0].method)
     bad = [row.seconds for row in rows if row.verdict == UNSTABLE and row.seconds]
     if bad:
         axis.plot([margin] * len(bad), bad, color=colour, marker="$\\times$", ms=9, lw=0, label="unstable")
