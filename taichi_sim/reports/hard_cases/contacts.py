@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.reports.hard_cases import places
 from taichi_sim.reports.hard_cases import springs as hard_springs
 from taichi_sim.reports.hard_cases.case import (
     Case,
@@ -23,13 +24,6 @@ from taichi_sim.reports.hard_cases.case import (
     rounding,
     show,
     simulation,
-)
-from taichi_sim.reports.hard_cases.places import (
-    crowded_cell,
-    negative_coordinates,
-    radii_from_1_to_1000,
-    tiny_in_a_large_world,
-    world_offset,
 )
 from taichi_sim.scene.scene import Scene
 
@@ -76,7 +70,7 @@ def bullet_at_wall(contacts: str, short: bool) -> Verdict:
     x[:, 1] = radius * (1.0 + rng.uniform(0.0, BULLET, n) * -d[:, 1])
     scene.add_balls(x, radius=radius, velocity=BULLET * radius[:, None] / H * d, body=scene.new_body())
     with simulation(scene, contacts) as sim:
-        (deepest,) = largest(sim, 3 * H, 3, lambda: np.max(1.0 - sim.position[:, 1] / radius))
+        (deepest,) = largest(sim, 3 * H, 3, lambda: np.max(1.0 - sim.position[:, 1] / radius, initial=0.0))
     return Verdict(deepest < 1.0, deepest, f"radii deep, the worst of {n}")
 
 
@@ -264,11 +258,11 @@ CASES = (
     Case("crushing piston, then release", "v <= sqrt(2 E / m)", piston),
     Case("everything pinned", "no motion", all_pinned),
     Case("empty scene", "steps and does nothing", empty),
-    Case("world offset by 1e6 m", "f64: the run at the origin to 1e-9; f32: warned", world_offset),
-    Case("radius 1e-4 m in a 1e4 m world", "right pairs, by brute force", tiny_in_a_large_world),
-    Case("radii 1:1000", "right pairs, by brute force", radii_from_1_to_1000),
-    Case("negative coordinates", "right pairs, by brute force", negative_coordinates),
-    Case("1e6 balls in one cell", "no wrong pair, in 10 minutes", crowded_cell),
+    Case("world offset by 1e6 m", "f64: the run at the origin to 1e-9; f32: warned", places.world_offset),
+    Case("radius 1e-4 m in a 1e4 m world", "right pairs, by brute force", places.tiny_in_a_large_world),
+    Case("radii 1:1000", "right pairs, by brute force", places.radii_from_1_to_1000),
+    Case("negative coordinates", "right pairs, by brute force", places.negative_coordinates),
+    Case("1e6 balls in one cell", "no wrong pair, in 10 minutes", places.crowded_cell),
 )
 
 
