@@ -45,9 +45,7 @@ class ContactParts(NamedTuple):
 class ContactRule:
     """One way to solve the contacts of a scene; this one, "off", solves none.
 
-    A rule of your own is a subclass with a `solve`, and is passed as an object, `Simulation(scene, contacts=Inelastic())`. Pair c
-    of balls i and j has `self.pairs.row[c]`, with `normal` from i to j, `depth` [m], negative where they are still apart, and
-    `mass` [kg], 1 / (1 / m_i + 1 / m_j). Fast impacts on walls and overlap are taken care of when balls move. The shortest:
+    A user-defined rule is a subclass with a `solve`. The shortest:
 
         @ti.data_oriented
         class Inelastic(ts.ContactRule):
@@ -55,19 +53,23 @@ class ContactRule:
             in_turn = True
 
             @ti.func
-            def solve(self, ball, time, iterations: ti.template(), impacts: ti.template()):
-                self.each_pair(ball, self.stop)
+            def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
+                self.each_pair(ball, self.join)
 
             @ti.func
-            def stop(self, ball, i, j, c):
+            def join(self, ball: ti.template(), i, j, c):
                 pair = self.pairs.row[c]
                 closing = ti.min(0.0, (ball[j].v - ball[i].v).dot(pair.normal))
                 if pair.depth > 0.0:
                     self.exchange(i, j, pair.mass * closing * pair.normal)
 
-    with `ti` from `taichi_sim.device.engine`. A scene without pairs has no `self.pairs` (`self.has_grid` is False). For what
-    rests on walls, sticks and triangles, call `self.begin(ball, impacts)` before the first iteration, and
-    `self.solve_joints(ball, time)` and `self.solve_walls(ball, time)` in each.
+        ts.Simulation(scene, contacts=Inelastic())
+
+    Pair c of balls i and j is `self.pairs.row[c]`, with `normal` from i to j, `depth` [m], negative where they are still apart,
+    and `mass` [kg], 1 / (1 / m_i + 1 / m_j). Fast impacts on walls and overlap are taken care of when balls move. A scene without
+    pairs has no `self.pairs` (`self.has_grid` is False). For what rests on walls, sticks and triangles, call
+    `self.begin(ball, impacts)` before the first iteration, and `self.solve_joints(ball, time)` and `self.solve_walls(ball, time)`
+    in each.
 
     Class attributes: `in_turn`: each pair sees what those before it changed, which needs a fixed order; `split`: each ball splits
     its mass between its contacts, see kernels.contacts.contact_law.share; `sums_plainly`: none does; `warm_starts`, `softens`,
@@ -129,6 +131,10 @@ class ContactRule:
             self.before = fields.vectors(self.n, model.dim)
             self._allocate_shared(fields)
             self.allocate(fields)
+        own = vars(type(self))
+        for name in vars(self).keys() & own.keys():
+            if callable(own[name]):
+                raise TypeError(f"contacts: {type(self).__name__}.{name} has the name of a field; call it otherwise")
 
     def _allocate_shared(self, fields: Fields) -> None:
         n, dim = self.n, self.model.dim

@@ -1,7 +1,7 @@
-"""Element: forces between a few balls each, of a user's own.
+"""Element: user-defined forces between a few balls each.
 
     @ti.data_oriented
-    class Rod(Element):
+    class Rod(ts.Element):
         def __init__(self, balls, stiffness):
             self.balls = balls  # (e, 3)
             self.columns = {"stiffness": stiffness}  # N/m
@@ -11,7 +11,7 @@
             bend = ball[row.a].x - 2.0 * ball[row.b].x + ball[row.c].x
             return -row.stiffness * ti.select(row.corner == 1, -2.0, 1.0) * bend
 
-    Simulation(scene, forces=[Rod([[0, 1, 2]], 100.0)])
+    ts.Simulation(scene, forces=[Rod([[0, 1, 2]], 100.0)])
 
 docs/extending.md adds its energy and its stability.
 """

@@ -1,6 +1,6 @@
 """TotalForce: the sum of all forces of a scene, accumulated from old positions and velocities into impulses.
 
-A force of your own is a small class with one function; it may read any field of the model:
+A user-defined force is a small class with one function; it may read any field of the model:
 
     @ti.data_oriented
     class Drag:
@@ -12,7 +12,7 @@ A force of your own is a small class with one function; it may read any field of
             for i in range(model.n):
                 impulse[i] += -h * self.coefficient * ball[i].v
 
-    Simulation(scene, forces=[Drag(0.1)])
+    ts.Simulation(scene, forces=[Drag(0.1)])
 
 It may have, too,
 - `stiffness_rate(scene)` [1/s^2] and `damping_rate(scene)` [1/s]: the largest eigenvalues of M^-1 K and M^-1 D of what it does,

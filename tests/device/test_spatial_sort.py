@@ -38,7 +38,7 @@ def test_neighbours_lie_near_each_other():
     assert np.median(np.linalg.norm(np.diff(sorted_x, axis=0), axis=1)) < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @each_dim
 def test_a_pile_moves_the_same_in_either_order(dim, monkeypatch):
     scene = physics_bits.pile(dim)

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.once
 PEERS = ("springs", "contacts", "shuffled", "pile", "small_pile", "granular", "stiff")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(F64, reason="the benchmark runs in single precision")
 @pytest.mark.parametrize("name", list(main.CASES))
 def test_each_case_runs(name, capsys):

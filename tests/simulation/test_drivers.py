@@ -47,7 +47,7 @@ def test_blocks_have_the_same_bits_in_both_drivers(monkeypatch):
 @pytest.mark.parametrize(
     ("dim", "contacts"),
     [
-        pytest.param(dim, rule, id=f"{dim}d-{rule}", marks=[] if (dim, rule) == (3, "jacobi") else [pytest.mark.slow])
+        pytest.param(dim, rule, id=f"{dim}d-{rule}", marks=[] if (dim, rule) == (3, "jacobi") else [pytest.mark.long])
         for dim in (2, 3)
         for rule in ("gauss_seidel", "jacobi")
     ],
