@@ -15,8 +15,6 @@ from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output
 
-__all__ = ["Summary", "export"]
-
 
 @dataclass(slots=True)
 class Summary:
@@ -39,15 +37,13 @@ class Summary:
     unsolved: list[float] = field(default_factory=list)  # m/s, see Contacts: of each frame with contacts
     scales: Scales | None = None  # what all this is judged by, at the end
     largest_speed: float = 0.0  # m/s
-    probes: dict[str, tuple[float, float, float]] = field(
-        default_factory=dict
-    )  # at the end, least and largest at a frame
+    probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
     units: dict[str, str] = field(default_factory=dict)  # of probes
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
 
     def _seen(self, scales: Scales) -> Scales:
-        """With the start and the end, which looks between steps may miss."""
+        """With the start and the end, which samples between steps may miss."""
         ends = (sum(energy[:2]) for energy in (self.energy_start, self.energy_end))
         return scales._replace(motion=max(scales.motion, *ends))
 
@@ -98,11 +94,9 @@ class Summary:
                 f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
-        ratio = (
-            f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration > 0 else ""
-        )
+        per = f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration else ""
         parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
-        lines.append(f"wall time    {self.wall:.2f} s ({parts}){ratio}")
+        lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
         return lines
 
 
@@ -148,7 +142,7 @@ def export(
                 name = getattr(output, "path", "this output")
                 raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
             write = stack.enter_context(Behind(output)).write if output.apart else partial(_write, output)
-        advance = stack.enter_context(_bar(max(1, round(fps * duration)))) if progress else _no_bar
+        advance = stack.enter_context(_bar(max(1, round(fps * duration)), progress))
         renderer: Any = None
         frame: Frame | None = None
         for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
@@ -181,10 +175,6 @@ def _write(output: Output, index: int, frame: Frame, image: Image | None) -> Non
     output.frames += 1
 
 
-def _no_bar(simulated: float) -> None:
-    pass
-
-
 def _observe(summary: Summary, frame: Frame) -> None:
     summary.frames += 1
     now = frame.contacts
@@ -197,11 +187,8 @@ def _observe(summary: Summary, frame: Frame) -> None:
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
     for name, value in frame.probes.items():
         _, least, most = summary.probes.get(name, (value, value, value))
-        summary.probes[name] = (
-            value,
-            float(np.fmin(least, value)),
-            float(np.fmax(most, value)),
-        )  # a mean has none at first
+        # a mean has none at first
+        summary.probes[name] = (value, float(np.fmin(least, value)), float(np.fmax(most, value)))
     if summary.frames == 1 and frame.energy is not None:  # of the first and the last: it takes long
         summary.energy_start = tuple(frame.energy)
 
@@ -213,7 +200,7 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
 
 
 @contextmanager
-def _bar(total: int) -> Iterator[Any]:
+def _bar(total: int, shown: bool) -> Iterator[Any]:
     """A progress bar on standard error; calling what it yields with the simulated time advances it by one frame."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -226,7 +213,7 @@ def _bar(total: int) -> Iterator[Any]:
         TextColumn("left, {task.fields[speed]:.3g} x real time"),
     )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
         task = progress.add_task("", total=total, speed=0.0)
         begin = time.perf_counter()
 

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.render.camera import Camera, Flat, rotated, triple
 
-__all__ = ["Orbit", "Seen", "Slide", "pick", "view_of"]
-
 TURN = 160.0  # degrees for a drag over the height of the picture
 POLE = 2.0  # degrees: no nearer to the view straight down or up
 NOTCH = 1.12  # by which a notch of the wheel brings things nearer
