@@ -61,21 +61,4 @@ class State(Protocol):
         """v += dv [m/s] for ball i."""
 
 
-class IncidentSpring(Protocol):
-    """One of the springs of a ball."""
-
-    other: int  # the ball at its other end
-    stiffness: float  # N/m
-    rest_length: float  # m
-
-
-class IncidentSprings(Protocol):
-    """Springs by ball: those of ball i at start[i] to start[i + 1]."""
-
-    start: Field  # (n + 1) entries
-    order: str  # in which they are stored, see forces.springs
-    place: Field  # (entries) where the spring of an entry is stored, with the order "waves"
-    spring: "IncidentSpring"  # (entries)
-
-
-READS = {"model": Model, "ball": Ball, "state": State, "law": Law, "springs": IncidentSprings}
+READS = {"model": Model, "ball": Ball, "state": State, "law": Law}

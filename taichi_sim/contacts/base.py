@@ -15,9 +15,7 @@ __all__ = ["ContactRule"]
 class ContactRule(FoundContacts):
     """One way to solve the contacts of a scene; this one, "off", solves none.
 
-    A rule of your own is a subclass with a `solve`, and is passed as an object, `Simulation(scene, contacts=Inelastic())`. Pair c
-    of balls i and j has `self.pairs.contact[c]`, with `normal` from i to j, `depth` [m], negative where they are still apart, and
-    `mass` [kg], 1 / (1 / m_i + 1 / m_j). Fast impacts on walls and overlap are taken care of when balls move. The shortest:
+    A user-defined rule is a subclass with a `solve`. The shortest:
 
         @ti.data_oriented
         class Inelastic(ts.ContactRule):
@@ -25,19 +23,23 @@ class ContactRule(FoundContacts):
             in_turn = True
 
             @ti.func
-            def solve(self, ball, time, iterations: ti.template(), impacts: ti.template()):
-                self.each_pair(ball, self.stop_pair)
+            def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
+                self.each_pair(ball, self.join)
 
             @ti.func
-            def stop_pair(self, ball, i, j, c):
+            def join(self, ball: ti.template(), i, j, c):
                 pair = self.pairs.contact[c]
                 closing = ti.min(0.0, (ball[j].v - ball[i].v).dot(pair.normal))
                 if pair.depth > 0.0:
                     self.exchange(i, j, pair.mass * closing * pair.normal)
 
-    with `ti` from `taichi_sim.device.engine`. A scene without pairs has no `self.pairs` (`self.plan.pairs` is False). For what
-    rests on walls, sticks and triangles, call `self.begin(ball, impacts)` before the first iteration, and
-    `self.solve_sticks_and_triangles(ball, time)` and `self.solve_walls(ball, time)` in each.
+        ts.Simulation(scene, contacts=Inelastic())
+
+    Pair c of balls i and j is `self.pairs.contact[c]`, with `normal` from i to j, `depth` [m], negative where they are still
+    apart, and `mass` [kg], 1 / (1 / m_i + 1 / m_j). Fast impacts on walls and overlap are taken care of when balls move. A scene
+    without pairs has no `self.pairs` (`self.plan.pairs` is False). For what rests on walls, sticks and triangles, call
+    `self.begin(ball, impacts)` before the first iteration, and `self.solve_sticks_and_triangles(ball, time)` and
+    `self.solve_walls(ball, time)` in each.
 
     What a rule can do is said by class attributes, see FoundContacts; `self.rate[0]` is 1 / h [1/s].
     """
@@ -47,6 +49,10 @@ class ContactRule(FoundContacts):
         if plan.active and type(self).solve is ContactRule.solve:
             raise TypeError(f"contacts: {type(self).__name__} has no solve(self, ball, time, iterations, impacts)")
         super().bind(plan, *parts)
+        own = vars(type(self))
+        for name in vars(self).keys() & own.keys():
+            if callable(own[name]):
+                raise TypeError(f"contacts: {type(self).__name__}.{name} has the name of a field; call it otherwise")
 
     @ti.func
     def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):

@@ -1,15 +1,13 @@
-"""What an output is. One of your own is a class with these members, in any file; pass the object to `export`:
+"""What an output is. A user-defined one is a class with these members, in any file; pass the object to `export`:
 
-    from taichi_sim.outputs import Output, export
-
-    class Heights(Output):
+    class Heights(ts.Output):
         needs_image = False
 
         def write(self, index, frame, image):
             with open("heights.csv", "a") as file:
                 print(frame.time, *frame.position[:, 1], sep=",", file=file)
 
-    export(simulation, Heights(), fps=60, duration=2)
+    ts.export(simulation, Heights(), fps=60, duration=2)
 
 Without `needs_image = False` pictures are drawn, and `image` is that of the frame. An output needs no simulation: frames from
 anywhere may be given to it, `with Heights() as output: output.write(0, frame, None)`.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.frame import Contacts, Frame
-from taichi_sim.analysis.outcome import Scales, of_depth, of_energy, of_passes
+from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output
@@ -66,10 +66,10 @@ class Summary:
         if self.contacts is not None and self.most_contacts:
             now, scales = self.contacts, self.scales
             lines.append(
-                f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.passes} passes in each of"
+                f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.iterations} iterations in each of"
                 f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
             )
-            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes, now.passes)
+            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes, now.iterations)
             lines.append(
                 f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
                 f" mean {now.mean_penetration:.3g} m at the end: {depth}"
@@ -77,8 +77,8 @@ class Summary:
             if scales is not None:
                 left = float(np.median(self.unsolved))
                 lines.append(
-                    f"residual     passes leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
-                    f" {of_passes(left, scales, self.largest_speed, now.passes)}"
+                    f"residual     iterations leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
+                    f" {of_approach(left, scales, self.largest_speed, now.iterations)}"
                 )
         for name, (last, least, most) in self.probes.items():
             unit = f" {self.units.get(name, '')}".rstrip()
@@ -188,7 +188,7 @@ def _no_bar(simulated: float) -> None:
 def _observe(summary: Summary, frame: Frame) -> None:
     summary.frames += 1
     now = frame.contacts
-    if now is not None and now.passes:
+    if now is not None and now.iterations:
         summary.contacts = now
         summary.most_contacts = max(summary.most_contacts, now.number)
         if now.number:

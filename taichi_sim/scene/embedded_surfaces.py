@@ -60,7 +60,7 @@ def build_surface(
     if wrong.any():
         row = int(np.argmax(wrong))
         raise SceneError(f"{where}.weights[{row}]: {shares[row].tolist()} is not allowed; it must sum up to 1")
-    faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the skin")
+    faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the surface")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
     return EmbeddedSurface(balls, shares, faces, hidden, colour)
 

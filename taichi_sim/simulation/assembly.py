@@ -132,14 +132,14 @@ class Assembly:
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
             return None
-        once = self.integrator.each_once  # in blocks or rows; for a GPU there are too few blocks
+        once = self.integrator.each_once  # in blocks, padded or not; for a GPU there are too few blocks
         order = fixed_order(self.model, cpu, small)
         if self.atomic or (once and not cpu):
             order = "atomic"
         elif once and order == "gather":
             order = "blocks"
-        elif self.integrator.in_turn and order == "rows":
-            order = "waves"
+        elif self.integrator.in_turn and order == "padded":
+            order = "batches"
         return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
 
     def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactRule:

@@ -8,9 +8,9 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
-from taichi_sim.device.state import FAR, State
+from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.kernels.springs.law import GRAIN, PART
+from taichi_sim.kernels.reductions import GRAIN, PART
 
 __all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "LIVE", "NEXT", "START", "SecondSolution"]
 
@@ -172,8 +172,8 @@ class SecondSolution:
         largest = 0.0 * self.seen[0].x[0]
         for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
             square = (self.state.ball[i].x - self.seen[i].x).norm_sqr()
-            if not square < FAR:  # nan, too
-                square = FAR
+            if not square < WORLD_RADIUS:  # nan, too
+                square = WORLD_RADIUS
             largest = ti.max(largest, square)
         row[c] = largest
 
@@ -192,7 +192,7 @@ class SecondSolution:
         """Largest distance [m] of a ball from where the second solution was shown; infinite where either is nowhere."""
         self._compare(self.row)
         square = float(self.row.max())
-        return float(np.sqrt(square)) if square < FAR else np.inf
+        return float(np.sqrt(square)) if square < WORLD_RADIUS else np.inf
 
     def take(self, other: "SecondSolution") -> None:
         """All moments of another one, whose fields are still there, but for what contacts hold."""

@@ -13,7 +13,7 @@ import numpy as np
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import BackendError
 from taichi_sim.common.signals import heard
-from taichi_sim.forces.pointer import MOST, RATE, Pointer
+from taichi_sim.forces.pointer import MOST_RATE_STEP, POINTER_RATE, Pointer
 from taichi_sim.outputs.base import Image
 from taichi_sim.viewer import overlay
 from taichi_sim.viewer.orbit import pick, view_of
@@ -228,7 +228,7 @@ class _Window:
             sim = self.simulation
             self.depth = float(self.view.see(self.frame.position[[ball]]).depth[0])
             self.hold = self.frame.position[ball] - self.view.point(self.cursor, self.depth)  # where on it
-            self.pointer.rate = min(RATE, MOST * sim.substeps / sim.dt)
+            self.pointer.rate = min(POINTER_RATE, MOST_RATE_STEP * sim.substeps / sim.dt)
             self.pointer.grab(ball, self.frame.position[ball])
 
     def _aim(self) -> None:

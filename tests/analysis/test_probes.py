@@ -244,7 +244,7 @@ def crowd():
     return crowd
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "settings"),
     [

@@ -103,7 +103,7 @@ def test_a_thousand_scenes(dim, driver, kind):
     assert SCENES // 6 < hashed < SCENES
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sparse_worlds_are_swept_in_blocks():
     """Crowds far apart, their rows spread by a hash: still many blocks, and the same bits on one thread and several."""
     rng = np.random.default_rng(0)

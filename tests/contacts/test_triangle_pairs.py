@@ -316,7 +316,7 @@ def test_the_look_from_beneath_sees_what_it_looks_for():
     assert beneath(at, x[net.triangles]).tolist() == [False, True, False, False]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_drivers_and_any_number_of_threads_have_the_same_bits(flight):
     def run(threads):
         command = [sys.executable, __file__, PRECISION, str(threads)]

@@ -3,7 +3,7 @@
 A folder of `kernels/` declares in `interfaces.py` a Protocol for each kind of object, a line for each attribute with its shape
 and unit, and in `READS` which Protocol a parameter of a name has; a module that means something else by a name has a `READS` of
 its own. What no folder says is what `kernels/interfaces.py` says, for all of them. Every parameter annotated `ti.template()` of
-which anything is read must be there. Source is read, not run: `solver.pairs.row[c].depth` uses `pairs` of the solver's
+which anything is read must be there. Source is read, not run: `solver.pairs.contact[c].depth` uses `pairs` of the solver's
 Protocol, `row` of that of `pairs`, and `depth` of that of `row`, whose Protocol describes one entry of the table.
 """
 
@@ -16,7 +16,6 @@ pytestmark = pytest.mark.once
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 PACKAGE = "taichi_sim.kernels"
-NOT_YET = {"springs", "render"}  # folders without declarations
 
 
 class Declarations:
@@ -182,8 +181,8 @@ def imported_functions(module, trees):
     return found
 
 
-def examine(sources, skip=()):
-    """Faults of all modules but those in the folders `skip`, and the declared attributes that nobody reads."""
+def examine(sources):
+    """Faults of all modules, and the declared attributes that nobody reads."""
     declared = Declarations(sources)
     functions = {
         (module, node.name): node
@@ -193,14 +192,12 @@ def examine(sources, skip=()):
     }
     used, faults = set(), [f"{text} has no shape and unit" for text in declared.undescribed]
     for (module, _), function in functions.items():
-        if module.split(".")[0] not in skip:
-            reader = Reader(declared, module, function, functions, imported_functions(module, declared.trees))
-            used |= reader.used
-            faults += reader.faults
+        reader = Reader(declared, module, function, functions, imported_functions(module, declared.trees))
+        used |= reader.used
+        faults += reader.faults
     for kind, attributes in declared.attributes.items():
-        if declared.where[kind].split(".")[0] not in skip:
-            unused = [name for name in attributes if (kind, name) not in used]
-            faults += [f"{declared.where[kind]}: {kind}.{name} is read by no kernel" for name in unused]
+        unused = [name for name in attributes if (kind, name) not in used]
+        faults += [f"{declared.where[kind]}: {kind}.{name} is read by no kernel" for name in unused]
     return faults
 
 
@@ -211,9 +208,8 @@ def kernel_sources():
 
 
 def test_kernels_read_what_is_declared():
-    folders = {path.parent.name for path in KERNELS.glob("*/__init__.py")}
-    assert {folder for folder in folders if not (KERNELS / folder / "interfaces.py").exists()} == NOT_YET
-    assert examine(kernel_sources(), NOT_YET) == []
+    assert all((path.parent / "interfaces.py").exists() for path in KERNELS.glob("*/__init__.py"))
+    assert examine(kernel_sources()) == []
 
 
 DECLARED = """

@@ -13,7 +13,7 @@ from taichi_sim.reports.peers import PeerMissingError, granular_lammps
 pytestmark = pytest.mark.once
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(F64, reason="the benchmark runs in single precision")
 @pytest.mark.parametrize("name", list(main.CASES))
 def test_each_case_runs(name, capsys):
