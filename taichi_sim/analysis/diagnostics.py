@@ -174,7 +174,7 @@ def largest_speed(v: Floats) -> float:
 
 
 def contacts(tally: Floats | None, iterations: int, substeps: int, fastest: float, searches: int) -> Contacts:
-    """Contacts from a tally (9,) as kernels.survey describes it, or None for no contact at all."""
+    """Contacts from statistics (9,), see kernels.contacts.statistics, or None for no contact at all."""
     number, depths, parts, squares, deepest, part, left, unsolved, ball = np.zeros(9) if tally is None else tally
     many = max(number, 1.0)
     return Contacts(

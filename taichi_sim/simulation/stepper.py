@@ -153,8 +153,8 @@ class Stepper:
             self.contact_statistics(7)
 
     def contact_statistics(self, stacklevel: int = 4) -> NDArray[np.float64]:
-        """Tally of all contacts, see kernels.survey. Warns once, of the line that many calls further out, where steps have
-        brought balls deep into something."""
+        """Statistics of all contacts, see kernels.contacts.statistics. Warns once, of the line that many calls further out, where
+        steps have brought balls deep into something."""
         totals = self.parts.contact_statistics()
         part = float(totals[statistics.LARGEST_PART])
         if self.moved and part > DEEP:
