@@ -56,7 +56,9 @@ class Element(Corners):
         where = f"{type(self).__name__}.balls"
         balls = np.asarray(self.balls)
         if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(NAMES):
-            raise SceneError(f"{where}: shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(NAMES)}")
+            raise SceneError(
+                where, says=f"shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(NAMES)}"
+            )
         return validation.indices(where, balls, scene.n_balls, balls.shape[1])
 
     def allocate(self, model: Model, state: State, fields: Fields) -> None:

@@ -11,7 +11,7 @@ from taichi_sim.common.errors import SceneError
 
 __all__ = ["EmbeddedSurface", "build_surface", "surfaces_from", "surfaces_to"]
 
-SUM = 1e-6  # how far the weights of a vertex may sum up to something else than 1
+SUM_TOLERANCE = 1e-6  # how far the weights of a vertex may sum up to something else than 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,19 +47,17 @@ def build_surface(
     except ValueError:  # rows of different lengths
         shape = ()
     if len(shape) != 2 or 0 in shape:
-        raise SceneError(
-            f"{where}.corners: shape {shape} does not fit; it must be (s, k), k balls for each of s vertices"
-        )
+        says = f"shape {shape} does not fit; it must be (s, k), k balls for each of s vertices"
+        raise SceneError(f"{where}.corners", says=says)
     balls = validation.indices(f"{where}.corners", corners, n_balls, width=shape[1])
     shares = validation.vectors(f"{where}.weights", weights, None, shape[1])
     if len(shares) != len(balls):
-        raise SceneError(
-            f"{where}.weights: {len(shares)} rows do not fit; there must be {len(balls)}, as many as corners"
-        )
-    wrong = np.abs(shares.sum(axis=1) - 1.0) > SUM
+        says = f"{len(shares)} rows do not fit; there must be {len(balls)}, as many as corners"
+        raise SceneError(f"{where}.weights", says=says)
+    wrong = np.abs(shares.sum(axis=1) - 1.0) > SUM_TOLERANCE
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise SceneError(f"{where}.weights[{row}]: {shares[row].tolist()} is not allowed; it must sum up to 1")
+        raise SceneError(f"{where}.weights[{row}]", shares[row], "numbers that sum up to 1")
     faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the skin")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
     return EmbeddedSurface(balls, shares, faces, hidden, colour)

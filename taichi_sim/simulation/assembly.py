@@ -36,6 +36,7 @@ from taichi_sim.kernels.contacts.pairs import ENDLESS
 from taichi_sim.scene.keyframes import TICKS
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.drivers import Drivers
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateProbe
@@ -264,14 +265,37 @@ class Assembly:
     def impulses(self) -> NDArray[np.float64]:
         """(b, dim) N s that walls and colliders have received since the start, those of `probes.bodies_of`."""
         scene, walls = self.arguments[0], self.contacts.walls
-        if walls is None or not walls.told:
+        if walls is None or not walls.told or not scene.n_balls:
             return np.zeros((len(bodies_of(scene)), scene.dim))
         return walls.received.value()
 
-    def set_impulses(self, total: NDArray[np.float64]) -> None:
-        """Go on from there."""
-        if self.contacts.walls is not None and self.contacts.walls.told:
-            self.contacts.walls.received.set(total)
+    def snapshot(self) -> Snapshot:
+        """The state of all parts."""
+        state = self.state
+        low = state.rounded_off or (None, None)
+        return Snapshot(
+            position=state.position,
+            velocity=state.velocity,
+            low_position=low[0],
+            low_velocity=low[1],
+            surface_speed=state.surface_speed,
+            torn=None if self.tearing is None else self.tearing.springs_torn,
+            impulses=self.impulses(),
+        )
+
+    def resume(self, from_: Snapshot) -> None:
+        """Put the state back; `prime` is due."""
+        n, walls = len(from_.position), self.contacts.walls
+        x, v = from_.low_position, from_.low_velocity
+        self.state.write(from_.position, from_.velocity, None if x is None or v is None else (x, v))
+        speed = from_.surface_speed
+        self.state.write_spin(np.zeros((n, 1 if self.model.dim == 2 else 3)) if speed is None else speed)
+        if self.tearing is not None:
+            torn = from_.torn
+            self.tearing.tear(np.zeros(self.tearing.m, dtype=bool) if torn is None else torn)
+        if walls is not None and walls.told:
+            given = from_.impulses
+            walls.received.set(np.zeros_like(walls.received.total) if given is None else given)
 
     def searches(self) -> int:
         """How often neighbours were looked for."""
@@ -308,10 +332,7 @@ class Assembly:
                     )
                 entries = min(limit, int(SPARE * entries))
             room[name] = entries
-        state = self.state
-        x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
-        torn = None if self.tearing is None else self.tearing.springs_torn
-        given = self.impulses()
+        snapshot = self.snapshot()
         if self.second_solution is None:  # else both are there for a moment
             self.free()
         larger = Assembly(*self.arguments, room=ContactCapacity(**room))
@@ -319,11 +340,7 @@ class Assembly:
             larger.second_solution.take(self.second_solution)
             self.free()
         larger.set_step(self.h)
-        larger.state.write(x, v, low)
-        larger.state.write_spin(turn)
-        larger.set_impulses(given)
-        if torn is not None and larger.tearing is not None:
-            larger.tearing.tear(torn)
+        larger.resume(snapshot)
         return larger
 
     def _endless(self) -> str:

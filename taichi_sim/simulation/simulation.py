@@ -29,6 +29,7 @@ from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import Solver
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import Assembly, compensates
 from taichi_sim.simulation.settings import Settings
@@ -37,7 +38,6 @@ from taichi_sim.simulation.stepper import Stepper
 __all__ = ["Simulation"]
 
 MOST_FRAMES = 10_000_000
-Low = tuple[NDArray, NDArray] | None
 
 
 class Simulation(Reader):
@@ -180,7 +180,7 @@ class Simulation(Reader):
         return self._state.velocity
 
     def _spin(self) -> NDArray[np.float64]:
-        return self.surface_speed / self.scene.radius[:, None]
+        return self._state.surface_speed / self.scene.radius[:, None]
 
     @property
     def angular_velocity(self) -> NDArray[np.float64]:
@@ -328,56 +328,19 @@ class Simulation(Reader):
         v[self.scene.pinned] = 0.0
         self._write(self.position, v)
 
-    @property
-    def rounded_off(self) -> Low:
-        """What single precision rounded off of position and velocity, both (n, dim), or None where it is not kept."""
-        return self._state.rounded_off
+    def snapshot(self) -> Snapshot:
+        """All that it goes on from, at the present time."""
+        assert self._parts is not None  # not closed
+        return self._stepper.snapshot()
 
-    @property
-    def surface_speed(self) -> NDArray[np.float64]:
-        """Radius times angular velocity [m/s], (n, 1) in 2D, (n, 3) in 3D, a copy; 0 where balls do not spin."""
-        return self._state.surface_speed
+    def resume(self, snapshot: Snapshot) -> None:
+        """Go on from a snapshot of this scene. Raises SceneError for what does not fit."""
+        self._stepper.resume(snapshot.checked(self.scene))
+        self._begin_readings()
 
-    def resume(
-        self,
-        position: ArrayLike,
-        velocity: ArrayLike,
-        time: float,
-        low: Low = None,
-        surface_speed: NDArray | None = None,
-        torn: NDArray | None = None,
-        impulses: NDArray | None = None,
-    ) -> None:
-        """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
-
-        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. torn: (m,) springs; none by default.
-        impulses: what was `impulses`; 0 by default.
-        The impulses that contacts held are found anew in the first steps: a pile that rests goes on resting, but not with the
-        same bits.
-        """
-        n, dim = self.scene.n_balls, self.scene.dim
-        self._stepper.set_time(time)
-        if n:
-            x, v = validation.vectors("position", position, n, dim), validation.vectors("velocity", velocity, n, dim)
-            self._write(x, v, low, moved=True)
-            if self._parts.tearing is not None:
-                self._parts.tearing.tear(np.zeros(self.scene.n_springs, dtype=bool) if torn is None else torn)
-            if surface_speed is not None:
-                self._state.write_spin(surface_speed)
-        self._begin_readings(impulses)
-
-    def stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
-        """What a saved run needs besides its state to go on with the same steps."""
-        return self._stepper.state()
-
-    def set_stepping(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
-        """Go on as `stepping` said, after `resume`."""
+    def _write(self, x: NDArray, v: NDArray, *, moved: bool = False) -> None:
         if not self._still:
-            self._stepper.set_state(state, arrays)
-
-    def _write(self, x: NDArray, v: NDArray, low: Low = None, *, moved: bool = False) -> None:
-        if not self._still:
-            self._state.write(x, v, low)
+            self._state.write(x, v)
             if moved:
                 self._parts.contacts.forget()
             self._stepper.primed = False

@@ -2,6 +2,8 @@
 the step was left to the program, taken back and repeated with shorter substeps."""
 
 import warnings
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from taichi_sim.analysis.stability import Stability, present_limit
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.assembly import Assembly
 from taichi_sim.simulation.energy_monitor import LARGEST_PART, EnergyMonitor, Growth, size
 from taichi_sim.simulation.settings import Settings
@@ -101,9 +104,8 @@ class Stepper:
         if sample.bad is not None:
             state = self.parts.state
             x, v = state.position[sample.bad].tolist(), state.velocity[sample.bad].tolist()
-            raise SceneError(
-                f"ball {sample.bad}: starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
-            )
+            says = f"ball {sample.bad} starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
+            raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.parts.state.keep()
         self.monitor.begin(sample)
         self.primed, self.moved = True, False
@@ -341,20 +343,37 @@ class Stepper:
             self._warned.add(kind)
             warnings.warn(text, stacklevel=stacklevel)
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
-        """What a saved run needs besides positions and velocities to go on with the same steps, and the method's memory."""
+    # To a snapshot and back ----------------------------------------------------------------------------------------
+
+    def snapshot(self) -> Snapshot:
+        """All that a run needs to go on with the same steps."""
+        stepping, memory = self._stepping()
+        return replace(self.parts.snapshot(), time=self.time, stepping=stepping, memory=memory)
+
+    def resume(self, snapshot: Snapshot) -> None:
+        """Go on from there."""
+        self.set_time(snapshot.time)
+        if self.scene.n_balls:
+            self.parts.resume(snapshot)
+            self.parts.contacts.forget()
+            self.primed = False
+            if snapshot.stepping:
+                self._set_stepping(snapshot.stepping, snapshot.memory)
+
+    def _stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
+        """What is the stepper's own, and the method's memory."""
         integrator = self.parts.integrator
         memory = integrator.memory() if self.primed and integrator.remembers() else []
         own = {f"memory.{k}": self.parts.state.values(field) for k, field in enumerate(memory)}
         return {"may_shorten": self.may_shorten}, own
 
-    def set_state(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    def _set_stepping(self, stepping: Mapping[str, Any], memory: Mapping[str, NDArray]) -> None:
         """The reverse."""
-        self.may_shorten = bool(state.get("may_shorten", self.may_shorten))
-        if arrays:
+        self.may_shorten = bool(stepping.get("may_shorten", self.may_shorten))
+        if memory:
             self.prime()  # lists may grow: all fields are new then
             for k, field in enumerate(self.parts.integrator.memory()):
-                self.parts.state.set_values(field, arrays[f"memory.{k}"])
+                self.parts.state.set_values(field, memory[f"memory.{k}"])
             self.parts.integrator.recall()
 
 

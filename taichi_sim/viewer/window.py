@@ -108,14 +108,7 @@ class _Window:
 
         self.simulation, self.renderer, self.fps, self.until, self.say = simulation, renderer, fps, until, say
         self.pointer = pointer if pointer.ready else None
-        self.start = (
-            simulation.position,
-            simulation.velocity,
-            simulation.time,
-            simulation.rounded_off,
-            simulation.surface_speed,
-            simulation.torn,
-        )
+        self.start = simulation.snapshot()
         width, height = self.size = renderer.size
         try:
             self.gui = ti.GUI(TITLE, res=self.size, fast_gui=True)
@@ -188,7 +181,7 @@ class _Window:
 
     def _reset(self) -> None:
         self._let_go()
-        self.simulation.resume(*self.start)
+        self.simulation.resume(self.start)
         self.frame, self.stale = self.simulation.frame(), True
 
     # Mouse and keys ------------------------------------------------------------------------------------------------

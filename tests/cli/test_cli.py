@@ -209,7 +209,7 @@ REFUSED = [
     (("run", "empty.py"), "empty.py: has neither scene() nor simulation()"),
     (("run", "wrong.py"), "wrong.py, line 4: balls.radius: -1"),
     (("run", "broken.py"), "broken.py, line 2: SyntaxError"),
-    (("run", "style.py"), "scene.output: fps: 'fast' is not allowed"),
+    (("run", "style.py"), "scene.output.fps: 'fast' is not allowed; it must be a number"),
     (
         ("run", "ball.toml", "-o", "x.mp4", "--fps", "0.1", "--duration", "1"),
         "fps times duration is less than one frame",

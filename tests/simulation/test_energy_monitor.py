@@ -71,7 +71,11 @@ def test_a_look_counts_spin(dim):
     scene.add_balls([vector(dim, 0, 3)], radius=0.5, mass=2.0, velocity=[vector(dim, 1)])
     scene.add_wall(vector(dim, 0, 1), 0.0)
     with simulate(scene, spin=True) as sim:
-        sim.resume(scene.position, scene.velocity, 0.0, None, np.array([[2.0] + [0.0] * (0 if dim == 2 else 2)]))
+        sim.resume(
+            ts.Snapshot(
+                scene.position, scene.velocity, surface_speed=np.array([[2.0] + [0.0] * (0 if dim == 2 else 2)])
+            )
+        )
         want = 1.0 + 0.5 * 2.0 * 2.0**2 * (0.5 if dim == 2 else 0.4)
         assert sim._parts.state_probe.sample().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(want)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.reports.bench.cases import Box, Cloth, Grains, Pack, Pile
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.simulation import Simulation
 
 __all__ = [
@@ -35,8 +36,7 @@ class Ours:
 
     def place(self, position: NDArray, velocity: NDArray) -> None:
         """Begin anew from positions [m] and velocities [m/s], each (n, dim)."""
-        still = np.zeros_like(self.simulation.surface_speed)
-        self.simulation.resume(position, velocity, 0.0, None, still)
+        self.simulation.resume(Snapshot(position, velocity))
         self.simulation.step(0)
 
     def step(self, steps: int) -> None:

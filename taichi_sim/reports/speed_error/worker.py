@@ -22,6 +22,7 @@ from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["Outcome", "Trial", "Worker", "Workers"]
 
@@ -215,7 +216,7 @@ class Track:
         """Back to the start."""
         sim, scene = self.sim, self.scene
         start = scene.position if trial.start is None else trial.start
-        sim.resume(start, scene.velocity, 0.0, None, np.zeros_like(sim.surface_speed))
+        sim.resume(Snapshot(start, scene.velocity))
         sim.step(0)
 
     def _measure(self, trial: Trial, outcome: Outcome) -> Outcome:
