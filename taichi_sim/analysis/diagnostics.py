@@ -1,5 +1,5 @@
 """Energy and momentum of a scene in a given state, in float64 NumPy: slow, plain, and independent of the kernels; and what
-a look at its contacts says."""
+its contacts say."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError, did_you_mean
-from taichi_sim.scene.probes import Look, Probe
+from taichi_sim.scene.probes import Probe, ProbeSample
 
 __all__ = ["Quantity", "Reader", "Readings", "quantity_of", "units_of"]
 
@@ -23,28 +23,28 @@ class Readings:
         self._before: tuple[float, dict[str, Floats]] | None = None
         self._now: tuple[float, dict[str, Floats]] | None = None
 
-    def begin(self, time: float, look: Look) -> None:
+    def begin(self, time: float, sample: ProbeSample) -> None:
         """Means count from here on."""
-        self._before, self._now = None, (time, self._totals(look))
+        self._before, self._now = None, (time, self._totals(sample))
 
-    def read(self, time: float, look: Look) -> dict[str, float]:
+    def read(self, time: float, sample: ProbeSample) -> dict[str, float]:
         """Each number of each probe, "load.tension"; read again at the same time, means stay those that they were. They are
         nan where no time has passed."""
         if self._now is None or time < self._now[0]:
-            self.begin(time, look)
+            self.begin(time, sample)
         elif time > self._now[0]:
             self._before = self._now
-        self._now = (time, self._totals(look))
+        self._now = (time, self._totals(sample))
         found = {}
         for probe in self.probes:
-            values = probe.read(look)
+            values = probe.read(sample)
             if probe.name in self._now[1]:
                 values |= probe.mean(self._growth(probe.name))
-            found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(look.scene.dim)})
+            found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(sample.scene.dim)})
         return found
 
-    def _totals(self, look: Look) -> dict[str, Floats]:
-        totals = {probe.name: probe.total(look) for probe in self.probes}
+    def _totals(self, sample: ProbeSample) -> dict[str, Floats]:
+        totals = {probe.name: probe.total(sample) for probe in self.probes}
         return {name: total for name, total in totals.items() if total is not None}
 
     def _growth(self, name: str) -> Floats:
@@ -65,7 +65,7 @@ class Reader:
         if late:
             says = f"{', '.join(late)} came after the simulation was made, and nothing was measured for it"
             raise SceneError("probes", says=says)
-        return self._readings.read(self.time, self._look()) if self._probed else {}
+        return self._readings.read(self.time, self._sample()) if self._probed else {}
 
     def probe(self: Any, name: str) -> Any:
         """One number, `load.tension`, or `load` where it has no other: a float; a vector, `tip`: (dim,). Reads them all. Raises
@@ -77,13 +77,13 @@ class Reader:
         """Means count from now on."""
         self._readings = Readings(self._probed)
         if self._probed:
-            self._readings.begin(self.time, self._look())
+            self._readings.begin(self.time, self._sample())
 
-    def _look(self: Any) -> Look:
+    def _sample(self: Any) -> ProbeSample:
         x, v, low = self.position, self.velocity, self._state.rounded_off
         if low is not None:  # what a stiff spring carries lies in digits that single precision rounds off
             x, v = x + low[0], v + low[1]
-        return Look(self.scene, x, v, self.torn, self.energy, self._parts.impulses())
+        return ProbeSample(self.scene, x, v, self.torn, self.energy, self._parts.impulses())
 
 
 # One of them by its name -------------------------------------------------------------------------------------------

@@ -62,7 +62,7 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     if not finite.all():
         bad = int(np.argmin(finite))
         raise SceneError(
-            "mesh", str(path), says=f"has vertex {bad} (from 0) at {vertices[bad].tolist()}, which is not finite"
+            "mesh", file, says=f"has vertex {bad} (from 0) at {vertices[bad].tolist()}, which is not finite"
         )
     surface = _weld(vertices, faces)
     if not len(surface.triangles):

@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["KINDS", "Look", "Probe", "Probed", "add", "bodies_of"]
+__all__ = ["KINDS", "Probe", "ProbeSample", "Probed", "add", "bodies_of"]
 
 Floats = NDArray[np.float64]
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class ProbeSample:
     """The moment that probes read. torn: (m,) springs, or None. impulses: (b, dim) N s since the start, on `bodies_of`."""
 
     scene: Any
@@ -68,11 +68,11 @@ class Probe:
         """Of a number; empty where it is a plain one."""
         return next(iter(self.units.values())) if self.vector else self.units[number]
 
-    def read(self, look: Look) -> dict[str, float]:
+    def read(self, sample: ProbeSample) -> dict[str, float]:
         """The numbers that belong to the moment."""
         raise NotImplementedError
 
-    def total(self, look: Look) -> Floats | None:
+    def total(self, sample: ProbeSample) -> Floats | None:
         """What has grown since the start, where the probe gives means of its growth."""
         return None
 
@@ -102,8 +102,8 @@ class Position(Probe):
             return cls(name, {"balls": np.array([np.argmin(np.sum(away**2, axis=1))], dtype=np.int32)})
         return cls(name, {"balls": _balls(scene, asked["balls"])})
 
-    def read(self, look: Look) -> dict[str, float]:
-        return _vector(look.x[self.given["balls"]].mean(axis=0))
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        return _vector(sample.x[self.given["balls"]].mean(axis=0))
 
 
 class Length(Probe):
@@ -121,9 +121,9 @@ class Length(Probe):
             return cls(name, {"spring": int(np.argmin(np.sum(away**2, axis=1)))})
         return cls(name, {"spring": validation.whole("probes.spring", asked["spring"], 0, scene.n_springs - 1)})
 
-    def read(self, look: Look) -> dict[str, float]:
-        i, j = look.scene.pairs[self.given["spring"]]
-        return {"length": float(np.linalg.norm(look.x[j] - look.x[i]))}
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        i, j = sample.scene.pairs[self.given["spring"]]
+        return {"length": float(np.linalg.norm(sample.x[j] - sample.x[i]))}
 
 
 class Tension(Length):
@@ -131,14 +131,14 @@ class Tension(Length):
 
     kind, units, start = "tension", {"tension": "N"}, False
 
-    def read(self, look: Look) -> dict[str, float]:
-        scene, k = look.scene, self.given["spring"]
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        scene, k = sample.scene, self.given["spring"]
         i, j = scene.pairs[k]
-        r = look.x[j] - look.x[i]
+        r = sample.x[j] - sample.x[i]
         length = float(np.linalg.norm(r))
-        if look.torn is not None and look.torn[k]:
+        if sample.torn is not None and sample.torn[k]:
             return {"tension": 0.0}
-        rate = float((look.v[j] - look.v[i]) @ r) / length if length > 0 else 0.0
+        rate = float((sample.v[j] - sample.v[i]) @ r) / length if length > 0 else 0.0
         return {"tension": float(scene.stiffness[k] * (length - scene.rest_length[k]) + scene.damping[k] * rate)}
 
 
@@ -158,17 +158,17 @@ class Strain(Probe):
             raise SceneError("probes.balls", says="no spring joins two of them; there is no strain to measure")
         return cls(name, {"springs": np.flatnonzero(inside).astype(np.int32)})
 
-    def read(self, look: Look) -> dict[str, float]:
-        scene = look.scene
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        scene = sample.scene
         counts = scene.rest_length > 0
-        if look.torn is not None:
-            counts &= ~look.torn
+        if sample.torn is not None:
+            counts &= ~sample.torn
         chosen = self.given.get("springs", np.arange(scene.n_springs))
         chosen = chosen[counts[chosen]]
         if not len(chosen):
             return dict.fromkeys(self.units, np.nan)
         i, j = scene.pairs[chosen].T
-        strain = np.linalg.norm(look.x[j] - look.x[i], axis=1) / scene.rest_length[chosen] - 1.0
+        strain = np.linalg.norm(sample.x[j] - sample.x[i], axis=1) / scene.rest_length[chosen] - 1.0
         return {"max": float(strain.max()), "min": float(strain.min()), "mean": float(strain.mean())}
 
 
@@ -177,8 +177,8 @@ class Energy(Probe):
 
     kind, units = "energy", dict.fromkeys(("kinetic", "spring", "gravity", "total"), "J")
 
-    def read(self, look: Look) -> dict[str, float]:
-        return dict(zip(self.units, map(float, look.energy())))
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        return dict(zip(self.units, map(float, sample.energy())))
 
 
 class Impulse(Probe):
@@ -199,8 +199,8 @@ class Impulse(Probe):
         """wall or collider, and its number."""
         return next(iter(self.given.items()))
 
-    def read(self, look: Look) -> dict[str, float]:
-        return _vector(look.impulses[bodies_of(look.scene).index(self.body)])
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        return _vector(sample.impulses[bodies_of(sample.scene).index(self.body)])
 
 
 class Force(Impulse):
@@ -208,11 +208,11 @@ class Force(Impulse):
 
     kind, units = "force", {"": "N"}
 
-    def read(self, look: Look) -> dict[str, float]:
+    def read(self, sample: ProbeSample) -> dict[str, float]:
         return {}
 
-    def total(self, look: Look) -> Floats:
-        return look.impulses[bodies_of(look.scene).index(self.body)]
+    def total(self, sample: ProbeSample) -> Floats:
+        return sample.impulses[bodies_of(sample.scene).index(self.body)]
 
     def mean(self, growth: Floats) -> dict[str, float]:
         return _vector(growth)
@@ -243,15 +243,15 @@ class Flux(Probe):
                 raise SceneError("probes.balls", says=says)
         return cls(name, given)
 
-    def total(self, look: Look) -> Floats:
+    def total(self, sample: ProbeSample) -> Floats:
         chosen = self.given.get("balls", slice(None))
-        normal, mass = np.array(self.given["normal"]), look.scene.mass[chosen]
-        before, now = (x[chosen] @ normal > self.given["offset"] for x in (look.scene.position, look.x))
+        normal, mass = np.array(self.given["normal"]), sample.scene.mass[chosen]
+        before, now = (x[chosen] @ normal > self.given["offset"] for x in (sample.scene.position, sample.x))
         through = now.astype(float) - before
         return np.array([through.sum(), through @ mass])
 
-    def read(self, look: Look) -> dict[str, float]:
-        return dict(zip(("count", "mass"), self.total(look).tolist()))
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        return dict(zip(("count", "mass"), self.total(sample).tolist()))
 
     def mean(self, growth: Floats) -> dict[str, float]:
         return dict(zip(("count_rate", "mass_rate"), growth.tolist()))

@@ -298,7 +298,7 @@ class Scene(Elements):
 
         Args:
             corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares, 1 in sum for each vertex.
-            triangles: (t, 3) vertices of the skin, counter-clockwise seen from outside.
+            triangles: (t, 3) vertices of the surface, counter-clockwise seen from outside.
             covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1; None: that of the balls.
         """
         where = f"embedded_surfaces[{len(self.embedded_surfaces)}]"

@@ -45,11 +45,11 @@ from taichi_sim.simulation.step_doubling import SecondSolution
 __all__ = ["Assembly", "compensates"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
-FINE = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
+FINEST_ROUNDING = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
 MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
 PAIR_BYTES = 64  # about what a listed pair takes
-SPARE = 1.5  # room made, in units of what was found too much
+SPARE_CAPACITY = 1.5  # made, in units of what was found too much
 
 
 class ContactCapacity(NamedTuple):
@@ -60,7 +60,7 @@ class ContactCapacity(NamedTuple):
     triangles: int = 0
 
 
-USUAL = ContactCapacity()
+NO_CAPACITY_KNOWN = ContactCapacity()
 
 
 class Assembly:
@@ -73,11 +73,11 @@ class Assembly:
         backend: Backend,
         h: float,
         forces: Sequence[Any],
-        room: ContactCapacity = USUAL,
+        capacity: ContactCapacity = NO_CAPACITY_KNOWN,
     ) -> None:
         self.arguments = (scene, settings, backend, h, forces)
         self.backend, self.h = backend, h
-        self.room = room
+        self.capacity = capacity
         cpu = backend.arch == "cpu"
         if settings.driver == "fused" and not cpu:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
@@ -165,9 +165,9 @@ class Assembly:
         if plan.pairs:
             most = self._spare_bytes() // PAIR_BYTES
             grid = Grid(model, fields, plan.skin, GAP if plan.soft else 0.0, most)
-            pairs = Pairs(model, fields, grid, plan, self.room.pairs)
-            sticks = Sticks(model, fields, pairs, self.room.sticks) if plan.sticks else None
-            triangles = TriangleContacts(model, fields, pairs, self.room.triangles) if plan.triangles else None
+            pairs = Pairs(model, fields, grid, plan, self.capacity.pairs)
+            sticks = Sticks(model, fields, pairs, self.capacity.sticks) if plan.sticks else None
+            triangles = TriangleContacts(model, fields, pairs, self.capacity.triangles) if plan.triangles else None
         self.colliders = Colliders(model, fields, self._grids) if plan.colliders else None
         if plan.walls:
             walls = Walls(
@@ -310,7 +310,7 @@ class Assembly:
             if part is not None and (entries := int(part.overflow[0])) > part.capacity:
                 part.overflow[0] = 0
                 found[name] = entries
-        return self.room._replace(**found) if found else None
+        return self.capacity._replace(**found) if found else None
 
     def with_capacity(self, needed: ContactCapacity) -> "Assembly":
         """The same parts, compiled anew, with lists for what is needed and half as much again. This one is freed.
@@ -318,7 +318,7 @@ class Assembly:
         Positions, velocities and spin go over; impulses that contacts hold do not. Raises SceneError, and changes nothing,
         where that takes more than MEMORY_SHARE of the free memory, or more entries than numbers of 32 bits count.
         """
-        room = {}
+        enough = {}
         for name in ContactCapacity._fields:
             part, entries = getattr(self.contacts, name), getattr(needed, name)
             if part is not None and entries > part.capacity:
@@ -330,12 +330,12 @@ class Assembly:
                         f"contacts: {part.what} need {entries} entries, but there is memory for {limit}"
                         f" ({limit * part.bytes_each / 2**30:.3g} GiB): too many balls lie in each other"
                     )
-                entries = min(limit, int(SPARE * entries))
-            room[name] = entries
+                entries = min(limit, int(SPARE_CAPACITY * entries))
+            enough[name] = entries
         snapshot = self.snapshot()
         if self.second_solution is None:  # else both are there for a moment
             self.free()
-        larger = Assembly(*self.arguments, room=ContactCapacity(**room))
+        larger = Assembly(*self.arguments, capacity=ContactCapacity(**enough))
         if self.second_solution is not None and larger.second_solution is not None:
             larger.second_solution.take(self.second_solution)
             self.free()
@@ -378,7 +378,9 @@ def _rounds(scene: Scene, backend: Backend) -> bool:
     """Whether sums of many small steps lose digits that show: in single precision, or far from the origin."""
     if backend.precision == "f32" or not scene.n_balls:
         return backend.precision == "f32"
-    return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINE * float(np.min(scene.radius))
+    return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINEST_ROUNDING * float(
+        np.min(scene.radius)
+    )
 
 
 def turning(scene: Scene, settings: Settings) -> NDArray[np.bool_]:

@@ -37,7 +37,7 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "spin": ("auto", True, False),
 }
 LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
-# s, the longest step between two looks at the error; it divides frames of 24, 30 and 60 a second
+# s, the longest step between two estimates of the error; it divides frames of 24, 30 and 60 a second
 STRIDE = 1.0 / 240.0
 MOST_PARTS_GIVEN = 2**31 - 1  # substeps, or iterations
 MOST_PARTS = 256  # of such a step, where springs need short ones
@@ -49,11 +49,11 @@ SAFETY = 0.9  # of the stability bound
 UNDAMPED = 0.4
 SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
 MOST_SUBSTEPS = 8
-MANY = 1000  # balls, fewer of which can afford two passes
-SURFACE_PASSES = (
-    10  # what folds lies in several layers, each ball in many contacts; finding these takes far longer than a pass
+MANY_BALLS = 1000  # fewer can afford two iterations
+SURFACE_ITERATIONS = (
+    10  # folds lie in layers, each ball in many contacts; finding these takes far longer than an iteration
 )
-UNEQUAL = 10.0  # ratio of masses from which one Gauss-Seidel pass is not enough
+UNEQUAL_MASSES = 10.0  # ratio of masses from which one Gauss-Seidel iteration is not enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +112,10 @@ class Settings:
         takes energy for good."""
         if self.contact_iterations != "auto":
             return int(self.contact_iterations)
-        surfaces = SURFACE_PASSES if scene.solid.any() else 0
+        surfaces = SURFACE_ITERATIONS if scene.solid.any() else 0
         if in_turn:
             mass = scene.mass[~scene.pinned]
-            few = 1 if len(mass) > MANY and mass.max() <= UNEQUAL * mass.min() else 2
+            few = 1 if len(mass) > MANY_BALLS and mass.max() <= UNEQUAL_MASSES * mass.min() else 2
             few = max(few, surfaces)
             rows = scene.solid.any() or scene.collides.any()  # else impacts are resolved one by one
             return few + (round(4 * max(0.0, 2.0 * max_restitution(scene) - 1.0)) if rows else 0)

@@ -202,7 +202,7 @@ class Simulation(Reader):
 
     def contacts(self) -> Contacts:
         """Number and depth of the contacts, what the solver left of approach speeds, and what it did; all 0 where contacts
-        are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile. Warns, once,
+        are off, but for the largest speed. Costs a search of all contacts, and a kernel at the first call. Warns, once,
         where steps have brought balls deep into something."""
         fastest = diagnostics.largest_speed(self.velocity)
         if self._still or not self._parts.contacts.active:
@@ -218,7 +218,7 @@ class Simulation(Reader):
         return self.contacts().penetration
 
     def crossings(self) -> int:
-        """How often an edge of the triangles pierces one of them, all of the scene's taken together; 0 in 2D. A look in NumPy."""
+        """How often an edge of the triangles pierces one of them, all of the scene's taken together; 0 in 2D. In NumPy."""
         return len(crossings(self.position, self.scene.triangles)) if self.scene.dim == 3 else 0
 
     def frame(self) -> Frame:

@@ -8,7 +8,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs import export, open_output
-from taichi_sim.scene.probes import KINDS, Look
+from taichi_sim.scene.probes import KINDS, ProbeSample
 
 pytestmark = pytest.mark.slow_in("f32")
 
@@ -94,9 +94,9 @@ def test_arrays_and_the_summary_hold_them(sim, tmp_path):
 def test_a_torn_spring_carries_nothing():
     scene = hanging()
     torn = np.array([True])
-    look = Look(scene, scene.position, scene.velocity, torn, lambda: (0.0,) * 4, np.zeros((0, 2)))
-    assert scene.probes[0].read(look) == {"tension": 0.0}
-    assert np.isnan(scene.probes[2].read(look)["max"])
+    sample = ProbeSample(scene, scene.position, scene.velocity, torn, lambda: (0.0,) * 4, np.zeros((0, 2)))
+    assert scene.probes[0].read(sample) == {"tension": 0.0}
+    assert np.isnan(scene.probes[2].read(sample)["max"])
 
 
 def test_saved_scenes_keep_them(tmp_path):
