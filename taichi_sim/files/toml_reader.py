@@ -80,11 +80,7 @@ class Reader:
                     if "mesh" in arguments and isinstance(arguments["mesh"], str):
                         arguments["mesh"] = self.file.parent / arguments["mesh"]
                     self._name(group, add(scene, **arguments).balls)
-        for index, table in enumerate(model.springs):
-            with self._at("springs", index):
-                arguments = self._with_file(("springs", index), table, ("pairs", "stiffness"))
-                arguments["pairs"] = self._members(scene, "springs.pairs", arguments, 2)
-                scene.add_springs(**arguments)
+        self._lists(scene, model, "springs", "pairs", 2, scene.add_springs, "stiffness")
         self._elements(scene, model)
         self._walls(scene, model.walls)
         for index, table in enumerate(model.colliders):
@@ -93,11 +89,7 @@ class Reader:
                 if "mesh" in arguments:
                     arguments["mesh"] = self.file.parent / arguments["mesh"]
                 scene.add_collider(shape_of(arguments))
-        for index, table in enumerate(model.triangles):
-            with self._at("triangles", index):
-                arguments = self._with_file(("triangles", index), table, ("triangles",))
-                arguments["triangles"] = self._members(scene, "triangles.triangles", arguments, 3)
-                scene.add_triangles(**arguments)
+        self._lists(scene, model, "triangles", "triangles", 3, scene.add_triangles)
         for index, table in enumerate(model.embedded_surfaces):
             with self._at("embedded_surfaces", index):
                 arguments = self._with_file(("embedded_surfaces", index), table, ("corners", "weights", "triangles"))
@@ -131,6 +123,14 @@ class Reader:
                 group = arguments.pop("name", None)
                 self._name(group, scene.add_balls(**arguments))
 
+    def _lists(self, scene: Scene, model: Any, name: str, key: str, width: int, add: Any, *needed: str) -> None:
+        """Tables whose `key` is a list of so many balls each, within their group."""
+        for index, table in enumerate(getattr(model, name)):
+            with self._at(name, index):
+                arguments = self._with_file((name, index), table, (key, *needed))
+                arguments[key] = self._members(scene, f"{name}.{key}", arguments, width)
+                add(**arguments)
+
     def _elements(self, scene: Scene, model: Any) -> None:
         for index, table in enumerate(model.attachments):
             with self._at("attachments", index):
@@ -138,17 +138,9 @@ class Reader:
                 for side in ("one", "other"):
                     arguments[side] = self._chosen(scene, f"attachments.{side}", arguments, side, f"{side}_members")
                 scene.attach(**arguments)
-        parts = (
-            ("cells", "corners", scene.dim + 1, scene.add_cells, ("corners", "bulk_modulus")),
-            ("bending", "corners", 4, scene.add_bending, ("corners", "weights", "stiffness")),
-            ("gases", "triangles", 3, scene.add_gas, ("triangles",)),
-        )
-        for name, key, width, add, needed in parts:
-            for index, table in enumerate(getattr(model, name)):
-                with self._at(name, index):
-                    arguments = self._with_file((name, index), table, needed)
-                    arguments[key] = self._members(scene, f"{name}.{key}", arguments, width)
-                    add(**arguments)
+        self._lists(scene, model, "cells", "corners", scene.dim + 1, scene.add_cells, "bulk_modulus")
+        self._lists(scene, model, "bending", "corners", 4, scene.add_bending, "weights", "stiffness")
+        self._lists(scene, model, "gases", "triangles", 3, scene.add_gas)
         for index, table in enumerate(model.moving_pins):
             with self._at("moving_pins", index):
                 arguments = self._with_file(("moving_pins", index), table, ("balls",))

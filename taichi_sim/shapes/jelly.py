@@ -111,7 +111,7 @@ def jelly(
         block = _block(scene.dim, size, resolution)
         if all(value is None for value in elastic.values()):
             points, kinds, soft, triangles, finest = _springs(block, factor, mass)
-            total = or_default("jelly.mass", mass, _density(scene.dim) * float(np.prod(block[0] * factor)))
+            total = or_default("jelly.mass", mass, JELLY_DENSITY[scene.dim] * float(np.prod(block[0] * factor)))
             strength = at_least_0("jelly.stiffness", stiffness, soft)
             points = moved("jelly", points, position, rotation, factor)
             ball_radius = or_default("jelly.radius", radius, thinner * finest)
@@ -139,7 +139,7 @@ def jelly(
         body, skin = (_voxels if fill == "voxels" else _tetrahedra)(surface, step)
         default_radius = BALL_SHARE * step
         volume = enclosed if not len(meshes.holes(surface.triangles)) else float(body.volume.sum())
-    total = mass if mass is not None else volume * or_default("jelly.density", density, _density(scene.dim))
+    total = mass if mass is not None else volume * or_default("jelly.density", density, JELLY_DENSITY[scene.dim])
     total = or_default("jelly.mass", total, 1.0)
     masses = body.volume * (total / float(body.volume.sum()))
     least = 1 / (scene.dim + 1)
@@ -160,10 +160,6 @@ def jelly(
     return shape
 
 
-def _density(dim: int) -> float:
-    return JELLY_DENSITY[dim]
-
-
 # Blocks ------------------------------------------------------------------------------------------------------------
 
 
@@ -182,7 +178,7 @@ def _springs(block: tuple, factor: float, mass: float | None) -> tuple:
     dim = len(number)
     spacing = extent / (np.array(number) - 1)
     points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * spacing
-    total = or_default("jelly.mass", mass, _density(dim) * float(np.prod(extent * factor)))
+    total = or_default("jelly.mass", mass, JELLY_DENSITY[dim] * float(np.prod(extent * factor)))
     kinds, along = _lattice(number)
     cell = float(np.prod(spacing * factor)) ** (2 / dim)  # m^2
     soft = WOBBLE * float(extent[1]) * factor * total / len(points) / (along * cell)  # c^2 = along k a^2 / m
