@@ -278,15 +278,7 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
 
 def _turned(motion: Motion, turn: Floats) -> Motion:
     """The motion of a shape whose local frame is turned before: a capsule lies along its local x axis."""
-    return Motion(
-        motion.times,
-        motion.positions,
-        motion.rotations @ turn,
-        motion.turns,
-        motion.velocity,
-        motion.pivot,
-        motion.repeat,
-    )
+    return replace(motion, rotations=motion.rotations @ turn)
 
 
 def _onto(axis: Floats) -> Floats:

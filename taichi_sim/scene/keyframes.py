@@ -145,7 +145,6 @@ class Motion:
             )
         if len(times) == 1:
             raise SceneError(f"{where}.path", says="has one keyframe; it needs two or more, or leave it out")
-        angles = [r if isinstance(r, float) else 0.0 for r in rotations] if dim == 2 else []
         if dim == 2:
             first = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
             angles = [r if isinstance(r, float) else first for r in rotations]

@@ -21,6 +21,7 @@ from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.probe_readings import Reader
 from taichi_sim.analysis.stability import Stability, stability
 from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import checked_forces
@@ -83,16 +84,8 @@ class Simulation(Reader):
         own = type(s.integrator) not in BUILT_IN or bool(vars(s.integrator)) or not isinstance(s.contacts, str)
         self.has_custom_parts = bool(forces) or own
         diagnostics.check_tearing(scene)
-        if s.tolerance is not None and np.isfinite(scene.break_strain).any():
-            raise ValueError("tolerance: cannot be kept where springs tear; give dt, or leave break_strain out")
         if s.tolerance is not None:
-            check_digits(
-                scene, s.tolerance, self.backend.precision, self.dt, substeps, compensates(scene, self.backend)
-            )
-        if s.tolerance is not None and bodies_of(scene):
-            raise ValueError(
-                "tolerance: cannot be kept together with probes of force or impulse; give dt, or leave them out"
-            )
+            self._check_tolerance(s.tolerance, substeps)
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else AdaptiveStepper
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
@@ -101,6 +94,16 @@ class Simulation(Reader):
         self._closed, self._probed = False, tuple(scene.probes)
         self._still = scene.n_balls == 0
         self._begin_readings()
+
+    def _check_tolerance(self, tolerance: float, substeps: int) -> None:
+        """Raise SceneError where it cannot be kept."""
+        scene, backend = self.scene, self.backend
+        if np.isfinite(scene.break_strain).any():
+            raise SceneError("tolerance", says="cannot be kept where springs tear; give dt, or leave break_strain out")
+        check_digits(scene, tolerance, backend.precision, self.dt, substeps, compensates(scene, backend))
+        if bodies_of(scene):
+            says = "cannot be kept together with probes of force or impulse; give dt, or leave them out"
+            raise SceneError("tolerance", says=says)
 
     def _warn(self, h: float) -> None:
         safe = self._stability.dt_any_shape
@@ -131,12 +134,11 @@ class Simulation(Reader):
     def step(self, n: int = 1) -> None:
         """Advance by n steps of dt. step(0) only compiles; on several threads the step itself compiles with the first. Raises
         UnstableError, leaving the last good state."""
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
-            raise ValueError(f"step: {n!r} is not allowed; it must be a whole number, 0 or more")
+        steps = validation.whole("step", n, 0)
         if self._still:
-            self._stepper.steps += int(n)
+            self._stepper.steps += steps
         elif self._state is not None:  # not closed
-            self._stepper.step(int(n))
+            self._stepper.step(steps)
 
     def run(self, duration: float) -> None:
         """Advance by round(duration / dt) steps; duration in seconds."""
