@@ -77,7 +77,7 @@ def frame_of(scene, position=None):
             [[0.5, 0.5]],
             [[0, 0, 1]],
             {},
-            r"embedded_surfaces\[0\]\.triangles\[0\]: .* a vertex of the skin, from 0 to 0",
+            r"embedded_surfaces\[0\]\.triangles\[0\]: .* a vertex of the surface, from 0 to 0",
         ),
         (
             [[0, 1]],
