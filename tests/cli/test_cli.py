@@ -252,7 +252,10 @@ REFUSED = [
     (("tune", "ball.toml", "--limit", "0"), "--limit: 0.0 is not allowed; it must be a number greater than 0"),
 ]
 FROM_TAICHI = [
-    (("run", "ball.toml", "-o", "x.mp4", "--arch", "gpu"), "arch: 'gpu' is not allowed; it must be one of 'auto', 'cpu'"),
+    (
+        ("run", "ball.toml", "-o", "x.mp4", "--arch", "gpu"),
+        "arch: 'gpu' is not allowed; it must be one of 'auto', 'cpu'",
+    ),
     (("run", "ball.toml", "-o", "x.mp4", "--integrator", "magic"), "integrator: 'magic' is not allowed"),
     (("run", "ball.toml", "-o", "y/", "--precision", "f16"), "precision: 'f16' is not allowed"),
     (("run", "ball.toml", "-o", "x.npz", "--threads", "0"), "threads: 0 is not allowed"),
