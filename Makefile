@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: help env demo test test-slow test-all check bench referee clean
+.PHONY: help env demo test test-more test-long test-all check bench referee clean
 
 help:
-	@echo "make env | demo | test | test-slow | test-all | check | bench | referee | clean"
+	@echo "make env | demo | test | test-more | test-long | test-all | check | bench | referee | clean"
 
 env: $(STAMP)
 
@@ -29,12 +29,17 @@ test: env
 	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m "not slow"
 	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m "not slow"
 
-# what `make test` leaves out: hours
-test-slow: env
-	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m slow
-	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m slow
+# what `make test` leaves out: some twenty minutes
+test-more: env
+	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m "slow and not long"
+	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m "slow and not long"
 
-test-all: test test-slow
+# what takes hours
+test-long: env
+	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m long
+	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m long
+
+test-all: test test-more test-long
 
 check: env
 	$(BIN)/ruff format --check .

@@ -1,10 +1,29 @@
-"""Energy and speed of balls, summed in double precision in parts of a fixed length: the same bits for any number of threads."""
-
-from taichi_sim.kernels.vectors import unit
+"""Work in parts of a fixed size, in an order that does not depend on threads, so that sums have the same bits for any number of
+them; and what is summed of balls so, in double precision."""
 
 from taichi_sim.device.engine import ti
 
+GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one part
+PART = 1024  # balls whose terms one thread sums; parts are added in order
 BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, SIZE = range(7)  # members of a row
+
+
+@ti.func
+def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template()):
+    """visit(part, *arguments) for each part below `count`, on any thread."""
+    for k in range(count * GRAIN):
+        if k % GRAIN == 0:
+            visit(k // GRAIN, *arguments)
+
+
+@ti.func
+def even_then_odd(count: ti.template(), visit: ti.template(), arguments: ti.template()):
+    """The same for parts of which one writes to itself and the next: those with even numbers, then the others. At the top level
+    of a kernel only an unrolled loop leaves the inner ones parallel."""
+    for parity in ti.static(range(2)):
+        for k in range((count + 1 - parity) // 2 * GRAIN):
+            if k % GRAIN == 0:
+                visit(k // GRAIN * 2 + parity, *arguments)
 
 
 @ti.func
@@ -14,18 +33,3 @@ def good(ball, far):
     for a in ti.static(range(ball.x.n)):
         fine = fine and ti.abs(ball.x[a]) < far and ti.abs(ball.v[a]) < far
     return fine
-
-
-@ti.func
-def stored(ball: ti.template(), springs: ti.template(), i, real: ti.template()):
-    """Elastic energy [J] of the springs that ball i lists."""
-    energy = ti.cast(0.0, real)
-    for e in range(springs.start[i], springs.start[i + 1]):
-        place = e
-        if ti.static(springs.order == "waves"):
-            place = springs.place[e]
-        spring = springs.spring[place]
-        _, d = unit(ball[spring.other].x - ball[i].x, i, spring.other)
-        stretch = ti.cast(d - spring.rest_length, real)
-        energy += 0.5 * ti.cast(spring.stiffness, real) * stretch * stretch
-    return energy

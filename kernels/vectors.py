@@ -38,8 +38,26 @@ def cross(n, p):
 
 @ti.func
 def lever(s, n):
-    """s x n, for a turn s that is a scalar in 2D."""
+    """s x n, for a spin s that is a scalar in 2D."""
     if ti.static(n.n == 2):
         return ti.Vector([-n[1], n[0]]) * s
     else:
         return s.cross(n)
+
+
+@ti.func
+def zero_scalar_in_2d(dim: ti.template()):
+    """0 of what is a scalar in 2D and a vector in 3D: a spin, an angular impulse."""
+    if ti.static(dim == 2):
+        return ti.cast(0.0, float)
+    else:
+        return ti.Vector.zero(float, 3)
+
+
+@ti.func
+def product(a, b, dim: ti.template()):
+    """Scalar product of two such."""
+    if ti.static(dim == 2):
+        return a * b
+    else:
+        return a.dot(b)

@@ -15,6 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from taichi_sim import shapes
+from taichi_sim.analysis.element_rates import largest_rate
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import Method
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from taichi_sim.forces.element import Element
     from taichi_sim.forces.pointer import Pointer
     from taichi_sim.integrators import Integrator
+    from taichi_sim.outputs import Output, export, open_output
     from taichi_sim.simulation.simulation import Simulation
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces itself on standard output
@@ -46,6 +48,7 @@ __all__ = [
     "Integrator",
     "Mesh",
     "Method",
+    "Output",
     "Pointer",
     "Scene",
     "SceneError",
@@ -55,7 +58,10 @@ __all__ = [
     "StabilityLimit",
     "UnstableError",
     "__version__",
+    "export",
+    "largest_rate",
     "load_scene",
+    "open_output",
     "shapes",
     "spring_from_rates",
 ]
@@ -64,9 +70,12 @@ _LAZY = {
     "ContactRule": "taichi_sim.contacts",
     "Element": "taichi_sim.forces.element",
     "Integrator": "taichi_sim.integrators",
+    "Output": "taichi_sim.outputs",
     "Pointer": "taichi_sim.forces.pointer",
     "Simulation": "taichi_sim.simulation.simulation",
+    "export": "taichi_sim.outputs",
     "load_scene": "taichi_sim.files.toml_reader",
+    "open_output": "taichi_sim.outputs",
 }
 
 

@@ -17,13 +17,15 @@ def _is_slow(item):
             for name, value in mark.kwargs.items()
         ):
             return True
-    return any(PRECISION in mark.args for mark in item.iter_markers("slow_in"))
+    return False
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(config, items):
     for item in items:
-        if _is_slow(item):
+        if any(PRECISION in mark.args for mark in item.iter_markers("slow_in")):
+            item.add_marker(pytest.mark.long)
+        if item.get_closest_marker("long") or _is_slow(item):
             item.add_marker(pytest.mark.slow)
     if os.environ.get("TAICHI_SIM_PRECISION") == "f64":  # asked for: single precision has its own run
         again = [item for item in items if item.get_closest_marker("once")]

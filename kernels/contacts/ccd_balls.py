@@ -1,104 +1,104 @@
-"""Swept tests: what moves further than its radius in a step stops where it first touches a ball or a stick.
+"""Continuous collision detection: what moves further than its radius in a step stops where it first touches a ball or a stick.
 
-It keeps its velocity, and the next contact solve finds it touching. Paths are straight within a step (`before` holds their
-displacements while positions are the new ones); a ball that moves less than its radius counts as being where it ends, for it
-cannot pass through anything meanwhile. Stops are found in rounds, each against the paths that the one before has left, so that
-what has stopped early is not run through by a third.
+It keeps its velocity, and the next contact solve finds it touching. Paths are straight within a step, and positions are the new
+ones already; a ball that moves less than its radius counts as being where it ends, for it cannot pass through anything meanwhile.
+Times of impact are found in rounds, each against the paths that the one before has left, so that what has stopped early is not
+run through by a third.
 """
 
-from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.pairs import may_touch
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, largest, run, same_row
 from taichi_sim.kernels.contacts.sticks import closest
-from taichi_sim.kernels.vectors import cross, unit
+from taichi_sim.kernels.contacts.sticks import may_touch as may_touch_stick
+from taichi_sim.kernels.vectors import cross, product, unit
 
 from taichi_sim.device.engine import ti
 
-ITERATIONS = 48  # of conservative advancement along a stick; then it stops where it is safe
-NEARER = 0.9  # of the distance
-ALREADY = 0.998  # of the distance at touch: what stopped in the step before is nearer
-TOUCHING = 0.995  # of the distance at touch: found touching in the next search, whatever rounding does
+STICK_ITERATIONS = 48  # of conservative advancement along a stick; then it stops where it is safe
+NEARER_DISTANCE = 0.9  # of the distance
+TOUCHING_ALREADY = 0.998  # of the distance at touch: what stopped in the step before is nearer
+STOP_DISTANCE = 0.995  # of the distance at touch: found touching in the next search, whatever rounding does
 
 
 @ti.func
-def stop(solver: ti.template(), ball: ti.template()):
+def shorten_ways(solver: ti.template(), ball: ti.template()):
     """Shorten the displacements of this step where something is in the way. Does nothing where all moved slowly."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        solver.fast[1] = solver.fast[0] * solver.n
-        if ti.static(solver.has_sticks):
-            solver.fast[2] = solver.fast[0] * solver.sticks.m
-        solver.fast[0] = 0
-    for i in range(solver.fast[1]):
-        solver.stop[i] = 1.0
-        solver.sooner[i] = 1.0
-    look(solver, ball)
+        solver.swept[0].balls = solver.swept[0].moved_fast * solver.n
+        if ti.static(solver.plan.sticks):
+            solver.swept[0].sticks = solver.swept[0].moved_fast * solver.sticks.m
+        solver.swept[0].moved_fast = 0
+    for i in range(solver.swept[0].balls):
+        solver.time_of_impact[i] = 1.0
+        solver.next_time_of_impact[i] = 1.0
+    find_times_of_impact(solver, ball)
     ti.loop_config(serialize=True)  # few balls have others that stopped in their way: in turn, until nothing changes
     for _ in range(1):
-        rounds = solver.fast[1]  # each of them settles at least the earliest stop that is left
-        while rounds > 0 and solver.fast[3] > 0:
-            look(solver, ball)
+        rounds = solver.swept[0].balls  # each of them settles at least the earliest stop that is left
+        while rounds > 0 and solver.swept[0].shortened > 0:
+            find_times_of_impact(solver, ball)
             rounds -= 1
-    for i in range(solver.fast[1]):
-        if solver.stop[i] < 1.0:
-            solver.state.shift(i, (solver.stop[i] - 1.0) * solver.before[i])
+    for i in range(solver.swept[0].balls):
+        if solver.time_of_impact[i] < 1.0:
+            solver.state.shift(i, (solver.time_of_impact[i] - 1.0) * solver.displacement[i])
     ti.loop_config(serialize=True)
     for _ in range(1):
-        if solver.fast[1] > 0:
-            solver.longest[0] = 0.0
+        if solver.swept[0].balls > 0:
+            solver.longest_displacement[0] = 0.0
 
 
 @ti.func
-def look(solver: ti.template(), ball: ti.template()):
-    """One round: where each path stops, given where the others did in the round before. fast[3]: whether any changed."""
-    for i in range(solver.fast[1]):
+def find_times_of_impact(solver: ti.template(), ball: ti.template()):
+    """One round: where each path stops, given where the others did in the round before. `shortened`: whether any changed."""
+    for i in range(solver.swept[0].balls):
         if is_fast(solver, i):
-            ti.atomic_min(solver.sooner[i], first_touch(solver, solver.pairs.grid, ball, i))
-    if ti.static(solver.has_sticks):
-        for s in range(solver.fast[2]):
+            ti.atomic_min(solver.next_time_of_impact[i], first_touch(solver, solver.pairs.grid, ball, i))
+    if ti.static(solver.plan.sticks):
+        for s in range(solver.swept[0].sticks):
             sweep_stick(solver, ball, s)
     ti.loop_config(serialize=True)
     for _ in range(1):
-        solver.fast[3] = 0
-    for i in range(solver.fast[1]):
-        if solver.sooner[i] < solver.stop[i]:
-            solver.fast[3] = 1
-        solver.stop[i] = solver.sooner[i]
+        solver.swept[0].shortened = 0
+    for i in range(solver.swept[0].balls):
+        if solver.next_time_of_impact[i] < solver.time_of_impact[i]:
+            solver.swept[0].shortened = 1
+        solver.time_of_impact[i] = solver.next_time_of_impact[i]
 
 
 @ti.func
-def note(solver: ti.template(), i, shift):
+def note_displacement(solver: ti.template(), i, shift):
     """Keep the displacement of ball i, and whether anything must be looked at."""
-    solver.before[i] = shift
+    solver.displacement[i] = shift
     square = shift.dot(shift)
-    swift = solver.model.radius[i] ** 2
-    if ti.static(solver.has_sticks):  # they are thin: what counts is the ball that one may cross
-        swift = ti.min(swift, solver.thin[0])
-    if square > swift:
-        solver.fast[0] = 1
-        ti.atomic_max(solver.longest[0], ti.sqrt(square))
+    fast = solver.model.radius[i] ** 2
+    if ti.static(solver.plan.sticks):  # they are thin: what counts is the ball that one may cross
+        fast = ti.min(fast, solver.crossing_squared[0])
+    if square > fast:
+        solver.swept[0].moved_fast = 1
+        ti.atomic_max(solver.longest_displacement[0], ti.sqrt(square))
 
 
 @ti.func
 def is_fast(solver: ti.template(), i):
     """Whether ball i moved further than its radius."""
-    return solver.before[i].dot(solver.before[i]) > solver.model.radius[i] ** 2
+    return solver.displacement[i].dot(solver.displacement[i]) > solver.model.radius[i] ** 2
 
 
 @ti.func
 def start(solver: ti.template(), ball: ti.template(), i):
     """Where ball i was before it moved."""
-    return ball[i].x - solver.before[i]
+    return ball[i].x - solver.displacement[i]
 
 
 @ti.func
 def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(), i):
     """Part of its way at which ball i first touches another one, or 1."""
-    t = 1.0 + 0.0 * solver.before[i][0]
+    t = 1.0 + 0.0 * solver.displacement[i][0]
     for level in range(grid.levels):
         x = start(solver, ball, i)
         # others lie in the grid where they were when it was made: since then they moved by the skin and this step
-        margin = solver.model.radius[i] + (2.0 + grid.enlarged) * largest(grid, level) + solver.longest[0]
+        margin = solver.model.radius[i] + (2.0 + grid.enlarged) * largest(grid, level) + solver.longest_displacement[0]
         low = cell_of(ti.min(x, ball[i].x) - margin, grid, level)
         high = cell_of(ti.max(x, ball[i].x) + margin, grid, level)
         cells = 1.0 + 0.0 * x[0]
@@ -122,40 +122,40 @@ def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(),
             for k in range(end - begin + last - first):
                 own = ti.select(k < end - begin, begin + k, first + k - (end - begin))
                 if everywhere or same_row(cell, cell_of(grid.copy[own].x, grid, level)):
-                    t = ti.min(t, touch(solver, ball, i, grid.sorted[own]))
+                    t = ti.min(t, time_of_touch(solver, ball, i, grid.sorted[own]))
     return t
 
 
 @ti.func
-def touch(solver: ti.template(), ball: ti.template(), i, j):
+def time_of_touch(solver: ti.template(), ball: ti.template(), i, j):
     """Part of its way at which ball i first touches ball j, or 1."""
     t = 1.0 + 0.0 * ball[i].x[0]
     reach = solver.model.radius[i] + solver.model.radius[j]
     if i != j and may_touch(solver.pairs, i, j):
-        a = solver.before[i]
+        a = solver.displacement[i]
         r = ball[j].x - start(solver, ball, i)
         if is_fast(solver, j):
-            b = solver.before[j]
+            b = solver.displacement[j]
             r -= b
-            one, two = solver.stop[i], solver.stop[j]
+            one, two = solver.time_of_impact[i], solver.time_of_impact[j]
             both = ti.min(one, two)
-            distance = nearer(reach, r.norm())
+            distance = stopping_distance(reach, r.norm())
             t = meeting(r, b - a, distance, both)
             if t >= both:  # then only one of them still moves
                 alone = ti.select(one < two, b, -a)
                 later = meeting(r + both * (b - a), alone, distance, ti.max(one, two) - both)
                 t = ti.select(later < ti.max(one, two) - both, both + later, 1.0)
         else:
-            t = meeting(r, -a, nearer(reach, r.norm()), solver.stop[i])
-            if t >= solver.stop[i]:
+            t = meeting(r, -a, stopping_distance(reach, r.norm()), solver.time_of_impact[i])
+            if t >= solver.time_of_impact[i]:
                 t = 1.0
     return t
 
 
 @ti.func
-def nearer(reach, distance):
+def stopping_distance(reach, distance):
     """Distance at which a mover stops; what touches or overlaps already may come a little nearer."""
-    return ti.select(distance > ALREADY * reach, TOUCHING * reach, NEARER * distance)
+    return ti.select(distance > TOUCHING_ALREADY * reach, STOP_DISTANCE * reach, NEARER_DISTANCE * distance)
 
 
 @ti.func
@@ -166,7 +166,8 @@ def meeting(r, d, distance, end):
     speed = d.norm()
     if speed > 0.0:
         e = d / speed
-        square = distance * distance - aside(r, e)
+        away = cross(r, e)  # from the line of the path
+        square = distance * distance - product(away, away, r.n)
         c = r.dot(r) - distance * distance
         if r.dot(e) < 0.0 and c > 0.0 and square > 0.0:
             t = ti.min(end, c / (ti.sqrt(square) - r.dot(e)) / speed)
@@ -174,73 +175,51 @@ def meeting(r, d, distance, end):
 
 
 @ti.func
-def aside(r, e):
-    """Square of the distance of r from the line through the origin along the unit vector e."""
-    away = cross(r, e)
-    if ti.static(r.n == 2):
-        return away * away
-    else:
-        return away.dot(away)
-
-
-@ti.func
 def sweep_stick(solver: ti.template(), ball: ti.template(), s):
     """Let stick s and the balls that would cross each other stop before that."""
     one, two = solver.sticks.one[s], solver.sticks.two[s]
-    moved = ti.max(solver.before[one].norm(), solver.before[two].norm())
+    moved = ti.max(solver.displacement[one].norm(), solver.displacement[two].norm())
     # the box around the stick's way
     low = ti.min(ti.min(ball[one].x, ball[two].x), ti.min(start(solver, ball, one), start(solver, ball, two)))
     high = ti.max(ti.max(ball[one].x, ball[two].x), ti.max(start(solver, ball, one), start(solver, ball, two)))
     for i in range(solver.n):
         r = solver.model.radius[i]
-        x, shift = ball[i].x, solver.before[i]
+        x, shift = ball[i].x, solver.displacement[i]
         near = moved + shift.norm() > 0.5 * r
         for a in ti.static(range(solver.model.dim)):
             near = near and ti.max(x[a], x[a] - shift[a]) > low[a] - r and ti.min(x[a], x[a] - shift[a]) < high[a] + r
-        if near and collides(solver, i, one, two):
-            t = stick_touch(solver, ball, i, one, two)
+        if near and may_touch_stick(solver.sticks, i, one, two):
+            t = time_of_stick_touch(solver, ball, i, one, two)
             if t < 1.0:
-                ti.atomic_min(solver.sooner[i], t)
-                ti.atomic_min(solver.sooner[one], t)
-                ti.atomic_min(solver.sooner[two], t)
-
-
-@ti.func
-def collides(solver: ti.template(), i, one, two):
-    """Whether ball i and the stick from `one` to `two` collide at all."""
-    w = solver.model.inverse_mass[i] + solver.model.inverse_mass[one] + solver.model.inverse_mass[two]
-    allowed = i != one and i != two and w > 0.0
-    if ti.static(solver.pairs.has_bodies):
-        allowed = allowed and (solver.pairs.body[i] == 0 or solver.pairs.body[i] != solver.pairs.body[one])
-    if ti.static(solver.model.has_groups):
-        allowed = allowed and balls_meet(solver.model, i, one)
-    return allowed
+                ti.atomic_min(solver.next_time_of_impact[i], t)
+                ti.atomic_min(solver.next_time_of_impact[one], t)
+                ti.atomic_min(solver.next_time_of_impact[two], t)
 
 
 @ti.func
 def path(solver: ti.template(), ball: ti.template(), i, t):
     """Where ball i is at part t of the step."""
-    return ball[i].x + (ti.min(t, solver.stop[i]) - 1.0) * solver.before[i]
+    return ball[i].x + (ti.min(t, solver.time_of_impact[i]) - 1.0) * solver.displacement[i]
 
 
 @ti.func
-def stick_touch(solver: ti.template(), ball: ti.template(), i, one, two):
+def time_of_stick_touch(solver: ti.template(), ball: ti.template(), i, one, two):
     """Part of the step at which ball i first touches the stick, or 1: conservative advancement.
 
     Seen along the direction from the nearest point of the stick to the ball, no point of the stick is nearer than the nearer of
     its ends. Those move evenly, so until the first of them comes too near, or something stops, nothing can touch.
     """
-    t = 0.0 * solver.before[i][0]
+    t = 0.0 * solver.displacement[i][0]
     n, d = from_stick(solver, ball, i, one, two, t)
-    distance = nearer(solver.model.radius[i], d)
+    distance = stopping_distance(solver.model.radius[i], d)
     near = 1e-3 * distance
-    for _ in range(ITERATIONS):
+    for _ in range(STICK_ITERATIONS):
         if d > distance + near and t < 1.0:
-            x, u = path(solver, ball, i, t), speed(solver, i, t)
-            until = ti.min(later(solver, i, t), ti.min(later(solver, one, t), later(solver, two, t)))
+            x, u = path(solver, ball, i, t), present_displacement(solver, i, t)
+            until = ti.min(end_of_way(solver, i, t), ti.min(end_of_way(solver, one, t), end_of_way(solver, two, t)))
             for which in ti.static(range(2)):
                 end = one if ti.static(which == 0) else two
-                closing = n.dot(speed(solver, end, t) - u)
+                closing = n.dot(present_displacement(solver, end, t) - u)
                 if closing > 0.0:
                     until = ti.min(until, t + (n.dot(x - path(solver, ball, end, t)) - distance) / closing)
             t = until
@@ -249,15 +228,15 @@ def stick_touch(solver: ti.template(), ball: ti.template(), i, one, two):
 
 
 @ti.func
-def speed(solver: ti.template(), i, t):
+def present_displacement(solver: ti.template(), i, t):
     """How ball i moves at part t of the step [m per step]."""
-    return ti.select(t < solver.stop[i], 1.0, 0.0) * solver.before[i]
+    return ti.select(t < solver.time_of_impact[i], 1.0, 0.0) * solver.displacement[i]
 
 
 @ti.func
-def later(solver: ti.template(), i, t):
+def end_of_way(solver: ti.template(), i, t):
     """Part of the step at which ball i stops, or 1 where it has stopped already."""
-    return ti.select(t < solver.stop[i], solver.stop[i], 1.0 + 0.0 * t)
+    return ti.select(t < solver.time_of_impact[i], solver.time_of_impact[i], 1.0 + 0.0 * t)
 
 
 @ti.func

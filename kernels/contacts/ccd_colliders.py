@@ -15,7 +15,7 @@ WHOLE = -1  # in place of a face: all of the collider
 MOST_LOOKS = 256  # at the distance along one path; what needs more waits at the last safe place
 LOOK_STRIDE = 0.2  # of the radius: no look lies further behind a surface, so none is passed over
 MARCH_SAFETY = 0.7  # of the way that a distance kept on a grid allows
-RESTING_SINK = 0.005  # of the radius: what rests may sink in so far while it moves; the contact solve holds it
+RESTING_SINK = 0.005  # of the radius: what rests may sink in so far while it moves; the contact solve bears it
 ROTATING_SINK = 0.1  # of the radius: the same for what came to rest within the step on a collider that rotates
 SAME_FACE = 0.9  # cosine between normals
 
@@ -37,7 +37,7 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, face, x, v, a,
     extent = colliders.shape[k].extent
     found, time = MISSES, limit
     if start.norm() <= extent + r + travel:
-        finest = 1e-9 * r + walls.rounding * (ti.abs(x).max() + colliders.far(k))
+        finest = 1e-9 * r + walls.rounding * (ti.abs(x).max() + colliders.distance_from_origin(k))
         fastest, curve = approach(colliders, k, start, drift.norm() + a.norm() * limit, travel, extent + r)
         left, right, above, below = 0.0 * r, limit, 0.0 * r, 0.0 * r
         sunk = 0.0 * r
@@ -159,9 +159,9 @@ def allowance(walls: ti.template(), i, k, n, settled, floor):
     sink = RESTING_SINK * walls.model.radius[i]
     rests = settled == k and n.dot(floor) > SAME_FACE
     if ti.static(walls.colliders.rotates):
-        if rests:  # what rotates carries a ball around a bend within the step
+        if rests:  # what rotates takes a ball around a bend within the step
             sink = ROTATING_SINK * walls.model.radius[i]
-    if walls.touched[i] > 0:
+    if walls.touching[i] > 0:
         at = walls.collider_contacts
         for s in range(at.count):
             if walls.contact[i * walls.count + walls.planes.count + s].role == RESTING and at.collider(i, s) == k:

@@ -1,36 +1,35 @@
 """Contacts of surfaces in a step: the list of all pairs that are near, and how far balls may move before any of them meet."""
 
 from taichi_sim.kernels.contacts.contact_incidence import list_entries
-from taichi_sim.kernels.contacts.triangle_bvh import fit, hasty, walk
-from taichi_sim.kernels.contacts.triangle_pairs import DETECT, LIMIT, hold_apart, planes
+from taichi_sim.kernels.contacts.triangle_bvh import any_left_path, fit, traverse
+from taichi_sim.kernels.contacts.triangle_pairs import FIND_PAIRS, LIMIT_WAYS, hold_apart, is_upper, planes
 
 from taichi_sim.device.engine import ti
 
-CLEAR, SWEEPS = (
-    0.02,
-    2,
-)  # of what is kept: how far past its plane a ball is led; times that all its planes are gone through
-SAFE = 0.99  # of a radius: what moves no further from where it was expected cannot meet what was not listed
+PLANE_CLEARANCE = 0.02  # of what is kept: how far past its plane a ball is led
+PLANE_SWEEPS = 2  # times that all planes of a ball are gone through
+SAFE_DEVIATION = 0.99  # of a radius: what moves no further from where it was expected cannot meet what was not listed
 
 
 @ti.func
-def detect(facets: ti.template(), solver: ti.template(), ball: ti.template()):
-    """Rows of all patches, then for each ball the list of its places in them."""
+def detect(triangles: ti.template(), solver: ti.template(), ball: ti.template()):
+    """Contacts of all leaves, then for each ball the list of its places in them."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        facets.work[1] = ti.select(facets.grid.work[0] > 0, facets.model.n, 0)  # none where the grid gave up
-        facets.used[0] = 0
-        facets.work[2] = ti.select(facets.work[1] > 0, facets.leaves, 0)
-    for i in range(facets.model.n):
-        facets.way[i] = ball[i].v / solver.rate[0]
-    fit(facets, ball, DETECT)
-    for k in range(facets.work[1]):
-        walk(facets, solver, ball, k, False, DETECT)
-    list_entries(facets)
+        # none where the grid gave up
+        triangles.work[0].balls = ti.select(triangles.grid.work[0].balls > 0, triangles.model.n, 0)
+        triangles.used[0] = 0
+        triangles.work[0].bottom_nodes = ti.select(triangles.work[0].balls > 0, triangles.bottom_nodes, 0)
+    for i in range(triangles.model.n):
+        triangles.expected_displacement[i] = ball[i].v / solver.rate[0]
+    fit(triangles, ball, FIND_PAIRS)
+    for k in range(triangles.work[0].balls):
+        traverse(triangles, solver, ball, k, False, FIND_PAIRS)
+    list_entries(triangles)
 
 
 @ti.func
-def limit(facets: ti.template(), solver: ti.template(), ball: ti.template()):
+def limit(triangles: ti.template(), solver: ti.template(), ball: ti.template()):
     """Shorten the ways of the step just made so that no two surfaces, and no surface and ball, have gone through each other.
 
     Listed pairs have planes in between. The others were at least as far apart as their balls are thick and as they would come
@@ -40,67 +39,68 @@ def limit(facets: ti.template(), solver: ti.template(), ball: ti.template()):
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        facets.work[0] = ti.min(facets.used[0], facets.capacity)
-        facets.fast[0] = 0
-    lead_past(facets, solver, ball)
-    for i in range(facets.model.n):
-        facets.part[i] = 1.0
-        facets.hasty[i] = 0
-    for c in range(facets.work[0]):
-        hold_apart(facets, ball, balls_of(facets, c), facets.row[c].normal, facets.row[c].kind)
+        triangles.work[0].contacts = ti.min(triangles.used[0], triangles.capacity)
+        triangles.work[0].left_path = 0
+    lead_past(triangles, solver, ball)
+    for i in range(triangles.model.n):
+        triangles.allowed_part[i] = 1.0
+        triangles.left_path[i] = 0
+    for c in range(triangles.work[0].contacts):
+        hold_apart(triangles, ball, balls_of(triangles, c), triangles.contact[c].normal, triangles.contact[c].kind)
     for everything in ti.static(range(2)):
-        cut_short(facets, solver, ball)
-        for i in range(facets.model.n):
-            off = ball[i].x - facets.grid.origin[i] - facets.way[i]
-            if not off.norm() <= SAFE * facets.model.radius[i] and facets.hasty[i] == 0:
-                facets.hasty[i] = 1
-                facets.fast[0] = 1
+        cut_short(triangles, solver, ball)
+        for i in range(triangles.model.n):
+            off = ball[i].x - triangles.grid.origin[i] - triangles.expected_displacement[i]
+            if not off.norm() <= SAFE_DEVIATION * triangles.model.radius[i] and triangles.left_path[i] == 0:
+                triangles.left_path[i] = 1
+                triangles.work[0].left_path = 1
         ti.loop_config(serialize=True)
         for _ in range(1):
-            facets.work[1] = facets.fast[0] * facets.model.n
-            facets.work[2] = facets.fast[0] * facets.leaves
-            facets.fast[0] = 0
-        fit(facets, ball, LIMIT)
-        for k in range(facets.work[1]):
-            if ti.static(everything) or k >= facets.patches or hasty(facets, facets.walker[k]):
-                walk(facets, solver, ball, k, ti.static(not everything), LIMIT)
-    cut_short(facets, solver, ball)
+            triangles.work[0].balls = triangles.work[0].left_path * triangles.model.n
+            triangles.work[0].bottom_nodes = triangles.work[0].left_path * triangles.bottom_nodes
+            triangles.work[0].left_path = 0
+        fit(triangles, ball, LIMIT_WAYS)
+        for k in range(triangles.work[0].balls):
+            if ti.static(everything) or k >= triangles.leaf_count or any_left_path(triangles, triangles.leaf_ball[k]):
+                traverse(triangles, solver, ball, k, ti.static(not everything), LIMIT_WAYS)
+    cut_short(triangles, solver, ball)
 
 
 @ti.func
-def cut_short(facets: ti.template(), solver: ti.template(), ball: ti.template()):
+def cut_short(triangles: ti.template(), solver: ti.template(), ball: ti.template()):
     """Take back of each way what it may not be."""
-    for i in range(facets.model.n):
-        if facets.part[i] < 1.0:
-            solver.state.shift(i, (1.0 - facets.part[i]) * (facets.grid.origin[i] - ball[i].x))
-            facets.part[i] = 1.0
+    for i in range(triangles.model.n):
+        if triangles.allowed_part[i] < 1.0:
+            solver.state.shift(i, (1.0 - triangles.allowed_part[i]) * (triangles.grid.origin[i] - ball[i].x))
+            triangles.allowed_part[i] = 1.0
 
 
 @ti.func
-def lead_past(facets: ti.template(), solver: ti.template(), ball: ti.template()):
+def lead_past(triangles: ti.template(), solver: ti.template(), ball: ti.template()):
     """Take from the ways of balls what leads across the planes of listed pairs, so that they may slide along: a way that is cut
     short as a whole lets a ball stick. This need not settle all."""
-    for c in range(facets.work[0]):
-        up, down, keep = planes(facets, ball, balls_of(facets, c), facets.row[c].normal, facets.row[c].kind)
-        facets.row[c].up = up + CLEAR * keep
-        facets.row[c].down = down - CLEAR * keep
-    for i in range(facets.model.n):
+    for c in range(triangles.work[0].contacts):
+        contact = triangles.contact[c]
+        up, down, keep = planes(triangles, ball, balls_of(triangles, c), contact.normal, contact.kind)
+        triangles.contact[c].upper_plane = up + PLANE_CLEARANCE * keep
+        triangles.contact[c].lower_plane = down - PLANE_CLEARANCE * keep
+    for i in range(triangles.model.n):
         x = ball[i].x
         change = 0.0 * x
-        for _ in range(SWEEPS):
-            for e in range(facets.first[i], facets.first[i] + facets.number[i]):
-                c, k = facets.entry[e] // 4, facets.entry[e] % 4
-                n = facets.row[c].normal
-                height = n.dot(x + change - facets.grid.origin[facets.member[4 * c]])
-                if k == 0 or (k == 1 and facets.row[c].kind > 0):
-                    change += ti.max(0.0, facets.row[c].up - height) * n
+        for _ in range(PLANE_SWEEPS):
+            for e in range(triangles.first[i], triangles.first[i] + triangles.number[i]):
+                c, k = triangles.entry[e] // 4, triangles.entry[e] % 4
+                n = triangles.contact[c].normal
+                height = n.dot(x + change - triangles.grid.origin[triangles.member[4 * c]])
+                if is_upper(k, triangles.contact[c].kind):
+                    change += ti.max(0.0, triangles.contact[c].upper_plane - height) * n
                 else:
-                    change -= ti.max(0.0, height - facets.row[c].down) * n
-        if change.dot(change) > 0.0 and facets.model.inverse_mass[i] > 0.0:  # a pin stays where it is
+                    change -= ti.max(0.0, height - triangles.contact[c].lower_plane) * n
+        if change.dot(change) > 0.0 and triangles.model.inverse_mass[i] > 0.0:  # a pin stays where it is
             solver.state.shift(i, change)
 
 
 @ti.func
-def balls_of(facets: ti.template(), c):
-    """The four balls of a row."""
-    return ti.Vector([facets.member[4 * c + k] for k in ti.static(range(4))])
+def balls_of(triangles: ti.template(), c):
+    """The four balls of a contact."""
+    return ti.Vector([triangles.member[4 * c + k] for k in ti.static(range(4))])

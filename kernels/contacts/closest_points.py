@@ -2,7 +2,7 @@
 
 from taichi_sim.device.engine import ti
 
-PARALLEL = 1e-6  # square of the sine between two edges
+PARALLEL_EDGES = 1e-6  # square of the sine between two edges
 
 
 @ti.func
@@ -46,7 +46,7 @@ def between_edges(a, b, c, d):
     square = aa * ee - bb * bb
     s, t = 0.0 * aa, 0.0 * aa
     if aa > 0.0 and ee > 0.0:
-        if square > PARALLEL * aa * ee:
+        if square > PARALLEL_EDGES * aa * ee:
             s = ti.max(0.0, ti.min(1.0, (bb * f - c1 * ee) / square))
         t = (bb * s + f) / ee
         if t < 0.0:

@@ -1,100 +1,129 @@
-"""One law for every contact, and how balls with several contacts share their mass between them."""
+"""One law for every contact, and how balls with several contacts share their mass between them.
+
+Impulses are accumulated: `accumulated` [N s] is what a contact got so far in this solve, and from the step before where it
+started with that."""
 
 from taichi_sim.device.engine import ti
 
 # A soft contact is a damped spring that is solved implicitly, a quarter of a cycle per step and ten times critically damped
 # (Catto, Soft Constraints, 2011): unlike a rigid one it takes energy out of tall piles, and it pushes out what overlaps.
-DAMPING_RATIO = 10.0
-ANGLE = 1.5707963267948966  # omega h: pi / 2
-PUSH = ANGLE / (2.0 * DAMPING_RATIO + ANGLE)  # part of the depth that one step removes
-STIFF = ANGLE * (2.0 * DAMPING_RATIO + ANGLE)
-LEAK = 1.0 / (1.0 + STIFF)  # part of the held impulse that a pass lets go
-SOFT = 1.0 - LEAK  # of the contact's mass
+SOFT_DAMPING_RATIO = 10.0
+SOFT_ANGLE = 1.5707963267948966  # omega h: pi / 2
+SOFT_PUSH = SOFT_ANGLE / (2.0 * SOFT_DAMPING_RATIO + SOFT_ANGLE)  # part of the depth that one step removes
+SOFT_STIFFNESS = SOFT_ANGLE * (2.0 * SOFT_DAMPING_RATIO + SOFT_ANGLE)
+SOFT_LEAK = 1.0 / (1.0 + SOFT_STIFFNESS)  # part of the accumulated impulse that an iteration lets go
+SOFT_MASS = 1.0 - SOFT_LEAK  # of the contact's mass
+PUSH_OUT = 0.5  # part of the remaining depth that the position correction of one step removes
+FASTEST_PUSH_OUT = 20.0  # of the threshold speed: soft contacts do not push out faster
+TOUCH_TOLERANCE = 1e-5  # of the radius: a ball this close that hardly approaches rests
+CORRECTION_SLOP = 0.01  # of the radius: depth that position correction leaves
 
 
 @ti.func
-def normal_impulse(u, target, mass, held):
-    """New total normal impulse [N s] of a contact that holds `held` so far: it reaches the target speed but never pulls.
+def pair_law(model: ti.template(), one, other):
+    """What two materials do to each other."""
+    return model.laws[one * model.surfaces + other]
+
+
+@ti.func
+def normal_impulse(u, target, mass, accumulated):
+    """New total normal impulse [N s] of a contact: it reaches the target speed but never pulls.
 
     u: normal part of the relative velocity sum g_i v_i; mass: 1 / sum w_i g_i^2 s_i [kg]. For a lone contact this is the
-    exact law j = (target - u) / W whatever `held` was.
+    exact law j = (target - u) / W whatever it accumulated.
     """
-    return ti.max(0.0, held + (target - u) * mass)
+    return ti.max(0.0, accumulated + (target - u) * mass)
 
 
 @ti.func
-def soft_impulse(u, target, mass, held):
+def soft_impulse(u, target, mass, accumulated):
     """The same for a soft contact; `target` holds the push-out speed as well."""
-    return ti.max(0.0, SOFT * held + (target - u) * (SOFT * mass))
+    return ti.max(0.0, SOFT_MASS * accumulated + (target - u) * (SOFT_MASS * mass))
 
 
 @ti.func
-def rebound(restitution, u, kick):
-    """Change of the normal speed u of two things that bounce. kick [m/s]: approach speed that forces gave them since contacts
-    were last looked for. What an impact throws back is the speed in the middle of that time, which belongs to the positions:
-    half of the kick is in it."""
-    return -(1.0 + restitution) * (u + 0.5 * kick)
+def rebound(restitution, u, from_forces):
+    """Change of the normal speed u of two things that bounce. from_forces [m/s]: approach speed that forces gave them since
+    contacts were last looked for. What an impact throws back is the speed in the middle of that time, which belongs to the
+    positions: half of that is in it."""
+    return -(1.0 + restitution) * (u + 0.5 * from_forces)
 
 
 @ti.func
-def friction_impulse(model: ti.template(), law, n, u, slip, mass, sideways, held, total, threshold, time):
-    """Change of the tangential impulse [N s] of a contact that presses with `total` [N s], and its new Coulomb part, of which it
-    held `held`. u, slip [m/s]: relative velocity of the bodies, and of their surfaces, which spin; mass, sideways [kg]: what they
-    oppose to an impulse along the normal n, and along the surfaces. Viscous friction acts for `time` seconds."""
+def closing_speed(u, from_forces):
+    """Speed of an impact of two things with the normal speed u: what forces gave them in this very step does not count."""
+    return -(u + ti.max(0.0, from_forces))
+
+
+@ti.func
+def impact_impulse(model: ti.template(), law, n, u, slip, mass, tangential_mass, total, threshold, time):
+    """Impulse [N s] of an impact of `total` [N s] along the normal n, with friction; see `friction_impulse`."""
+    p = total * n
+    if ti.static(model.has_friction):
+        change, _ = friction_impulse(model, law, n, u, slip, mass, tangential_mass, 0.0 * p, total, threshold, time)
+        p += change
+    return p
+
+
+@ti.func
+def friction_impulse(model: ti.template(), law, n, u, slip, mass, tangential_mass, accumulated, total, threshold, time):
+    """Change of the tangential impulse [N s] of a contact that presses with `total` [N s], and its new Coulomb part, so far
+    `accumulated`. u, slip [m/s]: relative velocity of the bodies, and of their surfaces, which spin; mass, tangential_mass [kg]:
+    what they oppose to an impulse along the normal n, and along the surfaces. Viscous friction acts for `time` seconds."""
     share = viscous_share(model, law, total, mass, threshold, u, time)
-    return sliding_impulse(model, slip, n, sideways, held, law.friction * total, share)
+    return tangential_impulse(model, slip, n, tangential_mass, accumulated, law.friction * total, share)
 
 
 @ti.func
-def sliding_impulse(model: ti.template(), u, n, mass, slide, bound, slip):
+def tangential_impulse(model: ti.template(), slip, n, mass, accumulated, bound, viscous):
     """Change of the tangential impulse and its new Coulomb part (a vector that may not exceed `bound`).
 
-    u: relative velocity of the two surfaces. The viscous share `slip` = 1 - exp(-f t) of the sliding speed is taken first,
-    then Coulomb friction opposes the rest; together they at most stop it.
+    slip: relative velocity of the two surfaces. The share `viscous` = 1 - exp(-f t) of the sliding speed is taken first, then
+    Coulomb friction opposes the rest; together they at most stop it.
     """
-    stop = (u.dot(n) * n - u) * mass
-    wanted = slide + stop
+    stop = (slip.dot(n) * n - slip) * mass
+    wanted = accumulated + stop
     if ti.static(model.has_viscous):
-        wanted -= slip * stop
+        wanted -= viscous * stop
     square = wanted.dot(wanted)
     if square > bound * bound:
         wanted *= bound * ti.rsqrt(square)
-    change = wanted - slide
+    change = wanted - accumulated
     if ti.static(model.has_viscous):
-        change += slip * stop
+        change += viscous * stop
     return change, wanted
 
 
 @ti.func
-def sliding_impulse_2d(model: ti.template(), u, mass, slide, bound, slip):
-    """The same in 2D, where the one direction along the surface makes speed u and impulses scalars."""
-    stop = -u * mass
-    wanted = slide + stop
+def tangential_impulse_2d(model: ti.template(), slip, mass, accumulated, bound, viscous):
+    """The same in 2D, where the one direction along the surface makes speed and impulses scalars."""
+    stop = -slip * mass
+    wanted = accumulated + stop
     if ti.static(model.has_viscous):
-        wanted -= slip * stop
+        wanted -= viscous * stop
     wanted = ti.max(-bound, ti.min(bound, wanted))
-    change = wanted - slide
+    change = wanted - accumulated
     if ti.static(model.has_viscous):
-        change += slip * stop
+        change += viscous * stop
     return change, wanted
 
 
 @ti.func
-def sideways(solver: ti.template(), i, j):
+def tangential_mass_part(solver: ti.template(), i, j):
     """Mass that balls i and j oppose to an impulse along their surfaces, as a part of that along the normal."""
     part = solver.model.sideways(i)
     if ti.static(solver.model.some_spin):  # else both are alike
         a, b = solver.model.inverse_mass[i], solver.model.inverse_mass[j]
         if ti.static(solver.split):
-            a, b = solver.lightness[i], solver.lightness[j]
+            a, b = solver.effective_inverse_mass[i], solver.effective_inverse_mass[j]
         part = (a + b) / (a * (1.0 + solver.model.spin_response(i)) + b * (1.0 + solver.model.spin_response(j)))
     return part
 
 
 @ti.func
 def presses(total, mass, threshold, u):
-    """Whether a contact that holds `total` [N s] has friction: more than rounding leaves where two bodies just part. u: relative
-    velocity.
+    """Whether a contact that presses with `total` [N s] has friction: more than rounding leaves where two bodies just part. u:
+    relative velocity.
 
     Viscous friction does not fade with the normal impulse, so without this a rounded zero would switch it on or off.
     """
@@ -109,7 +138,7 @@ def decayed(a):
 
 @ti.func
 def viscous_share(model: ti.template(), law, total, mass, threshold, u, time):
-    """Part of the sliding speed that viscous friction takes in `time` seconds from a contact that holds `total` [N s]."""
+    """Part of the sliding speed that viscous friction takes in `time` seconds from a contact that presses with `total` [N s]."""
     share = 0.0 * mass
     if ti.static(model.has_viscous):
         if presses(total, mass, threshold, u):
@@ -157,7 +186,7 @@ def largest_eigenvalue(T):
 def share(T, count, by_tensor: ti.template()):
     """s of a ball: into how many parts its mass is split. 1 with at most one contact.
 
-    By tensor T = sum n n^T, the sharpest split for which one pass of normal impulses cannot add energy; by count where
+    By tensor T = sum n n^T, the sharpest split for which one iteration of normal impulses cannot add energy; by count where
     friction pushes sideways as well.
     """
     s = ti.max(1.0, 1.0 * count)

@@ -6,7 +6,7 @@ so an elastic bounce loses nothing. A scheme without acceleration inside the ste
 
 from taichi_sim.kernels.contacts.ccd_colliders import NOTHING, first_collider
 from taichi_sim.kernels.contacts.colliders import surface_velocity
-from taichi_sim.kernels.contacts.contact_law import decayed
+from taichi_sim.kernels.contacts.contact_law import decayed, rebound
 from taichi_sim.kernels.contacts.kinds import RESTING
 from taichi_sim.kernels.contacts.parabola import crossing
 from taichi_sim.kernels.vectors import cross, lever
@@ -28,7 +28,7 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
         u = wall.normal.dot(v)
         pull = wall.normal.dot(a)
         closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining
-        resting = walls.touched[i] > 0 and walls.contact[i * walls.count + k].role == RESTING
+        resting = walls.touching[i] > 0 and walls.contact[i * walls.count + k].role == RESTING
         if gap >= -walls.tolerance(x, i, 0.0) and closest <= 0.0 and not resting:
             t = crossing(ti.max(gap, 0.0), u, pull, 2.0 * remaining)
             if t < time:
@@ -47,7 +47,7 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
     rests = is_caught(law, u, press, threshold, h)
     j = -u
     if -u > threshold and not rests:
-        j = -(1.0 + law.restitution) * u
+        j = rebound(law.restitution, u, 0.0 * u)
     after = v + j * n
     rest = a
     if rests:
@@ -78,7 +78,7 @@ def is_caught(law, u, press, threshold, h):
 
 @ti.func
 def surface(walls: ti.template(), key, x, after):
-    """Direction from a collider, or a face of it, see kernels.colliders.first_collider, to a ball at x that touches it `after`
+    """Direction from a collider, or a face of it, see ccd_colliders.first_collider, to a ball at x that touches it `after`
     seconds into the step, and its velocity there."""
     k = key // walls.colliders.faces
     d, n, _ = walls.colliders.distance(k, key % walls.colliders.faces, x, after)
@@ -86,11 +86,11 @@ def surface(walls: ti.template(), key, x, after):
 
 
 @ti.func
-def strike(walls: ti.template(), i, key, x, v, a, after, threshold, h):
+def hit_collider(walls: ti.template(), i, key, x, v, a, after, threshold, h):
     """Velocity and acceleration of ball i after it met a collider `after` seconds into the step, whether it rests on it, and
     the normal there."""
     n, own = surface(walls, key, x, after)
-    law = walls.law_with(i, walls.colliders.shape[key // walls.colliders.faces].surface)
+    law = walls.law_of_material(i, walls.colliders.shape[key // walls.colliders.faces].surface)
     u = n.dot(v - own)
     speed, pull = v, a
     rests = True  # what does not approach
@@ -108,38 +108,39 @@ def pushed(walls: ti.template(), key, x, after, time):
 
 
 @ti.func
+def pressing_speed(walls: ti.template(), i, k, n, v):
+    """Normal speed, 0 or negative, with which ball i at the velocity v presses into its surface k; one that falls away is
+    followed."""
+    least = 0.0 * v[0]
+    if ti.static(walls.has_colliders):
+        if k >= walls.planes.count:
+            least = ti.min(0.0, walls.contact[i * walls.count + k].target)
+    return ti.min(0.0, n.dot(walls.relative(v, i, k)) - least)
+
+
+@ti.func
 def press(walls: ti.template(), i, v, a):
     """Velocity and acceleration of ball i without the parts that press it into walls on which it rests.
 
     Those are the contact solve's to undo, friction with them; the path only must not enter the wall meanwhile.
     """
-    for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
+    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
         if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
-            if ti.static(walls.has_colliders):
-                least = 0.0 * v[0]
-                if k >= walls.planes.count:  # a surface that falls away is followed
-                    least = ti.min(0.0, walls.contact[i * walls.count + k].target)
-                v -= ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
-            else:
-                v -= ti.min(0.0, n.dot(v)) * n
+            v -= pressing_speed(walls, i, k, n, v) * n
             a -= ti.min(0.0, n.dot(a)) * n
     return v, a
 
 
 @ti.func
-def tell_pressed(walls: ti.template(), i, v):
-    """What `press` took of the velocity of ball i, for probes: it stays away where the ball met something."""
-    for k in range(ti.select(walls.touched[i] > 0, walls.count, 0)):
+def record_pressed(walls: ti.template(), i, v):
+    """Record for probes what `press` took of the velocity of ball i, which does not get it back where it met something."""
+    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
         if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
-            least = 0.0 * v[0]
-            if ti.static(walls.has_colliders):
-                if k >= walls.planes.count:
-                    least = ti.min(0.0, walls.contact[i * walls.count + k].target)
-            change = -ti.min(0.0, n.dot(walls.relative(v, i, k)) - least) * n
+            change = -pressing_speed(walls, i, k, n, v) * n
             v += change
-            walls.tell(i, k, change / walls.model.inverse_mass[i])
+            walls.record(i, k, change / walls.model.inverse_mass[i])
 
 
 @ti.func
@@ -150,14 +151,14 @@ def move(walls: ti.template(), i, x, v, a, h, threshold):
     way = ti.abs(shift).sum() + 0.5 * h * h * ti.abs(a).sum()  # at most
     near = True
     if ti.static(not walls.has_colliders):
-        near = way >= walls.room[i]
+        near = way >= walls.clearance[i]
     if near:
-        shift, drift = move_among(walls, i, x, v, a, h, threshold)
+        shift, drift = move_with_impacts(walls, i, x, v, a, h, threshold)
     return shift, drift
 
 
 @ti.func
-def move_among(walls: ti.template(), i, x, v, a, h, threshold):
+def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     """`move` of a ball that may meet something."""
     along, pressed = press(walls, i, v, a)
     pull = pressed
@@ -167,9 +168,9 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
     touched = False
     settled = NOTHING  # the collider on which it came to rest within this step, and the normal there
     floor = 0.0 * v
-    swift = False  # it may have to stop on its way at another ball (kernels.ccd_balls), so that must be straight
-    if ti.static(walls.straight):
-        swift = shift.dot(shift) > walls.model.radius[i] ** 2
+    fast = False  # it may have to stop on its way at another ball (ccd_balls), so that must be straight
+    if ti.static(walls.plan.pairs):
+        fast = shift.dot(shift) > walls.model.radius[i] ** 2
     for _ in range(MOST_IMPACTS):
         if remaining > 0.0:
             start = ti.select(touched, shift, 0.0 * shift)
@@ -180,8 +181,9 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
             far = 0.0 * t
             if ti.static(walls.has_colliders):
                 if other >= 0:
-                    far = walls.colliders.far(other // walls.colliders.faces)
-            waits = swift and (other != NOTHING or hit >= 0) and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
+                    far = walls.colliders.distance_from_origin(other // walls.colliders.faces)
+            meets = other != NOTHING or hit >= 0
+            waits = fast and meets and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
             if waits:
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
                 if ti.static(walls.moves):
@@ -189,47 +191,36 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                         shift += pushed(walls, other, x + shift, h - remaining + t, remaining - t)
                 speed += remaining * pull
                 remaining = 0.0
-            elif other != NOTHING:
-                shift = start + t * (speed + 0.5 * t * pull)
-                speed += t * pull
-                if ti.static(walls.has_colliders):
-                    if other >= 0:
-                        came, load = speed, pull
-                        speed, pull, rests, n = strike(
-                            walls, i, other, x + shift, speed, pull, h - remaining + t, threshold, h
-                        )
-                        if rests:
-                            settled = other // walls.colliders.faces
-                            floor = n
-                        remaining -= t
-                        if ti.static(walls.told):
-                            change = speed - came + remaining * (pull - load)
-                            walls.received.add(
-                                i,
-                                walls.received.solid[other // walls.colliders.faces],
-                                change / walls.model.inverse_mass[i],
-                            )
-                    else:  # UNKNOWN_WAY: it waits where it is
-                        remaining = 0.0
-                touched = True
-            elif hit >= 0:
+            elif meets:
+                since = h - remaining + t
                 shift = start + t * (speed + 0.5 * t * pull)
                 came, load = speed + t * pull, pull
-                speed, pull, rests = bounce(
-                    walls,
-                    i,
-                    walls.planes.wall[hit].normal,
-                    walls.law(i, hit),
-                    came,
-                    pull,
-                    threshold,
-                    h,
-                    remaining - t,
-                )
+                speed = came
                 remaining -= t
-                if ti.static(walls.told):
+                body = -1  # that has a probe
+                if other == NOTHING:
+                    normal = walls.planes.wall[hit].normal
+                    speed, pull, rests = bounce(
+                        walls, i, normal, walls.law(i, hit), came, pull, threshold, h, remaining
+                    )
+                    if ti.static(walls.probed):
+                        body = walls.received.plane[hit]
+                elif ti.static(walls.has_colliders):
+                    if other >= 0:
+                        k = other // walls.colliders.faces
+                        speed, pull, rests, n = hit_collider(
+                            walls, i, other, x + shift, came, pull, since, threshold, h
+                        )
+                        if rests:
+                            settled = k
+                            floor = n
+                        if ti.static(walls.probed):
+                            body = walls.received.solid[k]
+                    else:  # UNKNOWN_WAY: it waits where it is
+                        remaining = 0.0
+                if ti.static(walls.probed):
                     change = speed - came + remaining * (pull - load)
-                    walls.received.add(i, walls.received.plane[hit], change / walls.model.inverse_mass[i])
+                    walls.received.add(i, body, change / walls.model.inverse_mass[i])
                 touched = True
             elif touched:
                 shift += remaining * (speed + 0.5 * remaining * pull)
@@ -239,7 +230,7 @@ def move_among(walls: ti.template(), i, x, v, a, h, threshold):
                 remaining = 0.0
     drift = v
     if touched:
-        if ti.static(walls.told):
-            tell_pressed(walls, i, v)
-        drift = speed - 0.5 * h * pressed  # the load on what it rested on is still the next solve's to hold
+        if ti.static(walls.probed):
+            record_pressed(walls, i, v)
+        drift = speed - 0.5 * h * pressed  # the next solve still has to bear the load on what it rested on
     return shift, drift

@@ -1,11 +1,11 @@
-"""Which colliders a ball is at: found where it is now, each held in a slot of the ball."""
+"""Which colliders a ball is at: found where it is now, each in a slot of the ball."""
 
 from taichi_sim.kernels.contacts import colliders as geometry
 from taichi_sim.kernels.contacts.kinds import BOX
 
 from taichi_sim.device.engine import ti
 
-FAR_GAP = 1e30  # m, the gap of a slot in which nothing is held
+FAR_GAP = 1e30  # m, the gap of an empty slot
 EMPTY = -1  # its key
 
 
@@ -16,13 +16,13 @@ def find(walls: ti.template(), x, i, crowded):
     and was far from all colliders, which are not even cleared."""
     at = walls.collider_contacts
     first = i * at.count
-    ready = at.held[i] > 0
+    ready = at.filled[i] > 0
     for e in range(first, ti.select(ready, first + at.count, first)):
         at.slot[e].gap = FAR_GAP
     if walls.model.inverse_mass[i] > 0.0:
         r = walls.model.radius[i]
         for k in range(walls.colliders.count):
-            reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.far(k)), crowded)
+            reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.distance_from_origin(k)), crowded)
             if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + reach):
                 for face in range(walls.colliders.faces):
                     d, n, within = walls.colliders.distance(k, face, x, 0.0)
@@ -32,19 +32,19 @@ def find(walls: ti.template(), x, i, crowded):
                             at.slot[e].gap = FAR_GAP
                             at.slot[e].key = EMPTY
                         ready = True
-                        hold(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n)
-    held = 0
+                        fill_slot(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n)
+    filled = 0
     for e in range(first, ti.select(ready, first + at.count, first)):
         if at.slot[e].gap == FAR_GAP:
             at.slot[e].key = EMPTY
         else:
-            held += 1
-    at.held[i] = held
+            filled += 1
+    at.filled[i] = filled
     return ti.select(ready, walls.count, walls.planes.count)
 
 
 @ti.func
-def hold(walls: ti.template(), i, k, key, gap, n, point):
+def fill_slot(walls: ti.template(), i, k, key, gap, n, point):
     """Note a contact of ball i with collider k at a point: in the slot of its key, else in a free one, else in that of the widest
     gap."""
     at = walls.collider_contacts
@@ -61,7 +61,7 @@ def hold(walls: ti.template(), i, k, key, gap, n, point):
                 place = e
                 widest = at.slot[e].gap
         if place >= 0:
-            walls.forget_one(i * walls.count + walls.planes.count + place - first)
+            walls.forget(i * walls.count + walls.planes.count + place - first)
     if place >= 0:
         at.slot[place].key = key
         at.slot[place].gap = gap

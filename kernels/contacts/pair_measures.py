@@ -2,9 +2,9 @@
 with."""
 
 from taichi_sim.kernels.contacts import pair_impacts
-from taichi_sim.kernels.contacts.pair_sweeps import add, torque, zero_spin
-from taichi_sim.kernels.contacts.pairs import forget, zero_slide
-from taichi_sim.kernels.vectors import unit
+from taichi_sim.kernels.contacts.pair_sweeps import add, torque
+from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
+from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
@@ -15,9 +15,9 @@ def measure_block(solver: ti.template(), ball: ti.template(), b, begin, end, tim
     fast = 0
     for k in range(begin, end):
         fast |= measure(solver, solver.pairs, ball, solver.pairs.grid.order[k])
-    if ti.static(solver.strikes):
-        solver.mark[b] = fast
-        solver.struck[b] = fast
+    if ti.static(solver.plan.impacts_in_turn):
+        solver.block_is_active[b] = fast
+        solver.block_was_struck[b] = fast
 
 
 @ti.func
@@ -32,60 +32,60 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
     begin = pairs.first[i]
     end = begin
-    total, angular = ti.Vector.zero(float, solver.model.dim), zero_spin(solver)
+    total, angular = ti.Vector.zero(float, solver.model.dim), zero_scalar_in_2d(solver.model.dim)
     for e in range(begin, begin + pairs.number[i]):
         link = pairs.link[e]
         j = link.other
         r = ball[j].x - x
         sum = radius + solver.model.radius[j]
         reach = sum * (1.0 + pairs.gap)
-        if ti.static(solver.foresees):
+        if ti.static(solver.plan.foresees):
             # as far as either comes in a step, should the other be stopped, too: overlap would push back
             here, there = ball[i].v.dot(r), -ball[j].v.dot(r)
             reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
         if r.dot(r) < reach * reach:
             n, d = unit(r, i, j)
-            pairs.row[end].normal = n
-            pairs.row[end].depth = sum - d
-            if ti.static(solver.strikes):
-                if (ball[j].v - ball[i].v).dot(n) < -pair_impacts.ALERT * solver.threshold[0]:
+            pairs.contact[end].normal = n
+            pairs.contact[end].depth = sum - d
+            if ti.static(solver.plan.impacts_in_turn):
+                if (ball[j].v - ball[i].v).dot(n) < -pair_impacts.FAST_APPROACH * solver.threshold[0]:
                     fast = 1
-                    solver.stirred[i] = 0
-                pairs.row[end].lister = i
-                pairs.row[end].next = pairs.latest[j]
-                pairs.latest[j] = end
+                    solver.disturbed[i] = 0
+                pairs.contact[end].lister = i
+                pairs.contact[end].next_from_others = pairs.first_from_others[j]
+                pairs.first_from_others[j] = end
             if ti.static(not solver.split):
-                pairs.row[end].mass = 1.0 / (w + solver.model.inverse_mass[j])
-            if ti.static(solver.spins):
-                pairs.row[end].arm = d / sum
+                pairs.contact[end].mass = 1.0 / (w + solver.model.inverse_mass[j])
+            if ti.static(solver.model.spins):
+                pairs.contact[end].arm = d / sum
             if e > end:
                 pairs.link[e] = pairs.link[end]
                 pairs.link[end] = link
-            if ti.static(solver.warm):
+            if ti.static(solver.plan.warm_starts):
                 p = starting_impulse(solver, ball, i, j, end, n)
                 total += p
                 add(solver, solver.warm_velocity, j, -solver.model.inverse_mass[j] * p)
-                if ti.static(solver.spins):
+                if ti.static(solver.model.spins):
                     t = torque(solver, end, p)
                     angular += t
                     response = solver.model.spin_response(j) * solver.model.inverse_mass[j]
                     add(solver, solver.warm_spin, j, response * t)
-            if ti.static(solver.counts):
-                add(solver, solver.count, j, 1)
-            if ti.static(solver.by_tensor):
+            if ti.static(solver.counts_pairs):
+                add(solver, solver.pair_count, j, 1)
+            if ti.static(solver.splits_by_direction):
                 T = n.outer_product(n)
-                add(solver, solver.tensor, i, T)
-                add(solver, solver.tensor, j, T)
+                add(solver, solver.normal_tensor, i, T)
+                add(solver, solver.normal_tensor, j, T)
             end += 1
-        elif ti.static(solver.warm):
+        elif ti.static(solver.plan.warm_starts):
             forget(pairs, e)
     pairs.touching[i] = end - begin
-    if ti.static(solver.warm):
+    if ti.static(solver.plan.warm_starts):
         add(solver, solver.warm_velocity, i, w * total)
-        if ti.static(solver.spins):
+        if ti.static(solver.model.spins):
             add(solver, solver.warm_spin, i, (solver.model.spin_response(i) * w) * angular)
-    if ti.static(solver.counts):
-        add(solver, solver.count, i, end - begin)
+    if ti.static(solver.counts_pairs):
+        add(solver, solver.pair_count, i, end - begin)
     return fast
 
 
@@ -93,7 +93,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
 def starting_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
     """Impulse [N s] on ball i with which its contact with j in link e starts, along the present normal."""
     accumulated = solver.pairs.link[e].impulse
-    if ti.static(solver.pairs.has_rebounds and (solver.split or solver.limits_energy)):
+    if ti.static(solver.pairs.has_rebounds and (solver.split or solver.plan.limits_energy)):
         if solver.pairs.link[e].rebound_speed > 0.0:
             # it bounced, nothing presses it together: a split mass could not take the impulse back
             if (ball[j].v - ball[i].v).dot(n) > 0.0:
@@ -101,22 +101,14 @@ def starting_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
                 forget_impulse(solver.pairs, e)
     p = -accumulated * n
     if ti.static(solver.model.has_friction):
-        slide = solver.pairs.link[e].slide
+        tangential = solver.pairs.link[e].tangential_impulse
         if ti.static(solver.model.dim == 2):
-            p -= slide * tangent(n)
+            p -= tangential * tangent(n)
         else:
-            slide -= slide.dot(n) * n
-            solver.pairs.link[e].slide = slide
-            p -= slide
+            tangential -= tangential.dot(n) * n
+            solver.pairs.link[e].tangential_impulse = tangential
+            p -= tangential
     return p
-
-
-@ti.func
-def forget_impulse(pairs: ti.template(), e):
-    """Link e starts from nothing."""
-    pairs.link[e].impulse = 0.0
-    if ti.static(pairs.model.has_friction):
-        pairs.link[e].slide = zero_slide(pairs)
 
 
 @ti.func

@@ -1,34 +1,13 @@
 """One iteration over the pairs: further impulses from the present velocities, in turn (Gauss-Seidel) or all at once."""
 
-from dataclasses import dataclass
-
 from taichi_sim.kernels.contacts import contact_law, pair_impacts
+from taichi_sim.kernels.contacts.interfaces import Iteration
 from taichi_sim.kernels.contacts.pair_measures import tangent
-from taichi_sim.kernels.contacts.pair_sweeps import add, torque, zero_spin
+from taichi_sim.kernels.contacts.pair_sweeps import add, torque
 from taichi_sim.kernels.contacts.pairs import RIGID, law_of
-from taichi_sim.kernels.vectors import lever
+from taichi_sim.kernels.vectors import lever, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
-
-
-@dataclass(frozen=True)
-class Iteration:
-    """What an iteration does, fixed when it is compiled.
-
-    prepares: it finds masses, target speeds and bias velocities on its way, and viscous friction acts: the first of a solve.
-    impacts: of these, whether what closes fast is solved too, or left for the next solve. stops_first: where the energy limiter
-    compares both, what touches is stopped before it bounces. rigid: soft contacts are rigid and push nothing out. takes_back:
-    the speed with which the solve before the move pushed out overlap. starts: this solve began with what contacts accumulated
-    before; else that was applied before the move.
-    """
-
-    prepares: bool = False
-    impacts: bool = False
-    stops_first: bool = False
-    rigid: bool = False
-    takes_back: bool = False
-    starts: bool = True
-
 
 FIRST = Iteration(prepares=True, impacts=True, stops_first=True)
 NEXT = Iteration(stops_first=True)
@@ -39,26 +18,9 @@ RELAX = Iteration(prepares=True, takes_back=True, starts=False)  # the same wher
 
 
 @ti.func
-def block_in_turn(solver: ti.template(), ball: ti.template(), b, begin, end, time, how: ti.template()):
-    """The pairs of a block, each seeing what those before it changed."""
-    for k in range(begin, end):
-        i = solver.pairs.grid.order[k]
-        first = solver.pairs.first[i]
-        solve_in_turn(solver, ball, i, first, first + solver.pairs.touching[i], time, how)
-
-
-@ti.func
-def block_at_once(solver: ti.template(), ball: ti.template(), b, begin, end, time, how: ti.template()):
-    """The pairs of a block from old velocities."""
-    for k in range(begin, end):
-        solve_at_once(solver, ball, solver.pairs.grid.order[k], time, how)
-
-
-@ti.func
-def block_of_corrections(solver: ti.template(), ball: ti.template(), b, begin, end, h, how: ti.template()):
-    """Position corrections of the pairs of a block."""
-    for k in range(begin, end):
-        correct_positions(solver, ball, solver.pairs.grid.order[k], h)
+def ball_in_turn(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
+    """The pairs that ball i lists, each seeing what those before it changed."""
+    solve_in_turn(solver, ball, i, solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i], time, how)
 
 
 @ti.func
@@ -67,8 +29,8 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
     most = ti.cast(0.0, float)
     v = ball[i].v
     w = solver.model.inverse_mass[i]
-    spin = zero_spin(solver)
-    if ti.static(solver.spins):
+    spin = zero_scalar_in_2d(solver.model.dim)
+    if ti.static(solver.model.spins):
         spin = solver.state.spin[i]
     for c in range(begin, end):
         j = solver.pairs.link[c].other
@@ -76,25 +38,25 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
         v += w * p
         ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
         most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
-        if ti.static(solver.spins):
+        if ti.static(solver.model.spins):
             t = torque(solver, c, p)
             spin += w * (solver.model.spin_response(i) * t)
             t = solver.model.spin_response(j) * t
             solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * t
     ball[i].v = v
-    if ti.static(solver.spins):
+    if ti.static(solver.model.spins):
         solver.state.spin[i] = spin
     return most
 
 
 @ti.func
-def solve_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
+def ball_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
     """All pairs that ball i lists see the old velocities; impulses are summed in `impulse` and `angular_impulse`, to be applied
     at the end."""
     v = ball[i].v
     total = ti.Vector.zero(float, solver.model.dim)
-    spin, angular = zero_spin(solver), zero_spin(solver)
-    if ti.static(solver.spins):
+    spin, angular = zero_scalar_in_2d(solver.model.dim), zero_scalar_in_2d(solver.model.dim)
+    if ti.static(solver.model.spins):
         spin = solver.state.spin[i]
     begin = solver.pairs.first[i]
     for c in range(begin, begin + solver.pairs.touching[i]):
@@ -102,68 +64,68 @@ def solve_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.t
         p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
         total += p
         add(solver, solver.impulse, j, -p)
-        if ti.static(solver.spins):
+        if ti.static(solver.model.spins):
             t = torque(solver, c, p)
             angular += t
             add(solver, solver.angular_impulse, j, t)
     add(solver, solver.impulse, i, total)
-    if ti.static(solver.spins):
+    if ti.static(solver.model.spins):
         add(solver, solver.angular_impulse, i, angular)
 
 
 @ti.func
 def further_impulse(solver: ti.template(), ball: ti.template(), i, j, c, v, spin, time, how: ti.template()):
     """Further impulse [N s] on ball i (at velocity v, spin) from its pair with j in link c; -impulse acts on j."""
-    n = solver.pairs.row[c].normal
+    n = solver.pairs.contact[c].normal
     before = solver.pairs.link[c].impulse
-    if ti.static(how.prepares and not solver.warm):
+    if ti.static(how.prepares and not solver.plan.warm_starts):
         before = 0.0
     u = ball[j].v - v
     if ti.static(how.prepares):
-        if ti.static(solver.strikes):
+        if ti.static(solver.plan.impacts_in_turn):
             prepare_after_impacts(solver, i, j, c, n, before, how)
         else:
             prepare(solver, i, j, c, n, how)
     total = normal_impulse(solver, c, u.dot(n), before, how)
     solver.pairs.link[c].impulse = ti.max(0.0, total)
-    if ti.static(solver.soft and how.rigid):  # it does not push out any more: nothing is to be taken back
+    if ti.static(solver.plan.soft and how.rigid):  # it does not push out any more: nothing is to be taken back
         solver.pairs.link[c].bias_velocity = ti.min(0.0, solver.pairs.link[c].bias_velocity)
     p = (before - total) * n
     if ti.static(solver.model.has_friction):
-        mass = solver.pairs.row[c].mass
-        slide = solver.pairs.link[c].slide
-        if ti.static(how.prepares and not solver.warm):
-            slide = slide * 0.0
+        mass = solver.pairs.contact[c].mass
+        tangential = solver.pairs.link[c].tangential_impulse
+        if ti.static(how.prepares and not solver.plan.warm_starts):
+            tangential = tangential * 0.0
         law = law_of(solver.pairs, i, j)
         slip = 0.0 * mass
         if ti.static(how.prepares):
             slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
         arm = 0.0 * mass
-        if ti.static(solver.spins):
-            arm = solver.pairs.row[c].arm
-            mass *= contact_law.sideways(solver, i, j)
+        if ti.static(solver.model.spins):
+            arm = solver.pairs.contact[c].arm
+            mass *= contact_law.tangential_mass_part(solver, i, j)
         bound = law.friction * ti.max(0.0, total)
         if ti.static(solver.model.dim == 2):
             s = tangent(n).dot(u)
-            if ti.static(solver.spins):
+            if ti.static(solver.model.spins):
                 s -= arm * (spin + solver.state.spin[j])
-            change, slide = contact_law.sliding_impulse_2d(solver.model, s, mass, slide, bound, slip)
-            solver.pairs.link[c].slide = slide
+            change, tangential = contact_law.tangential_impulse_2d(solver.model, s, mass, tangential, bound, slip)
+            solver.pairs.link[c].tangential_impulse = tangential
             p -= change * tangent(n)
         else:
-            if total > 0.0 or slide.dot(slide) > 0.0:
-                if ti.static(solver.spins):
+            if total > 0.0 or tangential.dot(tangential) > 0.0:
+                if ti.static(solver.model.spins):
                     u -= arm * lever(spin + solver.state.spin[j], n)
-                change, slide = contact_law.sliding_impulse(solver.model, u, n, mass, slide, bound, slip)
+                change, tangential = contact_law.tangential_impulse(solver.model, u, n, mass, tangential, bound, slip)
                 p -= change
-            solver.pairs.link[c].slide = slide
+            solver.pairs.link[c].tangential_impulse = tangential
     return p
 
 
 @ti.func
 def push_out_speed(solver: ti.template(), depth):
     """Speed [m/s] with which a soft contact pushes out so much overlap [m]."""
-    return ti.min(contact_law.PUSH * depth * solver.rate[0], solver.fastest_push * solver.threshold[0])
+    return ti.min(contact_law.SOFT_PUSH * depth * solver.rate[0], contact_law.FASTEST_PUSH_OUT * solver.threshold[0])
 
 
 @ti.func
@@ -171,9 +133,11 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
     """Mass of a contact where it is split, its target speed from the velocities before the solve, and its bias velocity."""
     if ti.static(solver.split):
         alone = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
-        solver.pairs.row[c].mass = ti.min(solver.relaxation / (solver.lightness[i] + solver.lightness[j]), alone)
+        solver.pairs.contact[c].mass = ti.min(
+            solver.relaxation / (solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]), alone
+        )
     if ti.static(solver.pairs.has_target):
-        speed = (solver.before[j] - solver.before[i]).dot(n)
+        speed = (solver.velocity_before[j] - solver.velocity_before[i]).dot(n)
         restitution = 0.0 * speed
         if ti.static(solver.model.has_restitution):
             restitution = law_of(solver.pairs, i, j).restitution
@@ -182,8 +146,8 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
         rebound, bias = 0.0 * speed, RIGID + 0.0 * speed
         if ti.static(solver.model.has_restitution):
             rebound = ti.select(fast and target > 0.0, target, rebound)
-        if ti.static(solver.soft):
-            depth = solver.pairs.row[c].depth
+        if ti.static(solver.plan.soft):
+            depth = solver.pairs.contact[c].depth
             if depth <= 0.0:  # it may close the gap, but not go on; what bounces does so when it touches
                 target = ti.min(target, ti.select(fast and restitution > 0.0, speed, depth * solver.rate[0]))
                 rebound = 0.0
@@ -192,15 +156,15 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
         if ti.static(how.impacts):
             if ti.static(solver.model.has_restitution):
                 solver.pairs.link[c].rebound_speed = rebound
-            if ti.static(solver.soft):
+            if ti.static(solver.plan.soft):
                 solver.pairs.link[c].bias_velocity = bias
-        elif ti.static(solver.soft):  # what was held stays so, what bounced keeps its speed
+        elif ti.static(solver.plan.soft):  # what pressed stays, what bounced keeps its speed
             bounced = 0.0 * speed
             if ti.static(solver.model.has_restitution):
                 bounced = solver.pairs.link[c].rebound_speed
             if bounced > 0.0 or solver.pairs.link[c].bias_velocity >= 0.0:
                 target = ti.max(target, ti.max(0.0, ti.min(bounced, speed)))
-        solver.pairs.row[c].target = target
+        solver.pairs.contact[c].target = target
 
 
 @ti.func
@@ -208,9 +172,9 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
     """Mass and bias velocity of a contact where impacts come first, see pair_impacts. What closes fast is left alone (mass 0) by
     the solve that ends a step, whose one iteration is for what rests; and by the others if it bounces at e = 1, or before it
     touches: they would take its energy."""
-    depth = solver.pairs.row[c].depth
-    speed = (solver.before[j] - solver.before[i]).dot(n)
-    fast = speed + ti.max(0.0, pair_impacts.kick(solver, i, j, n)) < -solver.threshold[0]
+    depth = solver.pairs.contact[c].depth
+    speed = (solver.velocity_before[j] - solver.velocity_before[i]).dot(n)
+    fast = speed + ti.max(0.0, pair_impacts.approach_from_forces(solver, i, j, n)) < -solver.threshold[0]
     mass = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
     if ti.static(not how.impacts):
         mass = ti.select(fast, 0.0, mass)
@@ -218,14 +182,14 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
         e = law_of(solver.pairs, i, j).restitution
         if fast and e > 0.0 and (e >= 1.0 or depth <= 0.0):
             mass = 0.0
-    solver.pairs.row[c].mass = mass
-    if ti.static(how.impacts and solver.warm):
-        solver.pairs.row[c].start = before
-    if ti.static(how.impacts and solver.soft):
+    solver.pairs.contact[c].mass = mass
+    if ti.static(how.impacts and solver.plan.warm_starts):
+        solver.pairs.contact[c].starting_impulse = before
+    if ti.static(how.impacts and solver.plan.soft):
         bias = ti.cast(RIGID, float)
         rests = (
             before > 0.0
-            or ti.abs(speed) <= pair_impacts.STILL * solver.threshold[0]
+            or ti.abs(speed) <= pair_impacts.RESTING_SPEED * solver.threshold[0]
             or not pair_impacts.is_lossless(solver, i, j)
         )
         if depth > 0.0 and not fast and rests:
@@ -236,17 +200,17 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
 @ti.func
 def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
     """New accumulated normal impulse of pair c, which approaches with -u [m/s] and had accumulated `before`."""
-    mass = solver.pairs.row[c].mass
+    mass = solver.pairs.contact[c].mass
     target = 0.0 * u
-    if ti.static(solver.strikes):
-        if ti.static(solver.soft):  # it may close the gap, but not go on
-            target = ti.min(0.0, solver.pairs.row[c].depth * solver.rate[0])
+    if ti.static(solver.plan.impacts_in_turn):
+        if ti.static(solver.plan.soft):  # it may close the gap, but not go on
+            target = ti.min(0.0, solver.pairs.contact[c].depth * solver.rate[0])
     elif ti.static(solver.pairs.has_target):
-        target = solver.pairs.row[c].target
-        if ti.static(solver.limits_energy and how.stops_first):
-            target = ti.select(solver.pairs.row[c].depth > 0.0, 0.0, target)
+        target = solver.pairs.contact[c].target
+        if ti.static(solver.plan.limits_energy and how.stops_first):
+            target = ti.select(solver.pairs.contact[c].depth > 0.0, 0.0, target)
     total = contact_law.normal_impulse(u, target, mass, before)
-    if ti.static(solver.soft and not how.rigid):
+    if ti.static(solver.plan.soft and not how.rigid):
         bias = solver.pairs.link[c].bias_velocity
         if ti.static(how.takes_back):
             least = -ti.min(before, mass * ti.max(0.0, bias))
@@ -259,20 +223,20 @@ def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
 
 
 @ti.func
-def correct_positions(solver: ti.template(), ball: ti.template(), i, h):
+def correct_positions(solver: ti.template(), ball: ti.template(), i, h, how: ti.template()):
     """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
     begin = solver.pairs.first[i]
     for c in range(begin, begin + solver.pairs.touching[i]):
         j = solver.pairs.link[c].other
-        row = solver.pairs.row[c]
-        depth = row.depth - solver.pairs.slop * ti.min(solver.model.radius[i], solver.model.radius[j])
-        depth -= h * ti.max(0.0, row.normal.dot(ball[j].v - ball[i].v))
+        contact = solver.pairs.contact[c]
+        depth = contact.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
+        depth -= h * ti.max(0.0, contact.normal.dot(ball[j].v - ball[i].v))
         inverse_mass = solver.model.inverse_mass[i] + solver.model.inverse_mass[j]
         if ti.static(solver.in_turn):
-            depth -= row.normal.dot(solver.offset[j] - solver.offset[i])
+            depth -= contact.normal.dot(solver.position_correction[j] - solver.position_correction[i])
         else:
-            inverse_mass = solver.lightness[i] + solver.lightness[j]
+            inverse_mass = solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]
         if depth > 0.0:
-            q = solver.push_out * depth / inverse_mass * row.normal
-            add(solver, solver.offset, i, -solver.model.inverse_mass[i] * q)
-            add(solver, solver.offset, j, solver.model.inverse_mass[j] * q)
+            q = contact_law.PUSH_OUT * depth / inverse_mass * contact.normal
+            add(solver, solver.position_correction, i, -solver.model.inverse_mass[i] * q)
+            add(solver, solver.position_correction, j, solver.model.inverse_mass[j] * q)

@@ -5,7 +5,7 @@ next one only, so even blocks can run at the same time, then odd ones: the bits 
 one that does all in turn, also where each pair changes velocities at once (Gauss-Seidel).
 """
 
-from taichi_sim.kernels.contacts.pairs import GRAIN
+from taichi_sim.kernels.reductions import even_then_odd
 from taichi_sim.kernels.vectors import cross
 
 from taichi_sim.device.engine import ti
@@ -15,55 +15,54 @@ from taichi_sim.device.engine import ti
 def each_block(solver: ti.template(), ball: ti.template(), visit: ti.template(), time, how: ti.template()):
     """visit(solver, ball, b, begin, end, time, how) for each block b, which has the places from begin to end in the grid's order;
     where impulses are added by atomics, in any order, for each ball. how: what visit does, fixed when it is compiled."""
-    if ti.static(solver.atomic):
+    if ti.static(solver.plan.atomic):
         for k in range(solver.n):
             visit(solver, ball, k, k, k + 1, time, how)
-    elif ti.static(solver.serial):
+    elif ti.static(solver.plan.serial):
         for parity in range(2):
             for g in range((solver.pairs.blocks[0] + 1 - parity) // 2):
-                one_block(solver, ball, 2 * g + parity, visit, time, how)
-    else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
-        for parity in ti.static(range(2)):
-            for g in range((solver.pairs.blocks[0] + 1 - parity) // 2 * GRAIN):
-                if g % GRAIN == 0:
-                    one_block(solver, ball, g // GRAIN * 2 + parity, visit, time, how)
+                one_block(2 * g + parity, solver, ball, visit, time, how)
+    else:
+        even_then_odd(solver.pairs.blocks[0], one_block, (solver, ball, visit, time, how))
 
 
 @ti.func
-def one_block(solver: ti.template(), ball: ti.template(), b, visit: ti.template(), time, how: ti.template()):
+def one_block(b, solver: ti.template(), ball: ti.template(), visit: ti.template(), time, how: ti.template()):
     """Visit block b."""
-    begin = b * solver.pairs.length[0]
-    visit(solver, ball, b, begin, ti.min(begin + solver.pairs.length[0], solver.n), time, how)
+    begin = b * solver.pairs.block_length[0]
+    visit(solver, ball, b, begin, ti.min(begin + solver.pairs.block_length[0], solver.n), time, how)
 
 
 @ti.func
-def own_pairs(solver: ti.template(), ball: ti.template(), b, begin, end, time, visit: ti.template()):
-    """visit(ball, i, j, c) for each pair c of the balls of a block that touch or nearly do: i lists it, j is the other ball."""
+def each_ball(solver: ti.template(), ball: ti.template(), visit: ti.template(), time, how: ti.template()):
+    """visit(solver, ball, i, time, how) for each ball i, block by block."""
+    each_block(solver, ball, balls_of_block, time, (visit, how))
+
+
+@ti.func
+def balls_of_block(solver: ti.template(), ball: ti.template(), b, begin, end, time, task: ti.template()):
+    """The balls of block b."""
     for k in range(begin, end):
-        i = solver.pairs.grid.order[k]
-        for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
-            visit(ball, i, solver.pairs.link[c].other, c)
+        task[0](solver, ball, solver.pairs.grid.order[k], time, task[1])
+
+
+@ti.func
+def own_pairs(solver: ti.template(), ball: ti.template(), i, time, visit: ti.template()):
+    """visit(ball, i, j, c) for each pair c of ball i that touches or nearly does: i lists it, j is the other ball."""
+    for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+        visit(ball, i, solver.pairs.link[c].other, c)
 
 
 @ti.func
 def add(solver: ti.template(), table: ti.template(), i, change):
     """table[i] += change; atomic only where balls are not taken in a fixed order."""
-    if ti.static(solver.atomic):
+    if ti.static(solver.plan.atomic):
         table[i] += change
     else:
         table[i] = table[i] + change
 
 
 @ti.func
-def zero_spin(solver: ti.template()):
-    """No spin: a scalar in 2D."""
-    if ti.static(solver.model.dim == 2):
-        return ti.cast(0.0, float)
-    else:
-        return ti.Vector.zero(float, 3)
-
-
-@ti.func
 def torque(solver: ti.template(), c, p):
     """What impulse p on the first ball of pair c does to the spin of either, in units of its radius."""
-    return solver.pairs.row[c].arm * cross(solver.pairs.row[c].normal, p)
+    return solver.pairs.contact[c].arm * cross(solver.pairs.contact[c].normal, p)

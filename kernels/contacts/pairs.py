@@ -6,51 +6,59 @@ blocks that are longer than any pair reaches: see pair_sweeps.
 
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
+from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
 ENDLESS = 2**31 - 1  # what `overflow` says where cells hold so many pairs that none were looked for
-FULL = 1 << 30  # entries: no more are counted, lest the number wraps around
+LIST_BLOCK = 64  # balls whose lists lie one behind the other
+COUNT_LIMIT = 1 << 30  # entries: no more are counted, lest the number wraps around
 
 
-GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one block
 RIGID = -1.0  # as a bias velocity [m/s]: the contact is not soft, and pushes nothing out
-ONE = 0x3F800000  # the bits of 1.0
+BITS_OF_ONE = 0x3F800000  # the bits of 1.0
 
 
 @ti.func
 def may_touch(pairs: ti.template(), i, j):
     """Whether two balls collide at all: not both pinned, of one body, joined by a spring, or of groups that do not."""
-    allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0
-    if ti.static(pairs.has_bodies):
-        allowed = allowed and (pairs.body[i] == 0 or pairs.body[i] != pairs.body[j])
-    if ti.static(pairs.model.has_groups):
-        allowed = allowed and balls_meet(pairs.model, i, j)
-    if ti.static(pairs.has_joints):
-        for e in range(pairs.joint_start[i], pairs.joint_start[i + 1]):
-            allowed = allowed and pairs.joint_other[e] != j
+    allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0 and may_meet(pairs, i, j)
+    if ti.static(pairs.has_springs):
+        for e in range(pairs.spring_start[i], pairs.spring_start[i + 1]):
+            allowed = allowed and pairs.spring_other[e] != j
     return allowed
 
 
 @ti.func
-def nearby(pairs: ti.template(), own, at, room):
+def may_meet(pairs: ti.template(), i, j):
+    """Whether two balls are neither of one body, nor of groups that do not collide."""
+    allowed = True
+    if ti.static(pairs.has_bodies):
+        allowed = pairs.body[i] == 0 or pairs.body[i] != pairs.body[j]
+    if ti.static(pairs.model.has_groups):
+        allowed = allowed and balls_meet(pairs.model, i, j)
+    return allowed
+
+
+@ti.func
+def nearby(pairs: ti.template(), own, at, free):
     """Write the sorted copies within reach of copy `own` that come after it, as links from `at` on; returns how many.
 
-    Links beyond `room` are counted; the last place holds any one of them.
+    Links beyond `free` are counted; the last place holds any one of them.
     """
     a = pairs.grid.copy[own]
     found = 0
     mine = level_of(a.radius, pairs.grid)
     for level in range(mine, pairs.grid.levels):
         if pairs.grid.dense[level] == 0:
-            found = scan(pairs, own, a, mine, level, at, found, room, False)
+            found = scan(pairs, own, a, mine, level, at, found, free, False)
         if pairs.grid.dense[level] == 1:
-            found = scan(pairs, own, a, mine, level, at, found, room, True)
+            found = scan(pairs, own, a, mine, level, at, found, free, True)
     return found
 
 
 @ti.func
-def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.template()):
+def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.template()):
     """`nearby` in one level, for one of the two ways to place rows in its table. Side by side, rows before the own one hold
     none after."""
     span = (a.radius + largest(pairs.grid, level)) * pairs.grid.enlarged * pairs.grid.margin
@@ -95,13 +103,13 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, room, dense: ti.t
                         if ti.static(ranked):
                             listed = listed and pairs.grid.rank[pairs.grid.sorted[k]] > rank
                         if listed:
-                            pairs.link[at + ti.min(found, room)].other = k
+                            pairs.link[at + ti.min(found, free)].other = k
                             found += 1
     return found
 
 
 @ti.func
-def settle(pairs: ti.template(), own, at, found):
+def keep_colliding(pairs: ti.template(), own, at, found):
     """Turn `found` links to sorted copies into links to the balls that may touch; returns how many those are, and how many
     places further on in the order the furthest is."""
     i = pairs.grid.sorted[own]
@@ -116,7 +124,7 @@ def settle(pairs: ti.template(), own, at, found):
                 if pairs.grid.dense[0] == 0:
                     distance = pairs.grid.rank[j] - pairs.grid.rank[i]
             furthest = ti.max(furthest, distance)
-            if ti.static(pairs.warm):
+            if ti.static(pairs.plan.warm_starts):
                 recall(pairs, i, j, at + kept)
             pairs.link[at + kept].other = j
             kept += 1
@@ -125,63 +133,61 @@ def settle(pairs: ti.template(), own, at, found):
 
 @ti.func
 def forget(pairs: ti.template(), e):
-    """Link e holds nothing from before."""
-    pairs.link[e].impulse = 0.0
-    if ti.static(pairs.soft):
+    """Link e has accumulated nothing."""
+    forget_impulse(pairs, e)
+    if ti.static(pairs.plan.soft):
         pairs.link[e].bias_velocity = RIGID
     if ti.static(pairs.has_rebounds):
         pairs.link[e].rebound_speed = 0.0
-    if ti.static(pairs.model.has_friction):
-        pairs.link[e].slide = zero_slide(pairs)
 
 
 @ti.func
-def zero_slide(pairs: ti.template()):
-    """No impulse along the surface: a scalar in 2D, a vector in 3D."""
-    if ti.static(pairs.model.dim == 2):
-        return ti.cast(0.0, float)
-    else:
-        return ti.Vector.zero(float, 3)
+def forget_impulse(pairs: ti.template(), e):
+    """Link e starts from nothing."""
+    pairs.link[e].impulse = 0.0
+    if ti.static(pairs.model.has_friction):
+        pairs.link[e].tangential_impulse = zero_scalar_in_2d(pairs.model.dim)
 
 
 @ti.func
 def store(pairs: ti.template()):
-    """Before new lists are made: keep what touches hold in `row`, whose own content only lasts until then."""
-    for i in range(pairs.grid.work[0]):
+    """Before new lists are made: keep links of what touches in `contact`, whose own content only lasts until then."""
+    for i in range(pairs.grid.work[0].balls):
         pairs.old_first[i] = pairs.first[i]
         pairs.old_touching[i] = pairs.touching[i]
         for c in range(pairs.first[i], pairs.first[i] + pairs.touching[i]):
             link = pairs.link[c]
-            pairs.row[c].depth = link.impulse
-            if ti.static(pairs.single):  # as a normal number: others might be flushed to 0
-                pairs.row[c].mass = ti.bit_cast(link.other + ONE, ti.f32)
+            pairs.contact[c].depth = link.impulse
+            if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
+                pairs.contact[c].mass = ti.bit_cast(link.other + BITS_OF_ONE, ti.f32)
             else:
-                pairs.row[c].mass = ti.cast(link.other, float)
-            if ti.static(pairs.soft and pairs.has_target):
-                pairs.row[c].target = link.bias_velocity
-            elif ti.static(pairs.soft):
-                pairs.row[c].start = link.bias_velocity
+                pairs.contact[c].mass = ti.cast(link.other, float)
+            if ti.static(pairs.plan.soft and pairs.has_target):
+                pairs.contact[c].target = link.bias_velocity
+            elif ti.static(pairs.plan.soft):
+                pairs.contact[c].starting_impulse = link.bias_velocity
             if ti.static(pairs.has_rebounds):
-                pairs.row[c].rebound_speed = link.rebound_speed
+                pairs.contact[c].rebound_speed = link.rebound_speed
             if ti.static(pairs.model.has_friction):
                 if ti.static(pairs.model.dim == 2):
-                    pairs.row[c].normal[0] = link.slide
+                    pairs.contact[c].normal[0] = link.tangential_impulse
                 else:
-                    pairs.row[c].normal = link.slide
+                    pairs.contact[c].normal = link.tangential_impulse
 
 
 @ti.func
 def stored_other(pairs: ti.template(), c):
-    """The other ball of the link that `store` put into row c."""
-    if ti.static(pairs.single):
-        return ti.bit_cast(pairs.row[c].mass, ti.i32) - ONE
+    """The other ball of the link that `store` put into contact c."""
+    if ti.static(pairs.single_precision):
+        return ti.bit_cast(pairs.contact[c].mass, ti.i32) - BITS_OF_ONE
     else:
-        return ti.cast(pairs.row[c].mass, ti.i32)
+        return ti.cast(pairs.contact[c].mass, ti.i32)
 
 
 @ti.func
 def recall(pairs: ti.template(), i, j, at):
-    """Copy into link `at` what the contact of i and j held when the lists were last made; either of them may have listed it.
+    """Copy into link `at` what the contact of i and j accumulated when the lists were last made; either of them may have listed
+    it.
 
     Starting from these impulses, iterations need not build up the load of a pile from nothing in every step.
     """
@@ -193,60 +199,60 @@ def recall(pairs: ti.template(), i, j, at):
         begin = pairs.old_first[one]
         for c in range(begin, begin + pairs.old_touching[one]):
             if stored_other(pairs, c) == two:
-                row = pairs.row[c]
-                pairs.link[at].impulse = row.depth
-                if ti.static(pairs.soft and pairs.has_target):
-                    pairs.link[at].bias_velocity = row.target
-                elif ti.static(pairs.soft):
-                    pairs.link[at].bias_velocity = row.start
+                old = pairs.contact[c]
+                pairs.link[at].impulse = old.depth
+                if ti.static(pairs.plan.soft and pairs.has_target):
+                    pairs.link[at].bias_velocity = old.target
+                elif ti.static(pairs.plan.soft):
+                    pairs.link[at].bias_velocity = old.starting_impulse
                 if ti.static(pairs.has_rebounds):
-                    pairs.link[at].rebound_speed = row.rebound_speed
+                    pairs.link[at].rebound_speed = old.rebound_speed
                 if ti.static(pairs.model.has_friction):
                     # a scalar along the normal turned by 90 degrees is the same seen from the other ball
                     if ti.static(pairs.model.dim == 2):
-                        pairs.link[at].slide = row.normal[0]
+                        pairs.link[at].tangential_impulse = old.normal[0]
                     else:
-                        pairs.link[at].slide = row.normal if ti.static(which == 0) else -row.normal
+                        pairs.link[at].tangential_impulse = old.normal if ti.static(which == 0) else -old.normal
 
 
 @ti.func
 def search(pairs: ti.template()):
     """For each ball the list of the later balls within reach, in an order that the grid fixes; nothing where the last holds.
 
-    The lists of a block of balls lie one behind the other in the room of that block; what it cannot hold goes to a pool at
-    the end, where its place depends on the threads, but not what it holds. What does not fit there is counted and not kept;
-    the host then makes more room and repeats the steps.
+    The lists of a block of balls lie one behind the other in the entries of that block; what they cannot take goes to a pool at
+    the end, where its place depends on the threads, but not what it lists. What does not fit there is counted and not kept;
+    the host then makes a larger list and repeats the steps.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
-        if pairs.grid.crowd[0] > pairs.grid.most[0]:
+        if pairs.grid.crowded_pairs[0] > pairs.grid.pair_limit[0]:
             pairs.overflow[0] = ENDLESS
-            pairs.grid.worst[0] = ti.max(pairs.grid.worst[0], pairs.grid.crowd[0])
-            pairs.grid.work[0] = 0
-        if pairs.grid.work[0] > 0:
+            pairs.grid.most_crowded_pairs[0] = ti.max(pairs.grid.most_crowded_pairs[0], pairs.grid.crowded_pairs[0])
+            pairs.grid.work[0].balls = 0
+        if pairs.grid.work[0].balls > 0:
             pairs.used[0] = 0
-            pairs.furthest[0] = 0
-    if ti.static(pairs.warm):
+            pairs.longest_reach[0] = 0
+    if ti.static(pairs.plan.warm_starts):
         store(pairs)
-    for block in range((pairs.grid.work[0] + pairs.block - 1) // pairs.block):
-        at = block * pairs.room
-        end = at + pairs.room
+    for block in range((pairs.grid.work[0].balls + LIST_BLOCK - 1) // LIST_BLOCK):
+        at = block * pairs.block_capacity
+        end = at + pairs.block_capacity
         furthest = 0
-        for k in range(block * pairs.block, ti.min((block + 1) * pairs.block, pairs.grid.n)):
+        for k in range(block * LIST_BLOCK, ti.min((block + 1) * LIST_BLOCK, pairs.grid.n)):
             first = at
             far = 0
             found = nearby(pairs, k, at, end - 1 - at)
             if at + found < end:
-                found, far = settle(pairs, k, at, found)
+                found, far = keep_colliding(pairs, k, at, found)
                 at += found
             else:
-                used = FULL
-                if pairs.used[0] < FULL - pairs.pool:
-                    used = pairs.pool + ti.atomic_add(pairs.used[0], found + 1)
+                used = COUNT_LIMIT
+                if pairs.used[0] < COUNT_LIMIT - pairs.pool_start:
+                    used = pairs.pool_start + ti.atomic_add(pairs.used[0], found + 1)
                 if used + found < pairs.capacity:
                     first = used
                     nearby(pairs, k, first, found)
-                    found, far = settle(pairs, k, first, found)
+                    found, far = keep_colliding(pairs, k, first, found)
                 else:
                     ti.atomic_max(pairs.overflow[0], used + found + 1)
                     found = 0
@@ -254,12 +260,12 @@ def search(pairs: ti.template()):
             i = pairs.grid.sorted[k]
             pairs.first[i] = first
             pairs.number[i] = found
-        ti.atomic_max(pairs.furthest[0], furthest)
+        ti.atomic_max(pairs.longest_reach[0], furthest)
     ti.loop_config(serialize=True)
     for _ in range(1):
-        if pairs.grid.work[0] > 0:
-            pairs.length[0] = ti.max(pairs.block, pairs.furthest[0])
-            pairs.blocks[0] = (pairs.model.n + pairs.length[0] - 1) // pairs.length[0]
+        if pairs.grid.work[0].balls > 0:
+            pairs.block_length[0] = ti.max(LIST_BLOCK, pairs.longest_reach[0])
+            pairs.blocks[0] = (pairs.model.n + pairs.block_length[0] - 1) // pairs.block_length[0]
 
 
 @ti.func

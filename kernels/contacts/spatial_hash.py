@@ -1,20 +1,22 @@
 """A cell-sorted spatial hash in an unbounded world.
 
-Cells are FINE times narrower along x than across. A cell lies in bucket (cx + offset of its row) mod size, so the cells of a
-row are neighbours in the table, and any stretch of a row is one run of the sorted copies. Where the box around all balls
+Cells are FINE_CELLS times narrower along x than across. A cell lies in bucket (cx + offset of its row) mod size, so the cells
+of a row are neighbours in the table, and any stretch of a row is one run of the sorted copies. Where the box around all balls
 holds no more cells than the table has buckets, rows follow one another and no two cells share a bucket; else the rows are
-spread by a hash, and different cells may share one. A candidate is accepted only in the row it really lies in (`same_row`),
-so that no pair is found twice; far cells that share a bucket are refused by their distance.
+spread by a hash, and different cells may share one. A candidate is accepted only in the row it really lies in (`same_row`), so
+that no pair is found twice; far cells that share a bucket are refused by their distance.
 
 Where radii differ much, balls lie in levels by size, the finest first, each with cells and a table of its own: small balls
 would else look at thousands of others in cells made for large ones.
 """
 
+from taichi_sim.kernels.reductions import PART
+
 from taichi_sim.device.engine import ti
 
-LIMIT = 1 << 28  # cells beyond this are merged: still correct, only slower
-CROWD = 64  # balls in a cell from which on their pairs are counted
-FINE = 3  # a stretch of 2 reach + 1/3 in place of 3 whole cells: two thirds of the candidates
+CELL_LIMIT = 1 << 28  # cells beyond this are merged: still correct, only slower
+CROWDED_CELL = 64  # balls in a cell from which on their pairs are counted
+FINE_CELLS = 3  # a stretch of 2 reach + 1/3 in place of 3 whole cells: two thirds of the candidates
 
 
 @ti.func
@@ -58,10 +60,12 @@ def table(grid: ti.template(), level):
 def cell_of(x, grid: ti.template(), level):
     """Integer cell of a position in a level."""
     cell = x * inverse_cell(grid, level)
-    cell[0] *= FINE
+    cell[0] *= FINE_CELLS
     for a in ti.static(range(cell.n)):  # what is not a number is not below the limit either
         cell[a] = ti.select(
-            cell[a] > -1.0 * LIMIT, ti.select(cell[a] < 1.0 * LIMIT, cell[a], 1.0 * LIMIT), -1.0 * LIMIT
+            cell[a] > -1.0 * CELL_LIMIT,
+            ti.select(cell[a] < 1.0 * CELL_LIMIT, cell[a], 1.0 * CELL_LIMIT),
+            -1.0 * CELL_LIMIT,
         )
     return ti.cast(ti.floor(cell), ti.i32)
 
@@ -138,31 +142,31 @@ def sort_run(order: ti.template(), first, last):
 
 
 @ti.func
-def plan(grid: ti.template()):
-    """work = how many balls and buckets the loops below handle: all when some ball has moved too far, else none.
+def decide_work(grid: ti.template()):
+    """`work`: how much the loops below handle: all when some ball has moved too far, else none.
 
     A loop inside an `if` would not be parallel; a loop over nothing is.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):
         stale = grid.stale[0] if ti.static(grid.skin > 0.0) else 1
-        grid.work[0] = stale * grid.n
-        grid.work[1] = stale * grid.size
-        grid.work[2] = stale * grid.parts
+        grid.work[0].balls = stale * grid.n
+        grid.work[0].buckets = stale * grid.size
+        grid.work[0].parts = stale * grid.parts
         grid.stale[0] = 0
         grid.searches[0] = grid.searches[0] + stale
-        grid.crowd[0] = 0.0
+        grid.crowded_pairs[0] = 0.0
 
 
 @ti.func
 def lay_out(ball: ti.template(), grid: ti.template()):
     """Choose how rows are placed in each level's table, from the box of cells around all its balls."""
-    for c in range(grid.work[2]):
-        end = ti.min((c + 1) * grid.part, grid.n)
+    for c in range(grid.work[0].parts):
+        end = ti.min((c + 1) * PART, grid.n)
         if ti.static(grid.levels == 1):
-            low = cell_of(ball[c * grid.part].x, grid, 0)
+            low = cell_of(ball[c * PART].x, grid, 0)
             high = low
-            for i in range(c * grid.part + 1, end):
+            for i in range(c * PART + 1, end):
                 cell = cell_of(ball[i].x, grid, 0)
                 low = ti.min(low, cell)
                 high = ti.max(high, cell)
@@ -170,9 +174,9 @@ def lay_out(ball: ti.template(), grid: ti.template()):
             grid.high[c] = high
         else:
             for level in range(grid.levels):
-                grid.low[c * grid.levels + level] = LIMIT
-                grid.high[c * grid.levels + level] = -LIMIT
-            for i in range(c * grid.part, end):
+                grid.low[c * grid.levels + level] = CELL_LIMIT
+                grid.high[c * grid.levels + level] = -CELL_LIMIT
+            for i in range(c * PART, end):
                 level = level_of(grid.model.radius[i], grid)
                 cell = cell_of(ball[i].x, grid, level)
                 at = c * grid.levels + level
@@ -180,19 +184,19 @@ def lay_out(ball: ti.template(), grid: ti.template()):
                 grid.high[at] = ti.max(grid.high[at], cell)
     ti.loop_config(serialize=True)
     for level in range(grid.levels):
-        if grid.work[2] > 0:
+        if grid.work[0].parts > 0:
             low = grid.low[level]
             high = grid.high[level]
-            for c in range(1, grid.work[2]):
+            for c in range(1, grid.work[0].parts):
                 low = ti.min(low, grid.low[c * grid.levels + level])
                 high = ti.max(high, grid.high[c * grid.levels + level])
             low = ti.min(low, high)  # a level may be empty
             cells = ti.cast(1.0, ti.f64)
             for a in ti.static(range(grid.dim)):
-                border = ti.static(2 * FINE if a == 0 else 2)  # what a search around a ball may look at
+                border = ti.static(2 * FINE_CELLS if a == 0 else 2)  # what a search around a ball may look at
                 at = level * grid.dim + a
                 grid.corner[at] = low[a] - border
-                grid.pitch[at] = ti.cast(ti.min(cells, 1.0 * LIMIT), ti.i32)
+                grid.pitch[at] = ti.cast(ti.min(cells, 1.0 * CELL_LIMIT), ti.i32)
                 if ti.static(grid.levels > 1):
                     grid.top[at] = high[a] + border
                 else:
@@ -217,66 +221,66 @@ def build(ball: ti.template(), grid: ti.template()):
     Where cells hold more pairs than there is memory for, they are left unsorted, and no search may follow.
     """
     lay_out(ball, grid)
-    for i in range(grid.work[0]):
+    for i in range(grid.work[0].balls):
         level = level_of(grid.model.radius[i], grid)
         b = bucket_of(cell_of(ball[i].x, grid, level), grid, level)
         grid.origin[i] = ball[i].x
         grid.bucket[i] = b
         grid.count[b] += 1
-    prefix_sum(grid.count, grid.start, grid.partial, grid.work[1], grid.chunk)
-    for i in range(grid.work[0]):
+    prefix_sum(grid.count, grid.start, grid.partial, grid.work[0].buckets, grid.chunk)
+    for i in range(grid.work[0].balls):
         b = grid.bucket[i]
         grid.sorted[grid.start[b] + ti.atomic_add(grid.count[b], 1)] = i
-    for b in range(grid.work[1]):
+    for b in range(grid.work[0].buckets):
         grid.count[b] = 0
         first = grid.start[b]
         last = grid.start[b + 1]
-        if last - first > CROWD:
-            ti.atomic_add(grid.crowd[0], 0.5 * (last - first) * (last - first - 1.0))
-        if grid.crowd[0] <= grid.most[0]:
+        if last - first > CROWDED_CELL:
+            ti.atomic_add(grid.crowded_pairs[0], 0.5 * (last - first) * (last - first - 1.0))
+        if grid.crowded_pairs[0] <= grid.pair_limit[0]:
             sort_run(grid.sorted, first, last)
         for k in range(first, last):
             grid.order[k] = grid.sorted[k]
             grid.copy[k].x = ball[grid.sorted[k]].x
             grid.copy[k].radius = grid.model.radius[grid.sorted[k]]
     if ti.static(grid.levels == 1):
-        line_up(ball, grid)
+        order_by_slabs(ball, grid)
 
 
 @ti.func
-def line_up(ball: ti.template(), grid: ti.template()):
+def order_by_slabs(ball: ti.template(), grid: ti.template()):
     """Where rows are spread by a hash: the order of sweeps is by slabs across the longest side of the world, lest blocks of
     balls that can meet each other reach from one end of the order to the other."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        hashed = grid.work[0] > 0 and grid.dense[0] == 0
-        grid.work[3] = ti.select(hashed, grid.n, 0)
-        grid.work[4] = ti.select(hashed, grid.slabs, 0)
+        hashed = grid.work[0].balls > 0 and grid.dense[0] == 0
+        grid.work[0].ranked = ti.select(hashed, grid.n, 0)
+        grid.work[0].slabs = ti.select(hashed, grid.slabs, 0)
         longest = ti.cast(0, ti.i32)
         for a in ti.static(range(grid.dim)):
-            extent = grid.extent[a] // ti.static(FINE if a == 0 else 1)
+            extent = grid.extent[a] // ti.static(FINE_CELLS if a == 0 else 1)
             if extent >= longest:
                 longest = extent
-                grid.axis[0] = a
-                grid.axis[1] = 0
-                while (grid.extent[a] >> grid.axis[1]) >= grid.slabs:
-                    grid.axis[1] += 1
-    for i in range(grid.work[3]):
+                grid.slab_axis[0] = a
+                grid.slab_shift[0] = 0
+                while (grid.extent[a] >> grid.slab_shift[0]) >= grid.slabs:
+                    grid.slab_shift[0] += 1
+    for i in range(grid.work[0].ranked):
         cell = cell_of(ball[i].x, grid, 0)
         slab = 0
         for a in ti.static(range(grid.dim)):
-            if a == grid.axis[0]:
-                slab = (cell[a] - grid.corner[a]) >> grid.axis[1]
+            if a == grid.slab_axis[0]:
+                slab = (cell[a] - grid.corner[a]) >> grid.slab_shift[0]
         grid.bucket[i] = slab
         grid.count[slab] += 1
-    prefix_sum(grid.count, grid.slab, grid.partial, grid.work[4], grid.chunk)
+    prefix_sum(grid.count, grid.slab, grid.partial, grid.work[0].slabs, grid.chunk)
     ti.loop_config(serialize=True)  # in the order of their numbers: a slab may hold too many balls to sort them
-    for i in range(grid.work[3]):
+    for i in range(grid.work[0].ranked):
         b = grid.bucket[i]
         grid.rank[i] = grid.slab[b] + grid.count[b]
         grid.count[b] += 1
         grid.order[grid.rank[i]] = i
-    for b in range(grid.work[4]):
+    for b in range(grid.work[0].slabs):
         grid.count[b] = 0
 
 

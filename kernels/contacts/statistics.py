@@ -2,24 +2,25 @@
 
 from taichi_sim.device.engine import ti
 
-# members of a tally: sums of the number, depths [m], parts of a radius, squares of approach speeds [m^2/s^2]; largest values of
-# depth, part, approach speed, approach speed [m/s] of what is held already; and the ball of the largest part
+# members of the statistics of a set of contacts: sums of the number, depths [m], parts of a radius, squares of approach speeds
+# [m^2/s^2]; largest values of depth, part, approach speed, approach speed [m/s] of what presses already; and the ball of the
+# largest part
 NUMBER, DEPTH, PART, SQUARE, DEEPEST, LARGEST_PART, FASTEST, UNSOLVED, BALL = range(9)
 SIZE, SUMS = 9, 4
 
 
 @ti.func
 def nothing():
-    """The tally of no contact."""
+    """Those of no contact."""
     return ti.Vector([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 @ti.func
-def one(depth, radius, u, held, ball):
-    """The tally of one contact: overlap [m], radius of the smaller ball [m], normal speed [m/s], negative on approach; whether
-    the last solve held it, so that it should approach no more; a ball of it."""
+def one(depth, radius, u, presses, ball):
+    """Those of one contact: overlap [m], radius of the smaller ball [m], normal speed [m/s], negative on approach; whether
+    it presses since the last solve, so that it should approach no more; a ball of it."""
     left = ti.max(0.0, -u)
-    unsolved = ti.select(held, left, 0.0)
+    unsolved = ti.select(presses, left, 0.0)
     return ti.Vector(
         [1.0, depth, depth / radius, left * left, depth, depth / radius, left, unsolved, ti.cast(ball, float)]
     )
@@ -27,7 +28,7 @@ def one(depth, radius, u, held, ball):
 
 @ti.func
 def join(a, b):
-    """The tally of two sets of contacts."""
+    """Those of two sets of contacts."""
     total = a
     for k in ti.static(range(BALL)):
         total[k] = a[k] + b[k] if ti.static(k < SUMS) else ti.max(a[k], b[k])

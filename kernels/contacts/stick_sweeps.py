@@ -1,73 +1,72 @@
 """All contacts of one stick in turn, until what they change is little: a heavy ball on light ends that lie on something takes as
-many rounds as it is heavier, and what two passes leave of it would let it through.
+many rounds as it is heavier, and what two iterations leave of it would let it through. Each round is followed by a line search.
 
-What rounds lessen is the kinetic energy less the work of the target speeds, a parabola along the change that a round made: so
-each goes on along it to the least, as far as no contact would pull (see kernels.settle). Each ball takes part with the mass that
-it has for this stick, so sticks need not wait for each other.
+Each ball takes part with the mass that it has for this stick, so sticks need not wait for each other.
 """
 
 from taichi_sim.kernels.contacts import contact_law
-from taichi_sim.kernels.contacts.wall_impacts import SPENT
+from taichi_sim.kernels.contacts.line_search import FURTHEST_EXTENSION, best_extension, last_change
 from taichi_sim.kernels.vectors import cross, lever
 
 from taichi_sim.device.engine import ti
 
-ROUNDS = 32  # at most
-NEAR = 1e-4  # of the first change of a relative velocity, or of the speed below which nothing bounces: less is little
-FAR = 1e6  # times the change of a round: nothing goes further along it
-TINY = 1e-30  # J
+STICK_ROUNDS = 32  # at most
+LITTLE_CHANGE = 1e-4  # of the first change of a relative velocity, or of the threshold speed: less is little
 
 
 @ti.func
 def solve(sticks: ti.template(), solver: ti.template(), ball: ti.template(), s, time):
-    """Further impulses of all rows of stick s from the present velocities; viscous friction acts for `time` seconds."""
+    """Further impulses of all contacts of stick s from the present velocities; viscous friction acts for `time` seconds."""
     one, two = sticks.one[s], sticks.two[s]
     a, b = ball[one].v, ball[two].v
     begin, end = sticks.begin[s], sticks.begin[s] + sticks.length[s]
     for c in range(begin, end):
-        sticks.push[c] = 0.0 * a
+        sticks.applied_impulse[c] = 0.0 * a
     little, done, going = 0.0 * time, 0, True
     while going:
         most = 0.0 * time
         for c in range(begin, end):
-            p, change = one_row(sticks, solver, ball, c, a, b, ti.select(done == 0, time, 0.0 * time))
-            t = sticks.row[c].at
-            a -= (solver.lightness[one] * (1.0 - t)) * p
-            b -= (solver.lightness[two] * t) * p
+            p, change = one_contact(sticks, solver, ball, c, a, b, ti.select(done == 0, time, 0.0 * time))
+            t = sticks.contact[c].at
+            a -= (solver.effective_inverse_mass[one] * (1.0 - t)) * p
+            b -= (solver.effective_inverse_mass[two] * t) * p
             most = ti.max(most, change)
         if done == 0:
-            little = NEAR * ti.max(most, solver.threshold[0])
+            little = LITTLE_CHANGE * ti.max(most, solver.threshold[0])
         done += 1
-        going = end - begin > 1 and most > little and done < ROUNDS
+        going = end - begin > 1 and most > little and done < STICK_ROUNDS
         if going:
             p, q = extend(sticks, solver, ball, s, a, b)
-            a -= solver.lightness[one] * p
-            b -= solver.lightness[two] * q
+            a -= solver.effective_inverse_mass[one] * p
+            b -= solver.effective_inverse_mass[two] * q
 
 
 @ti.func
-def one_row(sticks: ti.template(), solver: ti.template(), ball: ti.template(), c, a, b, time):
-    """Further impulse of row c where the ends have the velocities a and b, and what it changes of the relative velocity."""
-    row = sticks.row[c]
-    n, t, w = row.normal, row.at, solver.lightness[row.ball]
-    u = ball[row.ball].v + w * sticks.push[c] - (1.0 - t) * a - t * b
-    inverse = sticks.inverse_mass(solver, row)
+def one_contact(sticks: ti.template(), solver: ti.template(), ball: ti.template(), c, a, b, time):
+    """Further impulse of contact c where the ends have the velocities a and b, and what it changes of the relative velocity."""
+    contact = sticks.contact[c]
+    n, t, w = contact.normal, contact.at, solver.effective_inverse_mass[contact.ball]
+    u = ball[contact.ball].v + w * sticks.applied_impulse[c] - (1.0 - t) * a - t * b
+    inverse = sticks.inverse_mass(solver, contact)
     mass = 1.0 / inverse
-    total = contact_law.normal_impulse(u.dot(n), row.target, mass, row.impulse)
-    p = (total - row.impulse) * n
-    sticks.row[c].noted = row.impulse
-    sticks.row[c].impulse = total
+    total = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
+    p = (total - contact.impulse) * n
+    sticks.contact[c].previous_impulse = contact.impulse
+    sticks.contact[c].impulse = total
     if ti.static(sticks.model.has_friction):
-        law = sticks.law(row)
-        slip = contact_law.viscous_share(sticks.model, law, total, mass, solver.threshold[0], u, time)
-        if ti.static(solver.spins):
-            rolling = sticks.model.spin_response(row.ball) * w
-            u -= lever(solver.state.spin[row.ball] - rolling * cross(n, sticks.push[c]), n)
-            mass = 1.0 / (inverse + rolling)
-        change, slide = contact_law.sliding_impulse(sticks.model, u, n, mass, row.slide, law.friction * total, slip)
-        sticks.row[c].slide = slide
+        law = sticks.law(contact)
+        slip, tangential_mass = u, mass
+        if ti.static(solver.model.spins):
+            rolling = sticks.model.spin_response(contact.ball) * w
+            slip -= lever(solver.state.spin[contact.ball] - rolling * cross(n, sticks.applied_impulse[c]), n)
+            tangential_mass = 1.0 / (inverse + rolling)
+        before = contact.tangential_impulse
+        change, tangential = contact_law.friction_impulse(
+            sticks.model, law, n, u, slip, mass, tangential_mass, before, total, solver.threshold[0], time
+        )
+        sticks.contact[c].tangential_impulse = tangential
         p += change
-    sticks.push[c] += p
+    sticks.applied_impulse[c] += p
     return p, inverse * p.norm()
 
 
@@ -76,25 +75,22 @@ def extend(sticks: ti.template(), solver: ti.template(), ball: ti.template(), s,
     """Go on along the normal impulses of the last round; returns the parts that the ends give."""
     one, two = sticks.one[s], sticks.two[s]
     p, q = 0.0 * a, 0.0 * a
-    slope, bend, far = 0.0 * a[0], 0.0 * a[0], FAR + 0.0 * a[0]
+    slope, curvature, longest = 0.0 * a[0], 0.0 * a[0], FURTHEST_EXTENSION + 0.0 * a[0]
     for c in range(sticks.begin[s], sticks.begin[s] + sticks.length[s]):
-        row = sticks.row[c]
-        change = row.impulse - row.noted
-        if row.impulse < -SPENT * change:  # it is about to let go, and stays out lest it stops the others
-            sticks.row[c].noted = row.impulse
-            change = 0.0
-        w, t = solver.lightness[row.ball], row.at
-        u = ball[row.ball].v + w * sticks.push[c] - (1.0 - t) * a - t * b
-        slope += change * (u.dot(row.normal) - row.target)
-        bend += w * change * change
-        p += ((1.0 - t) * change) * row.normal
-        q += (t * change) * row.normal
+        contact = sticks.contact[c]
+        change = last_change(sticks.contact, c, contact.impulse)
+        w, t = solver.effective_inverse_mass[contact.ball], contact.at
+        u = ball[contact.ball].v + w * sticks.applied_impulse[c] - (1.0 - t) * a - t * b
+        slope += change * (u.dot(contact.normal) - contact.target)
+        curvature += w * change * change
+        p += ((1.0 - t) * change) * contact.normal
+        q += (t * change) * contact.normal
         if change < 0.0:
-            far = ti.min(far, row.impulse / -change)
-    bend += solver.lightness[one] * p.dot(p) + solver.lightness[two] * q.dot(q)
-    times = ti.max(0.0, ti.min(-slope / ti.max(bend, TINY), far))
+            longest = ti.min(longest, contact.impulse / -change)
+    curvature += solver.effective_inverse_mass[one] * p.dot(p) + solver.effective_inverse_mass[two] * q.dot(q)
+    times = best_extension(slope, curvature, longest)
     for c in range(sticks.begin[s], sticks.begin[s] + sticks.length[s]):
-        change = times * (sticks.row[c].impulse - sticks.row[c].noted)
-        sticks.row[c].impulse = ti.max(0.0, sticks.row[c].impulse + change)
-        sticks.push[c] += change * sticks.row[c].normal
+        change = times * (sticks.contact[c].impulse - sticks.contact[c].previous_impulse)
+        sticks.contact[c].impulse = ti.max(0.0, sticks.contact[c].impulse + change)
+        sticks.applied_impulse[c] += change * sticks.contact[c].normal
     return times * p, times * q

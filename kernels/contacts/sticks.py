@@ -1,14 +1,10 @@
-"""Contacts between balls and sticks: found by walking the grid along each stick, kept as rows with up to three balls.
-
-A row has weights 1 on the ball and -(1 - t), -t on the stick's ends. Rows lie together by stick.
-"""
+"""Contacts between balls and sticks: found by traversing the grid along each stick. Those of a stick lie together."""
 
 from taichi_sim.kernels.contacts import warm_start
-from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.contact_incidence import list_entries
-from taichi_sim.kernels.contacts.pairs import FULL
+from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT, may_meet
 from taichi_sim.kernels.contacts.spatial_hash import (
-    FINE,
+    FINE_CELLS,
     bucket_of,
     cell_of,
     clip,
@@ -22,7 +18,7 @@ from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
 
-END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
+STICK_END = 1e-5  # of the length: nearer to an end, rounding must not make a second contact of a hit on the ball there
 
 
 @ti.func
@@ -37,19 +33,20 @@ def closest(x, a, b):
 
 
 @ti.func
+def may_touch(sticks: ti.template(), i, one, two):
+    """Whether ball i and the stick from `one` to `two` collide at all."""
+    w = sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two]
+    return i != one and i != two and w > 0.0 and may_meet(sticks.pairs, i, one)
+
+
+@ti.func
 def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
     """Whether ball i touches the inside of a stick. A hit at an end is the ball-ball contact with the ball there."""
     hit = False
     if i != one and i != two:
         t, r = closest(x, ball[one].x, ball[two].x)
-        hit = t > END and t < 1.0 - END and r.dot(r) < radius * radius
-        hit = (
-            hit and sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two] > 0.0
-        )
-        if ti.static(sticks.model.has_groups):
-            hit = hit and balls_meet(sticks.model, i, one)
-        if ti.static(sticks.pairs.has_bodies):
-            hit = hit and (sticks.pairs.body[i] == 0 or sticks.pairs.body[i] != sticks.pairs.body[one])
+        hit = t > STICK_END and t < 1.0 - STICK_END and r.dot(r) < radius * radius
+        hit = hit and may_touch(sticks, i, one, two)
     return hit
 
 
@@ -57,7 +54,7 @@ def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
 def slab(grid: ti.template(), level, a, d, axis, k):
     """Lowest and highest cell around the piece of a stick a .. a + d that lies in slab k of its longest axis.
 
-    A slab is as thick as a cell across x; along x it holds FINE cells.
+    A slab is as thick as a cell across x; along x it holds FINE_CELLS cells.
     """
     reach = largest(grid, level)
     width = 1.0 / inverse_cell(grid, level)
@@ -73,14 +70,14 @@ def slab(grid: ti.template(), level, a, d, axis, k):
     high = cell_of(ti.max(a + t0 * d, a + t1 * d) + reach, grid, level)
     for c in ti.static(range(a.n)):
         if c == axis:
-            low[c] = k * ti.static(FINE if c == 0 else 1)
-            high[c] = low[c] + ti.static(FINE - 1 if c == 0 else 0)
+            low[c] = k * ti.static(FINE_CELLS if c == 0 else 1)
+            high[c] = low[c] + ti.static(FINE_CELLS - 1 if c == 0 else 0)
     return low, high
 
 
 @ti.func
 def visit(sticks: ti.template(), ball: ti.template(), level, s, low, high, at, fill: ti.template()):
-    """Count, or write as rows from `at` on, the balls in the cells low..high of a level that touch stick s."""
+    """Count, or write as contacts from `at` on, the balls in the cells low..high of a level that touch stick s."""
     one, two = sticks.one[s], sticks.two[s]
     found = 0
     depth = 1
@@ -102,14 +99,14 @@ def visit(sticks: ti.template(), ball: ti.template(), level, s, low, high, at, f
                     cell = cell_of(b.x, sticks.grid, level)
                     if same_row(left, cell) and cell[0] >= low[0] and cell[0] <= high[0]:
                         if ti.static(fill):
-                            sticks.row[at + found].ball = i
-                            sticks.row[at + found].stick = s
+                            sticks.contact[at + found].ball = i
+                            sticks.contact[at + found].stick = s
                         found += 1
     return found
 
 
 @ti.func
-def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template()):
+def traverse(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template()):
     """All balls that touch stick s, slab by slab along its longest axis."""
     a = ball[sticks.one[s]].x
     d = ball[sticks.two[s]].x - a
@@ -117,7 +114,7 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
     for c in ti.static(range(1, d.n)):
         if ti.abs(d[c]) > ti.abs(d[axis]):
             axis = c
-    cells = ti.select(axis == 0, FINE, 1)  # of a slab
+    cells = ti.select(axis == 0, FINE_CELLS, 1)  # of a slab
     found = 0
     for level in range(sticks.grid.levels):
         reach = largest(sticks.grid, level)
@@ -128,13 +125,13 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
         low, high = (from_cell // cells)[axis], (to_cell // cells)[axis]
         begin, size = table(sticks.grid, level)
         first_ball, last_ball = sticks.grid.start[begin], sticks.grid.start[begin + size]
-        if high - low > last_ball - first_ball:  # more slabs than balls: sooner asked one by one
+        if high - low > last_ball - first_ball:  # more slabs than balls: quicker one by one
             for k in range(first_ball, last_ball):
                 b = sticks.grid.copy[k]
                 if touches(sticks, ball, sticks.grid.sorted[k], b.x, b.radius, sticks.one[s], sticks.two[s]):
                     if ti.static(fill):
-                        sticks.row[at + found].ball = sticks.grid.sorted[k]
-                        sticks.row[at + found].stick = s
+                        sticks.contact[at + found].ball = sticks.grid.sorted[k]
+                        sticks.contact[at + found].stick = s
                     found += 1
         else:
             for k in range(low, high + 1):
@@ -145,43 +142,43 @@ def walk(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.template())
 
 @ti.func
 def detect(sticks: ti.template(), ball: ti.template()):
-    """Rows of all sticks, with what they held under the last list, then for each ball the list of its places in them."""
-    if ti.static(sticks.warm):
+    """Contacts of all sticks, with what they accumulated under the last list, then for each ball the list of its entries."""
+    if ti.static(sticks.plan.warm_starts):
         warm_start.store(sticks)
     sticks.used[0] = 0
-    for s in range(ti.select(sticks.grid.work[0] > 0, sticks.m, 0)):  # none where the grid gave up
-        found = walk(sticks, ball, s, 0, False)
-        first = FULL
+    for s in range(ti.select(sticks.grid.work[0].balls > 0, sticks.m, 0)):  # none where the grid gave up
+        found = traverse(sticks, ball, s, 0, False)
+        first = COUNT_LIMIT
         if found > 0:
-            if sticks.used[0] < FULL:
+            if sticks.used[0] < COUNT_LIMIT:
                 first = ti.atomic_add(sticks.used[0], found)
             if first + found <= sticks.capacity:
-                walk(sticks, ball, s, first, True)
+                traverse(sticks, ball, s, first, True)
             else:
                 ti.atomic_max(sticks.overflow[0], first + found)
                 found = 0
         for c in range(first, first + found):
             measure(sticks, ball, c)
-            if ti.static(sticks.warm):
-                row = sticks.row[c]
-                sticks.row[c].speed = sticks.relative_velocity(ball, row).dot(row.normal)
-                warm_start.recall(sticks, s, c, row.normal)
+            if ti.static(sticks.plan.warm_starts):
+                contact = sticks.contact[c]
+                sticks.contact[c].last_speed = sticks.relative_velocity(ball, contact).dot(contact.normal)
+                warm_start.recall(sticks, s, c, contact.normal)
         sticks.begin[s], sticks.length[s] = first, found
     list_entries(sticks)
 
 
 @ti.func
 def measure(sticks: ti.template(), ball: ti.template(), c):
-    """Where on the stick row c is, the normal from stick to ball, and the distance."""
-    row = sticks.row[c]
-    one, two = sticks.one[row.stick], sticks.two[row.stick]
-    t, r = closest(ball[row.ball].x, ball[one].x, ball[two].x)
-    n, d = unit(r, row.stick, row.ball)
+    """Where on the stick contact c is, the normal from stick to ball, and the distance."""
+    contact = sticks.contact[c]
+    one, two = sticks.one[contact.stick], sticks.two[contact.stick]
+    t, r = closest(ball[contact.ball].x, ball[one].x, ball[two].x)
+    n, d = unit(r, contact.stick, contact.ball)
     if d == 0.0:  # the centre lies on the stick: any direction across it
         n = across(ball[two].x - ball[one].x)
-    sticks.row[c].at = ti.max(0.0, ti.min(1.0, t))
-    sticks.row[c].normal = n
-    sticks.row[c].distance = d
+    sticks.contact[c].at = ti.max(0.0, ti.min(1.0, t))
+    sticks.contact[c].normal = n
+    sticks.contact[c].distance = d
 
 
 @ti.func

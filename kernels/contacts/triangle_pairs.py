@@ -1,49 +1,57 @@
 """Pairs of a ball and a triangle, and of two edges: which of them are near, what they are listed with, and how far they may go.
 
 A pair has four balls with weights (1, -u, -v, -w) or (1 - s, s, t - 1, -t); the first one, or two, are its upper side, and its
-normal points there. Which pairs are looked at: kernels.patches. What becomes of them: kernels.surfaces.
+normal points there. Which pairs are looked at: triangle_bvh. What becomes of them: ccd_triangles.
 """
 
 from taichi_sim.kernels.contacts.closest_points import between_edges, on_triangle
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
-from taichi_sim.kernels.contacts.pairs import FULL
+from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE, EDGE_EDGE, STICK_FIRST, STICK_SECOND
+from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
 
-DETECT, LIMIT = range(2)  # what a walk does with the pairs it finds
-LOOK = 1.5  # of the way that the present velocity makes in a step: contacts are found before they touch
-LISTED = 1.1  # of the distance at touch: contacts that nearly touch count as those that do
-KEEP = 0.1  # of a distance that is too short for the way of a step, and of the distance at touch where it is that short already
+FIND_PAIRS, LIMIT_WAYS = range(2)  # what a traversal does with the pairs that it finds
+LOOK_AHEAD = 1.5  # of the way that the present velocity makes in a step: contacts are found before they touch
+LISTED_DISTANCE = 1.1  # of the distance at touch: contacts that nearly touch count as those that do
+# of a distance that is too short for the way of a step, and of the distance at touch where it is that short already
+KEPT_DISTANCE = 0.1
 BORDER, NOT_OWNED = -1, -2  # what lies beyond an edge: no other triangle, or hits on the edge belong to the other one
-LEVER = 0.1  # of a distance: what moves nearer to a pin than that part would be thrown as many times faster
-ASKEW = 1e-6  # squared sine of an angle: directions that are more alike do not tell what is at right angles to both
-INSIDE = 1e-4  # of an edge: nearer to its end, the hit is one of the ball there
+SHORTEST_LEVER = 0.1  # of a distance: what moves nearer to a pin than that part would be thrown as many times faster
+# squared sine of an angle: directions more alike do not say what is at right angles to both
+SMALLEST_ANGLE = 1e-6
+EDGE_END = 1e-4  # of an edge: nearer to its end, the hit is one of the ball there
 
 
 @ti.func
 def ball_triangle(
-    facets: ti.template(), solver: ti.template(), ball: ti.template(), p, i, t, near, place, job: ti.template()
+    triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, i, t, near, place, job: ti.template()
 ):
     """1 where ball i and triangle t are listed as a pair, else 0."""
     found = 0
-    triangle = facets.triangle[t]
+    triangle = triangles.triangle[t]
     a, b, c = triangle.a, triangle.b, triangle.c
     if i != a and i != b and i != c:
-        low, high = stretch(facets, ball, i, job)
-        low_a, high_a = stretch(facets, ball, a, job)
-        low_b, high_b = stretch(facets, ball, b, job)
-        low_c, high_c = stretch(facets, ball, c, job)
+        low, high = stretch(triangles, ball, i, job)
+        low_a, high_a = stretch(triangles, ball, a, job)
+        low_b, high_b = stretch(triangles, ball, b, job)
+        low_c, high_c = stretch(triangles, ball, c, job)
         if near_boxes(low, high, ti.min(low_a, low_b, low_c), ti.max(high_a, high_b, high_c), near):
-            x, xa, xb, xc = facets.grid.origin[i], facets.grid.origin[a], facets.grid.origin[b], facets.grid.origin[c]
+            x, xa, xb, xc = (
+                triangles.grid.origin[i],
+                triangles.grid.origin[a],
+                triangles.grid.origin[b],
+                triangles.grid.origin[c],
+            )
             w = on_triangle(x, xa, xb, xc)
             at_triangle = w[0] * xa + w[1] * xb + w[2] * xc
             r = x - at_triangle
-            if ti.static(job == LIMIT) or r.dot(r) < near * near:
+            if ti.static(job == LIMIT_WAYS) or r.dot(r) < near * near:
                 balls = ti.Vector([i, a, b, c])
                 g = ti.Vector([1.0 + 0.0 * w[0], -w[0], -w[1], -w[2]])
                 whole = True
-                if ti.static(job == DETECT):
+                if ti.static(job == FIND_PAIRS):
                     whole = w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0
                     beyond = ti.Vector([triangle.beyond_a, triangle.beyond_b, triangle.beyond_c])
                     for k in ti.static(
@@ -53,38 +61,43 @@ def ball_triangle(
                             whole = True
                             if beyond[k] >= 0:  # nearer to the inside of the triangle on the other side: that one's
                                 along = (
-                                    facets.grid.origin[balls[1 + (k + 2) % 3]]
-                                    - facets.grid.origin[balls[1 + (k + 1) % 3]]
+                                    triangles.grid.origin[balls[1 + (k + 2) % 3]]
+                                    - triangles.grid.origin[balls[1 + (k + 1) % 3]]
                                 )
-                                m = facets.grid.origin[beyond[k]] - at_triangle
+                                m = triangles.grid.origin[beyond[k]] - at_triangle
                                 m -= m.dot(along) / along.dot(along) * along
                                 whole = r.dot(m) <= 0.0
                 if w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0:
                     r = across(r, xb - xa, xc - xa, x - xa)
-                found = settle(facets, solver, ball, p, balls, g, r, 0, whole, place, job)
+                found = take_pair(triangles, solver, ball, p, balls, g, r, BALL_TRIANGLE, whole, place, job)
     return found
 
 
 @ti.func
-def edge_edge(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, e, f, low, high, near, place,
+def edge_edge(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, e, f, low, high, near, place,
               job: ti.template()):  # fmt: skip
     """1 where edges e and f are listed as a pair, else 0. low, high: the box of edge f."""
     found = 0
-    a, b, c, d = facets.edge[e].one, facets.edge[e].two, facets.edge[f].one, facets.edge[f].two
-    if a != c and a != d and b != c and b != d and facets.edge[e].bare + facets.edge[f].bare < 2:
-        low_a, high_a = stretch(facets, ball, a, job)
-        low_b, high_b = stretch(facets, ball, b, job)
+    a, b, c, d = triangles.edge[e].one, triangles.edge[e].two, triangles.edge[f].one, triangles.edge[f].two
+    if a != c and a != d and b != c and b != d and triangles.edge[e].bare + triangles.edge[f].bare < 2:
+        low_a, high_a = stretch(triangles, ball, a, job)
+        low_b, high_b = stretch(triangles, ball, b, job)
         if near_boxes(ti.min(low_a, low_b), ti.max(high_a, high_b), low, high, near):
-            xa, xb, xc, xd = facets.grid.origin[a], facets.grid.origin[b], facets.grid.origin[c], facets.grid.origin[d]
+            xa, xb, xc, xd = (
+                triangles.grid.origin[a],
+                triangles.grid.origin[b],
+                triangles.grid.origin[c],
+                triangles.grid.origin[d],
+            )
             s, t = between_edges(xa, xb, xc, xd)
             r = xa + s * (xb - xa) - xc - t * (xd - xc)
-            if ti.static(job == LIMIT) or r.dot(r) < near * near:
+            if ti.static(job == LIMIT_WAYS) or r.dot(r) < near * near:
                 g = ti.Vector([1.0 - s, s, t - 1.0, -t])
-                inside = s > INSIDE and s < 1.0 - INSIDE and t > INSIDE and t < 1.0 - INSIDE
+                inside = s > EDGE_END and s < 1.0 - EDGE_END and t > EDGE_END and t < 1.0 - EDGE_END
                 if inside:
                     r = across(r, xb - xa, xd - xc, xa - xc)
-                bare = facets.edge[e].bare + 2 * facets.edge[f].bare
-                found = settle(facets, solver, ball, p, ti.Vector([a, b, c, d]), g, r, 4 + bare, inside, place, job)
+                kind = EDGE_EDGE + STICK_FIRST * triangles.edge[e].bare + STICK_SECOND * triangles.edge[f].bare
+                found = take_pair(triangles, solver, ball, p, ti.Vector([a, b, c, d]), g, r, kind, inside, place, job)
     return found
 
 
@@ -95,17 +108,17 @@ def across(r, one, other, way):
     triangles."""
     out = r
     m = one.cross(other)
-    if m.dot(m) > ASKEW * one.dot(one) * other.dot(other) and m.dot(way) != 0.0:
+    if m.dot(m) > SMALLEST_ANGLE * one.dot(one) * other.dot(other) and m.dot(way) != 0.0:
         out = m.dot(way) / m.dot(m) * m
     return out
 
 
 @ti.func
-def stretch(facets: ti.template(), ball: ti.template(), i, job: ti.template()):
+def stretch(triangles: ti.template(), ball: ti.template(), i, job: ti.template()):
     """Box around ball i: where it is, or all its way in this step."""
-    low = facets.grid.origin[i]
+    low = triangles.grid.origin[i]
     high = low
-    if ti.static(job == LIMIT):
+    if ti.static(job == LIMIT_WAYS):
         low, high = ti.min(low, ball[i].x), ti.max(high, ball[i].x)
     return low, high
 
@@ -117,96 +130,111 @@ def near_boxes(low, high, other_low, other_high, reach):
 
 
 @ti.func
-def settle(facets: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, r, kind, whole, place,
+def take_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, r, kind, whole, place,
            job: ti.template()):  # fmt: skip
     """List the pair of balls b with weights g at distance r, or let it limit their way. whole: no other pair has this hit.
-    kind: 0 for a ball and a triangle, 4 for two edges, 5 and 6 where the first or the second is a stick."""
+    kind: see kinds."""
     found = 0
     allowed = False
     for k in ti.static(range(4)):
-        allowed = allowed or facets.model.inverse_mass[b[k]] > 0.0
-    other = ti.select(kind == 0, b[1], b[2])
-    if ti.static(facets.model.has_groups):
-        allowed = allowed and balls_meet(facets.model, b[0], other)
+        allowed = allowed or triangles.model.inverse_mass[b[k]] > 0.0
+    other = ti.select(kind == BALL_TRIANGLE, b[1], b[2])
+    if ti.static(triangles.model.has_groups):
+        allowed = allowed and balls_meet(triangles.model, b[0], other)
     if allowed:
         n, d = unit(r, b[0], other)
-        if ti.static(job == LIMIT):
-            hold_apart(facets, ball, b, n, kind)
+        if ti.static(job == LIMIT_WAYS):
+            hold_apart(triangles, ball, b, n, kind)
         else:
-            u, give, above, below = 0.0 * d, 0.0 * d, 1e30 + 0.0 * d, -1e30 + 0.0 * d
-            thick, upper, lower, nearest = 0.0 * d, 0.0 * d, 0.0 * d, facets.spacing[b[0]]
-            for k in ti.static(range(4)):
-                radius = facets.model.radius[b[k]]
-                speed = n.dot(ball[b[k]].v)
-                u += g[k] * speed
-                give += ti.select(ti.abs(g[k]) > LEVER, facets.model.inverse_mass[b[k]], 0.0 * d)
-                on_top = k == 0 or (k == 1 and kind > 0)
-                upper = ti.max(upper, ti.select(on_top, radius, 0.0))
-                lower = ti.max(lower, ti.select(on_top, 0.0, radius))
-                above = ti.min(above, ti.select(on_top, speed, above))
-                below = ti.max(below, ti.select(on_top, below, speed))
-                if not ((kind == 5 and on_top) or (kind == 6 and not on_top)):  # sticks have no thickness of their own
-                    thick += ti.abs(g[k]) * radius
-                nearest = ti.min(nearest, facets.spacing[b[k]])
-            way = LOOK * ti.max(0.0, -u) / solver.rate[0]
-            if d < upper + lower + LOOK * ti.max(0.0, below - above) / solver.rate[0]:
-                found = 1
-                at = FULL
-                if facets.used[0] < FULL:
-                    at = ti.atomic_add(facets.used[0], 1)
-                if at >= facets.capacity:
-                    ti.atomic_max(facets.overflow[0], at + 1)
-                else:
-                    if joined(facets, b, kind):
-                        thick = ti.min(thick, nearest)
-                    # between points that pins hold nothing can be pushed, or only by a long lever
-                    contact = whole and give > 0.0 and d < ti.max(LISTED * thick, thick + way)
-                    facets.row[at].owner = p
-                    facets.row[at].place = place
-                    facets.row[at].kind = kind
-                    facets.row[at].normal = n
-                    facets.row[at].distance = d
-                    facets.row[at].thickness = ti.select(contact, thick, -1.0)
-                    for k in ti.static(range(4)):
-                        facets.member[4 * at + k] = b[k]
-                        facets.weight[4 * at + k] = g[k]
+            found = list_pair(triangles, solver, ball, p, b, g, n, d, kind, whole, place)
     return found
 
 
 @ti.func
-def joined(facets: ti.template(), b, kind):
+def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, n, d, kind, whole, place):
+    """1 where the pair, with the normal n and distance d, may meet within the step and is listed, else 0."""
+    found = 0
+    u, give, above, below = 0.0 * d, 0.0 * d, 1e30 + 0.0 * d, -1e30 + 0.0 * d
+    thick, upper, lower, nearest = 0.0 * d, 0.0 * d, 0.0 * d, triangles.spacing[b[0]]
+    for k in ti.static(range(4)):
+        radius = triangles.model.radius[b[k]]
+        speed = n.dot(ball[b[k]].v)
+        u += g[k] * speed
+        give += ti.select(ti.abs(g[k]) > SHORTEST_LEVER, triangles.model.inverse_mass[b[k]], 0.0 * d)
+        on_top = is_upper(k, kind)
+        upper = ti.max(upper, ti.select(on_top, radius, 0.0))
+        lower = ti.max(lower, ti.select(on_top, 0.0, radius))
+        above = ti.min(above, ti.select(on_top, speed, above))
+        below = ti.max(below, ti.select(on_top, below, speed))
+        first, second = kind == EDGE_EDGE + STICK_FIRST, kind == EDGE_EDGE + STICK_SECOND
+        if not ((first and on_top) or (second and not on_top)):  # sticks have no thickness of their own
+            thick += ti.abs(g[k]) * radius
+        nearest = ti.min(nearest, triangles.spacing[b[k]])
+    way = LOOK_AHEAD * ti.max(0.0, -u) / solver.rate[0]
+    if d < upper + lower + LOOK_AHEAD * ti.max(0.0, below - above) / solver.rate[0]:
+        found = 1
+        at = COUNT_LIMIT
+        if triangles.used[0] < COUNT_LIMIT:
+            at = ti.atomic_add(triangles.used[0], 1)
+        if at >= triangles.capacity:
+            ti.atomic_max(triangles.overflow[0], at + 1)
+        else:
+            if joined(triangles, b, kind):
+                thick = ti.min(thick, nearest)
+            # between pinned points nothing can be pushed, or only by a long lever
+            contact = whole and give > 0.0 and d < ti.max(LISTED_DISTANCE * thick, thick + way)
+            triangles.contact[at].owner = p
+            triangles.contact[at].place = place
+            triangles.contact[at].kind = kind
+            triangles.contact[at].normal = n
+            triangles.contact[at].distance = d
+            triangles.contact[at].thickness = ti.select(contact, thick, -1.0)
+            for k in ti.static(range(4)):
+                triangles.member[4 * at + k] = b[k]
+                triangles.weight[4 * at + k] = g[k]
+    return found
+
+
+@ti.func
+def is_upper(k, kind):
+    """Whether ball k of a pair is on its upper side."""
+    return k == 0 or (k == 1 and kind != BALL_TRIANGLE)
+
+
+@ti.func
+def joined(triangles: ti.template(), b, kind):
     """Whether a spring joins the two sides of a pair: at rest they may be nearer to each other than they are thick."""
     yes = False
-    if ti.static(facets.pairs.has_joints):
-        for k in range(ti.select(kind == 0, 1, 2)):
+    if ti.static(triangles.pairs.has_springs):
+        for k in range(ti.select(kind == BALL_TRIANGLE, 1, 2)):
             i = ti.select(k == 0, b[0], b[1])
-            for e in range(facets.pairs.joint_start[i], facets.pairs.joint_start[i + 1]):
-                j = facets.pairs.joint_other[e]
-                yes = yes or j == b[2] or j == b[3] or (kind == 0 and j == b[1])
+            for e in range(triangles.pairs.spring_start[i], triangles.pairs.spring_start[i + 1]):
+                j = triangles.pairs.spring_other[e]
+                yes = yes or j == b[2] or j == b[3] or (kind == BALL_TRIANGLE and j == b[1])
     return yes
 
 
 @ti.func
-def planes(facets: ti.template(), ball: ti.template(), b, n, kind):
+def planes(triangles: ti.template(), ball: ti.template(), b, n, kind):
     """Two heights along n, from where the first of the balls b began: the upper side may not go below the first, nor the lower
     one above the second; and the distance kept between. Where no side would, they are out of reach.
 
     The closest points of two convex things lie on two planes at right angles to their distance, with nothing in between. Planes
     in between stand still for a step: so whatever the others do, neither side gets to the other.
     """
-    base = facets.grid.origin[b[0]]
+    base = triangles.grid.origin[b[0]]
     far = 1e30 + 0.0 * base[0]
     low, top, high, bottom = far, far, -far, -far
     for k in ti.static(range(4)):
-        here = n.dot(facets.grid.origin[b[k]] - base)
+        here = n.dot(triangles.grid.origin[b[k]] - base)
         there = n.dot(ball[b[k]].x - base)
-        if k == 0 or (k == 1 and kind > 0):
+        if is_upper(k, kind):
             low, top = ti.min(low, here), ti.min(top, here, there)
         else:
             high, bottom = ti.max(high, here), ti.max(bottom, here, there)
     width = ti.max(0.0, low - high)
-    floor = KEEP * (facets.model.radius[b[0]] + facets.model.radius[b[3]])
-    keep = ti.max(KEEP * width, ti.min(width, floor))
+    floor = KEPT_DISTANCE * (triangles.model.radius[b[0]] + triangles.model.radius[b[3]])
+    keep = ti.max(KEPT_DISTANCE * width, ti.min(width, floor))
     up, down = -far, far
     if top - bottom < keep and (low > top or bottom > high):
         part = (bottom - high) / (low - top + bottom - high)  # the way of the lower side, of both
@@ -216,16 +244,16 @@ def planes(facets: ti.template(), ball: ti.template(), b, n, kind):
 
 
 @ti.func
-def hold_apart(facets: ti.template(), ball: ti.template(), b, n, kind):
+def hold_apart(triangles: ti.template(), ball: ti.template(), b, n, kind):
     """Cut short the way of each of the balls b that crosses its plane."""
-    base = facets.grid.origin[b[0]]
-    up, down, _ = planes(facets, ball, b, n, kind)
+    base = triangles.grid.origin[b[0]]
+    up, down, _ = planes(triangles, ball, b, n, kind)
     if up > down:
         for k in ti.static(range(4)):
-            here = n.dot(facets.grid.origin[b[k]] - base)
+            here = n.dot(triangles.grid.origin[b[k]] - base)
             there = n.dot(ball[b[k]].x - base)
-            if k == 0 or (k == 1 and kind > 0):
+            if is_upper(k, kind):
                 if there < ti.min(here, up):
-                    ti.atomic_min(facets.part[b[k]], ti.max(0.0, (here - up) / (here - there)))
+                    ti.atomic_min(triangles.allowed_part[b[k]], ti.max(0.0, (here - up) / (here - there)))
             elif there > ti.max(here, down):
-                ti.atomic_min(facets.part[b[k]], ti.max(0.0, (down - here) / (there - here)))
+                ti.atomic_min(triangles.allowed_part[b[k]], ti.max(0.0, (down - here) / (there - here)))

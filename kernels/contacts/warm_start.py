@@ -1,72 +1,83 @@
-"""What contacts hold from step to step: scaled to another step, and for rows of several balls found again and bounded.
+"""What contacts accumulate and keep from step to step: scaled to another step, bounded, and for contacts of several balls found
+again.
 
-`rows` has the table `row` with the impulse [N s] that each holds along its normal, with friction `slide` along the surface, what
-it held before the solve (`start`), and the speed [m/s] along the normal that it was last seen with. Before rows are listed anew
-what they hold goes to `old`, `begin` and `length` of which say where each owner has its own.
+Before the contacts of sticks are listed anew, what they accumulated goes to `old`, `begin` and `length` of which say where each
+stick has its own.
 """
 
-from taichi_sim.kernels.contacts.wall_impacts import GROWTH
-
 from taichi_sim.device.engine import ti
+
+LOAD_GROWTH = 2.0  # times what a contact accumulated before: more than that, after an impact, was the impact's
 
 
 @ti.func
 def scale(table: ti.template(), count, ratio, friction: ti.template()):
-    """The first `count` contacts of a table hold as much less or more."""
+    """The first `count` contacts of a table have accumulated as much less or more."""
     for e in range(count):
         table[e].impulse = ratio * table[e].impulse
         if ti.static(friction):
-            table[e].slide = ratio * table[e].slide
+            table[e].tangential_impulse = ratio * table[e].tangential_impulse
 
 
 @ti.func
-def store(rows: ti.template()):
-    """Keep what rows hold while they are listed anew."""
-    for c in range(ti.min(rows.used[0], rows.capacity)):
-        rows.old[c].other = rows.row[c].ball
-        rows.old[c].impulse = rows.row[c].impulse
-        if ti.static(rows.model.has_friction):
-            rows.old[c].slide = rows.row[c].slide
+def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
+    """Of what contact c of a table accumulated, what may be a load: the next solve starts with it, and would throw back what was
+    an impact's."""
+    accumulated = table[c].impulse
+    if accumulated > most:
+        table[c].impulse = most
+        if ti.static(friction):
+            table[c].tangential_impulse = most / accumulated * table[c].tangential_impulse
 
 
 @ti.func
-def recall(rows: ti.template(), owner, c, n):
-    """Row c of an owner, along the normal n, holds what it held under the last list."""
-    rows.row[c].impulse = 0.0
-    if ti.static(rows.model.has_friction):
-        rows.row[c].slide = 0.0 * n
-    for e in range(rows.begin[owner], rows.begin[owner] + rows.length[owner]):
-        if rows.old[e].other == rows.row[c].ball:
-            rows.row[c].impulse = rows.old[e].impulse
-            if ti.static(rows.model.has_friction):
-                slide = rows.old[e].slide
-                rows.row[c].slide = slide - slide.dot(n) * n
+def store(sticks: ti.template()):
+    """Keep what contacts accumulated while they are listed anew."""
+    for c in range(ti.min(sticks.used[0], sticks.capacity)):
+        sticks.old[c].other = sticks.contact[c].ball
+        sticks.old[c].impulse = sticks.contact[c].impulse
+        if ti.static(sticks.model.has_friction):
+            sticks.old[c].tangential_impulse = sticks.contact[c].tangential_impulse
 
 
 @ti.func
-def start(rows: ti.template(), solver: ti.template(), c, u, n):
-    """Row c, whose speed along the normal is u, starts with what it holds; what leaves fast has nothing that presses it any
-    more."""
-    if ti.static(not rows.warm) or u > solver.threshold[0]:
-        rows.row[c].impulse = 0.0
-        if ti.static(rows.model.has_friction):
-            rows.row[c].slide = 0.0 * n
-    if ti.static(rows.warm):
-        rows.row[c].start = rows.row[c].impulse
-        rows.row[c].gained = ti.max(solver.threshold[0], rows.row[c].speed - u)
-        rows.push[c] = rows.row[c].impulse * n
-        if ti.static(rows.model.has_friction):
-            rows.push[c] += rows.row[c].slide
+def forget(sticks: ti.template(), c, n):
+    """Contact c, with the normal n, has accumulated nothing."""
+    sticks.contact[c].impulse = 0.0
+    if ti.static(sticks.model.has_friction):
+        sticks.contact[c].tangential_impulse = 0.0 * n
 
 
 @ti.func
-def limit(rows: ti.template(), c, inverse, u):
-    """Of what row c holds after a solve, what may be a load: more than twice what it held before, and more than forces gave
-    since it was last seen, is an impact's, and the next solve would throw it back. inverse: sum w g^2 [1/kg]; u: its speed."""
-    held = rows.row[c].impulse
-    most = GROWTH * rows.row[c].start + rows.row[c].gained / inverse
-    if held > most:
-        rows.row[c].impulse = most
-        if ti.static(rows.model.has_friction):
-            rows.row[c].slide = most / held * rows.row[c].slide
-    rows.row[c].speed = u
+def recall(sticks: ti.template(), s, c, n):
+    """Contact c of stick s, with the normal n, has accumulated what it had under the last list."""
+    forget(sticks, c, n)
+    for e in range(sticks.begin[s], sticks.begin[s] + sticks.length[s]):
+        if sticks.old[e].other == sticks.contact[c].ball:
+            sticks.contact[c].impulse = sticks.old[e].impulse
+            if ti.static(sticks.model.has_friction):
+                tangential = sticks.old[e].tangential_impulse
+                sticks.contact[c].tangential_impulse = tangential - tangential.dot(n) * n
+
+
+@ti.func
+def start(sticks: ti.template(), solver: ti.template(), c, u, n):
+    """Contact c, whose speed along the normal is u, starts with what it accumulated; nothing presses any more what leaves
+    fast."""
+    if ti.static(not sticks.plan.warm_starts) or u > solver.threshold[0]:
+        forget(sticks, c, n)
+    if ti.static(sticks.plan.warm_starts):
+        sticks.contact[c].starting_impulse = sticks.contact[c].impulse
+        sticks.contact[c].gained_speed = ti.max(solver.threshold[0], sticks.contact[c].last_speed - u)
+        sticks.applied_impulse[c] = sticks.contact[c].impulse * n
+        if ti.static(sticks.model.has_friction):
+            sticks.applied_impulse[c] += sticks.contact[c].tangential_impulse
+
+
+@ti.func
+def limit(sticks: ti.template(), c, inverse_mass, u):
+    """After a solve, contact c keeps no more than twice what it started with, and what forces gave since it was last seen.
+    inverse_mass: sum w g^2 [1/kg]; u: its speed."""
+    most = LOAD_GROWTH * sticks.contact[c].starting_impulse + sticks.contact[c].gained_speed / inverse_mass
+    keep_at_most(sticks.contact, c, most, sticks.model.has_friction)
+    sticks.contact[c].last_speed = u

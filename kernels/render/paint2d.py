@@ -3,18 +3,21 @@
 A shape is 8 numbers in px: disc (x, y, radius, pin 0 or 1), rod (x, y, x, y, radius, blunt 0 or 1),
 triangle (x, y, x, y, x, y).
 A body is 8 numbers in px: centre (x, y), direction of its x axis (x, y), half size (x, y), radius around that, hollow.
-Lists hold the shapes that touch a tile in drawing order; pixels walk them from the front until nothing shines through.
+Lists hold the shapes that touch a tile in drawing order; pixels traverse them from the front until nothing shines through.
 Colours are linear.
 """
 
+from taichi_sim.kernels.render.interfaces import Shapes
+
 from taichi_sim.device.engine import ti
 
+READS = {"scene": Shapes}
 vec2 = ti.types.vector(2, ti.f32)
 vec3 = ti.types.vector(3, ti.f32)
 Look = ti.types.matrix(5, 3, ti.f32)  # rows: background at the top, at the bottom, wall, its hatching, its edge
 
 DISC, ROD, TRIANGLE = 0, 1, 2
-PIN = (0.02, 0.022, 0.03)
+PIN_COLOUR = (0.02, 0.022, 0.03)
 
 
 @ti.func
@@ -52,7 +55,7 @@ def disc(p, s, colour):
         dot = unit(ti.max(r * ti.f32(0.36), ti.f32(1.2)) - distance + ti.f32(0.5))
         ring = unit(ti.max(r * ti.f32(0.52), ti.f32(1.8)) - distance + ti.f32(0.5))
         c = c * (1 - ring) + vec3(0.9, 0.9, 0.9) * ring
-        c = c * (1 - dot) + vec3(PIN) * dot
+        c = c * (1 - dot) + vec3(PIN_COLOUR) * dot
     return unit(r - distance + ti.f32(0.5)), c
 
 
@@ -61,12 +64,12 @@ def triangle_coverage(p, s):
     """Half a pixel fat, so that neighbours leave no seam."""
     a, b, c = vec2(s[0], s[1]), vec2(s[2], s[3]), vec2(s[4], s[5])
     area = (b - a).cross(c - a)
-    turn = ti.f32(1.0) if area > 0 else ti.f32(-1.0)
+    winding = ti.f32(1.0) if area > 0 else ti.f32(-1.0)
     inside = ti.f32(1e9)
     for k in ti.static(range(3)):
         u, v = (a, b, c)[k], (b, c, a)[k]
         e = v - u
-        inside = ti.min(inside, turn * e.cross(p - u) / ti.max(e.norm(), ti.f32(1e-9)))
+        inside = ti.min(inside, winding * e.cross(p - u) / ti.max(e.norm(), ti.f32(1e-9)))
     return unit(inside + ti.f32(0.99)) if ti.abs(area) > ti.f32(1e-6) else ti.f32(0.0)
 
 
@@ -83,7 +86,7 @@ def body_distance(s, q):
 
 @ti.func
 def backdrop(p, scene: ti.template(), walls, bodies, look, height):
-    """The background gradient, the half planes and the colliders, hatched near their edge; the hatching turns with them. Their
+    """The background gradient, the half planes and the colliders, hatched near their edge; the hatching rotates with them. Their
     colour, and how much of the pixel walls and colliders cover."""
     top, bottom = row(look, 0), row(look, 1)
     result = top + (bottom - top) * unit(p[1] / height)

@@ -14,10 +14,13 @@ vec4 = ti.types.vector(4, ti.f32)
 View = ti.types.matrix(4, 4, ti.f32)
 
 SPHERE, ROD, TRIANGLE, PLANE = 1, 2, 3, 4  # kind of a primitive: identity = kind << 28 | index
-NEAR = 1e-3
-EXACT_FROM = 3.0  # px: a sphere at least this large is intersected exactly, a smaller one is drawn as a bulging disc
-SMALLEST = 0.55  # px: no sphere is drawn smaller, or it would flicker between samples
-OFFSETS = {1: ((0.0, 0.0),), 4: ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125))}  # rotated grid
+NEAR_PLANE = 1e-3
+EXACT_RADIUS = 3.0  # px: a sphere at least this large is intersected exactly, a smaller one is drawn as a bulging disc
+SMALLEST_RADIUS = 0.55  # px: no sphere is drawn smaller, or it would flicker between samples
+SAMPLE_OFFSETS = {
+    1: ((0.0, 0.0),),
+    4: ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)),
+}  # rotated grid
 
 
 @ti.func
@@ -36,7 +39,7 @@ def screen(view, c):
     w, scale = ti.f32(0.0), view[3, 0]
     if view[3, 3] > 0:
         w = ti.max(view[3, 3] - c[2], ti.f32(0.0))
-    elif c[2] > ti.f32(NEAR):
+    elif c[2] > ti.f32(NEAR_PLANE):
         w = ti.f32(1.0) / c[2]
         scale *= w
     return vec4(view[3, 1] + c[0] * scale, view[3, 2] - c[1] * scale, w, scale)
@@ -76,8 +79,8 @@ def draw_disc(keys: ti.template(), samples: ti.template(), q, r, bulge, identity
         for x in range(x0, x1):
             for s in ti.static(range(samples)):
                 slot = (y * width + x) * samples + s
-                dx = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0])) - q[0]
-                dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1])) - q[1]
+                dx = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0])) - q[0]
+                dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1])) - q[1]
                 h = ti.f32(1.0) - (dx * dx + dy * dy) * inverse
                 if h > 0 and top > keys[slot]:
                     put(keys, slot, q[2] + bulge * ti.sqrt(h), identity)
@@ -103,8 +106,8 @@ def draw_ball(keys: ti.template(), samples: ti.template(), view, c, r, identity,
             for s in ti.static(range(samples)):
                 slot = (y * width + x) * samples + s
                 if top > keys[slot]:
-                    dx = (ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0])) - view[3, 1]) / f
-                    dy = (view[3, 2] - ti.cast(y, ti.f32) - ti.f32(ti.static(0.5 + OFFSETS[samples][s][1]))) / f
+                    dx = (ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0])) - view[3, 1]) / f
+                    dy = (view[3, 2] - ti.cast(y, ti.f32) - ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1]))) / f
                     scale = ti.f32(1.0) / (dx * dx + dy * dy + ti.f32(1.0))
                     t = (dx * c[0] + dy * c[1] + c[2]) * scale
                     miss = c - t * vec3(dx, dy, ti.f32(1.0))  # from the nearest point of the ray: no cancellation
@@ -134,14 +137,14 @@ def draw_spheres(
             identity = (SPHERE << 28) | i
             inside = q[0] + r > -1 and q[1] + r > -1 and q[0] - r < width + 1 and q[1] - r < height + 1
             if ti.static(exact):
-                near = q[2] > 0 and c[2] - b[3] > ti.f32(NEAR)
-                if near and r >= ti.f32(EXACT_FROM):
+                near = q[2] > 0 and c[2] - b[3] > ti.f32(NEAR_PLANE)
+                if near and r >= ti.f32(EXACT_RADIUS):
                     draw_ball(keys, samples, view, c, b[3], identity, width, height)
                 elif near and inside:
-                    r = ti.max(r, ti.f32(SMALLEST))
+                    r = ti.max(r, ti.f32(SMALLEST_RADIUS))
                     draw_disc(keys, samples, q, r, b[3] * q[2] * q[2], identity, width, height)
             elif q[2] > 0 and inside:
-                draw_disc(keys, samples, q, ti.max(r, ti.f32(SMALLEST)), b[3], identity, width, height)
+                draw_disc(keys, samples, q, ti.max(r, ti.f32(SMALLEST_RADIUS)), b[3], identity, width, height)
 
 
 @ti.func
@@ -161,8 +164,8 @@ def draw_triangle(keys: ti.template(), samples: ti.template(), a, b, c, identity
         for y in range(y0, y1):
             for x in range(x0, x1):
                 for s in ti.static(range(samples)):
-                    dx = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0])) - a[0]
-                    dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1])) - a[1]
+                    dx = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0])) - a[0]
+                    dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1])) - a[1]
                     u = edge(dx, dy, cx, cy) * inverse
                     v = edge(bx, by, dx, dy) * inverse
                     if u >= 0 and v >= 0 and u + v <= 1:
@@ -196,7 +199,7 @@ def rod_ends(view, p, q):
     """Both ends on the screen, the segment clipped at the near plane; closeness 0 where all of it lies behind."""
     a, b = to_view(view, p), to_view(view, q)
     if view[3, 3] == 0:
-        near = ti.f32(4 * NEAR)
+        near = ti.f32(4 * NEAR_PLANE)
         if a[2] < near and b[2] > near:
             a += (b - a) * ((near - a[2]) / (b[2] - a[2]))
         elif b[2] < near and a[2] > near:
@@ -209,7 +212,7 @@ def draw_rod(keys: ti.template(), samples: ti.template(), a, b, r, identity, wid
     """A round rod of radius r (units) as a thick line on the screen, at least a thin line wide."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     squared = ti.max(dx * dx + dy * dy, ti.f32(1e-12))
-    widest = ti.max(r * ti.max(a[3], b[3]), ti.f32(SMALLEST))
+    widest = ti.max(r * ti.max(a[3], b[3]), ti.f32(SMALLEST_RADIUS))
     half = widest * ti.sqrt(squared) / ti.max(ti.abs(dy), ti.f32(1e-6)) + ti.f32(1.0)  # half a row's span
     slope = dx / (dy if ti.abs(dy) > ti.f32(1e-6) else ti.f32(1e-6))
     xlow, xhigh = ti.min(a[0], b[0]) - widest, ti.max(a[0], b[0]) + widest
@@ -217,11 +220,11 @@ def draw_rod(keys: ti.template(), samples: ti.template(), a, b, r, identity, wid
         middle = a[0] + (ti.cast(y, ti.f32) + ti.f32(0.5) - a[1]) * slope
         for x in range(first(ti.max(xlow, middle - half)), last(ti.min(xhigh, middle + half), width)):
             for s in ti.static(range(samples)):
-                ex = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0])) - a[0]
-                ey = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1])) - a[1]
+                ex = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0])) - a[0]
+                ey = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1])) - a[1]
                 u = ti.min(ti.max((ex * dx + ey * dy) / squared, ti.f32(0.0)), ti.f32(1.0))
                 rx, ry = ex - u * dx, ey - u * dy
-                wide = ti.max(r * (a[3] + u * (b[3] - a[3])), ti.f32(SMALLEST))
+                wide = ti.max(r * (a[3] + u * (b[3] - a[3])), ti.f32(SMALLEST_RADIUS))
                 h = ti.f32(1.0) - (rx * rx + ry * ry) / (wide * wide)
                 if h > 0:
                     w = a[2] + u * (b[2] - a[2])
@@ -254,8 +257,8 @@ def clear(
     """Every key to the nearest plane, row (a, b, c): closeness a x + b y + c where positive. Otherwise 0, nothing."""
     for pixel in range(width * height):
         for s in ti.static(range(samples)):
-            x = ti.cast(pixel % width, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][0]))
-            y = ti.cast(pixel // width, ti.f32) + ti.f32(ti.static(0.5 + OFFSETS[samples][s][1]))
+            x = ti.cast(pixel % width, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0]))
+            y = ti.cast(pixel // width, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1]))
             nearest, which = ti.f32(0.0), 0
             for k in range(plane_count):
                 w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]

@@ -8,15 +8,15 @@ from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, edge, rod_en
 
 from taichi_sim.device.engine import ti
 
-KEY = (2.35, 2.18, 1.92)  # light from the lamp
-FILL = (0.26, 0.30, 0.38)  # cool light from the other side, without shadow
-SKY = (0.50, 0.60, 0.76)  # light from above
-BOUNCE = (0.34, 0.31, 0.29)  # light from below
-SOFTNESS = 0.10  # tangent of the lamp's half angle: how fast a shadow blurs with the distance of what casts it
-WIDEST = 13.0  # texels: the largest blur
-CELL = 16  # texels of the shadow map in a coarse cell, more than WIDEST + 1
-SEARCH, FILTER = 14, 16  # taps that look for blockers, and that blur
-STRETCHED, COMPRESSED, STEEL = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
+KEY_LIGHT = (2.35, 2.18, 1.92)  # light from the lamp
+FILL_LIGHT = (0.26, 0.30, 0.38)  # cool light from the other side, without shadow
+SKY_LIGHT = (0.50, 0.60, 0.76)  # light from above
+BOUNCE_LIGHT = (0.34, 0.31, 0.29)  # light from below
+LAMP_SOFTNESS = 0.10  # tangent of the lamp's half angle: how fast a shadow blurs with the distance of what casts it
+WIDEST_BLUR = 13.0  # texels: the largest blur
+COARSE_TEXELS = 16  # texels of the shadow map in a coarse cell, more than WIDEST_BLUR + 1
+BLOCKER_TAPS, BLUR_TAPS = 14, 16  # taps that look for blockers, and that blur
+STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
 
 @ti.func
@@ -44,8 +44,8 @@ def shadow_smooth(shadow: ti.template(), size, x, y, w):
 
 
 @ti.func
-def turned(d):
-    """A direction turned by the golden angle: successive ones fill a disc evenly."""
+def rotated(d):
+    """A direction rotated by the golden angle: successive ones fill a disc evenly."""
     return vec2(
         ti.f32(-0.7373688) * d[0] - ti.f32(0.6754903) * d[1], ti.f32(0.6754903) * d[0] - ti.f32(0.7373688) * d[1]
     )
@@ -56,13 +56,13 @@ def blocker_search(shadow: ti.template(), size, q, level, per_px):
     """Share of a wide disc about q that lies nearer to the light, and the mean closeness there."""
     blockers, nearest = 0, ti.f32(0.0)
     direction = vec2(1.0, 0.0)
-    for k in range(SEARCH):
-        reach = ti.f32(WIDEST) * ti.sqrt(ti.cast(k, ti.f32) / (SEARCH - 1))
+    for k in range(BLOCKER_TAPS):
+        reach = ti.f32(WIDEST_BLUR) * ti.sqrt(ti.cast(k, ti.f32) / (BLOCKER_TAPS - 1))
         w = shadow_tap(shadow, size, q[0] + reach * direction[0], q[1] + reach * direction[1])
         if w > level + per_px * reach:
             blockers += 1
             nearest += w
-        direction = turned(direction)
+        direction = rotated(direction)
     return blockers, nearest / ti.cast(ti.max(blockers, 1), ti.f32)
 
 
@@ -71,11 +71,11 @@ def blurred(shadow: ti.template(), size, q, level, radius):
     """Share of a disc of `radius` texels about q that is not in shadow."""
     total = ti.f32(0.0)
     direction = vec2(1.0, 0.0)
-    for k in range(FILTER):
-        reach = radius * ti.sqrt((ti.cast(k, ti.f32) + ti.f32(0.5)) / FILTER)
+    for k in range(BLUR_TAPS):
+        reach = radius * ti.sqrt((ti.cast(k, ti.f32) + ti.f32(0.5)) / BLUR_TAPS)
         total += shadow_smooth(shadow, size, q[0] + reach * direction[0], q[1] + reach * direction[1], level)
-        direction = turned(direction)
-    return 1 - total / FILTER
+        direction = rotated(direction)
+    return 1 - total / BLUR_TAPS
 
 
 @ti.func
@@ -87,11 +87,11 @@ def lit(scene: ti.template(), light, p, n, slope):
     per_px = texel * ti.min(slope, ti.f32(3.0))
     result = ti.f32(1.0)
     size = scene.shadow_size
-    if coarse_tap(scene.coarse, size // CELL, q[0], q[1]) > level:
+    if coarse_tap(scene.coarse, size // COARSE_TEXELS, q[0], q[1]) > level:
         blockers, nearest = blocker_search(scene.shadow, size, q, level, per_px)
         if blockers > 0:
-            radius = ti.min(ti.max((nearest - q[2]) * ti.f32(SOFTNESS) / texel, ti.f32(1.2)), ti.f32(WIDEST))
-            if blockers < SEARCH or radius > ti.f32(WIDEST * 0.5):
+            radius = ti.min(ti.max((nearest - q[2]) * ti.f32(LAMP_SOFTNESS) / texel, ti.f32(1.2)), ti.f32(WIDEST_BLUR))
+            if blockers < BLOCKER_TAPS or radius > ti.f32(WIDEST_BLUR * 0.5):
                 result = blurred(scene.shadow, size, q, level + per_px * radius * ti.f32(0.5), radius)
             else:
                 result = ti.f32(0.0)
@@ -101,7 +101,7 @@ def lit(scene: ti.template(), light, p, n, slope):
 @ti.func
 def coarse_tap(coarse: ti.template(), cells, x, y):
     w = ti.f32(0.0)
-    i, j = ti.cast(ti.floor(x / CELL), ti.i32), ti.cast(ti.floor(y / CELL), ti.i32)
+    i, j = ti.cast(ti.floor(x / COARSE_TEXELS), ti.i32), ti.cast(ti.floor(y / COARSE_TEXELS), ti.i32)
     if i >= 0 and j >= 0 and i < cells and j < cells:
         w = coarse[j * cells + i]
     return w
@@ -111,14 +111,14 @@ def coarse_tap(coarse: ti.template(), cells, x, y):
 def coarsen(shadow: ti.template(), cell: ti.template(), coarse: ti.template(), size: ti.i32):
     """For every cell of the shadow map the largest closeness in it and its eight neighbours: above it all is lit."""
     for c in cell:
-        across = size // CELL
+        across = size // COARSE_TEXELS
         key = ti.i64(0)
-        for j in range((c // across) * CELL, (c // across + 1) * CELL):
-            for i in range((c % across) * CELL, (c % across + 1) * CELL):
+        for j in range((c // across) * COARSE_TEXELS, (c // across + 1) * COARSE_TEXELS):
+            for i in range((c % across) * COARSE_TEXELS, (c % across + 1) * COARSE_TEXELS):
                 key = ti.max(key, shadow[j * size + i])
         cell[c] = ti.bit_cast(ti.cast(key >> 32, ti.i32), ti.f32)
     for c in coarse:
-        across = size // CELL
+        across = size // COARSE_TEXELS
         w = ti.f32(0.0)
         for j in range(ti.max(c // across - 1, 0), ti.min(c // across + 2, across)):
             for i in range(ti.max(c % across - 1, 0), ti.min(c % across + 2, across)):
@@ -167,10 +167,10 @@ def ground(p, n, width, spacing):
 def spring_colour(strain):
     """Steel at rest, red stretched, blue compressed; full at a tenth."""
     t = ti.min(ti.abs(strain) * 10, ti.f32(1.0))
-    end = vec3(STRETCHED)
+    end = vec3(STRETCHED_COLOUR)
     if strain < 0:
-        end = vec3(COMPRESSED)
-    return vec3(STEEL) * (1 - t) + end * t
+        end = vec3(COMPRESSED_COLOUR)
+    return vec3(STEEL_COLOUR) * (1 - t) + end * t
 
 
 @ti.func
@@ -205,12 +205,12 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
             k = scene.corner[i]
             a, b, c = scene.ball[k[0]].xyz, scene.ball[k[1]].xyz, scene.ball[k[2]].xyz
             qa, qb, qc = screen(view, to_view(view, a)), screen(view, to_view(view, b)), screen(view, to_view(view, c))
-            turn = ti.f32(1.0)
+            winding = ti.f32(1.0)
             if edge(qb[0] - qa[0], qb[1] - qa[1], qc[0] - qa[0], qc[1] - qa[1]) < 0:
-                turn = ti.f32(-1.0)
-            wa = ti.max(turn * edge(qb[0] - px, qb[1] - py, qc[0] - px, qc[1] - py), ti.f32(0.0)) * qa[2]
-            wb = ti.max(turn * edge(qc[0] - px, qc[1] - py, qa[0] - px, qa[1] - py), ti.f32(0.0)) * qb[2]
-            wc = ti.max(turn * edge(qa[0] - px, qa[1] - py, qb[0] - px, qb[1] - py), ti.f32(0.0)) * qc[2]
+                winding = ti.f32(-1.0)
+            wa = ti.max(winding * edge(qb[0] - px, qb[1] - py, qc[0] - px, qc[1] - py), ti.f32(0.0)) * qa[2]
+            wb = ti.max(winding * edge(qc[0] - px, qc[1] - py, qa[0] - px, qa[1] - py), ti.f32(0.0)) * qb[2]
+            wc = ti.max(winding * edge(qa[0] - px, qa[1] - py, qb[0] - px, qb[1] - py), ti.f32(0.0)) * qc[2]
             flat = (b - a).cross(c - a)
             smooth = scene.normal[k[0]] * wa + scene.normal[k[1]] * wb + scene.normal[k[2]] * wc
             total = ti.max(wa + wb + wc, ti.f32(1e-30))
@@ -235,7 +235,7 @@ def illuminate(colour, gloss, n, ray, lamp, fill, light_share, openness):
     to_eye = -ray.normalized()
     cosine = ti.max(n.dot(lamp), ti.f32(0.0)) * light_share
     up = ti.f32(0.5) + ti.f32(0.5) * n[1]
-    ambient = (vec3(BOUNCE) * (1 - up) + vec3(SKY) * up) * openness
+    ambient = (vec3(BOUNCE_LIGHT) * (1 - up) + vec3(SKY_LIGHT) * up) * openness
     half = (lamp + to_eye).normalized()
     shine = ti.max(n.dot(half), ti.f32(0.0))
     shine *= shine  # power 32 by squaring
@@ -246,9 +246,9 @@ def illuminate(colour, gloss, n, ray, lamp, fill, light_share, openness):
     rim = 1 - ti.max(n.dot(to_eye), ti.f32(0.0))
     rim *= rim
     aside = ti.max(n.dot(fill), ti.f32(0.0)) * openness
-    result = colour * (vec3(KEY) * (cosine * ti.f32(0.62)) + vec3(FILL) * aside + ambient)
+    result = colour * (vec3(KEY_LIGHT) * (cosine * ti.f32(0.62)) + vec3(FILL_LIGHT) * aside + ambient)
     return (
         result
-        + vec3(KEY) * (shine * gloss * light_share * ti.f32(0.35))
-        + vec3(SKY) * (rim * rim * openness * (ti.f32(0.05) + gloss * ti.f32(0.3)))
+        + vec3(KEY_LIGHT) * (shine * gloss * light_share * ti.f32(0.35))
+        + vec3(SKY_LIGHT) * (rim * rim * openness * (ti.f32(0.05) + gloss * ti.f32(0.3)))
     )

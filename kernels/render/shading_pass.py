@@ -1,12 +1,12 @@
 """From keys to pixels: each distinct primitive of a pixel shaded once, ambient occlusion, final colours."""
 
 from taichi_sim.kernels.render.raster import PLANE, TRIANGLE, View, vec2, vec3
-from taichi_sim.kernels.render.shade import ground, illuminate, lit, sky, surface, turned
+from taichi_sim.kernels.render.shade import ground, illuminate, lit, rotated, sky, surface
 
 from taichi_sim.device.engine import ti
 
-SAME_SHEET = 0.004  # samples of a mesh whose depths differ by less share their shading
-TAPS = 12  # of the ambient occlusion
+SAME_SHEET_DEPTH = 0.004  # samples of a mesh whose depths differ by less share their shading
+OCCLUSION_TAPS = 12  # of the ambient occlusion
 
 
 @ti.func
@@ -33,7 +33,7 @@ def alike(a, b):
     result = ia == ib
     if (ia >> 28) == TRIANGLE and (ib >> 28) == TRIANGLE:
         wa = closeness(a)
-        result = result or ti.abs(wa - closeness(b)) < wa * ti.f32(SAME_SHEET)
+        result = result or ti.abs(wa - closeness(b)) < wa * ti.f32(SAME_SHEET_DEPTH)
     return result
 
 
@@ -146,10 +146,10 @@ def occlude(
             radius = ti.min(ti.max(reach * view[3, 0] * w, ti.f32(3.0)), ti.f32(90.0))
             angle = ti.cast((x % 4) * 4 + (y % 4) * 7 % 16, ti.f32) * ti.f32(0.3926991)
             direction = vec2(ti.cos(angle), ti.sin(angle))
-            for k in range(TAPS):
-                r = radius * (ti.cast(k, ti.f32) + ti.f32(0.6)) / TAPS
+            for k in range(OCCLUSION_TAPS):
+                r = radius * (ti.cast(k, ti.f32) + ti.f32(0.6)) / OCCLUSION_TAPS
                 i, j = ti.cast(px + r * direction[0], ti.i32), ti.cast(py + r * direction[1], ti.i32)
-                direction = turned(direction)
+                direction = rotated(direction)
                 if i >= 0 and j >= 0 and i < width and j < height:
                     other = keys[(j * width + i) * scene.samples]
                     if ti.cast(other, ti.i32) != 0:
@@ -158,7 +158,7 @@ def occlude(
                         d = ti.max(v.norm(), ti.f32(1e-9))
                         near = ti.max(1 - d / (2 * reach), ti.f32(0.0))
                         blocked += ti.max(v.dot(n) / d - ti.f32(0.08), ti.f32(0.0)) * near
-        scene.open_raw[pixel] = ti.max(1 - blocked * ti.f32(3.0 / TAPS), ti.f32(0.12))
+        scene.open_raw[pixel] = ti.max(1 - blocked * ti.f32(3.0 / OCCLUSION_TAPS), ti.f32(0.12))
     for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         w = closeness(keys[pixel * scene.samples])

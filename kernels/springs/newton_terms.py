@@ -1,4 +1,4 @@
-"""One Newton round of an implicit step on springs, with conjugate gradients that never form a matrix.
+"""One iteration of Newton's method for an implicit step on springs, with conjugate gradients that never form a matrix.
 
 Unknown are the velocities v at the end of a stage of s seconds, where x = p + s v and v = q + s w F(x, v). Its residual, an
 impulse, is r = m (q - v) + s F; its matrix A = M + s C + s^2 K has for each spring the block
@@ -11,33 +11,28 @@ of threads.
 """
 
 from taichi_sim.kernels.springs import padded_blocks
+from taichi_sim.kernels.springs.law import energy, tension
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
 
-# Numbers that steer the loops, in double precision.
-RESIDUAL, FORCE, SCALE, NOISE, RAISED, LEFT, MOVED, EARLIER, GAIN, RZ, TARGET, STEP, ROUNDS, TURNS, TRIES = range(15)
-PASSES, WORST, MISSES, SOLVED, LOAD, SADDLE, EXCESS, GAINED, SIZE = range(15, 24)
-
 
 @ti.func
 def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
-    """Impulse s F on ball i, and r, along, across of the block along r r^T + across I of a spring; a, b: places and velocities of
-    balls i and j in rows, which f and r are, too."""
+    """Impulse s F on ball i, and r, along, across of the block along r r^T + across I of a spring; a, b: padded places and
+    velocities of balls i and j, as f and r are."""
     r = b.x - a.x
     square = padded_blocks.dot(r, r, dim)
-    inverse = ti.rsqrt(ti.max(square, padded_blocks.NEAR))
+    inverse = ti.rsqrt(ti.max(square, padded_blocks.COINCIDENT))
     d = square * inverse
-    if square < padded_blocks.NEAR:
+    if square < padded_blocks.COINCIDENT:
         n, _ = unit(padded_blocks.cut(r, dim), i, j)
         r = padded_blocks.pad(n, dim)
         inverse = 1.0
-    k = s * spring.stiffness
-    pull = k * (d - spring.rest_length)
-    rate = s * k
-    across = ti.select(d >= spring.rest_length, rate * (1.0 - spring.rest_length * inverse), 0.0 * k)
+    pull = tension(spring, s, d, inverse, padded_blocks.dot(b.v - a.v, r, dim), damped)
+    rate = s * (s * spring.stiffness)
+    across = ti.select(d >= spring.rest_length, rate * (1.0 - spring.rest_length * inverse), 0.0 * rate)
     if ti.static(damped):
-        pull += s * spring.damping * inverse * padded_blocks.dot(b.v - a.v, r, dim)
         rate += s * spring.damping
     return inverse * pull * r, r, (rate - across) * inverse * inverse, across
 
@@ -46,8 +41,8 @@ def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
 def potential(r, u, spring, s, damped: ti.template()):
     """What a spring adds to the potential of a stage, its ends r [m] apart with the relative velocity u [m/s]."""
     d = r.norm()
-    phi = 0.5 * spring.stiffness * (d - spring.rest_length) ** 2
+    phi = energy(spring.stiffness, d - spring.rest_length)
     if ti.static(damped):
-        rate = u.dot(r) / ti.max(d, ti.sqrt(padded_blocks.NEAR))
+        rate = u.dot(r) / ti.max(d, ti.sqrt(padded_blocks.COINCIDENT))
         phi += 0.5 * s * spring.damping * rate * rate
     return phi

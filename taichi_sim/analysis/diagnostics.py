@@ -173,7 +173,7 @@ def largest_speed(v: Floats) -> float:
     return float(np.sqrt(np.max(np.sum(v * v, axis=1), initial=0.0)))
 
 
-def contacts(tally: Floats | None, passes: int, substeps: int, fastest: float, searches: int) -> Contacts:
+def contacts(tally: Floats | None, iterations: int, substeps: int, fastest: float, searches: int) -> Contacts:
     """Contacts from a tally (9,) as kernels.survey describes it, or None for no contact at all."""
     number, depths, parts, squares, deepest, part, left, unsolved, ball = np.zeros(9) if tally is None else tally
     many = max(number, 1.0)
@@ -185,7 +185,7 @@ def contacts(tally: Floats | None, passes: int, substeps: int, fastest: float, s
         mean_relative_penetration=float(parts / many),
         residual=float(left),
         rms_residual=float(np.sqrt(squares / many)),
-        passes=passes,
+        iterations=iterations,
         substeps=substeps,
         largest_speed=fastest,
         searches=searches,

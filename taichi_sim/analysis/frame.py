@@ -51,11 +51,11 @@ class Contacts(NamedTuple):
     mean_relative_penetration: float
     residual: float  # m/s: the largest normal speed with which two that touch still approach. What arrived just now counts too
     rms_residual: float  # m/s, root of the mean square over all contacts
-    passes: int  # of each solve
+    iterations: int  # of each solve
     substeps: int  # solves in a step
     largest_speed: float  # m/s, of a ball
     searches: int  # for neighbours, since the simulation was made
-    # m/s: the same of contacts that the last solve held already: what its passes left. Not known of sticks and surfaces, nor of
+    # m/s: the same of contacts that the last solve held already: what iterations left. Not known of sticks and surfaces, nor of
     # balls where nothing presses: 0
     unsolved: float = 0.0
     ball: int = -1  # one of the deepest contact as a part of its radius, -1 where nothing overlaps

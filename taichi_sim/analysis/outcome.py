@@ -7,7 +7,7 @@ import numpy as np
 from taichi_sim.analysis.methods import Method
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["DEEP", "Scales", "cure_of_depth", "of_depth", "of_energy", "of_passes", "takes_nothing"]
+__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_depth", "of_energy", "takes_nothing"]
 
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
@@ -40,26 +40,26 @@ def _grade(value: float, good: float, wrong: float) -> str:
     return "good" if value <= good else "look at it" if value <= wrong else "wrong"
 
 
-def cure_of_depth(squeezes: bool, passes: int) -> str:
+def cure_of_depth(squeezes: bool, iterations: int) -> str:
     """What to do where balls lie deep in something."""
-    steps = f"take shorter steps, or more contact_iterations than {passes}"
+    steps = f"take shorter steps, or more contact_iterations than {iterations}"
     if squeezes:
         return f"if what moves leaves them less room than they fill, stop it sooner, else {steps}"
     return steps
 
 
-def of_depth(part: float, squeezes: bool, passes: int) -> str:
+def of_depth(part: float, squeezes: bool, iterations: int) -> str:
     """Verdict on the largest overlap as a part of the smaller radius."""
     grade = _grade(part, SHALLOW, DEEP)
-    return grade if grade == "good" else f"{grade}; {cure_of_depth(squeezes, passes)}"
+    return grade if grade == "good" else f"{grade}; {cure_of_depth(squeezes, iterations)}"
 
 
-def of_passes(left: float, scales: Scales, fastest: float, passes: int) -> str:
-    """Verdict on the approach speed [m/s] that the passes leave in most frames (a hit that runs through what is held leaves more
+def of_approach(left: float, scales: Scales, fastest: float, iterations: int) -> str:
+    """Verdict on the approach speed [m/s] that iterations leave in most frames (a hit that runs through what is held leaves more
     for a moment); fastest [m/s]: of a ball in the run."""
     slow = max(scales.slow, SLOW_PART * fastest)
     grade = _grade(left, slow, MANY * slow)
-    return grade if grade == "good" else f"{grade}; {cure_of_depth(False, passes)}"
+    return grade if grade == "good" else f"{grade}; {cure_of_depth(False, iterations)}"
 
 
 def of_energy(start: float, end: float, scales: Scales) -> str:

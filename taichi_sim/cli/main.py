@@ -13,8 +13,6 @@ from taichi_sim.cli.options import pixels, positive, share, step, takes_only
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
 
-__all__ = ["main"]
-
 FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3
 
 main = typer.Typer(
@@ -29,7 +27,16 @@ main = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A TOML file, a Python file, or a demo's name.")]
+
+def _flag(name: str, what: str) -> Any:
+    return typer.Option(f"--{name}", help=what)
+
+
+def _scene(metavar: str) -> Any:
+    return typer.Argument(metavar=metavar, help="A TOML file, a Python file, or a demo's name.")
+
+
+SceneName = Annotated[str, _scene("SCENE")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
 Precisions = Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")]
 Compared = Annotated[float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")]
@@ -52,7 +59,7 @@ def _command(*shared: str, name: str | None = None) -> Callable[[Callable[..., N
 
 
 @main.callback(invoke_without_command=True)
-def _options(version: Annotated[bool, typer.Option("--version", help="Show it.")] = False) -> None:
+def _options(version: Annotated[bool, _flag("version", "Show it.")] = False) -> None:
     if version:
         typer.echo(f"taichi-sim {__version__}")
         raise typer.Exit
@@ -67,21 +74,14 @@ def run(
     out: Annotated[
         str | None, typer.Option("--out", "-o", help="x.mp4, x.webm, x.gif, x.npz, or folder/ for PNG frames.")
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the frames in a folder that is not empty.")
-    ] = False,
+    overwrite: Annotated[bool, _flag("overwrite", "Replace the frames in a folder that is not empty.")] = False,
     resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume", help="Go on with a video or a folder that was cut off, with the frames that are finished."
-        ),
+        bool, _flag("resume", "Go on with a video or a folder that was cut off, with the frames that are finished.")
     ] = False,
     codec: Annotated[
         str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")
     ] = None,
-    transparent: Annotated[
-        bool, typer.Option("--transparent", help="PNG frames without background and ground, with alpha.")
-    ] = False,
+    transparent: Annotated[bool, _flag("transparent", "PNG frames without background and ground, with alpha.")] = False,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
@@ -107,7 +107,7 @@ def run(
         elif target is not None:
             target.discard()
             if target.resumable and target.frames:
-                typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
+                typer.echo(f"{out}: {target.frames} frames are kept; --resume continues with them", err=True)
         raise
     if not quiet:
         typer.echo("\n".join([*summary.lines(), *([f"written      {target.pattern or out}"] if target else [])]))
@@ -137,24 +137,19 @@ def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
 @_command("quantity", "arch", "threads")
 def report(
     context: typer.Context,
-    scene: Annotated[
-        str | None, typer.Argument(metavar="[SCENE]", help="A TOML file, a Python file, or a demo's name.")
-    ] = None,
+    scene: Annotated[str | None, _scene("[SCENE]")] = None,
     hard_cases: Annotated[
-        bool,
-        typer.Option("--hard-cases", help="Instead: verdicts on the hard cases, for each contact rule and method."),
+        bool, _flag("hard-cases", "Instead: verdicts on the hard cases, for each contact rule and method.")
     ] = False,
     methods: Annotated[str | None, typer.Option(help="Integrators, like verlet,rk4; all of them otherwise.")] = None,
     dts: Annotated[str | None, typer.Option(help="Steps in seconds, like 1e-3,5e-4; halvings otherwise.")] = None,
     precision: Precisions = None,
     tolerance: Annotated[str, typer.Option(help="An error that you would accept, relative to the motion.")] = "1e-3",
-    resolutions: Annotated[bool, typer.Option("--resolutions", help="Find the error of the mesh, too.")] = False,
+    resolutions: Annotated[bool, _flag("resolutions", "Find the error of the mesh, too.")] = False,
     duration: Compared = None,
     limit: Limit = 4.0,
     out: Annotated[str | None, typer.Option("--out", "-o", help="Folder of the pages; NAME_report otherwise.")] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a report of something else in that folder.")
-    ] = False,
+    overwrite: Annotated[bool, _flag("overwrite", "Replace a report of something else in that folder.")] = False,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
@@ -194,7 +189,7 @@ def tune(
     precision: Precisions = None,
     duration: Compared = None,
     limit: Limit = 4.0,
-    write: Annotated[bool, typer.Option("--write", help="Write the settings into the scene file.")] = False,
+    write: Annotated[bool, _flag("write", "Write the settings into the scene file.")] = False,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:

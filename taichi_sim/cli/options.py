@@ -6,8 +6,6 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-__all__ = ["pixels", "positive", "share", "step", "takes_only"]
-
 SHARED: dict[str, Any] = {
     "size": Annotated[str | None, typer.Option(help="Size of the pictures in pixels, like 1280x720.")],
     "arch": Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal.")],

@@ -8,17 +8,15 @@ from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 
 __all__ = ["ColliderContacts"]
 
-SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders that the solve holds; impacts need none
+SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders in the solve; impacts need none
 # of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
 STEEPEST_FALL = 0.25
 
 
 @ti.data_oriented
 class ColliderContacts:
-    """`slot` (n times `count`): what was found when contacts were last looked for. `key`: the collider times `faces` plus the
-    face of it, -1 in an empty slot; `gap` [m]; `normal`; and, where colliders move, `velocity` [m/s], that of the surface.
-    `held` (n): slots in use. rounding: of a coordinate, as a part of it.
-    """
+    """What was found when contacts were last looked for, see kernels.contacts.interfaces. rounding: of a coordinate, as a part of
+    it."""
 
     def __init__(self, model: Model, fields: Fields, colliders: Colliders, rounding: float) -> None:
         self.model, self.colliders, self.rounding = model, colliders, rounding
@@ -29,13 +27,13 @@ class ColliderContacts:
         if self.moves:
             columns["velocity"] = vector
         self.slot = fields.table(columns, model.n * self.count)
-        self.held = fields.integers(model.n)
+        self.filled = fields.integers(model.n)
 
     @ti.func
     def gap(self, i, s):
         """Distance [m] from the surface of ball i to the collider in its slot s as it was found, negative inside."""
         gap = FAR_GAP + 0.0 * self.model.radius[i]
-        if self.held[i] > 0:
+        if self.filled[i] > 0:
             gap = self.slot[i * self.count + s].gap
         return gap
 
@@ -55,11 +53,11 @@ class ColliderContacts:
         return self.slot[i * self.count + s].key // self.faces
 
     @ti.func
-    def far(self, i, s):
+    def distance_from_origin(self, i, s):
         """How far [m] from the origin the collider in slot s of ball i is; 0 where the slot is empty."""
         far = 0.0 * self.model.radius[i]
-        if self.held[i] > 0 and self.slot[i * self.count + s].key >= 0:
-            far = self.colliders.far(self.collider(i, s))
+        if self.filled[i] > 0 and self.slot[i * self.count + s].key >= 0:
+            far = self.colliders.distance_from_origin(self.collider(i, s))
         return far
 
     @ti.func
@@ -72,7 +70,7 @@ class ColliderContacts:
         after = x + h * (v - n.dot(u) * n)
         d, _, _ = self.colliders.distance(slot.key // self.faces, slot.key % self.faces, after, h)
         fall = d - self.model.radius[i] - slot.gap
-        rounding = self.rounding * (ti.abs(x).max() + self.colliders.far(slot.key // self.faces))
+        rounding = self.rounding * (ti.abs(x).max() + self.colliders.distance_from_origin(slot.key // self.faces))
         fall = ti.select(ti.abs(fall) > rounding, fall, 0.0)
         most = STEEPEST_FALL * self.model.radius[i]
         return -ti.max(-most, ti.min(most, fall)) / h

@@ -20,12 +20,8 @@ KIND = {ROUND: kinds.ROUND, BOX: kinds.BOX, MESH: kinds.MESH, CUSTOM: kinds.CUST
 
 @ti.data_oriented
 class Colliders:
-    """All colliders of a scene. What no collider is or does compiles to nothing.
-
-    `pose` holds centre, the images of the local x and y axes, velocity and angular velocity `spin` for the step that begins;
-    motions are worked out on the host in float64, for up to TICKS substeps at a time: `motion`, of which `tick` is the present
-    one. custom: number and shape of each collider whose shape is the user's own. grids: of `distance_grids`.
-    """
+    """All colliders of a scene, see kernels.contacts.interfaces. Motions are worked out on the host in float64, for up to TICKS
+    substeps at a time: `motion`, of which `tick` is the present one. grids: of `distance_grids`."""
 
     def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
         scene = model.scene
@@ -87,7 +83,7 @@ class Colliders:
         self.shape = fields.table(columns, self.count, data)
 
     @ti.func
-    def far(self, k):
+    def distance_from_origin(self, k):
         """How far collider k is from the origin: the larger, the coarser are places as seen from its centre."""
         return ti.abs(self.pose[k].x).max()
 
@@ -150,7 +146,7 @@ class Colliders:
     @ti.func
     def distance(self, k, face, x, after):
         """Distance of the point x from collider k (one face of it, where it is hollow with faces), direction away from it, and
-        whether x lies in the room of a hollow one; `after` seconds into the step."""
+        whether x lies inside of a hollow one; `after` seconds into the step."""
         p = geometry.local(self, k, x, after)
         d, n, within = geometry.distance(self, k, p)
         d, n = geometry.face_distance(self, k, face, p, d, n, within)

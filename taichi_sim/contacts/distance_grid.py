@@ -26,7 +26,7 @@ class DistanceGrid(NamedTuple):
 
 
 def distance_grid(collider: Collider, reach: float) -> DistanceGrid:
-    """The grid of a mesh with room for what comes within `reach` [m]; cells grow where it would not fit into memory."""
+    """The grid of a mesh with a margin for what comes within `reach` [m]; cells grow where it would not fit into memory."""
     low, high = collider.vertices.min(axis=0), collider.vertices.max(axis=0)
     longest = float((high - low).max())
     cell = longest / collider.resolution

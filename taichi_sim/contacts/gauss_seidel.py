@@ -1,16 +1,17 @@
 """Gauss-Seidel: each contact changes the velocities that the next one sees, which needs half the iterations."""
 
-from taichi_sim.contacts.base import ContactRule
-from taichi_sim.contacts.pairs import BLOCK
+from taichi_sim.contacts.iterated_rule import IteratedRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.contacts import impact_iterations, pair_impacts, pair_solve, pair_sweeps
+from taichi_sim.kernels.contacts.pairs import LIST_BLOCK
+from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["GaussSeidel"]
 
 
 @ti.data_oriented
-class GaussSeidel(ContactRule):
+class GaussSeidel(IteratedRule):
     """Pairs in turn, in an order that does not depend on the number of threads; walls after them. Where a scene has pairs and
     walls only, what closes fast bounces first, one by one, which is exact; with sticks or triangles the energy limiter sees to it
     that crowds which bounce gain none."""
@@ -19,83 +20,70 @@ class GaussSeidel(ContactRule):
     in_turn = warm_starts = softens = impacts_in_turn = energy_limiter = True
 
     def allocate(self, fields: Fields) -> None:
-        """For impacts in turn: `mark`, `struck` of blocks, `stirred`, `rebounds` of balls, see pair_impacts; for line searches
-        of islands of balls see impact_iterations. `still`, `kicked` [m/s]: velocities when contacts were found, and what forces
-        added."""
+        """For impacts in turn see pair_impacts, for line searches of islands of balls impact_iterations."""
         n, dim = self.n, self.model.dim
-        if self.strikes:
-            self.most_blocks = n // BLOCK + 2
-            self.mark, self.struck = fields.integers(2 * self.most_blocks), fields.integers(self.most_blocks)
-            self.stirred, self.rebounds = fields.integers(n), fields.integers(n)
-        if self.accelerates:
-            self.island, self.awake = fields.integers(n), fields.integers(n)
-            self.way = fields.vectors(n, dim)
-            self.slope, self.bend, self.far = (fields.reals(n) for _ in range(3))
-        if self.loaded:
-            self.still, self.kicked = fields.vectors(n, dim), fields.vectors(n, dim)
+        if self.plan.impacts_in_turn:
+            self.block_limit = n // LIST_BLOCK + 2
+            self.block_is_active = fields.integers(2 * self.block_limit)
+            self.block_was_struck = fields.integers(self.block_limit)
+            self.disturbed, self.impacts = fields.integers(n), fields.integers(n)
+        if self.plan.line_search:
+            self.island, self.island_was_struck = fields.integers(n), fields.integers(n)
+            self.velocity_change = fields.vectors(n, dim)
+            self.slope, self.curvature, self.longest_extension = (fields.reals(n) for _ in range(3))
+        if self.plan.loaded:
+            self.velocity_when_found, self.velocity_from_forces = fields.vectors(n, dim), fields.vectors(n, dim)
 
     @ti.func
-    def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
-        """Impacts one by one, then what rests."""
-        if ti.static(self.active):
-            pair_impacts.note_kicks(self, ball)
-            if ti.static(self.bounces and impacts):
-                pair_impacts.all_rounds(self, ball, time)
-            self.begin(ball, impacts)
-            if ti.static(impacts):
-                self.iterate(ball, time, pair_solve.FIRST)
-            else:
-                self.iterate(ball, time, pair_solve.LAST)
-            self.repeat(ball, iterations - 1, pair_solve.NEXT)
-            if ti.static(self.strikes and impacts):
-                impact_iterations.settle(self, ball)
-                if ti.static(self.warm):
-                    pair_sweeps.each_block(self, ball, pair_impacts.limit_block, 0.0, None)
-            self.limit_energy(ball, iterations, impacts)
-            if ti.static(self.has_sticks and self.warm):
-                self.sticks.end_rows(ball)
+    def before_iterations(self, ball: ti.template(), time, impacts: ti.template()):
+        """Impacts one by one."""
+        pair_impacts.note_velocity_from_forces(self, ball)
+        if ti.static(self.plan.bounces and impacts):
+            pair_impacts.all_rounds(self, ball, time)
 
     @ti.func
-    def relax(self, ball: ti.template(), time):
-        """One iteration that takes back."""
-        if ti.static(self.soft):
-            self.begin_relaxing(ball)
-            self.iterate(ball, time, pair_solve.RELAX)
+    def after_iterations(self, ball: ti.template(), impacts: ti.template()):
+        """Further iterations where something was struck."""
+        if ti.static(self.plan.impacts_in_turn and impacts):
+            impact_iterations.settle(self, ball)
+            if ti.static(self.plan.warm_starts):
+                pair_sweeps.each_block(self, ball, pair_impacts.limit_block, 0.0, None)
 
     @ti.func
     def iterate(self, ball: ti.template(), time, how: ti.template()):
         """Sticks and triangles from old velocities, then pairs in turn, then walls."""
-        closes = ti.static(self.has_grid and self.warm and how.takes_back)
-        if ti.static(self.has_joints):
+        closes = ti.static(self.plan.pairs and self.plan.warm_starts and how.takes_back)
+        if ti.static(self.plan.sticks or self.plan.triangles):
             if ti.static(how.starts):
-                for part in ti.static(self.joints):
-                    part.solve_rows(ball, self, time)
+                for part in ti.static(self.sticks_and_triangles):
+                    part.solve_contacts(ball, self, time)
             for i in range(self.n):
-                p, t = self.joint_impulses(ball, i, how)
+                p, t = self.impulses_of_sticks_and_triangles(ball, i, how)
                 self.apply(i, p, t)
-        if ti.static(self.has_grid):
-            pair_sweeps.each_block(self, ball, pair_solve.block_in_turn, time, how)
-        if ti.static(self.has_walls or closes):
+        if ti.static(self.plan.pairs):
+            pair_sweeps.each_ball(self, ball, pair_solve.ball_in_turn, time, how)
+        if ti.static(self.plan.walls or closes):
             for i in range(self.n):
-                p, t = ti.Vector.zero(float, self.model.dim), pair_sweeps.zero_spin(self)
-                if ti.static(self.has_walls):
+                p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
+                if ti.static(self.plan.walls):
                     p, t = self.walls.gather(ball, self, i, time)
                 if ti.static(closes):
-                    self.put_back_pairs(ball, i)
-                if ti.static(self.has_walls):
+                    self.exclude_pairs(ball, i)
+                if ti.static(self.plan.walls):
                     self.apply(i, p, t)
 
     @ti.func
     def clear(self, i):
         """Nothing has moved fast yet."""
-        if ti.static(self.strikes):
-            self.stirred[i], self.rebounds[i], self.pairs.latest[i] = pair_impacts.CALM, 0, pair_impacts.NO_ROW
+        if ti.static(self.plan.impacts_in_turn):
+            self.disturbed[i], self.impacts[i] = pair_impacts.UNDISTURBED, 0
+            self.pairs.first_from_others[i] = pair_impacts.NO_CONTACT
 
     @ti.func
     def found(self, ball: ti.template()):
-        """Which balls arrive fast at walls, and from when on forces are told from impacts."""
-        if ti.static(self.strikes and self.among):
-            pair_impacts.alert(self)
-        if ti.static(self.loaded):
+        """Which balls arrive fast at walls, and from when on forces count as load."""
+        if ti.static(self.plan.impacts_in_turn and self.plan.walls_in_turn):
+            pair_impacts.mark_arrivals_at_walls(self)
+        if ti.static(self.plan.loaded):
             for i in range(self.n):
-                self.still[i] = ball[i].v
+                self.velocity_when_found[i] = ball[i].v

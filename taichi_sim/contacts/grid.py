@@ -7,19 +7,18 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import spatial_hash as loops
+from taichi_sim.kernels.reductions import PART
 
 __all__ = ["Grid"]
 
 
 BUCKETS_PER_BALL = 4  # with fewer, other rows share the buckets and every ball looks at twice as many candidates
 SKIN = 0.15  # of each radius
-STEP = 2.0  # of the radius from level to level, or more where that would make too many of them
+LEVEL_STEP = 2.0  # of the radius from level to level, or more where that would make too many of them
 MOST_LEVELS = 8
-LEAST_OF_LEVEL = (
-    1 << 13
-)  # buckets: the few balls of a coarse level then mostly have a bucket for each cell of their box
-WORTH = 4.0  # times fewer candidates: only then levels make up for what they cost
-PART = 1024  # balls whose box one thread measures at a time
+# buckets: the few balls of a coarse level then mostly have a bucket for each cell of their box
+FEWEST_BUCKETS_OF_LEVEL = 1 << 13
+FEWER_CANDIDATES = 4.0  # times fewer candidates: only then levels make up for what they cost
 
 
 @ti.data_oriented
@@ -29,10 +28,10 @@ class Grid:
 
     Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
     its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
-    Nothing is looked for while cells hold more than `most` pairs.
+    Nothing is looked for while cells hold more than `pair_limit` pairs. What kernels read: kernels.contacts.interfaces.Grid.
     """
 
-    def __init__(self, model: Model, fields: Fields, skin: float, gap: float, most: int) -> None:
+    def __init__(self, model: Model, fields: Fields, skin: float, gap: float, pair_limit: int) -> None:
         self.model = model
         self.n, self.dim = model.n, model.dim
         self.skin, self.enlarged = skin, 1.0 + skin + gap
@@ -40,36 +39,35 @@ class Grid:
         self.bounds = levels(model.scene.radius, model.dim)  # largest radius [m] of each level, the finest first
         self.levels = len(self.bounds)
         level = np.searchsorted(self.bounds, model.scene.radius)
-        held = np.bincount(level, minlength=self.levels)
+        balls = np.bincount(level, minlength=self.levels)
         self.widths = [2.0 * bound * self.enlarged * self.margin for bound in self.bounds]
         self.inverse_widths = [1.0 / width for width in self.widths]
-        fewest = 64 if self.levels == 1 else LEAST_OF_LEVEL
-        sizes = [max(fewest, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * n))))) for n in held.tolist()]
+        fewest = 64 if self.levels == 1 else FEWEST_BUCKETS_OF_LEVEL
+        sizes = [max(fewest, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * n))))) for n in balls.tolist()]
         self.size = sum(sizes)
         self.chunk = 64 if self.size < 4096 else 1024
         self.size = -(-self.size // self.chunk) * self.chunk
         if self.levels > 1:
-            self.bound, self.inverse_width = (
-                fields.reals(np.array(self.bounds)),
-                fields.reals(np.array(self.inverse_widths)),
-            )
+            self.bound = fields.reals(np.array(self.bounds))
+            self.inverse_width = fields.reals(np.array(self.inverse_widths))
             self.table_size = fields.integers(np.array(sizes))
             self.table_first = fields.integers(np.cumsum([0, *sizes[:-1]]))
             self.top = fields.integers(self.levels * model.dim)
         else:
             self.slabs = max(self.chunk, self.size // 4)
             self.slab, self.rank = fields.integers(self.slabs + 1), fields.integers(self.n)
-            self.extent, self.axis = fields.integers(model.dim), fields.integers(2)
+            self.extent = fields.integers(model.dim)
+            self.slab_axis, self.slab_shift = fields.integers(1), fields.integers(1)
         self.count = fields.integers(self.size)
         self.start = fields.integers(self.size + 1)
         self.partial = fields.integers(self.size // self.chunk)
         self.bucket = fields.integers(self.n)
-        self.sorted, self.order = fields.integers(self.n), fields.integers(self.n)  # by cells; as sweeps take them
+        self.sorted, self.order = fields.integers(self.n), fields.integers(self.n)
         self.origin = fields.vectors(self.n, model.dim)
-        self.stale, self.work, self.searches = fields.integers(1), fields.integers(5), fields.integers(1)
-        self.crowd, self.worst = fields.reals(1), fields.reals(1)  # pairs in crowded cells: in the last search, in any
-        self.most = fields.reals(np.array([float(most)]))
-        self.part = PART
+        self.stale, self.searches = fields.integers(1), fields.integers(1)
+        self.work = fields.table(dict.fromkeys(("balls", "buckets", "parts", "ranked", "slabs"), ti.i32), 1)
+        self.crowded_pairs, self.most_crowded_pairs = fields.reals(1), fields.reals(1)
+        self.pair_limit = fields.reals(np.array([float(pair_limit)]))
         self.parts = -(-self.n // PART)
         self.low, self.high = (fields.cells(self.levels * self.parts, model.dim) for _ in range(2))
         self.corner, self.pitch = (fields.integers(self.levels * model.dim) for _ in range(2))
@@ -95,7 +93,7 @@ class Grid:
     @ti.func
     def build(self, ball: ti.template()):
         """Sort the balls into cells where the last search no longer holds."""
-        loops.plan(self)
+        loops.decide_work(self)
         loops.build(ball, self)
 
 
@@ -105,12 +103,12 @@ def levels(radius: NDArray[np.float64], dim: int) -> list[float]:
     The number of candidates that a level's balls look at goes with the number of balls in a level and the size of its cells.
     """
     largest, smallest = float(np.max(radius)), float(np.min(radius))
-    step = max(STEP, (largest / smallest) ** (1.0 / MOST_LEVELS) * (1.0 + 1e-9))
+    step = max(LEVEL_STEP, (largest / smallest) ** (1.0 / MOST_LEVELS) * (1.0 + 1e-9))
     order = np.sort(radius)
     bounds: list[float] = []
     while len(order):
         bounds.insert(0, float(order[-1]))
         order = order[: np.searchsorted(order, bounds[0] / step)]
-    held = np.bincount(np.searchsorted(bounds, radius), minlength=len(bounds)) / len(radius)
-    load = held * (np.array(bounds) / largest) ** dim
-    return bounds if float(held @ np.cumsum(load[::-1])[::-1]) * WORTH < 1.0 else bounds[-1:]
+    balls = np.bincount(np.searchsorted(bounds, radius), minlength=len(bounds)) / len(radius)
+    load = balls * (np.array(bounds) / largest) ** dim
+    return bounds if float(balls @ np.cumsum(load[::-1])[::-1]) * FEWER_CANDIDATES < 1.0 else bounds[-1:]

@@ -16,36 +16,27 @@ UNEQUAL_MASSES = 4.0  # times: from here on iterations converge slowly
 
 @dataclass(frozen=True)
 class ContactPlan:
-    """What is built, and then compiled; a part that the scene lacks is no code at all.
+    """What is built, and then compiled; a part that the scene lacks is no code at all."""
 
-    pairs, walls, colliders, sticks, triangles: kinds of contact. skin: of a radius, see Grid. warm_starts: solves start from
-    the accumulated impulses of the step before, the load of piles. soft: pairs are damped springs, see
-    kernels.contacts.contact_law, else rigid and pushed apart. impacts_in_turn: pairs that close fast bounce one by one, before
-    what rests is solved, see kernels.contacts.pair_impacts; bounces: any of them may; walls_in_turn: so do walls of balls among
-    others. foresees: pairs that may meet within the step count. loaded: what forces add in a step is told from impacts.
-    line_search: see kernels.contacts.impact_iterations. limits_energy: see kernels.contacts.energy_limiter. iterations: of the
-    solve before the move. atomic: impulses are added by atomics. serial: one thread runs all. reasons: a line for each
-    decision."""
-
-    pairs: bool
+    pairs: bool  # of balls
     walls: bool
     colliders: bool
-    sticks: bool
-    triangles: bool
-    skin: float
-    warm_starts: bool
-    soft: bool
-    impacts_in_turn: bool
-    bounces: bool
-    walls_in_turn: bool
-    foresees: bool
-    loaded: bool
-    line_search: bool
-    limits_energy: bool
-    iterations: int
-    atomic: bool
-    serial: bool
-    reasons: tuple[str, ...]
+    sticks: bool  # that balls touch
+    triangles: bool  # that collide
+    skin: float  # of a radius, see Grid
+    warm_starts: bool  # solves start from the accumulated impulses of the step before, the load of piles
+    soft: bool  # pairs are damped springs, see kernels.contacts.contact_law, else rigid and pushed apart
+    impacts_in_turn: bool  # pairs that close fast bounce one by one first, see kernels.contacts.pair_impacts
+    bounces: bool  # any of them may
+    walls_in_turn: bool  # so do walls of crowded balls
+    foresees: bool  # pairs that may meet within the step count
+    loaded: bool  # what forces add in a step is no impact
+    line_search: bool  # see kernels.contacts.impact_iterations
+    limits_energy: bool  # see kernels.contacts.energy_limiter
+    iterations: int  # of the solve before the move
+    atomic: bool  # impulses are added by atomics
+    serial: bool  # one thread runs all
+    reasons: tuple[str, ...]  # a line for each decision
 
     @property
     def active(self) -> bool:
@@ -70,9 +61,11 @@ def plan_contacts(
     """The plan of a scene whose contacts a ContactRule solves. relaxes, custom_method: of the integrator; extra_forces: there are
     others than gravity and springs."""
     reasons: list[str] = []
+    chosen: dict[str, Any] = {}
 
     def decide(name: str, choice: Any, reason: str) -> bool:
         reasons.append(f"{name}: {'yes' if choice else 'no'} ({reason})")
+        chosen[name] = bool(choice)
         return bool(choice)
 
     on = decide("contacts", rule.name != "off" and np.any(~scene.pinned), "unless off, where some ball is not pinned")
@@ -93,8 +86,8 @@ def plan_contacts(
         "two balls that may touch; sticks and triangles look for theirs too",
     )
     walls = decide("walls", on and (scene.walls or scene.colliders), "the scene has walls or colliders")
-    colliders = decide("colliders", on and scene.colliders, "the scene has some")
-    skin = decide(
+    decide("colliders", on and scene.colliders, "the scene has some")
+    decide(
         "skin", not (joints or custom_method), "sticks, triangles and custom methods need a grid made anew in each step"
     )
     gravity = bool(np.any(scene.gravity != 0))
@@ -116,45 +109,25 @@ def plan_contacts(
     )
     restitution = any(material.restitution > 0 for material in used_materials(scene))
     bounces = decide("bounces", impacts_in_turn and restitution, "some material has restitution")
-    foresees = decide("foresees", impacts_in_turn and soft and not bounces, "what bounces has to touch first")
-    loaded = decide("loaded", bounces and (pulls or gravity), "forces may press single balls together")
+    decide("foresees", impacts_in_turn and soft and not bounces, "what bounces has to touch first")
+    decide("loaded", bounces and (pulls or gravity), "forces may press single balls together")
     mass = scene.mass[~scene.pinned]
-    line_search = decide(
+    decide(
         "line_search",
         impacts_in_turn and len(mass) > 0 and mass.max() > UNEQUAL_MASSES * mass.min(),
         f"masses differ more than {UNEQUAL_MASSES:g} times",
     )
-    walls_in_turn = decide(
-        "walls_in_turn", soft or impacts_in_turn, "balls among others are pushed into walls within a step"
-    )
+    decide("walls_in_turn", walls and (soft or impacts_in_turn), "crowded balls are pushed into walls within a step")
     driven = scene.moving_pins or any(collider.motion.moves for collider in scene.colliders)  # they may do work
     gains = joints if rule.in_turn else warm_starts  # split masses gain nothing from nothing, nor pairs in turn
-    limits_energy = decide(
+    decide(
         "limits_energy",
         rule.energy_limiter and pairs and not driven and gains and max_restitution(scene) > MOST_BOUNCE,
         "a crowd that bounces well and could gain energy, to which nothing driven gives any",
     )
-    return ContactPlan(
-        pairs=pairs,
-        walls=walls,
-        colliders=colliders,
-        sticks=sticks,
-        triangles=triangles,
-        skin=SKIN if skin else 0.0,
-        warm_starts=warm_starts,
-        soft=soft,
-        impacts_in_turn=impacts_in_turn,
-        bounces=bounces,
-        walls_in_turn=walls_in_turn,
-        foresees=foresees,
-        loaded=loaded,
-        line_search=line_search,
-        limits_energy=limits_energy,
-        iterations=iterations,
-        atomic=atomic,
-        serial=serial,
-        reasons=tuple(reasons),
-    )
+    del chosen["contacts"]
+    chosen["skin"] = SKIN if chosen["skin"] else 0.0
+    return ContactPlan(**chosen, iterations=iterations, atomic=atomic, serial=serial, reasons=tuple(reasons))
 
 
 def slowest_bounce(scene: Scene, h: float) -> float:
@@ -167,10 +140,10 @@ def may_collide(scene: Scene) -> bool:
     """Whether any two balls may touch: not both pinned, not of one body, not joined by a spring."""
     n = scene.n_balls
     total = n * (n - 1) // 2
-    held = int(scene.pinned.sum())
+    pinned = int(scene.pinned.sum())
     bodies = np.bincount(scene.body[scene.body > 0]).astype(np.int64)
     both = np.bincount(scene.body[(scene.body > 0) & scene.pinned]).astype(np.int64)  # pinned and of one body: once
-    total -= held * (held - 1) // 2 + int(np.sum(bodies * (bodies - 1) // 2) - np.sum(both * (both - 1) // 2))
+    total -= pinned * (pinned - 1) // 2 + int(np.sum(bodies * (bodies - 1) // 2) - np.sum(both * (both - 1) // 2))
     pairs = np.unique(np.sort(scene.pairs, axis=1), axis=0)
     i, j = pairs[:, 0], pairs[:, 1]
     apart = (scene.body[i] == 0) | (scene.body[i] != scene.body[j])

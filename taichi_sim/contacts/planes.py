@@ -13,8 +13,6 @@ __all__ = ["Planes"]
 
 @ti.data_oriented
 class Planes:
-    """`wall` (count): unit `normal`, `offset` [m] along it, `material`, and bits of collision groups where the scene has some."""
-
     def __init__(self, model: Model, fields: Fields) -> None:
         walls = model.scene.walls
         self.model, self.count = model, len(walls)

@@ -9,20 +9,20 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.contacts import statistics
-from taichi_sim.kernels.springs.law import PART
+from taichi_sim.kernels.reductions import PART
 
 __all__ = ["ContactStatistics"]
 
 
 @ti.data_oriented
 class ContactStatistics:
-    """Asks each kind of contact in `contacts.parts` for what ball i has of it: a function `survey(ball, i)` that returns a
-    tally, see kernels.contacts.statistics. A contact of two balls belongs to one of them."""
+    """Asks each kind of contact in `contacts.parts` for those of ball i: a function `statistics(ball, i)`, see
+    kernels.contacts.statistics. A contact of two balls belongs to one of them."""
 
     def __init__(self, fields: Fields, contacts: ContactRule) -> None:
         self.contacts, self.n = contacts, contacts.n
         self.chunks = -(-self.n // PART)
-        self.tally = fields.vectors(self.chunks, statistics.SIZE)
+        self.sums = fields.vectors(self.chunks, statistics.SIZE)
 
     @ti.kernel
     def _look(self, ball: ti.template()):
@@ -30,14 +30,14 @@ class ContactStatistics:
             total = statistics.nothing()
             for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
                 for part in ti.static(self.contacts.parts):
-                    total = statistics.join(total, part.survey(ball, i))
-            self.tally[c] = total
+                    total = statistics.join(total, part.statistics(ball, i))
+            self.sums[c] = total
 
     def look(self, ball: Any) -> NDArray[np.float64]:
-        """The tally (statistics.SIZE,) of all contacts at the present positions and velocities, which the last refresh has
+        """(statistics.SIZE,) of all contacts at the present positions and velocities, which the last refresh has
         seen."""
         self._look(ball)
-        rows = self.tally.to_numpy().astype(np.float64)
-        whole = np.concatenate([rows[:, : statistics.SUMS].sum(axis=0), rows[:, statistics.SUMS :].max(axis=0)])
-        whole[statistics.BALL] = rows[rows[:, statistics.LARGEST_PART].argmax(), statistics.BALL]
+        parts = self.sums.to_numpy().astype(np.float64)
+        whole = np.concatenate([parts[:, : statistics.SUMS].sum(axis=0), parts[:, statistics.SUMS :].max(axis=0)])
+        whole[statistics.BALL] = parts[parts[:, statistics.LARGEST_PART].argmax(), statistics.BALL]
         return whole

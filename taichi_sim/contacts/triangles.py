@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.contacts.pairs import Pairs
-from taichi_sim.contacts.walls import SLOP
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
@@ -12,46 +11,36 @@ from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.kernels.contacts import contact_law, statistics
 from taichi_sim.kernels.contacts import triangle_pairs as loops
-from taichi_sim.kernels.contacts.pair_sweeps import zero_spin
-from taichi_sim.kernels.vectors import cross, lever
+from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE
+from taichi_sim.kernels.vectors import cross, lever, zero_scalar_in_2d
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["TriangleContacts"]
 
-MINIMUM_CAPACITY, PER_BALL = 1 << 14, 16  # rows
-MOST = 1 << 28  # rows; each has four entries
-SPACING = (
-    0.5  # of the smallest height of a ball's triangles: what springs join keeps that distance, where it is thicker
-)
-LEAF = 8  # patches
-MORTON = (1 << 20) - 1  # cells along the longest side of what is put in order
-FAR_APART = 1e12  # m, the same of a ball without triangles
+MINIMUM_CAPACITY, CONTACTS_PER_BALL = 1 << 14, 16
+LARGEST_CAPACITY = 1 << 28  # contacts; each has four entries
+# of the smallest height of a ball's triangles: what springs join keeps that distance, where it is thicker
+SPACING = 0.5
+LEAVES_PER_NODE = 8
+MORTON_CELLS = (1 << 20) - 1  # cells along the longest side of what is put in order
+UNBOUNDED_SPACING = 1e12  # m, the same of a ball without triangles
 
 
 @ti.data_oriented
 class TriangleContacts:
     """Contacts of balls and triangles, and of edges, with thickness: two things touch where they are as far apart as the radii
-    there, those of a triangle's balls weighted by how near they are. See kernels.contacts.triangle_pairs, and for how
-    they are found triangle_bvh. capacity: rows known to be needed.
-
-    `row` holds a pair: its normal and distance [m], `thickness` [m], the distance at touch, or -1 for what may not be gone
-    through but does not push; target speed [m/s], and the impulse of this solve so far [N s]; `up` and `down` [m], see
-    triangle_pairs.planes. `member` and `weight` hold its four balls. `ease` [1/kg]: inverse mass of the part of a ball that each
-    contact gets, see `split`.
-
-    `walker`: all balls, the `patches` ones with a patch first, as they lie in the leaves of the tree; `patch` and `node`: its
-    boxes, how near others concern them [m], and how they move in a step [m]. `part` of its way that each ball may make, see
-    ccd_triangles.limit; `hasty`: 1 where a ball is not where its `way` told.
-    """
+    there, those of a triangle's balls weighted by how near they are. See kernels.contacts.interfaces.Triangles, for what
+    becomes of a pair kernels.contacts.triangle_pairs, and for how pairs are found triangle_bvh. capacity: contacts known to be
+    needed."""
 
     what = "surfaces that touch"
-    places = 4
-    most = MOST
+    balls_per_contact = 4
+    most = LARGEST_CAPACITY
 
     def __init__(self, model: Model, fields: Fields, pairs: Pairs, capacity: int = 0) -> None:
         scene, n = model.scene, model.n
         self.model, self.pairs, self.grid = model, pairs, pairs.grid
-        triangles, beyond, edges, bare = patches(scene)
+        triangles, beyond, edges, bare = owned_by_balls(scene)
         self.triangle_start, self.edge_start = (
             fields.integers(np.searchsorted(part[:, 0], np.arange(n + 1))) for part in (triangles, edges)
         )
@@ -61,35 +50,31 @@ class TriangleContacts:
         columns = {"one": edges[:, 0], "two": edges[:, 1], "bare": bare}
         self.edge = fields.table(dict.fromkeys(columns, ti.i32), len(edges), columns)
         self.spacing = fields.reals(spacing(scene))
-        self.turns = fields.integers(
+        self.may_spin = fields.integers(
             1 - np.isin(np.arange(n), triangles)
         )  # balls of a surface, being points of it, do not
         vector = ti.types.vector(3, fields.real)
-        self.way = fields.vectors(n, 3)  # of a step at the speeds with which pairs were found [m]
-        walkers, self.patches = walking_order(scene, edges)
-        self.leaf, self.leaves = LEAF, 1 << (max(1, -(-self.patches // LEAF)) - 1).bit_length()
-        self.bunch = 1 << (self.leaves.bit_length() - 1) // 2
-        self.walker = fields.integers(walkers)
-        box = {"low": vector, "high": vector, "near": fields.real}
-        self.patch = fields.table({**box, "way": vector}, self.patches)
-        self.node = fields.table({**box, "slow": vector, "fast": vector}, 2 * self.leaves)
-        self.part, self.ease = fields.reals(n), fields.reals(n)
-        self.work, self.fast, self.hasty = fields.integers(3), fields.integers(1), fields.integers(n)
-        self.capacity = max(capacity, MINIMUM_CAPACITY, PER_BALL * len(np.unique(triangles)))
+        self.expected_displacement = fields.vectors(n, 3)
+        leaf_balls, self.leaf_count = leaf_order(scene, edges)
+        self.leaves_per_node = LEAVES_PER_NODE
+        self.bottom_nodes = 1 << (max(1, -(-self.leaf_count // LEAVES_PER_NODE)) - 1).bit_length()
+        self.subtree_nodes = 1 << (self.bottom_nodes.bit_length() - 1) // 2
+        self.leaf_ball = fields.integers(leaf_balls)
+        box = {"low": vector, "high": vector, "reach": fields.real}
+        self.leaf = fields.table({**box, "displacement": vector}, self.leaf_count)
+        spread = {"lowest_displacement": vector, "highest_displacement": vector}
+        self.node = fields.table({**box, **spread}, 2 * self.bottom_nodes)
+        self.allowed_part, self.effective_inverse_mass = fields.reals(n), fields.reals(n)
+        self.work = fields.table(dict.fromkeys(("contacts", "balls", "bottom_nodes", "left_path"), ti.i32), 1)
+        self.left_path = fields.integers(n)
+        self.capacity = max(capacity, MINIMUM_CAPACITY, CONTACTS_PER_BALL * len(np.unique(triangles)))
         before = fields.bytes
-        real = fields.real
-        columns = {
-            "owner": ti.i32,
-            "place": ti.i32,
-            "kind": ti.i32,
-            "normal": vector,
-            "distance": real,
-            "thickness": real,
-        }
-        self.row = fields.table({**columns, **dict.fromkeys(("target", "held", "up", "down"), real)}, self.capacity)
-        self.impulse = fields.vectors(self.capacity, 3)
+        lengths = ("distance", "thickness", "target", "impulse", "upper_plane", "lower_plane")
+        columns = {**dict.fromkeys(("owner", "place", "kind"), ti.i32), "normal": vector}
+        self.contact = fields.table({**columns, **dict.fromkeys(lengths, fields.real)}, self.capacity)
+        self.applied_impulse = fields.vectors(self.capacity, 3)
         if model.has_friction:
-            self.slide = fields.vectors(self.capacity, 3)
+            self.tangential_impulse = fields.vectors(self.capacity, 3)
         self.member, self.entry = fields.integers(4 * self.capacity), fields.integers(4 * self.capacity)
         self.weight = fields.reals(4 * self.capacity)
         self.bytes_each = (fields.bytes - before) / self.capacity
@@ -107,30 +92,30 @@ class TriangleContacts:
 
     @ti.func
     def comes_after(self, entry, other):
-        """Whether an entry comes after another: by owner of the row, then by place among what the owner listed."""
-        a, b = self.row[entry // 4], self.row[other // 4]
+        """Whether an entry comes after another: by owner of its contact, then by place among what the owner listed."""
+        a, b = self.contact[entry // 4], self.contact[other // 4]
         return a.owner > b.owner or (a.owner == b.owner and a.place > b.place)
 
     @ti.func
     def shares(self, i):
         """Sum of g^2 n n^T over the contacts of ball i, and of g^2."""
-        T, count = ti.Matrix.zero(float, 3, 3), 0.0 * self.ease[i]
+        T, count = ti.Matrix.zero(float, 3, 3), 0.0 * self.effective_inverse_mass[i]
         for e in range(self.first[i], self.first[i] + self.number[i]):
-            row, g = self.row[self.entry[e] // 4], self.weight[self.entry[e]]
-            if row.thickness >= 0.0:
-                T += g * g * row.normal.outer_product(row.normal)
+            contact, g = self.contact[self.entry[e] // 4], self.weight[self.entry[e]]
+            if contact.thickness >= 0.0:
+                T += g * g * contact.normal.outer_product(contact.normal)
                 count += g * g
         return T, count
 
     @ti.func
-    def split(self, T, count, i):
+    def share_mass(self, T, count, i):
         """Note how ball i splits its mass, by all its contacts. |sum g_c p_c|^2 <= s sum |p_c|^2 for any impulses p_c along the
         normals with s the largest eigenvalue of sum g^2 n n^T, and for any at all with s = sum g^2: with W = sum w s over the
-        balls of a contact a pass adds no energy, and a lone contact has sum w g^2, which is exact."""
+        balls of a contact an iteration adds no energy, and a lone contact has sum w g^2, which is exact."""
         s = count
         if ti.static(not self.model.has_friction):
             s = contact_law.largest_eigenvalue(T)
-        self.ease[i] = s * self.model.inverse_mass[i]
+        self.effective_inverse_mass[i] = s * self.model.inverse_mass[i]
 
     @ti.func
     def inverse_mass(self, solver: ti.template(), c):
@@ -141,12 +126,12 @@ class TriangleContacts:
             if ti.static(solver.sums_plainly):
                 total += self.model.inverse_mass[i] * g * g
             elif g != 0.0:
-                total += self.ease[i]
+                total += self.effective_inverse_mass[i]
         return total
 
     @ti.func
     def relative_velocity(self, ball: ti.template(), c):
-        """sum g_i v_i of a row."""
+        """sum g_i v_i of a contact."""
         u = ti.Vector.zero(float, 3)
         for k in ti.static(range(4)):
             u += self.weight[4 * c + k] * ball[self.member[4 * c + k]].v
@@ -154,104 +139,113 @@ class TriangleContacts:
 
     @ti.func
     def law(self, c):
-        """Pair law of a row: the materials of the first balls on either side."""
-        other = self.member[4 * c + ti.select(self.row[c].kind == 0, 1, 2)]
-        return self.model.laws[self.model.surface[self.member[4 * c]] * self.model.surfaces + self.model.surface[other]]
+        """Pair law of a contact: the materials of the first balls on either side."""
+        other = self.member[4 * c + ti.select(self.contact[c].kind == BALL_TRIANGLE, 1, 2)]
+        return contact_law.pair_law(self.model, self.model.surface[self.member[4 * c]], self.model.surface[other])
 
     @ti.func
-    def begin_rows(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """Fix the target speed of every contact; nothing is held from before. What is apart may close the gap, but not go on."""
+    def begin_contacts(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
+        """Fix the target speed of every contact; nothing is accumulated. What is apart may close the gap, but not go on."""
         for c in range(ti.min(self.used[0], self.capacity)):
-            row = self.row[c]
-            if row.thickness >= 0.0:
-                u = self.relative_velocity(ball, c).dot(row.normal)
+            contact = self.contact[c]
+            if contact.thickness >= 0.0:
+                u = self.relative_velocity(ball, c).dot(contact.normal)
                 restitution = self.law(c).restitution
                 target = contact_law.target_speed(u, restitution, solver.threshold[0], impacts)
-                gap = row.distance - row.thickness
+                gap = contact.distance - contact.thickness
                 if gap > 0.0:  # what bounces does so when it touches
                     bounces = restitution > 0.0 and u < -solver.threshold[0]
                     target = ti.min(target, ti.select(bounces, u, -gap * solver.rate[0]))
-                self.row[c].target = target
-                self.row[c].held = 0.0
+                self.contact[c].target = target
+                self.contact[c].impulse = 0.0
                 if ti.static(self.model.has_friction):
-                    self.slide[c] = ti.Vector.zero(float, 3)
+                    self.tangential_impulse[c] = ti.Vector.zero(float, 3)
 
     @ti.func
-    def solve_rows(self, ball: ti.template(), solver: ti.template(), time):
+    def solve_contacts(self, ball: ti.template(), solver: ti.template(), time):
         """Further impulse of every contact from the present velocities; viscous friction acts for `time` seconds."""
         for c in range(ti.min(self.used[0], self.capacity)):
-            row = self.row[c]
-            if row.thickness >= 0.0:
-                n = row.normal
+            contact = self.contact[c]
+            if contact.thickness >= 0.0:
+                n = contact.normal
                 u = self.relative_velocity(ball, c)
                 inverse = self.inverse_mass(solver, c)
                 mass = 1.0 / inverse
-                total = contact_law.normal_impulse(u.dot(n), row.target, mass, row.held)
-                p = (total - row.held) * n
-                self.row[c].held = total
+                total = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
+                p = (total - contact.impulse) * n
+                self.contact[c].impulse = total
                 if ti.static(self.model.has_friction):
-                    law = self.law(c)
-                    slip = contact_law.viscous_share(self.model, law, total, mass, solver.threshold[0], u, time)
-                    if ti.static(solver.spins):
+                    slip, tangential_mass, before = u, mass, self.tangential_impulse[c]
+                    if ti.static(solver.model.spins):
                         i = self.member[4 * c]
-                        if row.kind == 0 and self.turns[i] == 1:
-                            u -= lever(solver.state.spin[i], n)
-                            own = self.ease[i]
+                        if contact.kind == BALL_TRIANGLE and self.may_spin[i] == 1:
+                            slip -= lever(solver.state.spin[i], n)
+                            own = self.effective_inverse_mass[i]
                             if ti.static(solver.sums_plainly):
                                 own = self.model.inverse_mass[i]
-                            mass = 1.0 / (inverse + self.model.spin_response(i) * own)
-                    change, slide = contact_law.sliding_impulse(
-                        self.model, u, n, mass, self.slide[c], law.friction * total, slip
+                            tangential_mass = 1.0 / (inverse + self.model.spin_response(i) * own)
+                    change, tangential = contact_law.friction_impulse(
+                        self.model,
+                        self.law(c),
+                        n,
+                        u,
+                        slip,
+                        mass,
+                        tangential_mass,
+                        before,
+                        total,
+                        solver.threshold[0],
+                        time,
                     )
-                    self.slide[c] = slide
+                    self.tangential_impulse[c] = tangential
                     p += change
-                self.impulse[c] = p
+                self.applied_impulse[c] = p
 
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i):
-        """Impulse and twist on ball i from all contacts it takes part in. Only a ball that is in no surface takes a twist."""
-        p, t = ti.Vector.zero(float, 3), zero_spin(solver)
+        """Impulse and angular impulse on ball i from all its contacts. Only a ball that is in no surface spins."""
+        p, t = ti.Vector.zero(float, 3), zero_scalar_in_2d(self.model.dim)
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c = self.entry[e] // 4
-            if self.row[c].thickness >= 0.0:
-                p += self.weight[self.entry[e]] * self.impulse[c]
-                if ti.static(solver.spins):
-                    if self.row[c].kind == 0 and self.turns[i] == 1:
-                        t -= cross(self.row[c].normal, self.impulse[c])
+            if self.contact[c].thickness >= 0.0:
+                p += self.weight[self.entry[e]] * self.applied_impulse[c]
+                if ti.static(solver.model.spins):
+                    if self.contact[c].kind == BALL_TRIANGLE and self.may_spin[i] == 1:
+                        t -= cross(self.contact[c].normal, self.applied_impulse[c])
         return p, t
 
     @ti.func
-    def offset(self, ball: ti.template(), solver: ti.template(), i, h):
+    def correct_positions(self, ball: ti.template(), solver: ti.template(), i, h):
         """Push-out of ball i [m] by all contacts it takes part in."""
         q = ti.Vector.zero(float, 3)
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c = self.entry[e] // 4
-            row = self.row[c]
-            depth = row.thickness * (1.0 - SLOP) - row.distance
+            contact = self.contact[c]
+            depth = contact.thickness * (1.0 - contact_law.CORRECTION_SLOP) - contact.distance
             if depth > 0.0:
-                depth -= h * ti.max(0.0, row.normal.dot(self.relative_velocity(ball, c)))
+                depth -= h * ti.max(0.0, contact.normal.dot(self.relative_velocity(ball, c)))
                 longest = 0.0 * depth  # lever: no ball is moved by more than the depth
                 for k in ti.static(range(4)):
                     w = self.model.inverse_mass[self.member[4 * c + k]]
                     longest = ti.max(longest, w * ti.abs(self.weight[4 * c + k]))
                 share = ti.max(0.0, depth) / ti.max(self.inverse_mass(solver, c), longest)
-                q += solver.push_out * self.weight[self.entry[e]] * share * row.normal
+                q += contact_law.PUSH_OUT * self.weight[self.entry[e]] * share * contact.normal
         return q * self.model.inverse_mass[i]
 
     @ti.func
-    def survey(self, ball: ti.template(), i):
-        """Tally of the contacts that touch and whose first ball is ball i."""
+    def statistics(self, ball: ti.template(), i):
+        """Statistics of the contacts that touch and whose first ball is ball i."""
         total = statistics.nothing()
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c = self.entry[e] // 4
-            depth = self.row[c].thickness - self.row[c].distance
+            depth = self.contact[c].thickness - self.contact[c].distance
             if self.entry[e] % 4 == 0 and depth > 0.0:
-                u = self.relative_velocity(ball, c).dot(self.row[c].normal)
+                u = self.relative_velocity(ball, c).dot(self.contact[c].normal)
                 total = statistics.join(total, statistics.one(depth, self.model.radius[i], u, False, i))
         return total
 
 
-def patches(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def owned_by_balls(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """The triangles that collide (t, 3), each from its lowest ball on, sorted; what lies beyond the edges across from their
     corners (t, 3): the ball of the next triangle, or BORDER, or NOT_OWNED; all edges (e, 2) of triangles, and sticks, sorted; and
     which of them are bare sticks (e,)."""
@@ -278,16 +272,16 @@ def patches(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     return t, beyond.reshape(3, -1).T, edges[order], bare[order]
 
 
-def walking_order(scene: Scene, edges: NDArray) -> tuple[NDArray[np.int64], int]:
+def leaf_order(scene: Scene, edges: NDArray) -> tuple[NDArray[np.int64], int]:
     """All balls (n,), those that own edges (e, 2) first, and how many these are: surface by surface, on each along a curve that
     stays near what it has passed (Morton order), so that those in a row share small boxes for as long as it holds together."""
     n = scene.n_balls
     owners = np.unique(edges[:, 0])
     x = scene.position[owners]
     low, size = x.min(axis=0), float(np.ptp(x, axis=0).max())
-    cell = ((x - low) * (MORTON / size if size > 0 else 0.0)).astype(np.int64)
+    cell = ((x - low) * (MORTON_CELLS / size if size > 0 else 0.0)).astype(np.int64)
     code = np.zeros(len(owners), dtype=np.int64)
-    for bit in range(MORTON.bit_length()):
+    for bit in range(MORTON_CELLS.bit_length()):
         for a in range(3):
             code |= (cell[:, a] >> bit & 1) << (3 * bit + a)
     order = np.lexsort([code, components(n, edges)[owners]])
@@ -303,6 +297,6 @@ def spacing(scene: Scene) -> NDArray[np.float64]:
     )
     double = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     height = np.divide(double, longest, out=np.zeros_like(double), where=longest > 0)
-    out = np.full(scene.n_balls, FAR_APART)
+    out = np.full(scene.n_balls, UNBOUNDED_SPACING)
     np.minimum.at(out, t.ravel(), np.repeat(SPACING * height, 3))
     return out

@@ -16,7 +16,7 @@ __all__ = ["ARCHES", "PRECISIONS", "Backend", "running", "start"]
 
 ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
-CACHE = 1 << 30  # bytes of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
+CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
 
 
 class Backend(NamedTuple):
@@ -83,7 +83,7 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
             default_fp=real,
             cpu_max_num_threads=threads,
             offline_cache=True,
-            offline_cache_max_size_of_files=CACHE,
+            offline_cache_max_size_of_files=CACHE_BYTES,
             log_level=ti.ERROR,
             fast_math=False,
             advanced_optimization=False,  # Taichi's own passes: LLVM repeats them; compiling takes a third, running the same

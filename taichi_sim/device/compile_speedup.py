@@ -15,12 +15,12 @@ from taichi_sim.device.engine import ti
 
 __all__ = ["quicken"]
 
-VERSION = (1, 7, 4)
+KNOWN_VERSION = (1, 7, 4)
 
 
 def quicken() -> None:
     """Replace the slow parts; a second call does nothing."""
-    if ti.__version__ != VERSION:
+    if ti.__version__ != KNOWN_VERSION:
         return
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 from taichi_sim.common.errors import SceneError
 from taichi_sim.device.engine import ti
 
-__all__ = ["Fields"]
+__all__ = ["NUMPY_TYPES", "Fields", "fill"]
+
+NUMPY_TYPES = {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}
+
+
+def fill(field: Any, values: NDArray) -> None:
+    """Copy values of its shape into a field, in its own type."""
+    field.from_numpy(values.astype(NUMPY_TYPES[field.dtype]))
 
 
 class Fields:
@@ -95,6 +102,10 @@ class Fields:
         n = data if isinstance(data, int) else len(data)
         array = None if isinstance(data, int) or n == 0 else np.ascontiguousarray(data, dtype=np.int32)
         return self._place(ti.field(ti.i32), max(1, n), array, 4)
+
+    def keys(self, n: int) -> Any:
+        """n zeros of 64-bit integers."""
+        return self._place(ti.field(ti.i64), max(1, n), None, 8)
 
     def cells(self, n: int, dim: int) -> Any:
         """n zero vectors of 32-bit integers."""

@@ -8,9 +8,9 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.geometry.graph import incidence
 from taichi_sim.scene.scene import Scene, used_materials
 
-__all__ = ["TURNING", "Model", "phase_type"]
+__all__ = ["SPIN_INERTIA_RATIOS", "Model", "phase_type"]
 
-TURNING = {2: 2.0, 3: 2.5}  # m r^2 / I of a disc, of a solid sphere
+SPIN_INERTIA_RATIOS = {2: 2.0, 3: 2.5}  # m r^2 / I of a disc, of a solid sphere
 
 
 @ti.data_oriented
@@ -20,7 +20,7 @@ class Model:
     Attributes that kernels read: `n`, `dim`; `inverse_mass` (n) [1/kg], 0 when pinned; `gravity` (1) [m/s^2]. For contacts,
     made on demand: `radius` (n) [m], `surface` (n) material index, `laws` (materials^2) restitution, friction, viscous friction
     for each pair of materials; `group`, `mask` (n) bits of collision groups, where the scene has some. `spins`: whether any
-    ball turns; `turning`: m r^2 / I of those that do.
+    ball spins; `spin_inertia_ratio`: m r^2 / I of those that do.
     """
 
     def __init__(self, scene: Scene, fields: Fields) -> None:
@@ -34,7 +34,7 @@ class Model:
         self.gravity = fields.reals(scene.gravity[None])
         self.surfaces = len(scene.materials)
         self.spins = self.some_spin = False
-        self.spin_inertia_ratio = TURNING[self.dim]
+        self.spin_inertia_ratio = SPIN_INERTIA_RATIOS[self.dim]
 
     def add_contact_fields(self) -> None:
         """Radii, materials and the table of pair laws: what every contact part reads."""
@@ -62,20 +62,20 @@ class Model:
             },
         )
 
-    def set_spinning(self, turns: NDArray[np.bool_]) -> None:
-        """Balls for which turns (n) is true turn under friction, the others not at all."""
-        self.spins, self.spinning = bool(turns.any()), turns
-        self.some_spin = self.spins and not bool(np.all(turns | self.scene.pinned))
+    def set_spinning(self, spinning: NDArray[np.bool_]) -> None:
+        """Balls for which `spinning` (n) is true spin under friction, the others not at all."""
+        self.spins, self.spinning = bool(spinning.any()), spinning
+        self.some_spin = self.spins and not bool(np.all(spinning | self.scene.pinned))
         if self.some_spin:
-            self.spin_ratios = self.fields.reals(np.where(turns, self.spin_inertia_ratio, 0.0))
+            self.spin_ratios = self.fields.reals(np.where(spinning, self.spin_inertia_ratio, 0.0))
 
     @ti.func
     def spin_response(self, i):
-        """m r^2 / I of ball i: turn per velocity that a sideways impulse gives; 0 where it does not turn."""
-        turning = ti.cast(self.spin_inertia_ratio, float)
+        """m r^2 / I of ball i: spin per velocity that a sideways impulse gives; 0 where it does not spin."""
         if ti.static(self.some_spin):
-            turning = self.spin_ratios[i]
-        return turning
+            return self.spin_ratios[i]
+        else:
+            return ti.cast(self.spin_inertia_ratio, float)
 
     @ti.func
     def sideways(self, i):

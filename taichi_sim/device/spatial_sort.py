@@ -7,17 +7,23 @@ from taichi_sim.scene.scene import Scene
 
 __all__ = ["in_order", "spatial_order"]
 
-FROM = 20_000  # balls; smaller scenes lie in the caches in any order
+FEWEST_SORTED = 20_000  # balls; smaller scenes lie in the caches in any order
 
 
 def spatial_order(scene: Scene) -> NDArray[np.int64] | None:
     """The scene's balls (n,) sorted by rows of cells along x, or None to store them as they come.
 
-    A contact pass over a million balls in random order takes three times as long as in this one. Springs are summed in the
+    A contact iteration over a million balls in random order takes three times as long as in this one. Springs are summed in the
     order of their balls, which a mesh or a lattice has good already: scenes with springs, or with anything else that names
     balls, are left alone.
     """
-    if scene.n_balls < FROM or scene.n_springs or scene.has_elements() or scene.moving_pins or scene.solid.any():
+    if (
+        scene.n_balls < FEWEST_SORTED
+        or scene.n_springs
+        or scene.has_elements()
+        or scene.moving_pins
+        or scene.solid.any()
+    ):
         return None
     width = 2.0 * float(np.median(scene.radius))
     cells = np.floor(scene.position / width)

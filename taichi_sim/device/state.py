@@ -5,19 +5,19 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model, phase_type
 
-__all__ = ["FAR", "State"]
+__all__ = ["WORLD_RADIUS", "State"]
 
-FAR = 1e12  # m; a ball beyond this has left the world
+WORLD_RADIUS = 1e12  # m; a ball beyond this has left the world
 
 
 @ti.data_oriented
 class State:
-    """`ball` (n) struct with x [m] and v [m/s]; `kept`: the last state known to be good.
+    """`ball` (n) struct with x [m] and v [m/s], of which the last state known to be good is kept.
     `compensated` keeps what single precision rounds off of x and v in `low` and gives it back with the next change
-    (Kahan's sum). `turn` (n), where balls spin: radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
+    (Kahan's sum). `spin` (n), where balls spin: radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
 
     order: number in the user's scene of each ball stored here, or None where they are the same. What goes in and out below
     is in the user's order."""
@@ -28,16 +28,19 @@ class State:
         self.n, self.dim = model.n, model.dim
         phase = phase_type(model.dim, fields.real)
         self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
-        self.kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
+        kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
+        self._kept = [(self.ball, kept)]
         self.compensated = compensated
         self.followers: list[Any] = []  # parts that keep and restore with the state
         self.serial = False  # whether copies go on one thread, for which a launch that wakes none is ten times shorter
         if compensated:
-            self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
+            self.low = fields.table(phase, self.n)
+            self._kept.append((self.low, fields.table(phase, self.n)))
         self.spins = model.spins
-        self.still = ~model.spinning if model.some_spin else None  # balls that never turn
+        self.still = ~model.spinning if model.some_spin else None  # balls that never spin
         if self.spins:
-            self.spin, self.kept_spin = fields.spins(self.n, model.dim), fields.spins(self.n, model.dim)
+            self.spin = fields.spins(self.n, model.dim)
+            self._kept.append((self.spin, fields.spins(self.n, model.dim)))
 
     @ti.func
     def shift(self, i, dx):
@@ -73,21 +76,15 @@ class State:
 
     def keep(self) -> None:
         """Remember the present state as good."""
-        self._copy(self.kept, self.ball)
-        if self.spins:
-            self._copy(self.kept_spin, self.spin)
-        if self.compensated:
-            self._copy(self.kept_low, self.low)
+        for present, kept in self._kept:
+            self._copy(kept, present)
         for part in self.followers:
             part.keep()
 
     def restore(self) -> None:
         """Return to the state last kept."""
-        self._copy(self.ball, self.kept)
-        if self.spins:
-            self._copy(self.spin, self.kept_spin)
-        if self.compensated:
-            self._copy(self.low, self.kept_low)
+        for present, kept in self._kept:
+            self._copy(present, kept)
         for part in self.followers:
             part.restore()
 
@@ -97,14 +94,14 @@ class State:
         if self.compensated:
             self._copy_in(self.low, *(low or (np.zeros_like(x), np.zeros_like(v))))
 
-    def write_spin(self, turn: np.ndarray) -> None:
-        """Replace the speeds (n, 1 or 3) [m/s] with which surfaces turn; 0 where balls do not."""
+    def write_spin(self, spin: np.ndarray) -> None:
+        """Replace radius times angular velocity (n, 1 or 3) [m/s]; 0 where balls do not spin."""
         if self.spins:
-            stored = turn if self.order is None else turn[self.order]
+            stored = spin if self.order is None else spin[self.order]
             if self.still is not None:
                 stored = np.where(self.still[:, None], 0.0, stored)
             shaped = stored[:, 0] if self.dim == 2 else stored
-            self.spin.from_numpy(shaped.astype(np.float64 if self.spin.dtype == ti.f64 else np.float32))
+            fill(self.spin, shaped)
 
     def _copy_in(self, table: Any, x: np.ndarray, v: np.ndarray) -> None:
         self.set_values(table.x, x)
@@ -112,8 +109,7 @@ class State:
 
     def set_values(self, field: Any, values: np.ndarray) -> None:
         """Fill a field (n) from (n, dim) in the user's order."""
-        stored = values if self.order is None else values[self.order]
-        field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
+        fill(field, values if self.order is None else values[self.order])
 
     def values(self, field: Any) -> np.ndarray:
         """A field (n) as (n, dim) in the user's order, a copy."""

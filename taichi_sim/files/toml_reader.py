@@ -5,9 +5,10 @@ wheel, pile, truss, net, balloon, tower), springs, attachments, cells, bending, 
 triangles, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
 """
 
+import inspect
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from taichi_sim.files.toml_lines import line_of
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes.base import Shape
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -35,8 +37,11 @@ if TYPE_CHECKING:
 __all__ = ["Reader", "load_scene"]
 
 
-def load_scene(path: str | os.PathLike[str]) -> Scene:
+def load_scene(path: str | os.PathLike[str], *, tables: Mapping[str, Callable[..., Any]] | None = None) -> Scene:
     """Read a scene file. `scene.settings` then holds its [simulation] table, `scene.output` its [output] table.
+
+    tables: user-defined ones, name to a function that is called with the scene and the keys of each `[[name]]`, after balls and
+    shapes are there. A `ts.shapes.Shape` that it returns gets the key `name`, if there is one, as other shapes do.
 
     Raises SceneError with one message that names the file, the line, the key's path (`springs[3].pairs[12]`), the
     value and what is allowed; FileNotFoundError when there is no such file.
@@ -51,14 +56,16 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         raise SceneError((), says=f"is not a text in UTF-8: {error.reason} at byte {error.start}", file=file) from None
     except tomllib.TOMLDecodeError as error:
         raise SceneError((), says=f"is not valid TOML: {error}", file=file) from None
-    return Reader(file, text, document).scene()
+    return Reader(file, text, document, tables).scene()
 
 
 class Reader:
     """Builds a Scene from one parsed document; every error leaves it with the file, the line and the key's path."""
 
-    def __init__(self, file: Path, text: str, document: dict[str, Any]) -> None:
-        self.file, self.text, self.document = file, text, document
+    def __init__(
+        self, file: Path, text: str, document: dict[str, Any], tables: Mapping[str, Callable[..., Any]] | None = None
+    ) -> None:
+        self.file, self.text, self.document, self.tables = file, text, document, tables or {}
         self.groups: dict[str, NDArray[np.int32]] = {}
 
     def scene(self) -> Scene:
@@ -80,6 +87,7 @@ class Reader:
                     if "mesh" in arguments and isinstance(arguments["mesh"], str):
                         arguments["mesh"] = self.file.parent / arguments["mesh"]
                     self._name(group, add(scene, **arguments).balls)
+        self._user_defined(scene)
         self._lists(scene, model, "springs", "pairs", 2, scene.add_springs, "stiffness")
         self._elements(scene, model)
         self._walls(scene, model.walls)
@@ -130,6 +138,23 @@ class Reader:
                 arguments = self._with_file((name, index), table, (key, *needed))
                 arguments[key] = self._members(scene, f"{name}.{key}", arguments, width)
                 add(**arguments)
+
+    def _user_defined(self, scene: Scene) -> None:
+        for name, function in self.tables.items():
+            given = self.document.get(name, [])
+            for index, table in enumerate(given if isinstance(given, list) else [given]):
+                with self._at(name, index):
+                    keys = dict(table) if isinstance(table, dict) else {name: table}
+                    group = keys.pop("name", None)
+                    try:
+                        inspect.signature(function).bind(scene, **keys)
+                    except TypeError as error:
+                        raise SceneError((name, index), says=str(error)) from None
+                    made = function(scene, **keys)
+                    if isinstance(made, Shape):
+                        self._name(group, made.balls)
+                    elif group is not None:
+                        raise SceneError("table.name", says="is not allowed; what this table adds is no shape")
 
     def _elements(self, scene: Scene, model: Any) -> None:
         for index, table in enumerate(model.attachments):
@@ -247,7 +272,9 @@ class Reader:
         from taichi_sim.files.toml_schema import Document, keys_at, what_is_allowed
 
         try:
-            return Document.model_validate(_frozen(self.document))
+            return Document.model_validate(
+                _frozen({name: table for name, table in self.document.items() if name not in self.tables})
+            )
         except ValidationError as error:
             problems: list[Any] = error.errors(include_url=False)
         unknown = next((p["loc"] for p in problems if p["type"] == "extra_forbidden"), None)

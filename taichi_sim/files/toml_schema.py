@@ -23,6 +23,7 @@ from pydantic.errors import PydanticSchemaGenerationError
 from pydantic_core import PydanticCustomError
 
 from taichi_sim import shapes
+from taichi_sim.analysis.methods import BUILT_IN_METHODS, VERLET
 from taichi_sim.scene import colliders
 from taichi_sim.scene.scene import Scene
 
@@ -60,9 +61,7 @@ class Simulation(Strict):
 
     dt: Seconds | Literal["auto"] = "auto"
     tolerance: Annotated[FiniteFloat, Gt(0), Lt(1)] | None = None
-    integrator: Literal["explicit_euler", "symplectic_euler", "verlet", "rk4", "xpbd", "implicit_euler", "tr_bdf2"] = (
-        "verlet"
-    )
+    integrator: Literal[tuple(BUILT_IN_METHODS)] = VERLET.name  # type: ignore[valid-type]
     precision: Literal["f32", "f64"] = "f32"
     arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = "auto"
     contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = "auto"

@@ -14,16 +14,14 @@ __all__ = ["Bending"]
 class Bending(Corners):
     """Forces -w_i (k b + c n n . db/dt), b = sum_j w_j x_j, n = b / |b|; weights sum to 0, so that places count from ball i.
 
-    Damped is the size of b, not its direction, which turns with the body: a sheet that is folded turns freely. The torque of an
-    element is b x n, which is 0. Where b is 0 nothing turns, and all of db/dt is damped.
-    """
+    Damped is the size of b, not its direction, which rotates with the body: a sheet that is folded rotates freely. The torque of
+    an element is b x n, which is 0. Where b is 0 nothing rotates, and all of db/dt is damped."""
 
     name = "bending"
     elastic = True
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        self.n, self.dim = model.n, model.dim
         bends, weights = scene.bends, scene.bend_weights
         self.damped = bool(np.any(scene.bend_damping > 0))
         rest = [[j for j in range(4) if j != k] for k in range(4)]
@@ -44,32 +42,21 @@ class Bending(Corners):
         return row.wa * (ball[row.a].x - x) + row.wb * (ball[row.b].x - x) + row.wc * (ball[row.c].x - x)
 
     @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        """Each ball gathers from its elements."""
-        for i in range(self.n):
-            f = ti.Vector.zero(float, self.dim)
-            for e in range(self.start[i], self.start[i + 1]):
-                row = self.row[e]
-                pull = row.stiffness * self._curve(ball, i, row)
-                if ti.static(self.damped):
-                    v = ball[i].v
-                    change = row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
-                    bent = self._curve(ball, i, row)
-                    square = bent.dot(bent)
-                    if square > 0.0:
-                        change = bent.dot(change) / square * bent
-                    pull += row.damping * change
-                if self.holds(e):
-                    f -= row.own * pull
-            impulse[i] = impulse[i] + h * f
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """By the curvature, and by the rate of its size."""
+        bent = self._curve(ball, i, row)
+        pull = row.stiffness * bent
+        if ti.static(self.damped):
+            v = ball[i].v
+            change = row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
+            square = bent.dot(bent)
+            if square > 0.0:
+                change = bent.dot(change) / square * bent
+            pull += row.damping * change
+        return -row.own * pull
 
     @ti.func
-    def stored(self, ball: ti.template(), i, real: ti.template()):
-        """Ball i's share of the energy [J]: a quarter of each element."""
-        energy = ti.cast(0.0, real)
-        for e in range(self.start[i], self.start[i + 1]):
-            row = self.row[e]
-            curve = self._curve(ball, i, row)
-            if self.holds(e):
-                energy += 0.125 * ti.cast(row.stiffness, real) * ti.cast(curve.dot(curve), real)
-        return energy
+    def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
+        """A quarter of the element's."""
+        bent = self._curve(ball, i, row)
+        return 0.125 * ti.cast(row.stiffness, real) * ti.cast(bent.dot(bent), real)

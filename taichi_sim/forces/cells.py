@@ -10,7 +10,7 @@ from taichi_sim.forces.incidence import Corners
 __all__ = ["Cells"]
 
 # for each corner, the others in the order in which they, after it, make the same volume
-TURNED = {2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
+OTHER_CORNERS = {2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
 
 
 @ti.data_oriented
@@ -26,15 +26,14 @@ class Cells(Corners):
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        self.n, self.dim = model.n, model.dim
         self.share = 1.0 / (model.dim + 1)  # of a cell's energy that each corner counts
-        cells, turned = scene.cells, TURNED[model.dim]
-        others = np.concatenate([cells[:, list(rest)] for rest in turned])
+        cells, others_of = scene.cells, OTHER_CORNERS[model.dim]
+        others = np.concatenate([cells[:, list(rest)] for rest in others_of])
         real = fields.real
         columns = {"pressure": real, "inverse": real}
         data = {
-            "pressure": np.tile(scene.bulk_modulus, len(turned)),
-            "inverse": np.tile(1.0 / scene.rest_volume, len(turned)),
+            "pressure": np.tile(scene.bulk_modulus, len(others_of)),
+            "inverse": np.tile(1.0 / scene.rest_volume, len(others_of)),
         }
         own = cells.T.ravel()
         self.shared = bool(np.any(scene.cells_together >= 0))
@@ -44,7 +43,7 @@ class Cells(Corners):
             _, one = np.unique(np.where(alone, np.arange(number), number + scene.cells_together), return_inverse=True)
             one = one.ravel()
             columns["group"] = ti.i32
-            data["group"] = np.tile(one, len(turned))
+            data["group"] = np.tile(one, len(others_of))
             at = np.empty(len(own), dtype=np.int64)
             at[np.argsort(own, kind="stable")] = np.arange(len(own))
             self.groups = int(one.max()) + 1
@@ -76,7 +75,7 @@ class Cells(Corners):
         for k in range(self.first[g], self.first[g + 1]):
             member = self.member[k]
             row = self.row[member.row]
-            if self.holds(member.row):
+            if self.is_whole(member.row):
                 own, _ = self._volume(ball, member.ball, row)
                 volume += own
                 rest += 1.0 / row.inverse
@@ -88,35 +87,28 @@ class Cells(Corners):
         return strain, strength
 
     @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        """Each ball gathers from its cells."""
+    def prepare(self, ball: ti.template()):
+        """Pressures of groups."""
         if ti.static(self.shared):
             for g in range(self.groups):
                 strain, modulus = self._together(ball, g)
                 self.pressure[g] = modulus * strain
-        for i in range(self.n):
-            f = ti.Vector.zero(float, self.dim)
-            for e in range(self.start[i], self.start[i + 1]):
-                row = self.row[e]
-                volume, g = self._volume(ball, i, row)
-                pressure = row.pressure * (volume * row.inverse - 1.0)
-                if ti.static(self.shared):
-                    pressure = self.pressure[row.group]
-                if self.holds(e):
-                    f -= pressure * g
-            impulse[i] = impulse[i] + h * f
 
     @ti.func
-    def stored(self, ball: ti.template(), i, real: ti.template()):
-        """Ball i's share of the energy [J]."""
-        energy = ti.cast(0.0, real)
-        for e in range(self.start[i], self.start[i + 1]):
-            row = self.row[e]
-            volume, _ = self._volume(ball, i, row)
-            strain, modulus = volume * row.inverse - 1.0, row.pressure
-            if ti.static(self.shared):
-                strain, modulus = self._together(ball, row.group)
-            part = ti.cast(strain, real)
-            if self.holds(e):
-                energy += self.share * 0.5 * ti.cast(modulus / row.inverse, real) * part * part
-        return energy
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """By the pressure of the cell or of its group."""
+        volume, g = self._volume(ball, i, row)
+        pressure = row.pressure * (volume * row.inverse - 1.0)
+        if ti.static(self.shared):
+            pressure = self.pressure[row.group]
+        return -pressure * g
+
+    @ti.func
+    def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
+        """The same part of the cell's for each corner."""
+        volume, _ = self._volume(ball, i, row)
+        strain, modulus = volume * row.inverse - 1.0, row.pressure
+        if ti.static(self.shared):
+            strain, modulus = self._together(ball, row.group)
+        part = ti.cast(strain, real)
+        return self.share * 0.5 * ti.cast(modulus / row.inverse, real) * part * part

@@ -1,7 +1,7 @@
-"""Element: forces between a few balls each, of a user's own.
+"""Element: user-defined forces between a few balls each.
 
     @ti.data_oriented
-    class Rod(Element):
+    class Rod(ts.Element):
         def __init__(self, balls, stiffness):
             self.balls = balls  # (e, 3)
             self.columns = {"stiffness": stiffness}  # N/m
@@ -11,7 +11,7 @@
             bend = ball[row.a].x - 2.0 * ball[row.b].x + ball[row.c].x
             return -row.stiffness * ti.select(row.corner == 1, -2.0, 1.0) * bend
 
-    Simulation(scene, forces=[Rod([[0, 1, 2]], 100.0)])
+    ts.Simulation(scene, forces=[Rod([[0, 1, 2]], 100.0)])
 
 docs/extending.md adds its energy and its stability.
 """
@@ -28,7 +28,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
-from taichi_sim.forces.incidence import NAMES, Corners
+from taichi_sim.forces.incidence import CORNER_NAMES, Corners
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["Element"]
@@ -55,9 +55,9 @@ class Element(Corners):
         """`balls`, checked."""
         where = f"{type(self).__name__}.balls"
         balls = np.asarray(self.balls)
-        if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(NAMES):
+        if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(CORNER_NAMES):
             raise SceneError(
-                where, says=f"shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(NAMES)}"
+                where, says=f"shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(CORNER_NAMES)}"
             )
         return validation.indices(where, balls, scene.n_balls, balls.shape[1])
 
@@ -65,19 +65,12 @@ class Element(Corners):
         """List for each ball the elements that it is a corner of."""
         balls = self.corners(model.scene)
         count, k = balls.shape
-        self.n, self.dim = model.n, model.dim
         data = {name: np.tile(np.broadcast_to(value, count), k) for name, value in self.columns.items()}
         types = {"corner": ti.i32, **dict.fromkeys(data, fields.real)}
         data["corner"] = np.repeat(np.arange(k), count)
         self.gather(model, fields, np.tile(balls, (k, 1)), balls.T.ravel(), types, data)
 
     @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        """Each ball gathers from its elements."""
-        for i in range(self.n):
-            f = ti.Vector.zero(float, self.dim)
-            for e in range(self.start[i], self.start[i + 1]):
-                row = self.row[e]
-                if self.holds(e):
-                    f += self.force(ball, row, time)
-            impulse[i] = impulse[i] + h * f
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """The user's."""
+        return self.force(ball, row, time)

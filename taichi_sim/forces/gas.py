@@ -7,11 +7,11 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.kernels.springs.law import GRAIN, PART
+from taichi_sim.kernels.reductions import PART, each_part
 
 __all__ = ["Gases"]
 
-NONE = 1e-3  # of the first volume: a gas that is pressed together further presses no harder
+LEAST_VOLUME = 1e-3  # of the first: a gas that is pressed together further presses no harder
 
 
 @ti.data_oriented
@@ -23,11 +23,11 @@ class Gases(Corners):
     """
 
     name = "gas"
-    elastic = False  # its energy may be negative, so the watch does not count it
+    elastic = False  # its energy may be negative, so the energy monitor does not count it
 
     def __init__(self, model: Model, fields: Fields) -> None:
         gases = model.scene.gases
-        self.n, self.count = model.n, len(gases)
+        self.count = len(gases)
         real = fields.real
         t = np.concatenate([gas.triangles for gas in gases])
         gas = np.repeat(np.arange(self.count), [len(g.triangles) for g in gases])
@@ -52,16 +52,16 @@ class Gases(Corners):
                 "home": np.array([g.triangles[0, 0] for g in gases]),
                 "inside": np.array([(g.pressure + g.outside) * g.volume for g in gases]),
                 "outside": np.array([g.outside for g in gases]),
-                "least": np.array([NONE * g.volume for g in gases]),
+                "least": np.array([LEAST_VOLUME * g.volume for g in gases]),
             },
         )
 
     @ti.func
-    def _measure(self, ball: ti.template(), c):
+    def _measure(self, c, ball: ti.template()):
         """Volume of part c."""
         part = self.part[c]
         home = ball[self.law[part.gas].home].x
-        volume = 0.0 * home[0]
+        volume = ti.cast(0.0, float)
         for k in range(part.first, part.last):
             t = self.triangle[k]
             volume += (ball[t.a].x - home).dot((ball[t.b].x - home).cross(ball[t.c].x - home))
@@ -70,9 +70,7 @@ class Gases(Corners):
     @ti.func
     def press(self, ball: ti.template()):
         """Volumes and pressures of all gases at the places ball.x (n)."""
-        for k in range(self.parts * GRAIN):
-            if k % GRAIN == 0:
-                self._measure(ball, k // GRAIN)
+        each_part(self.parts, self._measure, (ball,))
         ti.loop_config(serialize=True)
         for _ in range(1):
             for g in range(self.count):

@@ -9,9 +9,9 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 
-__all__ = ["NAMES", "Corners"]
+__all__ = ["CORNER_NAMES", "Corners"]
 
-NAMES = "abcdefgh"  # of the balls in a row
+CORNER_NAMES = "abcdefgh"  # of the balls in a row
 
 
 @ti.data_oriented
@@ -32,15 +32,16 @@ class Corners:
         """Declare the fields.
 
         own: (r,) the ball of each row; others: (r, k) the further balls of its element, as members "a", "b", ...; columns, data:
-        what else a row holds, name to Taichi type and (r,) values.
+        what else a row is_whole, name to Taichi type and (r,) values.
         """
         order = np.argsort(own, kind="stable")
         start = np.zeros(model.n + 1, dtype=np.int32)
         np.cumsum(np.bincount(own, minlength=model.n), out=start[1:])
-        names = NAMES[: others.shape[1]]
+        names = CORNER_NAMES[: others.shape[1]]
         typed = {**dict.fromkeys(names, ti.i32), **columns}
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
+        self.n, self.dim = model.n, model.dim
         self.start, self.row = fields.integers(start), fields.table(typed, len(own), values)
         self.tears = bool(np.isfinite(model.scene.break_strain).any())
         if self.tears:
@@ -48,9 +49,43 @@ class Corners:
             self.members = np.concatenate([own[order, None], others[order]], axis=1)
 
     @ti.func
-    def holds(self, e):
+    def is_whole(self, e):
         """Whether the element of row e is whole."""
         whole = True
         if ti.static(self.tears):
             whole = self.gone[e] == 0
         return whole
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        """Each ball gathers from its elements."""
+        self.prepare(ball)
+        for i in range(self.n):
+            f = ti.Vector.zero(float, self.dim)
+            for e in range(self.start[i], self.start[i + 1]):
+                if self.is_whole(e):
+                    f += self.corner_force(ball, i, self.row[e], time)
+            impulse[i] = impulse[i] + h * f
+
+    @ti.func
+    def prepare(self, ball: ti.template()):
+        """Before forces are asked for: what elements have in common."""
+
+    @ti.func
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """What the element of a row does to ball i [N]; a force of elements overrides it."""
+        return ti.Vector.zero(float, self.dim)
+
+    @ti.func
+    def stored(self, ball: ti.template(), i, real: ti.template()):
+        """Ball i's share of the energy [J]."""
+        energy = ti.cast(0.0, real)
+        for e in range(self.start[i], self.start[i + 1]):
+            if self.is_whole(e):
+                energy += self.corner_energy(ball, i, self.row[e], real)
+        return energy
+
+    @ti.func
+    def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
+        """Ball i's share of the energy of the element of a row [J], where it holds some."""
+        return ti.cast(0.0, real)

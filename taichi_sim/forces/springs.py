@@ -1,4 +1,4 @@
-"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks, in rows or with atomics."""
+"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks, padded or not, or with atomics."""
 
 from typing import Any
 
@@ -6,17 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
-from taichi_sim.device.model import Model, incidence
-from taichi_sim.forces.spring_batches import waves
-from taichi_sim.kernels.springs import law as loops
-from taichi_sim.kernels.springs import padded_blocks, simd_batches
+from taichi_sim.device.fields import Fields, fill
+from taichi_sim.device.model import Model, incidence, phase_type
+from taichi_sim.forces.spring_batches import batches
+from taichi_sim.kernels.springs import law, padded_blocks, simd_batches
+from taichi_sim.kernels.springs.interfaces import Terms
 
 __all__ = ["Springs"]
 
-BLOCKS = 32  # from here on half of them, one phase, keeps a desktop's threads busy; a fixed number, so that bits do not
+FEWEST_BLOCKS = 32  # half of them, one phase, keeps a desktop's threads busy; a fixed number, so that bits do not
 # depend on how many threads there are
-MINIMUM_BLOCK = 64  # balls
+SMALLEST_BLOCK = 64  # balls
+ELASTIC, DAMPING = Terms(True, False, False), Terms(False, True, False)
 
 
 @ti.data_oriented
@@ -25,14 +26,15 @@ class Springs:
 
     Args:
         damping: (m,) [N s/m] as the integrator wants it.
-        order: "gather", "blocks", "rows", "waves" (fixed orders) or "atomic".
+        order: "gather", "blocks", "padded" blocks, SIMD "batches" (fixed orders) or "atomic".
     """
 
     def __init__(self, model: Model, fields: Fields, damping: NDArray[np.float64], order: str) -> None:
         scene = model.scene
         self.n, self.m, self.dim = model.n, scene.n_springs, model.dim
-        self.padded = self.m
+        self.entries = self.m
         self.damped = bool(np.any(scene.damping > 0))
+        self.together, self.apart = (Terms(True, self.damped, apart) for apart in (False, True))
         self.order = order
         self.given = damping
         self.tearing: Any = None  # see forces.tearing
@@ -40,7 +42,7 @@ class Springs:
         high = scene.pairs.max(axis=1)
         if order == "gather":
             start, other, spring = incidence(scene.pairs, self.n)
-            self.padded = 2 * self.m
+            self.entries = 2 * self.m
         else:
             spring = np.lexsort((high, low))
             other = high[spring]
@@ -52,36 +54,30 @@ class Springs:
         if self.damped:
             columns["damping"] = fields.real
             data["damping"] = damping[spring]
-        if order in ("atomic", "waves"):
+        if order in ("atomic", "batches"):
             columns["one"] = ti.i32
             data["one"] = low[spring]
         self.number = spring  # in the scene, of each stored here; -1 of idle ones
-        if order == "waves":
-            data = self._in_groups(data, fields)
-        if order == "rows":
-            row = ti.types.vector(padded_blocks.width(self.dim), fields.real)
-            self.row = fields.table({"x": row, "v": row}, self.n)
-            # [N s]; `rest`: damping, where it is summed apart
-            self.sum = fields.vectors(self.n, padded_blocks.width(self.dim))
-            self.rest = fields.vectors(self.n if self.damped else 0, padded_blocks.width(self.dim))
-        self.spring = fields.table(columns, self.padded, data)
-        self.block = max(MINIMUM_BLOCK, bandwidth(model) + 1)
+        if order == "batches":
+            data = self._in_batches(data, fields)
+        if order == "padded":
+            width = padded_blocks.width(self.dim)
+            self.phase = fields.table(phase_type(width, fields.real), self.n)
+            # [N s]; `damping_sum`: of damping, where it is summed apart
+            self.sum, self.damping_sum = (fields.vectors(n, width) for n in (self.n, self.n if self.damped else 0))
+        self.spring = fields.table(columns, self.entries, data)
+        self.block = max(SMALLEST_BLOCK, bandwidth(model) + 1)
         self.blocks = -(-self.n // self.block)
-        orders = {
-            "gather": loops.gather,
-            "blocks": loops.blocks,
-            "rows": padded_blocks.springs,
-            "atomic": loops.scatter,
-        }
-        self.loop = orders.get(order)  # waves are for methods that take springs in turn
+        orders = {"gather": law.gather, "blocks": law.blocks, "padded": padded_blocks.blocks, "atomic": law.scatter}
+        self.loop = orders.get(order)  # batches are for methods that take springs in turn
 
-    def _in_groups(self, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
-        """The same springs in groups of kernels.lanes, and idle ones from ball 0 to ball 1 where a group is not full."""
-        chosen = waves(np.stack([data["one"], data["other"]], axis=1), simd_batches.WIDTH).ravel()
+    def _in_batches(self, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
+        """The same springs in batches, and idle ones from ball 0 to ball 1 where a batch is not full."""
+        chosen = batches(np.stack([data["one"], data["other"]], axis=1), simd_batches.BATCH_WIDTH).ravel()
         # where the springs of `start` lie
         self.place = fields.integers(np.argsort(chosen, kind="stable")[-self.m :])
-        self.padded = len(chosen)
-        self.groups = self.padded // simd_batches.WIDTH
+        self.entries = len(chosen)
+        self.batches = self.entries // simd_batches.BATCH_WIDTH
         self.number = np.where(chosen < 0, -1, self.number[chosen])
         return {name: np.where(chosen < 0, name == "other", values[chosen]) for name, values in data.items()}
 
@@ -89,11 +85,10 @@ class Springs:
         """Replace the damping (m,) [N s/m] of all springs."""
         self.given = damping
         if self.damped:
-            field = self.spring.damping
             stored = np.where(self.number < 0, 0.0, damping[self.number])
             if self.tearing is not None:
                 stored = np.where(self.tearing.whole(), stored, 0.0)
-            field.from_numpy(stored.astype(np.float64 if field.dtype == ti.f64 else np.float32))
+            fill(self.spring.damping, stored)
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
@@ -102,22 +97,22 @@ class Springs:
     @ti.func
     def elastic(self, ball: ti.template(), impulse: ti.template(), h):
         """impulse [N s] = h times the elastic forces."""
-        ti.static(self.loop)(ball, self, impulse, impulse, h, h, True, False, False)
+        ti.static(self.loop)(ball, self, impulse, impulse, h, h, ELASTIC)
 
     @ti.func
-    def damp(self, ball: ti.template(), jump: ti.template(), tau):
-        """jump [N s] = tau times the damping forces."""
-        ti.static(self.loop)(ball, self, jump, jump, tau, tau, False, True, False)
+    def damp(self, ball: ti.template(), damping_impulse: ti.template(), tau):
+        """damping_impulse [N s] = tau times the damping forces."""
+        ti.static(self.loop)(ball, self, damping_impulse, damping_impulse, tau, tau, DAMPING)
 
     @ti.func
-    def both(self, ball: ti.template(), impulse: ti.template(), jump: ti.template(), h, tau):
-        """Elastic impulses over h into `impulse`, damping impulses over tau into `jump`, in one pass."""
-        ti.static(self.loop)(ball, self, impulse, jump, h, tau, True, self.damped, True)
+    def both(self, ball: ti.template(), impulse: ti.template(), damping_impulse: ti.template(), h, tau):
+        """Elastic impulses over h into `impulse`, damping impulses over tau into `damping_impulse`, in one pass."""
+        ti.static(self.loop)(ball, self, impulse, damping_impulse, h, tau, self.apart)
 
     @ti.func
     def total(self, ball: ti.template(), impulse: ti.template(), h):
         """impulse [N s] = h times the elastic and the damping forces together."""
-        ti.static(self.loop)(ball, self, impulse, impulse, h, h, True, self.damped, False)
+        ti.static(self.loop)(ball, self, impulse, impulse, h, h, self.together)
 
 
 def bandwidth(model: Model) -> int:
@@ -127,8 +122,8 @@ def bandwidth(model: Model) -> int:
 
 
 def fixed_order(model: Model, cpu: bool, small: bool) -> str:
-    """The fastest fixed order: rows in a cache; blocks where springs reach few indices far, else gather; GPUs gather."""
+    """The fastest fixed order: padded in a cache; blocks where springs reach few indices far, else gather; GPUs gather."""
     if cpu and small:
-        return "rows"
-    blocks = model.n // max(MINIMUM_BLOCK, bandwidth(model) + 1)
-    return "blocks" if cpu and blocks >= BLOCKS else "gather"
+        return "padded"
+    blocks = model.n // max(SMALLEST_BLOCK, bandwidth(model) + 1)
+    return "blocks" if cpu and blocks >= FEWEST_BLOCKS else "gather"

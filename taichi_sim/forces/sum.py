@@ -1,6 +1,6 @@
 """TotalForce: the sum of all forces of a scene, accumulated from old positions and velocities into impulses.
 
-A force of your own is a small class with one function; it may read any field of the model:
+A user-defined force is a small class with one function; it may read any field of the model:
 
     @ti.data_oriented
     class Drag:
@@ -12,7 +12,7 @@ A force of your own is a small class with one function; it may read any field of
             for i in range(model.n):
                 impulse[i] += -h * self.coefficient * ball[i].v
 
-    Simulation(scene, forces=[Drag(0.1)])
+    ts.Simulation(scene, forces=[Drag(0.1)])
 
 It may have, too,
 - `stiffness_rate(scene)` [1/s^2] and `damping_rate(scene)` [1/s]: the largest eigenvalues of M^-1 K and M^-1 D of what it does,
@@ -58,12 +58,12 @@ class TotalForce:
         self.springs, self.extra = springs, [*elements, *extra]
         self.external_forces = self.extra  # those that `external` sums
         self.elements = [*elements, *(force for force in extra if isinstance(force, Corners))]
-        self.stores = [force for force in elements if force.elastic]  # energy, that the gauge counts
+        self.stores = [force for force in elements if force.elastic]  # energy, that the state probe counts
         self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(self.extra)
         self.impulse = fields.vectors(model.n if self.has_impulse else 0, model.dim)  # N s, summed from old values
         self.damped = springs is not None and springs.damped
         if self.damped:
-            self.jump = fields.vectors(model.n, model.dim)
+            self.damping_impulse = fields.vectors(model.n, model.dim)
 
     def allocate(self, state: State, fields: Fields) -> None:
         """Let the user's forces declare fields."""
@@ -86,12 +86,16 @@ class TotalForce:
     @ti.func
     def change(self, i, h):
         """Velocity change of ball i over h: gravity, and the accumulated impulse of the same h."""
+        return self._change(i, h, self.has_impulse)
+
+    @ti.func
+    def _change(self, i, h, forced: ti.template()):
         dv = ti.Vector.zero(float, self.model.dim)
         w = self.model.inverse_mass[i]
         if ti.static(self.model.has_gravity):
             if w > 0.0:
                 dv += h * self.model.gravity[0]
-        if ti.static(self.has_impulse):
+        if ti.static(forced):
             dv += w * self.impulse[i]
         return dv
 
@@ -116,14 +120,7 @@ class TotalForce:
     @ti.func
     def external_change(self, i, h):
         """Velocity change of ball i over h by gravity and the user's forces, for methods that treat springs apart."""
-        dv = ti.Vector.zero(float, self.model.dim)
-        w = self.model.inverse_mass[i]
-        if ti.static(self.model.has_gravity):
-            if w > 0.0:
-                dv += h * self.model.gravity[0]
-        if ti.static(bool(self.external_forces)):
-            dv += w * self.impulse[i]
-        return dv
+        return self._change(i, h, bool(self.external_forces))
 
     @ti.func
     def elastic(self, ball: ti.template(), h, time):
@@ -133,10 +130,10 @@ class TotalForce:
         self._extra(ball, h, time)
 
     @ti.func
-    def elastic_and_jump(self, ball: ti.template(), h, tau, time):
-        """impulse = h times all forces but spring damping; jump = tau times spring damping; one pass for both."""
+    def elastic_and_damping(self, ball: ti.template(), h, tau, time):
+        """impulse = h times all forces but spring damping; damping_impulse = tau times that; one pass for both."""
         if ti.static(self.damped):
-            self.springs.both(ball, self.impulse, self.jump, h, tau)
+            self.springs.both(ball, self.impulse, self.damping_impulse, h, tau)
         elif ti.static(self.has_springs):
             self.springs.elastic(ball, self.impulse, h)
         self._extra(ball, h, time)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.forces.springs import Springs
@@ -32,21 +32,20 @@ class Tearing:
         tears = np.isfinite(scene.break_strain)
         limit = np.full(self.m, np.inf)  # also of what has no length at rest
         limit[tears] = scene.rest_length[tears] * (1.0 + scene.break_strain[tears])
-        self._real = np.float64 if fields.real == ti.f64 else np.float32
         # a number that is larger than any length, but not infinite, which single precision would refuse
         stored = np.where(number < 0, np.inf, limit[number])
         self.limit = fields.reals(np.minimum(stored, 1e30))
-        self.torn, self.kept = fields.integers(springs.padded), fields.integers(springs.padded)
+        self.torn, self.kept = fields.integers(springs.entries), fields.integers(springs.entries)
         self.stiffness = np.where(number < 0, 0.0, scene.stiffness[number])
         self.ties = [_Ties(scene, springs, force, fields) for force in elements]
 
     @ti.func
-    def look(self, ball: ti.template()):
+    def cut_overstretched(self, ball: ti.template()):
         """Mark and cut what is too long. Where both balls list a spring, both come to the same."""
         for i in range(self.n):
             for e in range(self.springs.start[i], self.springs.start[i + 1]):
                 place = e
-                if ti.static(self.springs.order == "waves"):
+                if ti.static(self.springs.order == "batches"):
                     place = self.springs.place[e]
                 r = ball[self.springs.spring[place].other].x - ball[i].x
                 if r.dot(r) > self.limit[place] * self.limit[place]:
@@ -72,7 +71,7 @@ class Tearing:
 
     def _set(self, torn: NDArray[Any]) -> None:
         self.torn.from_numpy(torn)
-        self.springs.spring.stiffness.from_numpy(np.where(torn > 0, 0.0, self.stiffness).astype(self._real))
+        fill(self.springs.spring.stiffness, np.where(torn > 0, 0.0, self.stiffness))
         self.springs.set_damping(self.springs.given)
         for tie in self.ties:
             tie.set(torn > 0)
@@ -98,7 +97,7 @@ class Tearing:
 
 @ti.data_oriented
 class _Ties:
-    """Which rows of a force hold both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
+    """Which rows of a force have both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
 
     def __init__(self, scene: Scene, springs: Springs, force: Corners, fields: Fields) -> None:
         self.force = force

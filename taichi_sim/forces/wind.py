@@ -8,11 +8,11 @@ from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.geometry.mesh import sides
 
-__all__ = ["Wind", "gusts"]
+__all__ = ["Wind"]
 
-MOST = 0.5  # of the relative velocity, that a step may take from a triangle
-WAVES = ((1.0, 0.0, 0.0, 0.0), (1.7, 0.9, 0.6, 1.3), (2.9, -1.4, 1.1, 4.1))  # along, across, across, phase
-SIDEWAYS = 0.5  # of the gusts, that blows across the wind
+MOST_TAKEN = 0.5  # of the relative velocity, that a step may take from a triangle
+GUST_WAVES = ((1.0, 0.0, 0.0, 0.0), (1.7, 0.9, 0.6, 1.3), (2.9, -1.4, 1.1, 4.1))  # along, across, across, phase
+SIDEWAYS_GUSTS = 0.5  # of the gusts, that blows across the wind
 
 
 @ti.data_oriented
@@ -20,10 +20,9 @@ class Wind(Corners):
     """On each triangle density / 2 (drag A |u_n| u_n + skin_friction A |u_t| u_t), u the air's velocity less the triangle's, a
     third of it on each corner.
 
-    A coefficient c of u is never more than MOST / (h D), D = sum over corners w_j t_j / 9 with t_j the triangles at ball j: with
-    masses split so, a step can never reverse what it slows, however light the cloth. What is held against the wind would then
-    feel less than it should: at the advised step, see element_rates, no coefficient is that large.
-    """
+    A coefficient c of u is never more than MOST_TAKEN / (h D), D = sum over corners w_j t_j / 9 with t_j the triangles at ball j:
+    with masses split so, a step can never reverse what it slows, however light the cloth. What resists the wind would
+    then feel less than it should: at the advised step, see element_rates, no coefficient is that large."""
 
     name = "wind"
     elastic = False
@@ -32,11 +31,10 @@ class Wind(Corners):
         scene = model.scene
         assert scene.wind is not None
         wind, t = scene.wind, scene.triangles
-        self.n = model.n
         real = fields.real
         count = np.bincount(t.ravel(), minlength=model.n)
         give = (model.inverse_mass_array * count)[t].sum(axis=1) / 9.0
-        most = np.divide(MOST, give, out=np.zeros(len(t)), where=give > 0)
+        most = np.divide(MOST_TAKEN, give, out=np.zeros(len(t)), where=give > 0)
         self.gather(model, fields, sides(t[:, [1, 2, 0]]), t.T.ravel(), {"most": real}, {"most": np.tile(most, 3)})
         speed = float(np.linalg.norm(wind.velocity))
         along, one, two = axes(np.array(wind.velocity))
@@ -48,16 +46,16 @@ class Wind(Corners):
 
     @ti.func
     def air(self, x, time):
-        """Velocity of the air at x [m/s], see `gusts`."""
-        u = ti.Vector([0.0 * x[0], 0.0 * x[0], 0.0 * x[0]]) + self.velocity
+        """Velocity of the air at x [m/s], with waves of three lengths that it takes along."""
+        u = ti.Vector.zero(float, 3) + self.velocity
         if ti.static(self.gusty):
             s, p, q = self.along.dot(x) - self.speed * time, self.one.dot(x), self.two.dot(x)
-            more, aside = 0.0 * s, 0.0 * s
-            for a, b, c, phase in ti.static(WAVES):
+            more = aside = ti.cast(0.0, float)
+            for a, b, c, phase in ti.static(GUST_WAVES):
                 angle = self.number * (a * s + b * p + c * q) + phase
-                more += ti.sin(angle) / ti.static(len(WAVES))
-                aside += ti.cos(1.3 * angle) / ti.static(len(WAVES))
-            u += self.gust * self.speed * (more * self.along + SIDEWAYS * aside * self.one)
+                more += ti.sin(angle) / ti.static(len(GUST_WAVES))
+                aside += ti.cos(1.3 * angle) / ti.static(len(GUST_WAVES))
+            u += self.gust * self.speed * (more * self.along + SIDEWAYS_GUSTS * aside * self.one)
         return u
 
     @ti.func
@@ -70,7 +68,7 @@ class Wind(Corners):
                 x, a, b = ball[i].x, ball[row.a].x, ball[row.b].x
                 area = 0.5 * (a - x).cross(b - x)
                 size = area.norm()
-                if size > 0.0 and self.holds(e):
+                if size > 0.0 and self.is_whole(e):
                     n = area / size
                     u = self.air((x + a + b) / 3.0, time) - (ball[i].v + ball[row.a].v + ball[row.b].v) / 3.0
                     across = u.dot(n)
@@ -88,14 +86,3 @@ def axes(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     one = np.cross(up, along)
     one /= np.linalg.norm(one)
     return along, one, np.cross(along, one)
-
-
-def gusts(velocity: np.ndarray, gust: float, length: float, x: np.ndarray, time: float) -> np.ndarray:
-    """Velocity of the air (m, 3) [m/s] at x (m, 3): waves of three lengths that the wind carries along."""
-    along, one, two = axes(velocity)
-    speed = float(np.linalg.norm(velocity))
-    s, p, q = x @ along - speed * time, x @ one, x @ two
-    angles = [2.0 * np.pi / length * (a * s + b * p + c * q) + phase for a, b, c, phase in WAVES]
-    more = np.mean([np.sin(angle) for angle in angles], axis=0)
-    aside = np.mean([np.cos(1.3 * angle) for angle in angles], axis=0)
-    return velocity + gust * speed * (more[:, None] * along + SIDEWAYS * aside[:, None] * one)

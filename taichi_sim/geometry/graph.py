@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["components", "incidence"]
-
 
 def components(count: int, edges: NDArray[np.integer]) -> NDArray[np.int64]:
     """For each of `count` nodes the lowest index that edges (m, 2) connect it to, over any number of them."""

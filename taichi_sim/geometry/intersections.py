@@ -9,8 +9,6 @@ from scipy.spatial import cKDTree
 
 from taichi_sim.geometry.mesh import unique_edges
 
-__all__ = ["crossings"]
-
 SEGMENTS_AT_ONCE = 1 << 14
 
 

@@ -9,8 +9,6 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface
 
-__all__ = ["level_set"]
-
 
 def level_set(
     function: Callable[[NDArray], NDArray], low: Sequence[float], high: Sequence[float], spacing: float

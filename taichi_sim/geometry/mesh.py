@@ -10,23 +10,6 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 
-__all__ = [
-    "SUFFIXES",
-    "Edges",
-    "Surface",
-    "by_hand",
-    "flaws",
-    "hinge_pairs",
-    "hinges",
-    "holes",
-    "mesh_distance",
-    "read_surface",
-    "sides",
-    "surface_area",
-    "unique_edges",
-    "volume",
-]
-
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf")
 PLACES_NAMED = 3  # in a message
 THINNEST_TRIANGLE = 1e-6  # twice its area over the square of its longest side: a triangle of less has none
@@ -84,12 +67,11 @@ def _load(file: Path) -> Any:
 
 
 def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
-    _, first, same = np.unique(
-        vertices + 0.0, axis=0, return_index=True, return_inverse=True
-    )  # + 0.0: no negative zero
+    vertices = vertices + 0.0  # no negative zero
+    _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     triangles = first[same.reshape(-1)][faces]
-    flat = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
-    used, compact = np.unique(triangles[~flat], return_inverse=True)
+    without_area = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
+    used, compact = np.unique(triangles[~without_area], return_inverse=True)
     return Surface(vertices[used], compact.reshape(-1, 3).astype(np.int32))
 
 
@@ -180,11 +162,7 @@ def flaws(surface: Surface, *, closed: bool = True) -> list[str]:
         ((count == 1) & closed, at_edges, "edges have a triangle on one side only"),
         (count > 2, at_edges, "edges have more than two triangles"),
         ((count == 2) & (forward != 1) & closed, at_edges, "edges lie between triangles that face opposite ways"),
-        (
-            np.isin(np.arange(len(t)), first[times > 1]),
-            _faces,
-            "triangles are there more than once",
-        ),
+        (np.isin(np.arange(len(t)), first[times > 1]), _faces, "triangles are there more than once"),
         (thin, _faces, "triangles have next to no area"),
     )
     return [f"{int(which.sum())} {what} ({where(which)})" for which, where, what in found if which.any()]
@@ -237,11 +215,8 @@ def mesh_distance(surface: Surface, points: NDArray, far: float = np.inf) -> NDA
 
 def area_distance(area: Surface, points: NDArray) -> NDArray[np.float64]:
     """The same of points (n, 2) from the area in 2D that triangles fill: every edge that belongs to one of them only."""
-    edges = np.sort(
-        np.concatenate([area.triangles[:, [0, 1]], area.triangles[:, [1, 2]], area.triangles[:, [2, 0]]]), axis=1
-    )
-    edges, count = np.unique(edges, axis=0, return_counts=True)
-    a, b = (area.vertices[edges[count == 1, k]][None] for k in range(2))
+    edges = Edges.of(area.triangles)
+    a, b = (area.vertices[edges.ends[edges.triangles == 1, k]][None] for k in range(2))
     p, e = points[:, None], b - a
     t = np.clip(np.sum((p - a) * e, axis=2) / np.sum(e * e, axis=2), 0.0, 1.0)
     d = np.linalg.norm(p - a - t[..., None] * e, axis=2).min(axis=1)

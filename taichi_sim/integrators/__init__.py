@@ -1,28 +1,28 @@
 """Integrators: one time-stepping method per file, each a small class that carries its declaration, see analysis.methods.
 
-A method of your own subclasses Integrator and needs a `method` and a `substep`. This one is symplectic Euler, contacts and all:
+A user-defined one subclasses Integrator and needs a `method` and a `substep`. This one is symplectic Euler, contacts and all:
 
     @ti.data_oriented
-    class KickDrift(Integrator):
-        method = Method("kick_drift", order=1, symplectic=True, limit=StabilityLimit(undamped=2.0, damped=2.0))
+    class KickDrift(ts.Integrator):
+        method = ts.Method("kick_drift", order=1, symplectic=True, limit=ts.StabilityLimit(undamped=2.0, damped=2.0))
 
         @ti.func
         def substep(self, h, time):
             self.forces.total(self.ball, h, time)
-            for i in range(self.model.n):
-                self.state.kick(i, self.forces.change(i, h))
-            self.contacts.solve(self.ball, h, self.contacts.iterations, True)
-            self.contacts.separate(self.ball, h)
-            for i in range(self.model.n):
-                v = self.ball[i].v
-                shift, drift = self.contacts.move(self.ball, i, v, 0.0 * v, h, self.forces.change(i, h))
-                self.state.shift(i, shift)
-                self.ball[i].v = drift
-            self.contacts.refresh(self.ball)
+            self.contacts.advance(self.ball, self, h, h)
 
-    Simulation(scene, integrator=KickDrift())
+        @ti.func
+        def before_move(self, i, h):
+            self.state.kick(i, self.forces.change(i, h))
 
-Without a declared limit it runs only with a number as dt; without the lines on contacts balls pass through everything.
+        @ti.func
+        def load(self, i, h):
+            return self.forces.change(i, h)
+
+    ts.Simulation(scene, integrator=KickDrift())
+
+Without a declared limit it runs only with a number as dt. A substep that moves balls otherwise than by `contacts.advance` has no
+contacts: balls pass through everything.
 """
 
 from taichi_sim.integrators.base import Integrator

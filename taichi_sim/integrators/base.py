@@ -13,10 +13,10 @@ from taichi_sim.device.state import State
 from taichi_sim.forces.sum import TotalForce
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["Integrator", "Solver"]
+__all__ = ["Integrator", "SolverStatistics"]
 
 
-class Solver(NamedTuple):
+class SolverStatistics(NamedTuple):
     """How well an implicit method solved its stages since the simulation was made. `worst`: the largest part of the impulses of a
     stage that was left over, or of the kinetic energy that this gave it; `misses`: stages where it was more than ten times the
     tolerance; `passes`: over all springs."""
@@ -32,12 +32,12 @@ class Solver(NamedTuple):
 class Integrator:
     """One method. `method`: what it declares of itself, its name, order and stability limit among it.
 
-    `relaxes`: its substep ends with a contact pass that takes back what soft contacts add to velocities when they push out
-    overlap; without it contacts are rigid. `implicit_damping`: what `damping` gives depends on the step. `each_once`: it goes
-    through the springs itself, each once, see kernels.half; `in_turn`: each sees what those before it changed. `hosted`: a
-    substep has loops that end by what they find; `advance` runs one from the host, kernel by kernel, because inside a kernel
-    only the outermost loops run in parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None.
-    `kicks_first`: whether `before_move` does anything.
+    `relaxes`: its substep ends with an iteration over contacts that takes back what soft contacts add to velocities when they
+    push out overlap; without it contacts are rigid. `implicit_damping`: what `damping` gives depends on the step. `each_once`: it
+    goes through the springs itself, each once, see kernels.springs.edge_blocks; `in_turn`: each sees what those before it
+    changed. `hosted`: a substep has loops that end by what they find; `advance` runs one from the host, kernel by kernel, because
+    inside a kernel only the outermost loops run in parallel. `allocate` may add fields of the method's own. `pins`: moving ones,
+    or None. `kicks_first`: whether `before_move` does anything.
     """
 
     method = Method("user-defined")
@@ -68,7 +68,7 @@ class Integrator:
     def allocate(self, fields: Fields) -> None:
         """Declare fields of the method's own."""
 
-    def solver_report(self) -> Solver | None:
+    def solver_report(self) -> SolverStatistics | None:
         """How well equations were solved, where a method solves some."""
         return None
 

@@ -1,8 +1,8 @@
-"""Patches: the coarse part of the preconditioner of conjugate gradients.
+"""Aggregates: the coarse part of the preconditioner of conjugate gradients.
 
-A block of the diagonal sees a ball and its neighbours, so what moves many balls together takes as many turns as there are
-balls across. Patches of neighbouring balls that move as wholes see just that: z = D^-1 r + P (P^T A P)^-1 P^T r, P from the
-movement of patches to that of balls. The matrix of patches is small and solved directly; springs within a patch drop out of it.
+A block of the diagonal sees a ball and its neighbours, so what moves many balls together takes as many iterations as there are
+balls across. Aggregates of neighbouring balls that move as wholes see just that: z = D^-1 r + P (P^T A P)^-1 P^T r, P from the
+movement of aggregates to that of balls. Their matrix is small and solved directly; springs within an aggregate drop out of it.
 """
 
 import numpy as np
@@ -12,12 +12,12 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.springs import Springs
-from taichi_sim.kernels.springs.law import GRAIN
+from taichi_sim.kernels.reductions import each_part
 
-__all__ = ["Patches", "bisected"]
+__all__ = ["Aggregates", "bisected"]
 
-FEWEST = 32  # free balls for which patches pay
-COST = 8.0  # cube of the number of patches over that of balls: factors then cost about a turn
+FEWEST_BALLS = 32  # free ones, for which aggregates pay
+FACTOR_COST = 8.0  # cube of the number of aggregates over that of balls: factors then cost about an iteration
 
 
 def bisected(x: NDArray[np.float64], parts: int) -> NDArray[np.int64]:
@@ -36,25 +36,26 @@ def bisected(x: NDArray[np.float64], parts: int) -> NDArray[np.int64]:
 
 
 @ti.data_oriented
-class Patches:
-    """The patches of a scene's free balls. `row`: the block of each spring, see kernels.implicit."""
+class Aggregates:
+    """Those of a scene's free balls. `spring_block`: of each spring, see kernels.springs.newton_terms."""
 
-    def __init__(self, model: Model, springs: Springs, row: ti.StructField, fields: Fields) -> None:
+    def __init__(self, model: Model, springs: Springs, spring_block: ti.StructField, fields: Fields) -> None:
         scene = model.scene
-        self.row, self.dim = row, model.dim
+        self.spring_block, self.dim = spring_block, model.dim
         free = np.flatnonzero(~scene.pinned)
-        self.active = len(free) >= FEWEST and springs.order != "atomic"  # one thread of a GPU is slow
+        self.active = len(free) >= FEWEST_BALLS and springs.order != "atomic"  # one thread of a GPU is slow
         if not self.active:
             return
-        self.count = 1 << int(np.log2(np.cbrt(COST * len(free))))
-        patch = np.full(model.n, -1)
-        patch[free] = bisected(scene.position[free], self.count)
-        self.patch = fields.integers(patch)
-        self.member = fields.integers(free[np.argsort(patch[free], kind="stable")])
-        mass = np.bincount(patch[free], scene.mass[free], self.count)
+        self.count = 1 << int(np.log2(np.cbrt(FACTOR_COST * len(free))))
+        own = bisected(scene.position[free], self.count)
+        aggregate = np.full(model.n, -1)
+        aggregate[free] = own
+        self.aggregate = fields.integers(aggregate)
+        self.member = fields.integers(free[np.argsort(own, kind="stable")])
+        mass = np.bincount(own, scene.mass[free], self.count)
         self.mass, self.least = fields.reals(mass), float(mass.min())
-        self.begin = fields.integers(np.append(0, np.cumsum(np.bincount(patch[free], minlength=self.count))))
-        ends = patch[scene.pairs[springs.number]]
+        self.begin = fields.integers(np.append(0, np.cumsum(np.bincount(own, minlength=self.count))))
+        ends = aggregate[scene.pairs[springs.number]]
         slots = np.flatnonzero(ends[:, 0] != ends[:, 1])
         here, there = ends[slots].ravel(), ends[slots][:, ::-1].ravel()
         order = np.lexsort((np.repeat(slots, 2), there, here))
@@ -73,29 +74,8 @@ class Patches:
     @ti.func
     def factor(self):
         """The matrix of the springs as they are, and its Cholesky factor."""
-        size, dim = ti.static(self.size, self.dim)
-        for k in range(self.count * GRAIN):
-            if k % GRAIN == 0:
-                c = k // GRAIN
-                for e in range(c * dim * size, (c + 1) * dim * size):
-                    self.matrix[e] = 0.0
-                own = ti.cast(self.mass[c], self.wide) * ti.Matrix.identity(self.wide, dim)
-                for e in range(self.first[c], self.first[c + 1]):
-                    link = self.link[e]
-                    row = self.row[link.spring]
-                    for a in ti.static(range(dim)):
-                        for b in ti.static(range(dim)):
-                            value = ti.cast(row.r[a], self.wide) * ti.cast(row.r[b], self.wide)
-                            value *= ti.cast(row.along, self.wide)
-                            if ti.static(a == b):
-                                value += ti.cast(row.across, self.wide)
-                            own[a, b] += value
-                            if link.other >= 0:
-                                at = (c * dim + a) * size + link.other * dim + b
-                                self.matrix[at] = self.matrix[at] - value
-                for a in ti.static(range(dim)):
-                    for b in ti.static(range(dim)):
-                        self.matrix[(c * dim + a) * size + c * dim + b] = own[a, b]
+        size = ti.static(self.size)
+        each_part(self.count, self._assemble, ())
         ti.loop_config(serialize=True)
         for j in range(size):
             for i in range(j, size):
@@ -109,17 +89,34 @@ class Patches:
                     self.matrix[i * size + j] = total / self.matrix[j * size + j]
 
     @ti.func
-    def solve(self, residual: ti.template()):
-        """What patches make of a residual (n); its scalar product with that is `product`."""
+    def _assemble(self, c):
+        """The rows of aggregate c."""
         size, dim = ti.static(self.size, self.dim)
-        for k in range(self.count * GRAIN):
-            if k % GRAIN == 0:
-                c = k // GRAIN
-                total = ti.Vector.zero(float, dim)
-                for e in range(self.begin[c], self.begin[c + 1]):
-                    total += residual[self.member[e]]
-                for a in ti.static(range(dim)):
-                    self.load[c * dim + a] = ti.cast(total[a], self.wide)
+        for e in range(c * dim * size, (c + 1) * dim * size):
+            self.matrix[e] = 0.0
+        own = ti.cast(self.mass[c], self.wide) * ti.Matrix.identity(self.wide, dim)
+        for e in range(self.first[c], self.first[c + 1]):
+            link = self.link[e]
+            block = self.spring_block[link.spring]
+            for a in ti.static(range(dim)):
+                for b in ti.static(range(dim)):
+                    value = ti.cast(block.r[a], self.wide) * ti.cast(block.r[b], self.wide)
+                    value *= ti.cast(block.along, self.wide)
+                    if ti.static(a == b):
+                        value += ti.cast(block.across, self.wide)
+                    own[a, b] += value
+                    if link.other >= 0:
+                        at = (c * dim + a) * size + link.other * dim + b
+                        self.matrix[at] = self.matrix[at] - value
+        for a in ti.static(range(dim)):
+            for b in ti.static(range(dim)):
+                self.matrix[(c * dim + a) * size + c * dim + b] = own[a, b]
+
+    @ti.func
+    def solve(self, residual: ti.template()):
+        """What aggregates make of a residual (n); its scalar product with that is `product`."""
+        size = ti.static(self.size)
+        each_part(self.count, self._restrict, (residual,))
         ti.loop_config(serialize=True)
         for i in range(size):
             total = self.load[i]
@@ -135,8 +132,17 @@ class Patches:
             self.answer[i] = total / self.matrix[i * size + i]
 
     @ti.func
+    def _restrict(self, c, residual: ti.template()):
+        dim = ti.static(self.dim)
+        total = ti.Vector.zero(float, dim)
+        for e in range(self.begin[c], self.begin[c + 1]):
+            total += residual[self.member[e]]
+        for a in ti.static(range(dim)):
+            self.load[c * dim + a] = ti.cast(total[a], self.wide)
+
+    @ti.func
     def product(self):
-        """Of the last residual and what patches made of it."""
+        """Of the last residual and what aggregates made of it."""
         total = ti.cast(0.0, self.wide)
         for k in range(self.size):
             total += self.load[k] * self.answer[k]
@@ -144,9 +150,9 @@ class Patches:
 
     @ti.func
     def shift(self, i):
-        """What the patch of ball i makes of the last residual."""
+        """What the aggregate of ball i makes of the last residual."""
         v = ti.Vector.zero(float, self.dim)
-        c = self.patch[i]
+        c = self.aggregate[i]
         if c >= 0:
             for a in ti.static(range(self.dim)):
                 v[a] = ti.cast(self.answer[c * self.dim + a], float)

@@ -1,4 +1,4 @@
-"""DampedKick: forces and strong spring damping together over half a step, with places held."""
+"""DampedKick: forces and strong spring damping together over half a step, at the same places."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from taichi_sim.analysis.damping import MOST_STAGES, lone, softened, stages
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import TotalForce
@@ -34,7 +34,7 @@ class DampedKick:
         self.began, self.slope = fields.vectors(self.n, model.dim), fields.vectors(self.n, model.dim)  # m/s; m/s a half
         self.change = fields.vectors(2 * self.n, model.dim)  # m/s, after this stage and the one before
         self.brake = fields.vectors(self.n, model.dim)  # m/s^2, by damping when the half after the drift began
-        self.row = fields.reals(np.zeros((2 * MOST_STAGES if self.network else 1, 4)))
+        self.weights = fields.reals(np.zeros((2 * MOST_STAGES if self.network else 1, 4)))
         self.count = fields.integers(2)  # stages before the drift, and after it
         self.alone = np.flatnonzero(alone)
         self.m = len(self.alone)
@@ -43,7 +43,6 @@ class DampedKick:
         columns = {"one": ti.i32, "other": ti.i32, "lost": real, "late": real}
         zero = np.zeros(self.m)
         self.lone = fields.table(columns, self.m, {"one": one, "other": other, "lost": zero, "late": zero})
-        self._real = np.float64 if real == ti.f64 else np.float32
         self.counts = (1, 1)
 
     def fit(self, h: float) -> None:
@@ -51,19 +50,19 @@ class DampedKick:
         tau, scene = 0.5 * h, self.model.scene
         if self.network:
             both = stages(scene, tau)
-            rows = np.zeros((2 * MOST_STAGES, 4))
-            rows[: len(both.before)] = both.before
-            rows[MOST_STAGES : MOST_STAGES + len(both.after)] = both.after
-            self.row.from_numpy(rows.astype(self._real))
+            weights = np.zeros((2 * MOST_STAGES, 4))
+            weights[: len(both.before)] = both.before
+            weights[MOST_STAGES : MOST_STAGES + len(both.after)] = both.after
+            fill(self.weights, weights)
             self.counts = (len(both.before), len(both.after))
-            self.count.from_numpy(np.array(self.counts, dtype=np.int32))
+            fill(self.count, np.array(self.counts))
         if self.m:
             w = self.model.inverse_mass_array[scene.pairs[self.alone]].sum(axis=1)
             z = tau * scene.damping[self.alone] * w
             lost = -np.expm1(-z)  # of the relative speed
             late = np.where(z > 1e-4, 1.0 - lost / np.where(z > 1e-4, z, 1.0), 0.5 * z - z * z / 6.0)
-            self.lone.lost.from_numpy(lost.astype(self._real))
-            self.lone.late.from_numpy(late.astype(self._real))
+            fill(self.lone.lost, lost)
+            fill(self.lone.late, late)
 
     @staticmethod
     def damping(scene: Scene, h: float) -> Any:
@@ -71,18 +70,18 @@ class DampedKick:
         return softened(scene, 0.5 * h)
 
     @ti.func
-    def start(self, half: ti.template(), h, pull: ti.template(), held: ti.template()):
-        """The first stage; where there is only one, all of the half. half: 0 before the drift, 1 after it. held: what is not
-        damping is h `pull`, else in the forces. Damping at present velocities is in forces.jump."""
+    def start(self, half: ti.template(), h, pull: ti.template(), delayed: ti.template()):
+        """The first stage; where there is only one, all of the half. half: 0 before the drift, 1 after it. delayed:
+        what is not damping is h `pull`, else in the forces. Damping at present velocities is in forces.damping_impulse."""
         stages = self.count[half]
-        row = self.row[half * MOST_STAGES]
+        weight = self.weights[half * MOST_STAGES]
         for i in range(self.model.n):
             v = self.ball[i].v
-            brake = self.model.inverse_mass[i] * self.forces.jump[i]
-            slope = self._free(i, h, pull, held) + brake
-            y = row[2] * slope
+            brake = self.model.inverse_mass[i] * self.forces.damping_impulse[i]
+            slope = self._free(i, h, pull, delayed) + brake
+            y = weight[2] * slope
             if ti.static(half == 0):
-                y += row[3] * (brake - 0.5 * h * self.brake[i])
+                y += weight[3] * (brake - 0.5 * h * self.brake[i])
             else:
                 self.brake[i] = brake / (0.5 * h)
             if stages == 1:
@@ -91,25 +90,30 @@ class DampedKick:
                 self.began[i] = v
                 self.slope[i] = slope
                 self.change[i] = y
-                self.change[self.n + i] = 0.0 * y
+                self.change[self.n + i] = ti.Vector.zero(float, self.model.dim)
                 self.ball[i].v = v + y
 
     @ti.func
     def prime(self, h):
-        """Begin as if a half after a drift had changed nothing. Damping at present velocities is in forces.jump."""
+        """Begin as if a half after a drift had changed nothing. Damping at present velocities is in forces.damping_impulse."""
         for i in range(self.model.n):
-            self.brake[i] = self.model.inverse_mass[i] * self.forces.jump[i] / (0.5 * h)
+            self.brake[i] = self.model.inverse_mass[i] * self.forces.damping_impulse[i] / (0.5 * h)
 
     @ti.func
-    def stage(self, half: ti.template(), j, h, pull: ti.template(), held: ti.template()):
+    def stage(self, half: ti.template(), j, h, pull: ti.template(), delayed: ti.template()):
         """Stage j, from 1 on counted, of the second and later ones; after the last the velocities are those of the end."""
-        self.forces.springs.damp(self.ball, self.forces.jump, 0.5 * h)
-        row = self.row[half * MOST_STAGES + j]
+        self.forces.springs.damp(self.ball, self.forces.damping_impulse, 0.5 * h)
+        weight = self.weights[half * MOST_STAGES + j]
         last = j + 1 == self.count[half]
         now, old = (j + 1) % 2 * self.n, j % 2 * self.n
         for i in range(self.model.n):
-            slope = self._free(i, h, pull, held) + self.model.inverse_mass[i] * self.forces.jump[i]
-            y = row[0] * self.change[now + i] + row[1] * self.change[old + i] + row[2] * slope + row[3] * self.slope[i]
+            slope = self._free(i, h, pull, delayed) + self.model.inverse_mass[i] * self.forces.damping_impulse[i]
+            y = (
+                weight[0] * self.change[now + i]
+                + weight[1] * self.change[old + i]
+                + weight[2] * slope
+                + weight[3] * self.slope[i]
+            )
             self.change[old + i] = y
             if last:
                 self.ball[i].v = self.began[i]
@@ -118,20 +122,20 @@ class DampedKick:
                 self.ball[i].v = self.began[i] + y
 
     @ti.func
-    def undamped(self, h, pull: ti.template(), held: ti.template()):
+    def undamped(self, h, pull: ti.template(), delayed: ti.template()):
         """All of a half in which no springs that share balls are damped."""
         for i in range(self.model.n):
-            self.state.kick(i, self._free(i, h, pull, held))
+            self.state.kick(i, self._free(i, h, pull, delayed))
 
     @ti.func
-    def lone_springs(self, h, pull: ti.template(), held: ti.template()):
+    def lone_springs(self, h, pull: ti.template(), delayed: ti.template()):
         """What damping takes from the kick that both balls of a lone spring have had, a of their relative velocity u:
         u(tau) = exp(-z) u + (1 - exp(-z)) / z a is (1 - exp(-z)) u + (1 - (1 - exp(-z)) / z) a less than u + a."""
         for e in range(self.m):
             spring = self.lone[e]
             i, j = spring.one, spring.other
             n, _ = unit(self.ball[j].x - self.ball[i].x, i, j)
-            a = (self._free(j, h, pull, held) - self._free(i, h, pull, held)).dot(n)
+            a = (self._free(j, h, pull, delayed) - self._free(i, h, pull, delayed)).dot(n)
             u = (self.ball[j].v - self.ball[i].v).dot(n) - a
             wi, wj = self.model.inverse_mass[i], self.model.inverse_mass[j]
             loss = (spring.lost * u + spring.late * a) / (wi + wj) * n
@@ -141,11 +145,9 @@ class DampedKick:
                 self.state.kick(j, -wj * loss)
 
     @ti.func
-    def _free(self, i, h, pull: ti.template(), held: ti.template()):
+    def _free(self, i, h, pull: ti.template(), delayed: ti.template()):
         """Velocity change of ball i over half a step without damping."""
-        dv = ti.Vector.zero(float, self.model.dim)
-        if ti.static(held):
-            dv += 0.5 * h * pull[i]
-        if ti.static(not held):
-            dv += 0.5 * self.forces.change(i, h)
-        return dv
+        if ti.static(delayed):
+            return 0.5 * h * pull[i]
+        else:
+            return 0.5 * self.forces.change(i, h)

@@ -1,5 +1,5 @@
-"""Free bodies: balls that springs or a gas join, none of them pinned. What a solver leaves of their momentum is given to them
-whole."""
+"""Bodies: balls that springs or a gas join. What a solver leaves of the momentum of free ones is given to them whole, and what it
+leaves of the energy of any is known."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,19 +8,21 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.geometry.graph import components
-from taichi_sim.kernels.springs.law import GRAIN, PART
+from taichi_sim.kernels.reductions import PART, each_part
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["FreeBodies", "Members", "gas_surfaces"]
+__all__ = ["FreeBodies", "StageWork"]
+
+GIVEN_PART = 0.5  # of the energy that a step of the method takes: what its solution may give back
 
 
-def gas_surfaces(scene: Scene) -> NDArray[np.int64]:
+def _gas_surfaces(scene: Scene) -> NDArray[np.int64]:
     """Pairs of balls (k, 2) that the gases of a scene join."""
     pairs = [np.stack([np.full(g.triangles.size, g.triangles[0, 0]), g.triangles.ravel()], axis=1) for g in scene.gases]
     return np.concatenate([np.zeros((0, 2), dtype=np.int64), *pairs])
 
 
-class Members:
+class _Members:
     """The `chosen` balls in the order of their bodies, for sums over bodies in parts of at most PART balls: `member` (k,), and
     how many each body has, `count`; part c begins at `begin[c]`, body b at `part[b]`."""
 
@@ -40,12 +42,12 @@ class FreeBodies:
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
-        label = components(model.n, np.concatenate([scene.pairs, gas_surfaces(scene)]))
-        held = np.zeros(model.n, dtype=bool)
-        held[label[scene.pinned]] = True
+        label = components(model.n, np.concatenate([scene.pairs, _gas_surfaces(scene)]))
+        tied = np.zeros(model.n, dtype=bool)
+        tied[label[scene.pinned]] = True
         single = np.bincount(label, minlength=model.n) == 1  # solved exactly anyway
-        free = np.flatnonzero(~held[label] & ~single[label])
-        members = Members(label, free)
+        free = np.flatnonzero(~tied[label] & ~single[label])
+        members = _Members(label, free)
         member, count = members.member, members.count
         self.dim, self.members, self.bodies, self.parts = model.dim, len(member), len(count), members.parts
         self.member = fields.integers(member)
@@ -62,20 +64,10 @@ class FreeBodies:
         self.body_of_ball = fields.integers(body_of_ball)
 
     @ti.func
-    def _collect(self, table: ti.template(), aim: ti.template(), part):
-        """shift = the momentum that each body has by the velocities `aim` (n), less `part` of what table.v gives it, over its
+    def _collect(self, table: ti.template(), target: ti.template(), part):
+        """shift = the momentum that each body has by the velocities `target` (n), less `part` of what table.v gives it, over its
         mass. A sum of its springs' impulses would be off by the rounding of large numbers."""
-        for k in range(self.parts * GRAIN):
-            if k % GRAIN == 0:
-                c = k // GRAIN
-                total = ti.Vector.zero(self.wide, self.dim)
-                for e in range(self.begin[c], self.begin[c + 1]):
-                    i = self.member[e]
-                    w = ti.cast(self.inverse_mass[i], self.wide)
-                    for a in ti.static(range(self.dim)):
-                        total[a] += (ti.cast(aim[i][a], self.wide) - part * ti.cast(table[i].v[a], self.wide)) / w
-                for a in ti.static(range(self.dim)):
-                    self.sum[c * self.dim + a] = total[a]
+        each_part(self.parts, self._collect_part, (table, target, part))
         for k in range(self.bodies):
             total = ti.Vector.zero(self.wide, self.dim)
             for c in range(self.part[k], self.part[k + 1]):
@@ -84,24 +76,92 @@ class FreeBodies:
             self.shift[k] = ti.cast(total, float) / self.mass[k]
 
     @ti.func
-    def share(self, table: ti.template(), aim: ti.template()):
-        """Velocities table.v of each body += what gives it the momentum that the velocities `aim` (n) [m/s] have: they know
+    def _collect_part(self, c, table: ti.template(), target: ti.template(), part):
+        total = ti.Vector.zero(self.wide, self.dim)
+        for e in range(self.begin[c], self.begin[c + 1]):
+            i = self.member[e]
+            w = ti.cast(self.inverse_mass[i], self.wide)
+            for a in ti.static(range(self.dim)):
+                total[a] += (ti.cast(target[i][a], self.wide) - part * ti.cast(table[i].v[a], self.wide)) / w
+        for a in ti.static(range(self.dim)):
+            self.sum[c * self.dim + a] = total[a]
+
+    @ti.func
+    def share(self, table: ti.template(), target: ti.template()):
+        """Velocities table.v of each body += what gives it the momentum that the velocities `target` (n) [m/s] have: they know
         nothing of its springs, which give it none."""
-        self._collect(table, aim, 1.0)
+        self._collect(table, target, 1.0)
         for e in range(self.members):
             i = self.member[e]
             table[i].v = table[i].v + self.shift[self.body_of[e]]
 
     @ti.func
-    def find_means(self, table: ti.template(), aim: ti.template()):
-        """The velocity of each body's centre of mass by `aim`, for `mean`; until the next `share`."""
-        self._collect(table, aim, 0.0)
+    def find_means(self, table: ti.template(), target: ti.template()):
+        """The velocity of each body's centre of mass by `target`, for `mean`; until the next `share`."""
+        self._collect(table, target, 0.0)
 
     @ti.func
     def mean(self, i):
-        """Of the body of ball i; 0 where it is held."""
+        """Of the body of ball i; 0 where that has a pin."""
         v = ti.Vector.zero(float, self.dim)
         k = self.body_of_ball[i]
         if k >= 0:
             v = self.shift[k]
         return v
+
+
+@ti.data_oriented
+class StageWork:
+    """The energy that an unsolved rest of an implicit stage gives to each body; what another takes may not hide it. Joints at
+    pinned balls do not count. Sets two of a stage's numbers: `excess` [J], what bodies are given beyond what they may, and
+    `gained`, the largest part of a body's kinetic energy that it was given beyond what the method takes.
+
+    worth: the part of the kinetic energy that is not rounding in the verdict on a solution.
+    """
+
+    def __init__(self, model: Model, fields: Fields, rounding: float, worth: float) -> None:
+        scene, self.model = model.scene, model
+        self.rounding, self.worth = rounding, worth
+        joined = np.concatenate([scene.pairs[~scene.pinned[scene.pairs].any(axis=1)], _gas_surfaces(scene)])
+        members = _Members(components(model.n, joined), np.flatnonzero(~scene.pinned))
+        self.bodies, self.parts = len(members.count), members.parts
+        self.member, self.begin, self.part = map(fields.integers, (members.member, members.begin, members.part))
+        self.wide = ti.f64 if fields.has_doubles else fields.real
+        self.sum = fields.table(dict.fromkeys(("given", "taken", "kinetic"), self.wide), self.parts)  # J
+
+    @ti.func
+    def find(self, base: ti.template(), residual: ti.template(), first: ti.template(), bodies: ti.template(),
+             number: ti.template()):  # fmt: skip
+        """residual (n) [kg m/s] of the velocities base.v, which were `first` (n) before the stage; bodies: FreeBodies, whose
+        means are those of this stage: what the residual gives counts in the frame of each."""
+        each_part(self.parts, self._find_part, (base, residual, first, bodies))
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            excess = gained = ti.cast(0.0, self.wide)
+            for b in range(self.bodies):
+                given = taken = kinetic = ti.cast(0.0, self.wide)
+                for c in range(self.part[b], self.part[b + 1]):
+                    given += self.sum[c].given
+                    taken += self.sum[c].taken
+                    kinetic += self.sum[c].kinetic
+                excess += ti.max(0.0, given - GIVEN_PART * taken - self.rounding * kinetic)
+                gain = given - taken
+                if gain > self.worth * kinetic and gain > 0.0:
+                    gained = ti.max(gained, gain / ti.max(gain, kinetic))
+            number[0].excess = excess
+            number[0].gained = gained
+
+    @ti.func
+    def _find_part(self, c, base: ti.template(), residual: ti.template(), first: ti.template(), bodies: ti.template()):
+        given = taken = kinetic = ti.cast(0.0, self.wide)
+        for e in range(self.begin[c], self.begin[c + 1]):
+            i = self.member[e]
+            w = self.model.inverse_mass[i]
+            v = base[i].v
+            u, change = v - bodies.mean(i), v - first[i]
+            given -= ti.cast(residual[i].dot(u), self.wide)
+            taken += ti.cast(0.5 * change.dot(change) / w, self.wide)
+            kinetic += ti.cast(0.5 * u.dot(u) / w, self.wide)
+        self.sum[c].given = given
+        self.sum[c].taken = taken
+        self.sum[c].kinetic = kinetic

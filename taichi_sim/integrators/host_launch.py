@@ -1,8 +1,9 @@
-"""Launched: the implicit stage solver from the host, so that its loops run in parallel."""
+"""The order in which an implicit stage is solved, and the stage solver from the host, so that its loops run in parallel."""
+
+from functools import partial
 
 from taichi_sim.device.engine import ti
-from taichi_sim.integrators.newton_cg import StageSolver
-from taichi_sim.integrators.newton_control import control
+from taichi_sim.integrators.newton_decisions import solve_stage
 
 __all__ = ["Launched"]
 
@@ -11,72 +12,31 @@ __all__ = ["Launched"]
 class Launched:
     """A StageSolver, each part of it a kernel of its own."""
 
-    solve = control
+    solve = solve_stage
 
-    def __init__(self, solver: StageSolver) -> None:
+    def __init__(self, solver: object) -> None:
         self.solver = solver
+        for launch, names in (
+            (self._run, ("set_target", "start_search", "search")),
+            (self._run_stage, ("begin", "end")),
+            (self._run_step, ("linearise", "evaluate", "compare")),
+            (self._ask, ("doubtful", "raised", "unsolved", "searching", "larger")),
+        ):
+            for name in names:
+                setattr(self, name, partial(launch, name))
 
     @ti.kernel
-    def begin(self, stage: int):
-        """See StageSolver."""
-        self.solver.begin(stage)
+    def _run(self, name: ti.template()):
+        ti.static(getattr(self.solver, name))()
 
     @ti.kernel
-    def linearise(self, s: float, step: float):
-        """See StageSolver."""
-        self.solver.linearise(s, step)
+    def _run_stage(self, name: ti.template(), stage: int):
+        ti.static(getattr(self.solver, name))(stage)
 
     @ti.kernel
-    def doubtful(self) -> int:
-        """See StageSolver."""
-        return self.solver.doubtful()
+    def _run_step(self, name: ti.template(), s: float, part: float):
+        ti.static(getattr(self.solver, name))(s, part)
 
     @ti.kernel
-    def compare(self, s: float, part: float):
-        """See StageSolver."""
-        self.solver.compare(s, part)
-
-    @ti.kernel
-    def raised(self) -> int:
-        """See StageSolver."""
-        return self.solver.raised()
-
-    @ti.kernel
-    def set_target(self):
-        """See StageSolver."""
-        self.solver.set_target()
-
-    @ti.kernel
-    def evaluate(self, s: float, step: float):
-        """See StageSolver."""
-        self.solver.evaluate(s, step)
-
-    @ti.kernel
-    def unsolved(self) -> int:
-        """See StageSolver."""
-        return self.solver.unsolved()
-
-    @ti.kernel
-    def aim(self):
-        """See StageSolver."""
-        self.solver.aim()
-
-    @ti.kernel
-    def searching(self) -> int:
-        """See StageSolver."""
-        return self.solver.searching()
-
-    @ti.kernel
-    def turn(self):
-        """See StageSolver."""
-        self.solver.turn()
-
-    @ti.kernel
-    def larger(self) -> int:
-        """See StageSolver."""
-        return self.solver.larger()
-
-    @ti.kernel
-    def end(self, stage: int):
-        """See StageSolver."""
-        self.solver.end(stage)
+    def _ask(self, name: ti.template()) -> int:
+        return ti.static(getattr(self.solver, name))()

@@ -5,10 +5,9 @@ from collections.abc import Callable
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.forces.gas import Gases
-from taichi_sim.integrators.base import Integrator, Solver
+from taichi_sim.integrators.base import Integrator, SolverStatistics
 from taichi_sim.integrators.host_launch import Launched
 from taichi_sim.integrators.newton_cg import StageSolver
-from taichi_sim.kernels.springs import newton_terms as numbers
 
 __all__ = ["Implicit"]
 
@@ -48,13 +47,12 @@ class Implicit(Integrator):
         self.solver = StageSolver(self.model, self.forces.springs, gases, fields, self)
         self.launched = Launched(self.solver)
 
-    def solver_report(self) -> Solver | None:
+    def solver_report(self) -> SolverStatistics | None:
         """From the numbers that the solver keeps; None without springs, where there is nothing to solve."""
         if not self.has_springs:
             return None
-        n = self.solver.number.to_numpy()
-        stages, passes, misses = (int(n[k]) for k in (numbers.SOLVED, numbers.PASSES, numbers.MISSES))
-        return Solver(self.tolerance, stages, passes, float(n[numbers.WORST]), misses)
+        n = self.solver.number[0]
+        return SolverStatistics(self.tolerance, int(n.solved), int(n.passes), float(n.worst), int(n.misses))
 
     def remembers(self) -> bool:
         """Not before the first step."""

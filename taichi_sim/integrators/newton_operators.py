@@ -1,18 +1,17 @@
-"""What a stage of an implicit method sums over springs, see kernels.half: its residual, and its matrix times a vector."""
+"""What an implicit stage sums over springs, see kernels.springs.edge_blocks: its residual, and its matrix times a vector."""
 
 from typing import Any
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.kernels.springs import newton_terms as parts
-from taichi_sim.kernels.springs import padded_blocks
+from taichi_sim.kernels.springs import newton_terms, padded_blocks
 
 __all__ = ["Product", "Residual"]
 
 
 @ti.data_oriented
 class Product:
-    """sum = A p, both in rows, see kernels.rows."""
+    """sum = A p, both (n) padded."""
 
     def __init__(self, solver: Any, fields: Fields) -> None:
         self.solver, self.dim = solver, padded_blocks.width(solver.dim)
@@ -28,14 +27,14 @@ class Product:
     @ti.func
     def term(self, i, j, e, s):
         """Block of spring e times p."""
-        row = self.solver.row[e]
+        block = self.solver.spring_block[e]
         p = self.p[i] - self.p[j]
-        return row.along * padded_blocks.dot(row.r, p, self.solver.dim) * row.r + row.across * p
+        return block.along * padded_blocks.dot(block.r, p, self.solver.dim) * block.r + block.across * p
 
 
 @ti.data_oriented
 class Residual:
-    """sum = the residual in rows; notes the blocks of all springs."""
+    """sum (n) = the residual, padded; notes the blocks of all springs."""
 
     def __init__(self, solver: Any) -> None:
         self.solver, self.dim, self.sum = solver, solver.product.dim, solver.product.sum
@@ -43,16 +42,15 @@ class Residual:
     @ti.func
     def own(self, i):
         """m (q - v); pinned balls keep still."""
-        w = self.solver.model.inverse_mass[i]
-        m = ti.select(w > 0.0, 1.0 / ti.select(w > 0.0, w, 1.0), 0.0)
-        return padded_blocks.pad(m * (self.solver.q[i] - self.solver.base[i].v), self.solver.dim)
+        momentum = self.solver.mass(i) * (self.solver.q[i] - self.solver.base[i].v)
+        return padded_blocks.pad(momentum, self.solver.dim)
 
     @ti.func
     def term(self, i, j, e, s):
         """Impulse of spring e on ball i."""
         a, b, springs = self.solver.ahead[i], self.solver.ahead[j], self.solver.springs
-        f, r, along, across = parts.linearise(a, b, i, j, springs.spring[e], s, self.solver.dim, springs.damped)
-        self.solver.row[e].r = r
-        self.solver.row[e].along = along
-        self.solver.row[e].across = across
+        f, r, along, across = newton_terms.linearise(a, b, i, j, springs.spring[e], s, self.solver.dim, springs.damped)
+        self.solver.spring_block[e].r = r
+        self.solver.spring_block[e].along = along
+        self.solver.spring_block[e].across = across
         return f

@@ -6,8 +6,8 @@ from taichi_sim.analysis.methods import GAMMA, TR_BDF2
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
+from taichi_sim.forces.driven_pins import DrivenPinSlopes
 from taichi_sim.integrators.implicit_base import Implicit
-from taichi_sim.integrators.pin_slopes import PinSlopes
 
 __all__ = ["TRBDF2"]
 
@@ -41,7 +41,7 @@ class TRBDF2(Implicit):
         self.driven = self.pins is not None and self.forces.damped
         if self.driven:
             assert self.forces.springs is not None
-            self.corners = PinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
+            self.corners = DrivenPinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
 
     def memory(self) -> list[Any]:
         """What springs did at the end of the step before."""

@@ -9,9 +9,9 @@ from taichi_sim.analysis.methods import VERLET
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.forces.driven_pins import DrivenPinSlopes
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.integrators.damped_kick import DampedKick
-from taichi_sim.integrators.pin_slopes import PinSlopes
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["Verlet"]
@@ -26,7 +26,7 @@ class Verlet(Integrator):
     the velocity in a; on the circle of stability its damping is real at -1 alone, so it is stable just where
     h^2 lambda(K + 4 D / h) < 4 (masses left out).
 
-    Strong damping: B(h/2) A(h) B(h/2), B the kick and the damping together, v' = W (F - D v) with F held, see
+    Strong damping: B(h/2) A(h) B(h/2), B the kick and the damping together, v' = W (F - D v) at the same F, see
     taichi_sim.analysis.damping: exact for lone springs, else of order 2 by stages, each a pass over the springs. Damping apart
     from the kick would stop for good what creeps: exp(-h D) takes all that the kick gave. With R the part of a velocity that both
     halves of a step leave, the velocities u between the places x obey H (u+ - u) / h + D (u+ + u) / 2 + K x = 0 with
@@ -51,17 +51,17 @@ class Verlet(Integrator):
         self.predicts = self.predicts or (bool(self.forces.extra) and not self.forces.damped)
         self.driven = self.predicts and self.pins is not None
         self.splits = self.forces.damped and not self.predicts
-        self.held = self.splits and bool(self.forces.extra)
+        self.delayed = self.splits and bool(self.forces.extra)
         self.kicks_first = not self.splits
-        self.pull = fields.vectors(self.model.n if self.predicts or self.held else 0, self.model.dim)
+        self.pull = fields.vectors(self.model.n if self.predicts or self.delayed else 0, self.model.dim)
         self.kick: Any = None
         if self.splits:
             self.kick = DampedKick(self.model, self.state, self.forces, fields)
         self.network = self.splits and self.kick.network
-        self.turns_corners = self.network and self.pins is not None
-        if self.turns_corners:
+        self.has_corners = self.network and self.pins is not None
+        if self.has_corners:
             assert self.forces.springs is not None
-            self.corners = PinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
+            self.corners = DrivenPinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
         self.hosted = self.network
 
     def set_step(self, h: float) -> None:
@@ -72,7 +72,7 @@ class Verlet(Integrator):
     def memory(self) -> list[Any]:
         """What acted at the end of the step before: at the velocities that balls had then, not those they came to; and how strong
         damping braked them."""
-        own = [self.pull] if self.predicts or self.held else []
+        own = [self.pull] if self.predicts or self.delayed else []
         return [*own, self.kick.brake] if self.network else own
 
     @ti.func
@@ -81,16 +81,16 @@ class Verlet(Integrator):
         if ti.static(self.predicts):
             self.forces.total(self.ball, h, time)
         elif ti.static(self.network):
-            self.forces.elastic_and_jump(self.ball, h, 0.5 * h, time)
+            self.forces.elastic_and_damping(self.ball, h, 0.5 * h, time)
             self.kick.prime(h)
         else:
             self.forces.elastic(self.ball, h, time)
-        if ti.static(self.predicts or self.held):
-            self._hold(h)
+        if ti.static(self.predicts or self.delayed):
+            self._note_pull(h)
         self.contacts.prime(self.ball)
 
     @ti.func
-    def _hold(self, h):
+    def _note_pull(self, h):
         for i in range(self.model.n):
             self.pull[i] = self.forces.change(i, h) / h
 
@@ -100,18 +100,23 @@ class Verlet(Integrator):
         if ti.static(self.predicts):
             self._predicted(h, time)
         elif ti.static(self.splits):
-            if ti.static(self.network):
-                self._open(h)
-                for j in range(1, self.kick.count[0]):
-                    self.kick.stage(0, j, h, self.pull, self.held)
-            self._move(h, time)
-            if ti.static(self.network):
-                for j in range(1, self.kick.count[1]):
-                    self.kick.stage(1, j, h, self.pull, False)
-            self._close(h)
+            self._damped(h, time)
         else:
             self._undamped(h, time)
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
+
+    @ti.func
+    def _damped(self, h, time):
+        """With strong damping in stages before and after the drift."""
+        if ti.static(self.network):
+            self._open(h)
+            for j in range(1, self.kick.count[0]):
+                self.kick.stage(0, j, h, self.pull, self.delayed)
+        self._move(h, time)
+        if ti.static(self.network):
+            for j in range(1, self.kick.count[1]):
+                self.kick.stage(1, j, h, self.pull, False)
+        self._close(h)
 
     def advance(self, h: float, time: float) -> None:
         """The same from the host, where the number of stages is not known when loops are compiled."""
@@ -130,7 +135,7 @@ class Verlet(Integrator):
 
     @ti.kernel
     def _launch_stage(self, half: ti.template(), j: int, h: float):
-        self.kick.stage(half, j, h, self.pull, ti.static(self.held and half == 0))
+        self.kick.stage(half, j, h, self.pull, ti.static(self.delayed and half == 0))
 
     @ti.kernel
     def _launch_move(self, h: float, time: float):
@@ -160,20 +165,20 @@ class Verlet(Integrator):
     @ti.func
     def _open(self, h):
         """The first stage of the half before the drift."""
-        self.forces.springs.damp(self.ball, self.forces.jump, 0.5 * h)
-        self.kick.start(0, h, self.pull, self.held)
+        self.forces.springs.damp(self.ball, self.forces.damping_impulse, 0.5 * h)
+        self.kick.start(0, h, self.pull, self.delayed)
 
     @ti.func
     def _move(self, h, time):
         """The end of the first half, contacts, drift, and the first stage of the second half."""
         if ti.static(not self.network):
-            self.kick.undamped(h, self.pull, self.held)
-        self.kick.lone_springs(h, self.pull, self.held)
+            self.kick.undamped(h, self.pull, self.delayed)
+        self.kick.lone_springs(h, self.pull, self.delayed)
         self.contacts.advance(self.ball, self, h, 0.5 * h)
         if ti.static(self.network):
-            self.forces.elastic_and_jump(self.ball, h, 0.5 * h, time + h)
+            self.forces.elastic_and_damping(self.ball, h, 0.5 * h, time + h)
             self.kick.start(1, h, self.pull, False)
-            if ti.static(self.turns_corners):
+            if ti.static(self.has_corners):
                 self.corners.renew(self.kick.brake)
         else:
             self.forces.elastic(self.ball, h, time + h)
@@ -183,8 +188,8 @@ class Verlet(Integrator):
     def _close(self, h):
         """The end of the second half."""
         self.kick.lone_springs(h, self.pull, False)
-        if ti.static(self.held):
-            self._hold(h)
+        if ti.static(self.delayed):
+            self._note_pull(h)
 
     @ti.func
     def _predicted(self, h, time):
@@ -199,10 +204,10 @@ class Verlet(Integrator):
                 self.state.shift(i, h * (self.ball[i].v + 0.5 * change))
                 self.state.kick(i, change)
         if ti.static(self.driven):  # what acts here acts half in this step and half in the next
-            self.pins.face(True)
+            self.pins.set_velocities(True)
         self.forces.total(self.ball, h, time + h)
         if ti.static(self.driven):
-            self.pins.face(False)
+            self.pins.set_velocities(False)
         for i in range(self.model.n):
             a = self.forces.change(i, h) / h
             self.state.kick(i, 0.5 * h * (a - self.pull[i]))

@@ -13,8 +13,6 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.outputs.base import Image, Output
 
-__all__ = ["Arrays"]
-
 NAMES = ("time", "position", "velocity", "energy", "contacts", "penetration", "residual", "largest_speed")
 
 
@@ -32,11 +30,8 @@ class _Column:
         self._rows += 1
 
     def copy_to(self, out: IO[bytes]) -> None:
-        header = {
-            "descr": np.lib.format.dtype_to_descr(self._like.dtype),
-            "fortran_order": False,
-            "shape": (self._rows, *self._like.shape),
-        }
+        descr, shape = np.lib.format.dtype_to_descr(self._like.dtype), (self._rows, *self._like.shape)
+        header = {"descr": descr, "fortran_order": False, "shape": shape}
         np.lib.format.write_array_header_2_0(out, header)
         self._file.seek(0)
         shutil.copyfileobj(self._file, out, 1 << 20)
@@ -63,14 +58,12 @@ class Arrays(Output):
         self._columns = {name: _Column(self._folder) for name in NAMES}
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
-        """Append one frame."""
         energy = (np.nan,) * 4 if frame.energy is None else tuple(frame.energy)
-        number, deep, left, speed = np.nan, (np.nan, np.nan), np.nan, np.nan
-        if frame.contacts is not None:
-            now = frame.contacts
-            number, deep = float(now.number), (now.penetration, now.mean_penetration)
-            left, speed = now.residual, now.largest_speed
-        rows = (frame.time, frame.position, frame.velocity, energy, number, deep, left, speed)
+        now = frame.contacts
+        contacts: tuple[Any, ...] = (np.nan, (np.nan, np.nan), np.nan, np.nan)
+        if now is not None:
+            contacts = (now.number, (now.penetration, now.mean_penetration), now.residual, now.largest_speed)
+        rows = (frame.time, frame.position, frame.velocity, energy, *contacts)
         for name, row in [*zip(NAMES, rows, strict=True), *frame.probes.items()]:
             if name not in self._columns:
                 self._columns[name] = _Column(self._folder)
@@ -86,7 +79,6 @@ class Arrays(Output):
         self._part.finish()
 
     def discard(self) -> None:
-        """Delete the unfinished file."""
         for column in self._columns.values():
             column.close()
         self._part.discard()

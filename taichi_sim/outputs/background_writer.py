@@ -7,8 +7,6 @@ from types import TracebackType
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.outputs.base import Image, Output
 
-__all__ = ["Behind"]
-
 WAITING = 4  # frames at most, so that a slow encoder holds the run back and not the memory
 
 

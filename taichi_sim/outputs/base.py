@@ -1,20 +1,19 @@
-"""What an output is. One of your own is a class with these members, in any file; pass the object to `export`:
+"""What an output is. A user-defined one is a class with these members, in any file; pass the object to `export`:
 
-    from taichi_sim.outputs import Output, export
-
-    class Heights(Output):
+    class Heights(ts.Output):
         needs_image = False
 
         def write(self, index, frame, image):
             with open("heights.csv", "a") as file:
                 print(frame.time, *frame.position[:, 1], sep=",", file=file)
 
-    export(simulation, Heights(), fps=60, duration=2)
+    ts.export(simulation, Heights(), fps=60, duration=2)
 
 Without `needs_image = False` pictures are drawn, and `image` is that of the frame. An output needs no simulation: frames from
 anywhere may be given to it, `with Heights() as output: output.write(0, frame, None)`.
 """
 
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -23,10 +22,16 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.errors import UnstableError
 
-__all__ = ["Image", "Output"]
-
 # (height, width, 3) sRGB, row 0 at the top; with alpha (height, width, 4), colours not multiplied by it
 Image = NDArray[np.uint8]
+
+
+def require_folder_place(path: Path) -> None:
+    """Raises OSError where there can be no folder: without a parent, or where a file is."""
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path}: there is no folder {str(path.parent)!r}; make it first")
+    if path.exists() and not path.is_dir():
+        raise NotADirectoryError(f"{path}: is a file; give the name of a folder")
 
 
 class Output:

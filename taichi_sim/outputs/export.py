@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.frame import Contacts, Frame
-from taichi_sim.analysis.outcome import Scales, of_depth, of_energy, of_passes
+from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output
-
-__all__ = ["Summary", "export"]
 
 
 @dataclass(slots=True)
@@ -39,15 +37,13 @@ class Summary:
     unsolved: list[float] = field(default_factory=list)  # m/s, see Contacts: of each frame with contacts
     scales: Scales | None = None  # what all this is judged by, at the end
     largest_speed: float = 0.0  # m/s
-    probes: dict[str, tuple[float, float, float]] = field(
-        default_factory=dict
-    )  # at the end, least and largest at a frame
+    probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
     units: dict[str, str] = field(default_factory=dict)  # of probes
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
 
     def _seen(self, scales: Scales) -> Scales:
-        """With the start and the end, which looks between steps may miss."""
+        """With the start and the end, which samples between steps may miss."""
         ends = (sum(energy[:2]) for energy in (self.energy_start, self.energy_end))
         return scales._replace(motion=max(scales.motion, *ends))
 
@@ -66,10 +62,10 @@ class Summary:
         if self.contacts is not None and self.most_contacts:
             now, scales = self.contacts, self.scales
             lines.append(
-                f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.passes} passes in each of"
+                f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.iterations} iterations in each of"
                 f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
             )
-            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes, now.passes)
+            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes, now.iterations)
             lines.append(
                 f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
                 f" mean {now.mean_penetration:.3g} m at the end: {depth}"
@@ -77,8 +73,8 @@ class Summary:
             if scales is not None:
                 left = float(np.median(self.unsolved))
                 lines.append(
-                    f"residual     passes leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
-                    f" {of_passes(left, scales, self.largest_speed, now.passes)}"
+                    f"residual     iterations leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
+                    f" {of_approach(left, scales, self.largest_speed, now.iterations)}"
                 )
         for name, (last, least, most) in self.probes.items():
             unit = f" {self.units.get(name, '')}".rstrip()
@@ -98,11 +94,9 @@ class Summary:
                 f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
-        ratio = (
-            f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration > 0 else ""
-        )
+        per = f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration else ""
         parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
-        lines.append(f"wall time    {self.wall:.2f} s ({parts}){ratio}")
+        lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
         return lines
 
 
@@ -148,7 +142,7 @@ def export(
                 name = getattr(output, "path", "this output")
                 raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
             write = stack.enter_context(Behind(output)).write if output.apart else partial(_write, output)
-        advance = stack.enter_context(_bar(max(1, round(fps * duration)))) if progress else _no_bar
+        advance = stack.enter_context(_bar(max(1, round(fps * duration)), progress))
         renderer: Any = None
         frame: Frame | None = None
         for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
@@ -181,14 +175,10 @@ def _write(output: Output, index: int, frame: Frame, image: Image | None) -> Non
     output.frames += 1
 
 
-def _no_bar(simulated: float) -> None:
-    pass
-
-
 def _observe(summary: Summary, frame: Frame) -> None:
     summary.frames += 1
     now = frame.contacts
-    if now is not None and now.passes:
+    if now is not None and now.iterations:
         summary.contacts = now
         summary.most_contacts = max(summary.most_contacts, now.number)
         if now.number:
@@ -197,11 +187,8 @@ def _observe(summary: Summary, frame: Frame) -> None:
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
     for name, value in frame.probes.items():
         _, least, most = summary.probes.get(name, (value, value, value))
-        summary.probes[name] = (
-            value,
-            float(np.fmin(least, value)),
-            float(np.fmax(most, value)),
-        )  # a mean has none at first
+        # a mean has none at first
+        summary.probes[name] = (value, float(np.fmin(least, value)), float(np.fmax(most, value)))
     if summary.frames == 1 and frame.energy is not None:  # of the first and the last: it takes long
         summary.energy_start = tuple(frame.energy)
 
@@ -213,7 +200,7 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
 
 
 @contextmanager
-def _bar(total: int) -> Iterator[Any]:
+def _bar(total: int, shown: bool) -> Iterator[Any]:
     """A progress bar on standard error; calling what it yields with the simulated time advances it by one frame."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -226,7 +213,7 @@ def _bar(total: int) -> Iterator[Any]:
         TextColumn("left, {task.fields[speed]:.3g} x real time"),
     )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
         task = progress.add_task("", total=total, speed=0.0)
         begin = time.perf_counter()
 

@@ -7,18 +7,17 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-__all__ = ["render_all"]
+from taichi_sim.outputs.base import require_folder_place
 
 
 def render_all(names: Sequence[str], folder: str | PathLike[str], *, quiet: bool = False, **options: Any) -> int:
     """Run `taichi-sim run NAME -o folder/NAME.mp4` for every name whose video is not there yet.
 
     The folder is made; its parent is not. options: of `run`, by name; None is left out. Ends at the first scene that fails, with
-    its exit status, else with 0. What was cut off is gone on with.
+    its exit status, else with 0. What was interrupted is resumed.
     """
     root = Path(folder)
-    if not root.parent.is_dir():
-        raise FileNotFoundError(f"{root}: there is no folder {str(root.parent)!r}; make it first")
+    require_folder_place(root)
     root.mkdir(exist_ok=True)
     given = [word for key, value in options.items() if value is not None for word in (f"--{key}", str(value))]
     for number, name in enumerate(names, start=1):

@@ -11,8 +11,6 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.outputs.base import Image, Output
 
-__all__ = ["Geometry", "surface_of"]
-
 
 class Geometry(Output):
     """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
@@ -36,7 +34,6 @@ class Geometry(Output):
         self._ply = self.path.suffix.lower() == ".ply"
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
-        """Write one file."""
         vertices, triangles = surface_of(frame)
         radius = None
         if not len(triangles):

@@ -7,8 +7,6 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.outputs.base import Image, Output
 
-__all__ = ["Gif"]
-
 SHORTEST = 2  # 1/100 s; shorter ones are played at a tenth of the speed
 
 
@@ -54,7 +52,6 @@ class Gif(Output):
         self._part.finish()
 
     def discard(self) -> None:
-        """Delete the unfinished file."""
         self._pictures.clear()
         self._part.discard()
 

@@ -7,9 +7,7 @@ from pathlib import Path
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing
-from taichi_sim.outputs.base import Image, Output
-
-__all__ = ["PngFolder"]
+from taichi_sim.outputs.base import Image, Output, require_folder_place
 
 _FRAME = re.compile(r"frame_\d{5,}\.png")
 
@@ -31,15 +29,11 @@ class PngFolder(Output):
         self.path = Path(path)
         if overwrite and resume:
             raise ValueError("overwrite and resume exclude each other; give one of them")
-        if not self.path.parent.is_dir():
-            raise FileNotFoundError(f"{self.path}: there is no folder {str(self.path.parent)!r}; make it first")
-        if self.path.exists() and not self.path.is_dir():
-            raise NotADirectoryError(f"{self.path}: is a file; give the name of a folder")
-        made = not self.path.is_dir()
-        if not made and any(self.path.iterdir()) and not (overwrite or resume):
+        require_folder_place(self.path)
+        self._made = not self.path.is_dir()
+        if not self._made and any(self.path.iterdir()) and not (overwrite or resume):
             raise FileExistsError(f"{self.path}: the folder is not empty; use --overwrite, --resume or another name")
         self._make_writable()
-        self._made = made
         frames = [entry for entry in self.path.iterdir() if _FRAME.fullmatch(entry.name)]
         self._stale = frames if overwrite else []  # deleted at the first write, when nothing can be wrong any more
         self._there = {entry.name for entry in frames} if resume else set()
@@ -58,7 +52,6 @@ class PngFolder(Output):
         return self._name(index) not in self._there
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
-        """Write one picture."""
         from PIL import Image as Pictures
 
         assert image is not None

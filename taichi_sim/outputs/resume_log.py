@@ -7,16 +7,9 @@ from pathlib import Path
 from struct import Struct
 from typing import IO, Any
 
-__all__ = ["Journal"]
-
 RECORD = Struct("<II")  # length and CRC-32 of what follows
 FIRST = b"taichi-sim frames 1\n"
-LOSSLESS = {
-    "preset": "ultrafast",
-    "qp": "0",
-    "tune": "zerolatency",
-    "threads": "1",
-}  # a packet for each picture, at once
+LOSSLESS = {"preset": "ultrafast", "qp": "0", "tune": "zerolatency", "threads": "1"}  # a packet a picture, at once
 
 
 class Journal:

@@ -13,8 +13,6 @@ from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.outputs.base import Image, Output
 from taichi_sim.outputs.resume_log import Journal
 
-__all__ = ["CODECS", "Video"]
-
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
 LIMITED = 1  # studio range, as players expect
 
@@ -77,7 +75,6 @@ class Video(Output):
         return index >= self._kept
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
-        """Encode one picture."""
         import av
 
         assert image is not None
@@ -87,14 +84,12 @@ class Video(Output):
         converted = source.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
         if self._container is None:
             self._open(converted.width, converted.height)
-        converted.time_base = 1 / self.rate
-        converted.pts = index
+        converted.time_base, converted.pts = 1 / self.rate, index
         self._journal.append(converted)
         self._encode(converted, index)
 
     def _encode(self, picture: Any, index: int) -> None:
-        picture.time_base = 1 / self.rate
-        picture.pts = index
+        picture.time_base, picture.pts = 1 / self.rate, index
         self._container.mux(self._stream.encode(picture))
 
     def _open(self, width: int, height: int) -> None:

@@ -10,9 +10,9 @@ from taichi_sim.scene.colliders import BOX, CUSTOM, Collider
 
 __all__ = ["Bodies", "filled"]
 
-GREY = (0.64, 0.66, 0.70)  # sRGB
-AROUND, UP = 96, 24  # faces of a round shape about its axis, and along each of its caps
-CREASE = 0.77  # cosine of the angle between faces from which their edge is sharp
+COLLIDER_GREY = (0.64, 0.66, 0.70)  # sRGB
+FACES_AROUND, FACES_PER_CAP = 96, 24  # faces of a round shape about its axis, and along each of its caps
+CREASE_COSINE = 0.77  # cosine of the angle between faces from which their edge is sharp
 
 
 class Bodies(NamedTuple):
@@ -38,7 +38,7 @@ class Bodies(NamedTuple):
                 [np.zeros((0, 3), dtype=np.int32), *(t + first[k] for k, (_, t) in enumerate(parts))]
             ).astype(np.int32),
             np.repeat(np.arange(len(parts)), sizes),
-            np.repeat(np.array([c.colour or GREY for c in shapes]).reshape(-1, 3), sizes, axis=0),
+            np.repeat(np.array([c.colour or COLLIDER_GREY for c in shapes]).reshape(-1, 3), sizes, axis=0),
             np.repeat(np.array([c.hollow > 0 for c in shapes], dtype=bool), [len(t) for _, t in parts]),
         )
 
@@ -46,9 +46,9 @@ class Bodies(NamedTuple):
         """The vertices (v, 3) [m] where the colliders of a frame are."""
         if not len(self.vertices):
             return self.vertices
-        turn = np.array([placed.rotation for placed in frame.colliders])[self.owner]
+        rotation = np.array([placed.rotation for placed in frame.colliders])[self.owner]
         centre = np.array([placed.centre for placed in frame.colliders])[self.owner]
-        return np.einsum("vij,vj->vi", turn, self.vertices) + centre
+        return np.einsum("vij,vj->vi", rotation, self.vertices) + centre
 
     def seen(self, placed: NDArray, eye: NDArray) -> NDArray[np.int32]:
         """The triangles with those of hollow colliders that face the eye shrunk to nothing: one looks into the room."""
@@ -78,12 +78,12 @@ def _surface(collider: Collider) -> tuple[NDArray, NDArray]:
         quads = np.arange(24).reshape(6, 4)
         triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
         return signs[corners] * collider.half, triangles
-    rings = np.concatenate([np.linspace(0, 90, UP + 1), np.linspace(90, 180, UP + 1)])
+    rings = np.concatenate([np.linspace(0, 90, FACES_PER_CAP + 1), np.linspace(90, 180, FACES_PER_CAP + 1)])
     angle = np.radians(rings)[:, None]
-    about = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)[None]
+    about = np.linspace(0, 2 * np.pi, FACES_AROUND, endpoint=False)[None]
     x = np.where(rings > 90, -1.0, 1.0)
-    x[UP + 1] = -1.0  # the second ring at 90 degrees lies at the other end
-    middle = np.broadcast_to((x * collider.half[0])[:, None], (len(rings), AROUND))
+    x[FACES_PER_CAP + 1] = -1.0  # the second ring at 90 degrees lies at the other end
+    middle = np.broadcast_to((x * collider.half[0])[:, None], (len(rings), FACES_AROUND))
     r = collider.radius
     points = np.stack(
         [
@@ -93,11 +93,11 @@ def _surface(collider: Collider) -> tuple[NDArray, NDArray]:
         ],
         axis=-1,
     )
-    row, column = np.meshgrid(np.arange(len(rings) - 1), np.arange(AROUND), indexing="ij")
-    a, b = row * AROUND + column, row * AROUND + (column + 1) % AROUND
-    triangles = np.concatenate(
-        [np.stack([a, a + AROUND, b], -1).reshape(-1, 3), np.stack([b, a + AROUND, b + AROUND], -1).reshape(-1, 3)]
-    )
+    row, column = np.meshgrid(np.arange(len(rings) - 1), np.arange(FACES_AROUND), indexing="ij")
+    a, b = row * FACES_AROUND + column, row * FACES_AROUND + (column + 1) % FACES_AROUND
+    a_next, b_next = a + FACES_AROUND, b + FACES_AROUND
+    sides = ((a, a_next, b), (b, a_next, b_next))
+    triangles = np.concatenate([np.stack(side, -1).reshape(-1, 3) for side in sides])
     return points.reshape(-1, 3), triangles
 
 
@@ -112,7 +112,7 @@ def _creased(vertices: NDArray, triangles: NDArray) -> tuple[NDArray, NDArray]:
     for t, corners in enumerate(triangles):
         for k, v in enumerate(corners.tolist()):
             known = kinds.setdefault(v, [])
-            own = next((index for n, index in known if n @ normal[t] > CREASE), None)
+            own = next((index for n, index in known if n @ normal[t] > CREASE_COSINE), None)
             if own is None:
                 own = len(points)
                 known.append((normal[t], own))

@@ -20,14 +20,14 @@ __all__ = [
     "ground_planes",
     "near_boxes",
     "robust_bounds",
+    "rotated",
     "triple",
-    "turned",
     "view_matrix",
 ]
 
 Floats = NDArray[np.float64]
-SAMPLE = 20_000  # balls looked at: enough for a frame, quick for millions
-MARGIN = 1.10
+SAMPLED_BALLS = 20_000  # balls looked at: enough for a frame, quick for millions
+FIT_MARGIN = 1.10
 AZIMUTH, ELEVATION, FOV = 32.0, 19.0, 34.0  # degrees; a three-quarter view
 
 
@@ -66,7 +66,7 @@ class Camera:
         a, e = math.radians(azimuth), math.radians(elevation)
         back = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
         axes = cls(triple(back), (0.0, 0.0, 0.0)).axes()
-        tall = math.tan(math.radians(fov) / 2) / MARGIN
+        tall = math.tan(math.radians(fov) / 2) / FIT_MARGIN
         slopes = np.array([tall * aspect, tall])
         target = (points.min(axis=0) + points.max(axis=0)) / 2
         distance = 1.0
@@ -153,8 +153,8 @@ def view_matrix(
     return matrix
 
 
-def turned(vector: Floats, axis: Floats, angle: float) -> Floats:
-    """A vector (3,) turned by an angle [rad] about an axis, counter-clockwise seen from its tip."""
+def rotated(vector: Floats, axis: Floats, angle: float) -> Floats:
+    """A vector (3,) rotated by an angle [rad] about an axis, counter-clockwise seen from its tip."""
     rotation = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
     result: Floats = rotation.apply(vector)
     return result
@@ -167,7 +167,7 @@ def triple(vector: Any) -> tuple[float, float, float]:
 
 def _content(frame: Frame) -> tuple[Floats, Floats]:
     """Points and radii that the picture must hold: a sample of the balls, and their feet on walls that are near."""
-    step = max(1, len(frame.position) // SAMPLE)
+    step = max(1, len(frame.position) // SAMPLED_BALLS)
     position, radius = frame.position[::step], frame.radius[::step]
     bounds, kept = robust_bounds(position, radius)
     if len(position) == 0:

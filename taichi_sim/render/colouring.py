@@ -10,10 +10,10 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.render.camera import robust_bounds
 from taichi_sim.render.palette import to_linear
 
-__all__ = ["SCALE", "Colouring"]
+__all__ = ["COLOUR_SCALE", "Colouring"]
 
 # sRGB from dark purple to yellow in steps that look equal: equal distances in the Oklab space, with lightness 0.30 to 0.92
-SCALE = np.array(
+COLOUR_SCALE = np.array(
     [
         [0.218, 0.031, 0.442],
         [0.207, 0.123, 0.512],
@@ -34,7 +34,7 @@ SCALE = np.array(
         [0.958, 0.918, 0.386],
     ]
 )
-ENTRIES = 256  # of the table that kernels read
+TABLE_ENTRIES = 256  # of the table that kernels read
 FULL_STRAIN = 0.1
 
 
@@ -83,9 +83,9 @@ class Colouring:
 
     @staticmethod
     def table() -> NDArray[np.float32]:
-        """Linear colours (ENTRIES, 3) along the scale."""
-        place = np.linspace(0.0, len(SCALE) - 1.0, ENTRIES)
-        srgb = np.stack([np.interp(place, np.arange(len(SCALE)), SCALE[:, k]) for k in range(3)], axis=1)
+        """Linear colours (TABLE_ENTRIES, 3) along the scale."""
+        place = np.linspace(0.0, len(COLOUR_SCALE) - 1.0, TABLE_ENTRIES)
+        srgb = np.stack([np.interp(place, np.arange(len(COLOUR_SCALE)), COLOUR_SCALE[:, k]) for k in range(3)], axis=1)
         return to_linear(srgb).astype(np.float32)
 
 

@@ -46,16 +46,16 @@ class Content:
             covered |= one.covered(n)
         own = frame.triangles.reshape(-1, 3)
         triangles, binding = Binding.finer(frame.embedded_surfaces, own[~covered[own].all(axis=1)], n, subdivide)
-        skin = covered.copy()
-        skin[own.ravel()] = True
+        hidden = covered.copy()
+        hidden[own.ravel()] = True
         springs = frame.springs.reshape(-1, 2)
-        rods = np.flatnonzero(~(skin[springs[:, 0]] | skin[springs[:, 1]]))  # inner ones would poke through
+        rods = np.flatnonzero(~(hidden[springs[:, 0]] | hidden[springs[:, 1]]))  # inner ones would poke through
         ends = np.ascontiguousarray(springs[rods], dtype=np.int32)
         colour = body_colours(frame)
         stick = frame.sticks[rods] if len(frame.sticks) == len(springs) else np.zeros(len(rods), dtype=bool)
         return cls(
             source=_source(frame),
-            radius=np.where(skin, 0.0, frame.radius),
+            radius=np.where(hidden, 0.0, frame.radius),
             colour=np.concatenate([colour, binding.colours(colour)]),
             rods=rods,
             rod_ends=ends,

@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.render import raster, shade, shading_pass, vertex_binding
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
-__all__ = ["Buffers", "Canvas", "finished", "padded", "place"]
+__all__ = ["Buffers", "Canvas", "finished", "padded"]
 
 SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 
@@ -27,24 +28,19 @@ class Buffers:
         self.capacity = _sizes(content)
         n, m, t = self.capacity[:3]
         self.has_spheres = bool(np.any(content.radius > 0))
-        self.has_rods, self.has_triangles, self.has_skins = m > 0, t > 0, len(content.binding) > 0
-        builder = ti.FieldsBuilder()
-        self.ball = place(builder, ti.Vector.field(4, ti.f32), n)
-        self.colour = place(builder, ti.Vector.field(3, ti.f32), n)
+        self.has_rods, self.has_triangles, self.has_bound = m > 0, t > 0, len(content.binding) > 0
+        self._fields = fields = Fields(ti.f32)
+        self.ball, self.colour = fields.vectors(n, 4), fields.vectors(n, 3)
         if self.has_rods:
-            self.rod = place(builder, ti.Vector.field(2, ti.i32), m)
-            self.rod_radius = place(builder, ti.field(ti.f32), m)
-            self.rod_strain = place(builder, ti.field(ti.f32), m)
+            self.rod, self.rod_radius, self.rod_strain = fields.cells(m, 2), fields.reals(m), fields.reals(m)
         if self.has_triangles:
-            self.corner = place(builder, ti.Vector.field(3, ti.i32), t)
-            self.incident = place(builder, ti.field(ti.i32), 3 * t)
-            self.start = place(builder, ti.field(ti.i32), n + 1)
-            self.normal = place(builder, ti.Vector.field(3, ti.f32), n)
-        if self.has_skins:
-            self.bound_start = place(builder, ti.field(ti.i32), len(content.binding) + 1)
-            self.bound_entry = place(builder, ti.field(ti.i32), content.binding.weights.nnz)
-            self.bound_weight = place(builder, ti.field(ti.f32), content.binding.weights.nnz)
-        self._tree = builder.finalize()
+            self.corner, self.incident = fields.cells(t, 3), fields.integers(3 * t)
+            self.start, self.normal = fields.integers(n + 1), fields.vectors(n, 3)
+        if self.has_bound:
+            entries = content.binding.weights.nnz
+            self.bound_start = fields.integers(len(content.binding) + 1)
+            self.bound_entry, self.bound_weight = fields.integers(entries), fields.reals(entries)
+        fields.build()
         self.ball.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
         self._upload = np.zeros((max(n, 1), 4), dtype=np.float32)
         self.vertices, self.rods, self.triangles = n, m, t
@@ -55,14 +51,14 @@ class Buffers:
     def holds(self, content: Content) -> bool:
         """Whether this content fits and draws the same kinds of things."""
         sizes = _sizes(content)
-        fits = all(0 < now <= room or now == room for now, room in zip(sizes[1:3], self.capacity[1:3]))
+        fits = all(0 < now <= capacity or now == capacity for now, capacity in zip(sizes[1:3], self.capacity[1:3]))
         same = (sizes[0], *sizes[3:]) == (self.capacity[0], *self.capacity[3:])
         return fits and same and self.has_spheres == bool(np.any(content.radius > 0))
 
     def load(self, content: Content, colour: NDArray, unit: float) -> None:
         """Take over what does not change from frame to frame; colour linear."""
         n = self.vertices
-        _, self.rods, self.triangles = _sizes(content)[:3]  # fewer than there is room for, where springs tore
+        _, self.rods, self.triangles = _sizes(content)[:3]  # fewer than there is capacity for, where springs tore
         self.bodies = content.bodies
         if n == 0:
             return
@@ -86,7 +82,7 @@ class Buffers:
             self.corner.from_numpy(padded(self._corners, self.capacity[2]))
             self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * self.capacity[2]))
             self.start.from_numpy(start)
-        if self.has_skins:
+        if self.has_bound:
             self.bound_start.from_numpy(content.binding.weights.indptr.astype(np.int32))
             self.bound_entry.from_numpy(content.binding.weights.indices.astype(np.int32))
             self.bound_weight.from_numpy(content.binding.weights.data.astype(np.float32))
@@ -114,7 +110,7 @@ class Buffers:
         value = np.zeros(max(self.balls, 1), dtype=np.float32)
         value[: self.balls] = values
         vertex_binding.paint_balls(value, table, self.colour, self.balls)
-        if self.has_skins:
+        if self.has_bound:
             start, entry, weight = self.bound_start, self.bound_entry, self.bound_weight
             vertex_binding.paint_bound(value, table, self.colour, start, entry, weight, self.balls, self.bound)
 
@@ -122,7 +118,7 @@ class Buffers:
         """Leave out the farthest spheres of a view beyond a total area (px) of all discs: buried layers deep."""
         points = self._upload[: self.balls]
         depth = points[:, :3] @ view[2, :3] + view[2, 3]
-        scale = view[3, 0] / np.maximum(depth, raster.NEAR)
+        scale = view[3, 0] / np.maximum(depth, raster.NEAR_PLANE)
         order = np.argsort(depth - points[:, 3], kind="stable")
         covered = np.minimum(np.pi * (points[order, 3] * scale[order]) ** 2, 4 * view[3, 1] * view[3, 2])
         points[order[np.cumsum(covered) > area], 3] = 0.0
@@ -131,7 +127,7 @@ class Buffers:
     def _send(self) -> None:
         """Balls to the device, and the vertices of surfaces after them."""
         self.ball.from_numpy(self._upload)
-        if self.has_skins:
+        if self.has_bound:
             vertex_binding.bind(
                 self.ball, self.bound_start, self.bound_entry, self.bound_weight, self.balls, self.bound
             )
@@ -140,7 +136,7 @@ class Buffers:
         raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.vertices)
 
     def close(self) -> None:
-        self._tree.destroy()
+        self._fields.free()
 
 
 def _sizes(content: Content) -> tuple[int, ...]:
@@ -171,17 +167,14 @@ class Canvas:
     ) -> None:
         pixels = size[0] * size[1]
         self.samples, self.shadow_side = samples, SHADOW_SIDE[samples]
-        builder = ti.FieldsBuilder()
-        self.keys = place(builder, ti.field(ti.i64), pixels * samples)
-        self.image = place(builder, ti.Vector.field(3, ti.f32), pixels)
-        self.shadow: Any = place(builder, ti.field(ti.i64), self.shadow_side**2) if shadow else None
-        cells = (self.shadow_side // shade.CELL) ** 2
-        self.cell: Any = place(builder, ti.field(ti.f32), cells) if shadow else None
-        self.coarse: Any = place(builder, ti.field(ti.f32), cells) if shadow else None
-        self.openness: Any = place(builder, ti.field(ti.f32), pixels) if occlusion else None
-        self.open_raw: Any = place(builder, ti.field(ti.f32), pixels) if occlusion else None
-        self.alpha: Any = place(builder, ti.field(ti.f32), pixels) if transparent else None
-        self._tree = builder.finalize()
+        self._fields = fields = Fields(ti.f32)
+        self.keys, self.image = fields.keys(pixels * samples), fields.vectors(pixels, 3)
+        cells = (self.shadow_side // shade.COARSE_TEXELS) ** 2
+        self.shadow: Any = fields.keys(self.shadow_side**2) if shadow else None
+        self.cell, self.coarse = (fields.reals(cells) if shadow else None for _ in range(2))
+        self.openness, self.open_raw = (fields.reals(pixels) if occlusion else None for _ in range(2))
+        self.alpha: Any = fields.reals(pixels) if transparent else None
+        fields.build()
         self.image.fill(0.0)  # see Buffers
         self._out = np.zeros(pixels, dtype=np.int32)
         self._scene: tuple[Buffers, _Scene] | None = None
@@ -196,7 +189,7 @@ class Canvas:
         return finished(self.image, self.alpha, self.samples == 1, width, height, self._out)
 
     def close(self) -> None:
-        self._tree.destroy()
+        self._fields.free()
         self._scene = None
 
 
@@ -213,9 +206,3 @@ def padded(values: NDArray, rows: int) -> NDArray:
     if len(values) == rows:
         return values
     return np.concatenate([values, np.zeros((rows - len(values), *values.shape[1:]), dtype=values.dtype)])
-
-
-def place(builder: Any, field: Any, count: int) -> Any:
-    """The field with room for `count`, at least one."""
-    builder.dense(ti.i, max(count, 1)).place(field)
-    return field

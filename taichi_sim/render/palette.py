@@ -23,8 +23,8 @@ PALETTE = np.array(  # sRGB: coral, amber, teal, blue, cream, rose, sea green, s
     ]
 )
 
-GRAINS = np.array([0, 1, 1, 1, 4, 4, 0, 1, 4, 2])  # mostly warm
-CONFETTI = 4000  # bodies
+GRAIN_COLOURS = np.array([0, 1, 1, 1, 4, 4, 0, 1, 4, 2])  # mostly warm
+MANY_BODIES = 4000  # bodies
 
 
 def to_linear(colour: NDArray) -> NDArray[np.float64]:
@@ -59,10 +59,10 @@ def body_colours(frame: Frame) -> NDArray[np.float64]:
     noise = _hash(body)
     if bodies <= len(PALETTE):
         index = body
-    elif bodies <= CONFETTI:
+    elif bodies <= MANY_BODIES:
         index = (noise % np.uint64(len(PALETTE))).astype(np.int64)
     else:  # grains of a few pixels: fewer hues, or the mixture looks grey
-        index = GRAINS[(noise % np.uint64(len(GRAINS))).astype(np.int64)]
+        index = GRAIN_COLOURS[(noise % np.uint64(len(GRAIN_COLOURS))).astype(np.int64)]
     shade = 0.93 + 0.14 * ((noise >> np.uint64(20)) % np.uint64(16)).astype(float)[:, None] / 16
     chosen = PALETTE[index] * shade
     return np.clip(np.where(missing[:, None], chosen, given), 0.0, 1.0)

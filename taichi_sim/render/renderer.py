@@ -60,9 +60,7 @@ class Renderer:
 
     def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
         """The picture of a frame of the same scene. In 3D it may be `coarse` times less wide and high, and so much quicker."""
-        if self._painter is None:
-            raise RuntimeError("this renderer is closed")
-        return self._painter.render(frame, coarse)
+        return self._open().render(frame, coarse)
 
     @property
     def camera(self) -> Any:
@@ -73,11 +71,19 @@ class Renderer:
     def camera(self, camera: Any) -> None:
         self._painter.look(camera)
 
+    @property
+    def buffers(self) -> Any:
+        """The fields of what is drawn, `Buffers` in 3D, a `Canvas` in 2D; made anew only where a frame has more of anything."""
+        return self._open().buffers
+
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn, for later ones to look as if it had been."""
+        self._open().skip(frame)
+
+    def _open(self) -> Any:
         if self._painter is None:
             raise RuntimeError("this renderer is closed")
-        self._painter.skip(frame)
+        return self._painter
 
     def close(self) -> None:
         """Free its memory. Calling it twice does no harm."""

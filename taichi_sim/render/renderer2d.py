@@ -1,7 +1,6 @@
 """Pictures of 2D frames: discs, rods, triangles and walls with analytic edges."""
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,13 +8,14 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
 from taichi_sim.geometry.mesh import Edges
 from taichi_sim.kernels.render import paint2d
 from taichi_sim.render.bodies import filled
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
-from taichi_sim.render.colouring import Colouring
+from taichi_sim.render.colouring import FULL_STRAIN, Colouring
 from taichi_sim.render.content import Content
-from taichi_sim.render.fields import finished, padded, place
+from taichi_sim.render.fields import finished, padded
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 from taichi_sim.render.tracker import Follower
@@ -24,12 +24,15 @@ from taichi_sim.scene.colliders import CUSTOM
 
 __all__ = ["Renderer2D"]
 
-TOP, BOTTOM = (0.975, 0.975, 0.970), (0.925, 0.935, 0.945)  # sRGB
-COMPRESSED, NEUTRAL, STRETCHED = (0.13, 0.40, 0.67), (0.60, 0.60, 0.62), (0.78, 0.16, 0.17)  # sRGB, colour-blind safe
-FULL_STRAIN = 0.1
-CROWD = 4000  # shapes: from here smaller tiles are faster
-STICK, STICK_ON_DARK = (0.27, 0.29, 0.34), (0.62, 0.65, 0.70)
-MARGIN, EDGE = 0.06, 26.0  # of the picture; px of a wall to show
+BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.975, 0.975, 0.970), (0.925, 0.935, 0.945)  # sRGB
+COMPRESSED_COLOUR, NEUTRAL_COLOUR, STRETCHED_COLOUR = (
+    (0.13, 0.40, 0.67),
+    (0.60, 0.60, 0.62),
+    (0.78, 0.16, 0.17),
+)  # sRGB, colour-blind safe
+MANY_SHAPES = 4000  # shapes: from here smaller tiles are faster
+STICK_COLOUR, STICK_COLOUR_ON_DARK = (0.27, 0.29, 0.34), (0.62, 0.65, 0.70)
+VIEW_MARGIN, SHOWN_WALL = 0.06, 26.0  # of the picture; px of a wall to show
 NO_BODY = -2e9  # px, a radius: nothing is nearer to it than to anything else
 THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 
@@ -52,7 +55,7 @@ class Renderer2D:
         low, scale, self._extent = _view(frame, size)
         self.camera = Flat((float(low[0]), float(low[1])), scale)
         self._follower = self._place(frame, camera)
-        self._top, bottom = background_colours(background, TOP, BOTTOM)
+        self._top, bottom = background_colours(background, BACKGROUND_TOP, BACKGROUND_BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
         wall, hatch, edge = (
             (bottom + shift for shift in (0.05, 0.14, 0.35))
@@ -62,7 +65,7 @@ class Renderer2D:
         self._wall_colour = wall
         self._look = paint2d.Look(np.stack([self._top, bottom, wall, hatch, edge]).tolist())
         self._content: Any = None
-        self._canvas: Any = None
+        self.buffers: Any = None
         self._capacity = (-1, -1, -1)
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
@@ -73,9 +76,9 @@ class Renderer2D:
         self.skip(frame)
         width, height = self.size
         shape, low, high = self._shapes(frame)
-        tile = 8 if len(shape) > CROWD else 16
+        tile = 8 if len(shape) > MANY_SHAPES else 16
         entry, start = tile_lists(low, high, self.size, tile)
-        canvas = self._canvas
+        canvas = self.buffers
         if len(shape):
             canvas.shape.from_numpy(padded(shape, self._capacity[0]))
             canvas.colour.from_numpy(padded(np.concatenate([self._filling, self._colours(frame)]), self._capacity[0]))
@@ -114,9 +117,9 @@ class Renderer2D:
 
     def close(self) -> None:
         """Free the fields."""
-        if self._canvas is not None:
-            self._canvas.close()
-        self._content, self._canvas = None, None
+        if self.buffers is not None:
+            self.buffers.close()
+        self._content, self.buffers = None, None
 
     def _prepare(self, frame: Frame) -> None:
         fixed = (len(frame.walls) if frame.walls.size else 0, len(frame.colliders))
@@ -130,17 +133,17 @@ class Renderer2D:
         owner = filled(frame)[1]
         counts = (len(owner) + len(content.triangles), len(self._outline), len(self._rods), len(self._discs))
         if self._capacity[0] < sum(counts) or self._capacity[1:] != fixed:  # springs that tear leave room
-            if self._canvas is not None:
-                self._canvas.close()
+            if self.buffers is not None:
+                self.buffers.close()
             self._capacity = (sum(counts), *fixed)
-            self._canvas = Canvas(*self._capacity, self.size[0] * self.size[1], self._transparent)
+            self.buffers = Canvas(*self._capacity, self.size[0] * self.size[1], self._transparent)
         kind = np.repeat([paint2d.TRIANGLE, paint2d.ROD, paint2d.ROD, paint2d.DISC], counts).astype(np.int32)
         if len(kind):
-            self._canvas.kind.from_numpy(padded(kind, self._capacity[0]))
+            self.buffers.kind.from_numpy(padded(kind, self._capacity[0]))
         if frame.colliders:
             tints = [p.collider.colour for p in frame.colliders]
             linear = [np.full(3, -1.0) if tint is None else to_linear(np.array(tint)) for tint in tints]
-            self._canvas.tint.from_numpy(np.array(linear, dtype=np.float32))
+            self.buffers.tint.from_numpy(np.array(linear, dtype=np.float32))
             linear = [self._wall_colour if tint[0] < 0 else tint for tint in linear]
         self._filling = np.array(linear, dtype=np.float32)[owner] if len(owner) else np.zeros((0, 3), dtype=np.float32)
         self._base = self._base_colours(content)
@@ -192,7 +195,7 @@ class Renderer2D:
         result = np.zeros((t + o + m + len(self._discs), 3), dtype=np.float32)
         result[:t] = 0.55 * colour[content.triangles].mean(axis=1) + 0.45 * self._top
         result[t : t + o] = 0.6 * colour[self._outline[:, 0]]
-        result[t + o : t + o + m] = to_linear(np.array(STICK_ON_DARK if self._dark else STICK))
+        result[t + o : t + o + m] = to_linear(np.array(STICK_COLOUR_ON_DARK if self._dark else STICK_COLOUR))
         result[t + o + m :] = colour[self._discs]
         return result
 
@@ -201,10 +204,10 @@ class Renderer2D:
         spring = ~content.rod_stick[self._rods]
         if spring.any() and len(frame.strain) == len(frame.springs):
             strain = np.tanh(frame.strain[content.rods[self._rods[spring]]] / FULL_STRAIN)[:, None]
-            ends = np.where(strain > 0, to_linear(np.array(STRETCHED)), to_linear(np.array(COMPRESSED)))
+            ends = np.where(strain > 0, to_linear(np.array(STRETCHED_COLOUR)), to_linear(np.array(COMPRESSED_COLOUR)))
             first = len(content.triangles) + len(self._outline)
             share = np.abs(strain)
-            self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL)) * (1 - share) + ends * share
+            self._base[first : first + len(strain)] = to_linear(np.array(NEUTRAL_COLOUR)) * (1 - share) + ends * share
         if self._colouring is not None:
             value = self._colouring.values(frame)[:, None]
             value = np.concatenate([value, content.binding.apply(value)])[:, 0]
@@ -216,7 +219,7 @@ class Renderer2D:
         return self._base
 
     def _bodies(self, frame: Frame) -> NDArray[np.float32]:
-        """The colliders as `kernels.paint2d` wants them, (k, 8) px from the top left."""
+        """The colliders as kernels.render.paint2d wants them, (k, 8) px from the top left."""
         rows = np.zeros((len(frame.colliders), 8), dtype=np.float32)
         for row, placed in zip(rows, frame.colliders):
             shape, along = placed.collider, placed.rotation[:, 0]
@@ -240,20 +243,22 @@ class Canvas:
     """What the kernel reads and writes: fields of shapes, walls and bodies, at least one of each, and the picture."""
 
     def __init__(self, shapes: int, walls: int, bodies: int, pixels: int, transparent: bool) -> None:
-        builder, vec3 = ti.FieldsBuilder(), partial(ti.Vector.field, 3, ti.f32)
-        self.shape = place(builder, ti.Vector.field(8, ti.f32), shapes)
-        self.colour, self.kind = place(builder, vec3(), shapes), place(builder, ti.field(ti.i32), shapes)
-        self.wall = place(builder, vec3(), walls)
-        self.body, self.tint = place(builder, ti.Vector.field(8, ti.f32), bodies), place(builder, vec3(), bodies)
-        self.image = place(builder, vec3(), pixels)
-        self.alpha = place(builder, ti.field(ti.f32), pixels if transparent else 1)
+        self._fields = fields = Fields(ti.f32)
+        self.shape, self.colour, self.kind = (
+            fields.vectors(shapes, 8),
+            fields.vectors(shapes, 3),
+            fields.integers(shapes),
+        )
+        self.wall = fields.vectors(walls, 3)
+        self.body, self.tint = fields.vectors(bodies, 8), fields.vectors(bodies, 3)
+        self.image, self.alpha = fields.vectors(pixels, 3), fields.reals(pixels if transparent else 1)
         self.transparent = transparent
-        self._tree = builder.finalize()
+        fields.build()
         self.wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
 
     def close(self) -> None:
         """Free the fields."""
-        self._tree.destroy()
+        self._fields.free()
 
 
 def _covered(frame: Frame, bounds: Bounds) -> tuple[NDArray, NDArray]:
@@ -277,7 +282,7 @@ def _view(frame: Frame, size: tuple[int, int]) -> tuple[NDArray, float, float]:
             low[axis], high[axis] = min(low[axis], foot[axis]), max(high[axis], foot[axis])
             shown = True
     extent = np.maximum(high - low, 1e-9 * bounds.size)
-    border = np.array(size) * MARGIN + (min(EDGE, 0.05 * min(size)) if shown else 0.0)
+    border = np.array(size) * VIEW_MARGIN + (min(SHOWN_WALL, 0.05 * min(size)) if shown else 0.0)
     scale = float(((np.array(size) - 2 * border) / extent).min())
     return (low + high) / 2 - np.array(size) / 2 / scale, scale, bounds.size
 

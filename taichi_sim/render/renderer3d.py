@@ -19,11 +19,11 @@ from taichi_sim.render.tracker import Tracker
 __all__ = ["Renderer3D"]
 
 HORIZON, ZENITH = (0.905, 0.915, 0.925), (0.56, 0.65, 0.76)  # sRGB
-PINNED = (0.24, 0.25, 0.28)
-MANY = 150_000  # primitives: from here one sample per pixel and a smoothing pass instead of four samples
+PINNED_COLOUR = (0.24, 0.25, 0.28)
+MANY_PRIMITIVES = 150_000  # primitives: from here one sample per pixel and a smoothing pass instead of four samples
 MOST_TESTS = 1.5e8  # ray tests of spheres in one picture
-LAMP_TURN, LAMP_HEIGHT = -58.0, 52.0  # degrees: to the left of the camera, above the ground
-FILL_TURN, FILL_HEIGHT = 65.0, 12.0  # degrees
+LAMP_AZIMUTH, LAMP_ELEVATION = -58.0, 52.0  # degrees: to the left of the camera, above the ground
+FILL_AZIMUTH, FILL_ELEVATION = 65.0, 12.0  # degrees
 
 
 class Renderer3D:
@@ -53,7 +53,7 @@ class Renderer3D:
         self._lamp, self._fill = _lamp(self.camera), _fill(self.camera)  # they stay when the camera moves
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Any = None
-        self._buffers: Any = None
+        self.buffers: Any = None
         self._canvas: Any = None
         self._prepare(frame)
 
@@ -64,9 +64,9 @@ class Renderer3D:
         rods, strain = self._content.rods, None
         if len(rods) and len(frame.strain) == len(frame.springs):
             strain = frame.strain[rods]
-        self._buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
+        self.buffers.move(frame, self._origin, self._unit, strain, np.asarray(self.camera.eye))
         if self._colouring is not None:
-            self._buffers.paint(self._colouring.values(frame), self._table)
+            self.buffers.paint(self._colouring.values(frame), self._table)
         width, height = (max(1, side // coarse) for side in self.size)
         view = self._view(width, height)
         self._spare(view)
@@ -76,14 +76,14 @@ class Renderer3D:
         planes = planes[planes[:, :3] @ eye > planes[:, 3]]
         matrix = np.zeros((4, 4), dtype=np.float32)
         matrix[: len(planes)] = planes
-        if self._buffers.has_triangles:
-            self._buffers.find_normals()
+        if self.buffers.has_triangles:
+            self.buffers.find_normals()
         light = self._cast_shadows(frame) if self._shadow else view
         keys = self._canvas.keys
         seen = _on_screen(planes, self.camera.axes(), eye, view)
         raster.clear(keys, self._canvas.samples, seen, len(planes), width, height)
         self._draw(keys, self._canvas.samples, view, width, height, True)
-        scene = self._canvas.scene(self._buffers)
+        scene = self._canvas.scene(self.buffers)
         if self._ambient_occlusion:
             shading_pass.occlude(scene, keys, _mat(view), _vec(eye), _mat(matrix), 0.05, width, height)
         shading_pass.resolve(
@@ -115,10 +115,10 @@ class Renderer3D:
 
     def close(self) -> None:
         """Free the fields."""
-        for owner in (self._buffers, self._canvas):
+        for owner in (self.buffers, self._canvas):
             if owner is not None:
                 owner.close()
-        self._buffers, self._canvas, self._content = None, None, None
+        self.buffers, self._canvas, self._content = None, None, None
 
     def _prepare(self, frame: Frame) -> None:
         """Take over what changed beyond positions; allocate again where a frame has more of anything."""
@@ -126,18 +126,20 @@ class Renderer3D:
             return
         content = Content.of(frame, self._unit, self._subdivide)
         self._content = content
-        if self._buffers is None or not self._buffers.holds(content):
-            if self._buffers is not None:
-                self._buffers.close()
-            self._buffers = Buffers(content)
+        if self.buffers is None or not self.buffers.holds(content):
+            if self.buffers is not None:
+                self.buffers.close()
+            self.buffers = Buffers(content)
         if self._canvas is None:
             drawn = int(np.count_nonzero(content.radius)) + len(content.rods)
-            samples = 1 if drawn > MANY and not self._transparent else 4
+            samples = 1 if drawn > MANY_PRIMITIVES and not self._transparent else 4
             self._canvas = Canvas(self.size, samples, self._shadow, self._ambient_occlusion, self._transparent)
         colour = to_linear(content.colour)
         if len(frame.pinned) == len(colour) and not len(frame.triangles):
-            colour = np.where(frame.pinned[:, None] & (frame.colour.size == 0), to_linear(np.array(PINNED)), colour)
-        self._buffers.load(content, colour, self._unit)
+            colour = np.where(
+                frame.pinned[:, None] & (frame.colour.size == 0), to_linear(np.array(PINNED_COLOUR)), colour
+            )
+        self.buffers.load(content, colour, self._unit)
 
     def _look_matrix(self) -> Any:
         """Rows: lamp and the spacing of the grid, fill, zenith, horizon."""
@@ -157,11 +159,11 @@ class Renderer3D:
         shadow = (self._canvas.shadow_side * self._unit / self._bounds.size) ** 2 if self._shadow else 0.0
         per_square = float(view[3, 0] / distance) ** 2  # px for a unit square at the target
         tests = self._canvas.samples + shadow / per_square  # for a px of disc
-        if np.pi * self._buffers.squares * per_square * tests > MOST_TESTS:
-            self._buffers.thin_out(view, MOST_TESTS / tests)
+        if np.pi * self.buffers.squares * per_square * tests > MOST_TESTS:
+            self.buffers.thin_out(view, MOST_TESTS / tests)
 
     def _draw(self, keys: Any, samples: int, view: NDArray, width: int, height: int, exact: bool) -> None:
-        b, v = self._buffers, _mat(view)
+        b, v = self.buffers, _mat(view)
         if b.has_spheres:
             raster.draw_spheres(b.ball, keys, samples, exact, v, width, height, b.balls)
         if b.has_rods:
@@ -211,20 +213,20 @@ def _vec(vector: Any) -> Any:
 
 def _lamp(camera: Camera) -> NDArray[np.float64]:
     """Direction to the key light: from the left, above and a little before the camera."""
-    return _around(camera, LAMP_TURN, LAMP_HEIGHT)
+    return _around(camera, LAMP_AZIMUTH, LAMP_ELEVATION)
 
 
 def _fill(camera: Camera) -> NDArray[np.float64]:
-    return _around(camera, FILL_TURN, FILL_HEIGHT)
+    return _around(camera, FILL_AZIMUTH, FILL_ELEVATION)
 
 
-def _around(camera: Camera, turn: float, height: float) -> NDArray[np.float64]:
-    """A direction `turn` degrees to the right of the camera's place and `height` degrees above the ground."""
+def _around(camera: Camera, azimuth: float, height: float) -> NDArray[np.float64]:
+    """A direction `azimuth` degrees to the right of the camera's place and `height` degrees above the ground."""
     axes = camera.axes()
     flat = np.array([-axes[2][0], 0.0, -axes[2][2]])
     flat = flat / np.linalg.norm(flat) if np.linalg.norm(flat) > 1e-6 else np.array([0.0, 0.0, 1.0])
     side = np.array([flat[2], 0.0, -flat[0]])  # to the right of the camera
-    level = flat * math.cos(math.radians(turn)) + side * math.sin(math.radians(turn))
+    level = flat * math.cos(math.radians(azimuth)) + side * math.sin(math.radians(azimuth))
     return np.array([0.0, math.sin(math.radians(height)), 0.0]) + level * math.cos(math.radians(height))
 
 

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 __all__ = ["tile_lists"]
 
-MOST = 4_000_000  # entries: beyond, the shapes drawn last (on top) are kept
+MOST_ENTRIES = 4_000_000  # entries: beyond, the shapes drawn last (on top) are kept
 
 
 def tile_lists(
@@ -18,8 +18,8 @@ def tile_lists(
     after = np.clip(np.floor(high / tile) + 1, 0, limit).astype(np.int64)
     span = np.maximum(after - first, 0)
     count = span[:, 0] * span[:, 1]
-    if count.sum() > MOST:
-        count[np.cumsum(count[::-1])[::-1] > MOST] = 0
+    if count.sum() > MOST_ENTRIES:
+        count[np.cumsum(count[::-1])[::-1] > MOST_ENTRIES] = 0
     box = np.repeat(np.arange(len(count)), count)
     nth = np.arange(len(box)) - np.repeat(np.cumsum(count) - count, count)
     wide = np.maximum(span[box, 0], 1)

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.render.camera import AZIMUTH, ELEVATION, FOV, Camera, triple, turned
+from taichi_sim.render.camera import AZIMUTH, ELEVATION, FOV, Camera, rotated, triple
 from taichi_sim.scene.camera_path import CameraPath
 
 __all__ = ["Follower", "Tracker"]
 
-FIRMNESS = 5.0  # 1/s: how fast a camera catches up with what it follows
+FOLLOWING_RATE = 5.0  # 1/s: how fast a camera catches up with what it follows
 
 
 class Follower:
@@ -38,7 +38,7 @@ class Follower:
         if elapsed < 0:  # it was put back
             self._begin_at(frame)
         if elapsed > 0:
-            goal, w = self._middle(frame), FIRMNESS
+            goal, w = self._middle(frame), FOLLOWING_RATE
             even = (goal - self._goal) / elapsed
             off, drift = self.place - self._goal, self._speed - even
             pull, fade = drift + w * off, math.exp(-w * elapsed)
@@ -80,7 +80,7 @@ class Tracker:
             return self._along(frame.time)
         eye, target = np.array(self.first.eye), np.array(self.first.target)
         if path.orbit:
-            eye = target + turned(eye - target, np.array(path.up), math.radians(path.orbit * frame.time))
+            eye = target + rotated(eye - target, np.array(path.up), math.radians(path.orbit * frame.time))
         if self._follower is not None:
             shift = self._follower.at(frame) - self._follower.begin
             eye, target = eye + shift, target + shift

@@ -23,16 +23,12 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, part_of_bound
 from taichi_sim.simulation.simulation import Simulation
 
-__all__ = ["lines"]
-
 EXPLICIT = (VERLET, SYMPLECTIC_EULER, RK4, EXPLICIT_EULER)
 STIFF = tuple(method for method in BUILT_IN_METHODS.values() if method not in EXPLICIT)
-MANY = 20_000  # passes over the springs in a simulated second, from which a stiff method is worth a try
-RARE = 2.0  # times longer step without the limiting spring, from which that one alone is to blame
-
-
-OFF = 0.05  # of a decay rate, from which it is spoken of
-SOON = 0.01  # of a cycle's motion, likewise, where springs damp less
+MANY_PASSES = 20_000  # over the springs in a simulated second, from which a stiff method is worth a try
+MUCH_LONGER = 2.0  # times longer step without the limiting spring, from which that one alone is to blame
+WRONG_DECAY = 0.05  # of a decay rate, from which its error is reported
+WRONG_IN_A_CYCLE = 0.01  # of a cycle's motion, likewise, where springs damp less
 
 
 def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64]) -> Iterator[str]:
@@ -48,14 +44,15 @@ def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64
         if scene.n_springs and np.any(~scene.pinned):
             yield "damping               not known with cells, bending, gas, or so many balls"
         return
-    worst = max(decays, key=lambda mode: abs(mode.found - mode.exact) / max(mode.exact, SOON * mode.frequency))
+    worst = max(
+        decays, key=lambda mode: abs(mode.found - mode.exact) / max(mode.exact, WRONG_IN_A_CYCLE * mode.frequency)
+    )
     of = f"the slowest motions of springs, {worst.frequency:.3g} Hz, decay by {worst.exact:.3g} a second"
-    good = abs(worst.found - worst.exact) <= max(OFF * worst.exact, SOON * worst.frequency)
+    allowed = max(WRONG_DECAY * worst.exact, WRONG_IN_A_CYCLE * worst.frequency)
+    good = abs(worst.found - worst.exact) <= allowed
     yield f"damping               {of}; with this step by {worst.found:.3g}{': good' if good else ''}"
-    if good:
-        return
-    allowed = max(OFF * worst.exact, SOON * worst.frequency)
-    yield f"                      {method.damping_cure(2.0 * np.pi * worst.frequency, allowed)}"
+    if not good:
+        yield f"                      {method.damping_cure(2.0 * np.pi * worst.frequency, allowed)}"
 
 
 def lines(sim: Simulation) -> Iterator[str]:
@@ -124,10 +121,10 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return "no spring limits the step; choose it by the accuracy you need"
     if safe == 0.0:
         return f"take {SYMPLECTIC_EULER} or {VERLET}: {used} gains energy on an undamped spring whatever the step"
-    if limits.spring is not None and longer > RARE * safe and scene.n_springs > 1:
+    if limits.spring is not None and longer > MUCH_LONGER * safe and scene.n_springs > 1:
         times = f"{longer / safe:.3g} times shorter"
         return f"spring {limits.spring} alone makes the step {times}; is its stiffness, or its ball's mass, meant?"
-    if stability(scene, VERLET, None, sim.force_rates).dt_any_shape > RARE * safe:
+    if stability(scene, VERLET, None, sim.force_rates).dt_any_shape > MUCH_LONGER * safe:
         return f"{VERLET} takes a longer step here: strong damping does not limit it"
     part = part_of_bound(scene, used)
     good = part * safe
@@ -138,6 +135,6 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return f'{why} above {good:.4g} s, and gain energy; take that, or dt = "auto"'
     if h > good * (1.0 + 1e-9):
         return f'dt is close to the bound of {safe:.4g} s; take {good:.4g} s, or dt = "auto"'
-    if used.passes(scene, safe) / safe > MANY and not any(element_rates(scene)):
+    if used.passes(scene, safe) / safe > MANY_PASSES and not any(element_rates(scene)):
         return f"if an error of a hundredth of the size will do, {XPBD} or {IMPLICIT_EULER} may need fewer passes"
     return f"{used} at {h:.4g} s is safe in every shape"

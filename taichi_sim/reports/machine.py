@@ -2,8 +2,6 @@
 
 import platform
 
-__all__ = ["processor"]
-
 
 def processor() -> str:
     """Its name, as the system gives it."""

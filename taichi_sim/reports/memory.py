@@ -4,8 +4,6 @@ from typing import Any
 
 from taichi_sim.simulation.simulation import Simulation
 
-__all__ = ["breakdown"]
-
 
 def breakdown(simulation: Simulation) -> dict[str, int]:
     """Bytes of each field, the largest first, by the name of the object that made it and its own, like "Pairs.link"."""

@@ -4,7 +4,7 @@ scene.add_collider(ts.Sphere((0, 0), 1.0, hollow=0.1, angular_velocity=2.0))   #
 scene.add_collider(ts.Box((0, -1), (4, 0.2), rotation=20))                     # an incline
 scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0.0, (0, 0)), (1.0, (2, 0))]))  # a piston
 
-A shape of one's own is a subclass of `ColliderShape`.
+A user-defined shape is a subclass of `ColliderShape`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -181,7 +181,7 @@ class Mesh(_Placed):
 
 @dataclass(frozen=True)
 class ColliderShape(_Placed):
-    """Base of a collider shape of your own. center (dim,) [m]: where the origin of its own frame is. It has
+    """Base of user-defined collider shapes. center (dim,) [m]: where the origin of its own frame is. It has
 
     `distance(p)`: a Taichi function, the signed distance [m] of the point p (dim,) [m] of its own frame from its surface,
     negative inside; nowhere more than the true one, for balls on their way are led by it.
@@ -208,7 +208,7 @@ class ColliderShape(_Placed):
                 vertices = np.concatenate([rim, [[0, 0, 0], [0, self.height, 0]]])
                 return vertices, np.concatenate([np.stack(base, axis=1), np.stack(side, axis=1)])
 
-        scene.add_collider(Cone((0, 0, 0), radius=1.0, height=0.5, material="rubber"))
+        scene.add_collider(Cone((0, 0, 0), radius=1.0, height=0.5))
 
     A file holds what `saved_as` returns.
     """

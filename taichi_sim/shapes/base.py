@@ -44,14 +44,25 @@ BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = 800, 130, 250, 400  # at most
 DAMPING_RATIO = 0.1  # of critical, for the pair of balls at each spring
 
 
+def _none(*shape: int) -> NDArray[np.int32]:
+    return np.zeros(shape, dtype=np.int32)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """What a shape added to the scene, as indices into it."""
+    """What a shape added to the scene, as indices into it. A user-defined shape is a function that returns one:
+
+    def bar(scene, start, end, stiffness=100.0):
+        balls = scene.add_balls([start, end], radius=0.1)
+        return ts.shapes.Shape(balls, scene.add_springs([balls], stiffness=stiffness))
+
+    bar(scene, (0.0, 2.0), (1.0, 2.0))
+    """
 
     balls: NDArray[np.int32]  # (n,)
-    springs: NDArray[np.int32]  # (m,)
-    triangles: NDArray[np.int32]  # (t, 3) balls, counter-clockwise from outside
-    cells: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))  # (c,)
+    springs: NDArray[np.int32] = field(default_factory=lambda: _none(0))  # (m,)
+    triangles: NDArray[np.int32] = field(default_factory=lambda: _none(0, 3))  # (t, 3), counter-clockwise from outside
+    cells: NDArray[np.int32] = field(default_factory=lambda: _none(0))  # (c,)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,11 @@ from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.common import memory
 from taichi_sim.common.errors import SceneError
 from taichi_sim.contacts import CONTACT_RULES, ContactRule
-from taichi_sim.contacts.base import ContactParts
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
+from taichi_sim.contacts.found_contacts import ContactParts
 from taichi_sim.contacts.grid import Grid
-from taichi_sim.contacts.pairs import GAP, Pairs
+from taichi_sim.contacts.pairs import LISTED_GAP, Pairs
 from taichi_sim.contacts.plan import plan_contacts, slowest_bounce
 from taichi_sim.contacts.statistics import ContactStatistics
 from taichi_sim.contacts.sticks import Sticks
@@ -133,14 +133,14 @@ class Assembly:
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
             return None
-        once = self.integrator.each_once  # in blocks or rows; for a GPU there are too few blocks
+        once = self.integrator.each_once  # in blocks, padded or not; for a GPU there are too few blocks
         order = fixed_order(self.model, cpu, small)
         if self.atomic or (once and not cpu):
             order = "atomic"
         elif once and order == "gather":
             order = "blocks"
-        elif self.integrator.in_turn and order == "rows":
-            order = "waves"
+        elif self.integrator.in_turn and order == "padded":
+            order = "batches"
         return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
 
     def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactRule:
@@ -164,23 +164,14 @@ class Assembly:
         walls = pairs = sticks = triangles = None
         if plan.pairs:
             most = self._spare_bytes() // PAIR_BYTES
-            grid = Grid(model, fields, plan.skin, GAP if plan.soft else 0.0, most)
+            grid = Grid(model, fields, plan.skin, LISTED_GAP if plan.soft else 0.0, most)
             pairs = Pairs(model, fields, grid, plan, self.capacity.pairs)
             sticks = Sticks(model, fields, pairs, self.capacity.sticks) if plan.sticks else None
             triangles = TriangleContacts(model, fields, pairs, self.capacity.triangles) if plan.triangles else None
         self.colliders = Colliders(model, fields, self._grids) if plan.colliders else None
         if plan.walls:
-            walls = Walls(
-                model,
-                self.state,
-                fields,
-                self.threshold,
-                plan.walls_in_turn,
-                plan.pairs,
-                self.colliders,
-                plan.limits_energy,
-            )
-            if walls.told:
+            walls = Walls(model, self.state, fields, plan, self.threshold, self.colliders)
+            if walls.probed:
                 self.state.followers.append(walls.received)
         parts = ContactParts(walls, pairs, sticks, triangles)
         rule.bind(plan, model, self.state, fields, parts, self.threshold, h)
@@ -203,12 +194,12 @@ class Assembly:
         """How the scene is run, for what can be said of its accuracy."""
         scene, settings, backend, _, _ = self.arguments
         contacts = self.contacts
-        give = contact_law.LEAK / (contact_law.SOFT * contact_law.PUSH) if contacts.soft else 0.0
+        give = contact_law.SOFT_LEAK / (contact_law.SOFT_MASS * contact_law.SOFT_PUSH) if self.plan.soft else 0.0
         if contacts.split:  # masses in two parts, those of a ball between two others
             give *= 2.0 / contacts.relaxation
         rule = contacts.name if contacts.active else "off"
         rounds = compensates(scene, backend)
-        return Setup(settings.integrator.method, self.h, backend.precision, rule, rounds, give, contacts.limits_energy)
+        return Setup(settings.integrator.method, self.h, backend.precision, rule, rounds, give, self.plan.limits_energy)
 
     def names(self) -> list[str]:
         """What was compiled in."""
@@ -265,7 +256,7 @@ class Assembly:
     def impulses(self) -> NDArray[np.float64]:
         """(b, dim) N s that walls and colliders have received since the start, those of `probes.bodies_of`."""
         scene, walls = self.arguments[0], self.contacts.walls
-        if walls is None or not walls.told or not scene.n_balls:
+        if walls is None or not walls.probed or not scene.n_balls:
             return np.zeros((len(bodies_of(scene)), scene.dim))
         return walls.received.value()
 
@@ -293,7 +284,7 @@ class Assembly:
         if self.tearing is not None:
             torn = from_.torn
             self.tearing.tear(np.zeros(self.tearing.m, dtype=bool) if torn is None else torn)
-        if walls is not None and walls.told:
+        if walls is not None and walls.probed:
             given = from_.impulses
             walls.received.set(np.zeros_like(walls.received.total) if given is None else given)
 
@@ -349,8 +340,8 @@ class Assembly:
         assert pairs is not None
         width = max(pairs.grid.widths)
         return (
-            f"contacts: {float(pairs.grid.worst[0]):.2g} pairs of balls lie in the same cells, up to {width:.3g} m"
-            f" wide, but there is memory for {float(pairs.grid.most[0]):.2g}: too many balls lie in each other"
+            f"contacts: {float(pairs.grid.most_crowded_pairs[0]):.2g} pairs of balls lie in the same cells, up to {width:.3g} m"
+            f" wide, but there is memory for {float(pairs.grid.pair_limit[0]):.2g}: too many balls lie in each other"
         )
 
     def _spare_bytes(self) -> int:

@@ -21,12 +21,12 @@ class Drivers:
     @ti.func
     def _lead(self, forth: ti.template()):
         if ti.static(self.leads):
-            self.pins.lead(forth)
+            self.pins.drive(forth)
 
     @ti.func
     def _tear(self):
         if ti.static(self.tears):
-            self.tearing.look(self.integrator.ball)
+            self.tearing.cut_overstretched(self.integrator.ball)
 
     @ti.kernel
     def prime(self, h: float, time: float, fused: ti.template()):

@@ -27,7 +27,7 @@ from taichi_sim.device.state import State
 from taichi_sim.forces.sum import checked_forces
 from taichi_sim.geometry.intersections import crossings
 from taichi_sim.integrators import BUILT_IN
-from taichi_sim.integrators.base import Solver
+from taichi_sim.integrators.base import SolverStatistics
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
@@ -272,7 +272,7 @@ class Simulation(Reader):
         """What a run is judged by."""
         return self._stepper.scales()
 
-    def solver(self) -> Solver | None:
+    def solver(self) -> SolverStatistics | None:
         """How well an implicit method solved its stages so far; None for methods that solve nothing."""
         return self._parts.integrator.solver_report() if self._state is not None else None
 

@@ -8,10 +8,11 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.device.state import FAR, State
+from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels import reductions
-from taichi_sim.kernels.springs.law import GRAIN, PART
+from taichi_sim.kernels.reductions import GRAIN, PART
+from taichi_sim.kernels.springs import law
 
 __all__ = ["StateProbe", "StateSample"]
 
@@ -68,7 +69,7 @@ class StateProbe:
         gravity, weight = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
         for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
             ball = self.state.ball[i]
-            if not reductions.good(ball, FAR):
+            if not reductions.good(ball, WORLD_RADIUS):
                 bad = ti.min(bad, i)
             w = ti.cast(self.model.inverse_mass[i], self.wide)
             if w > 0.0:
@@ -86,7 +87,7 @@ class StateProbe:
                     gravity += height / w
                     weight += ti.abs(height) / w
             if ti.static(self.has_springs):
-                elastic += self.share * reductions.stored(self.state.ball, self.springs, i, self.wide)
+                elastic += self.share * law.stored(self.state.ball, self.springs, i, self.wide)
             for force in ti.static(self.stores):
                 elastic += force.stored(self.state.ball, i, self.wide)
         row[c, reductions.BAD] = ti.cast(bad, self.wide)

@@ -9,9 +9,9 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
-from taichi_sim.device.state import FAR, State
+from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.kernels.springs.law import GRAIN, PART
+from taichi_sim.kernels.reductions import GRAIN, PART
 
 __all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "LIVE", "NEXT", "START", "SecondSolution"]
 
@@ -48,12 +48,14 @@ class SecondSolution:
         self.seen = fields.table(
             {"x": ti.types.vector(state.dim, fields.real)}, self.n
         )  # the second solution, to be compared
-        self.pairs = contacts.pairs if contacts.pairs is not None and contacts.pairs.warm else None
-        self.sticks = contacts.sticks if contacts.sticks is not None and contacts.sticks.warm else None
+        self.pairs = contacts.pairs if contacts.plan.warm_starts else None
+        self.sticks = contacts.sticks if contacts.plan.warm_starts else None
         self.held = self._memory(contacts)
         self.held_stored = [_like_table(field, STORED, fields) for field in self.held]
         self.sizes = [field.shape[0] for field in self.held]
-        self.scaled = [[name for name in ("impulse", "slide") if name in getattr(f, "keys", [])] for f in self.held]
+        self.scaled = [
+            [name for name in ("impulse", "tangential_impulse") if name in getattr(f, "keys", [])] for f in self.held
+        ]
         self.h = [0.0] * (STORED + 1)  # s, of the substep in which contacts came to hold what they do; LIVE is the last
 
     def _like(self, field: Any, fields: Fields) -> Any:
@@ -69,15 +71,15 @@ class SecondSolution:
             int, tuple[int, int]
         ] = {}  # by number of a table: that of how much of it is used, beyond what always is
         if self.pairs is not None:
-            self.lists[1] = (0, self.pairs.pool)
+            self.lists[1] = (0, self.pairs.pool_start)
             found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.touching]
         if self.sticks is not None:
             self.lists[len(found) + 1] = (len(found), 0)
-            found += [self.sticks.used, self.sticks.row, self.sticks.begin, self.sticks.length]
+            found += [self.sticks.used, self.sticks.contact, self.sticks.begin, self.sticks.length]
         if contacts.walls is not None:
             found.append(contacts.walls.contact)
             if contacts.walls.has_colliders:
-                found += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.held]
+                found += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.filled]
         return found
 
     @ti.func
@@ -171,8 +173,8 @@ class SecondSolution:
         largest = 0.0 * self.seen[0].x[0]
         for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
             square = (self.state.ball[i].x - self.seen[i].x).norm_sqr()
-            if not square < FAR:  # nan, too
-                square = FAR
+            if not square < WORLD_RADIUS:  # nan, too
+                square = WORLD_RADIUS
             largest = ti.max(largest, square)
         row[c] = largest
 
@@ -191,7 +193,7 @@ class SecondSolution:
         """Largest distance [m] of a ball from where the second solution was shown; infinite where either is nowhere."""
         self._compare(self.row)
         square = float(self.row.max())
-        return float(np.sqrt(square)) if square < FAR else np.inf
+        return float(np.sqrt(square)) if square < WORLD_RADIUS else np.inf
 
     def take(self, other: "SecondSolution") -> None:
         """All moments of another one, whose fields are still there, but for what contacts hold."""

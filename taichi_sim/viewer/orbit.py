@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.render.camera import Camera, Flat, triple, turned
-
-__all__ = ["Orbit", "Seen", "Slide", "pick", "view_of"]
+from taichi_sim.render.camera import Camera, Flat, rotated, triple
 
 TURN = 160.0  # degrees for a drag over the height of the picture
 POLE = 2.0  # degrees: no nearer to the view straight down or up
@@ -56,8 +54,8 @@ class Orbit:
         from_pole = math.acos(float(np.clip(back @ up / np.linalg.norm(back), -1.0, 1.0)))
         low, high = math.radians(POLE), math.pi - math.radians(POLE)
         lift = from_pole - float(np.clip(from_pole - dy * per_px, low, high))
-        back = turned(back, self.camera.axes()[0], -lift)
-        back = turned(back, up, -dx * per_px)
+        back = rotated(back, self.camera.axes()[0], -lift)
+        back = rotated(back, up, -dx * per_px)
         self._place(np.asarray(self.camera.target), back)
 
     def pan(self, dx: float, dy: float) -> None:

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["draw_line", "draw_recording", "draw_table"]
-
 Image = NDArray[np.uint8]
 
 PANEL, SHADE = (22, 25, 31), 0.8  # sRGB of what lies under words, and how much of it

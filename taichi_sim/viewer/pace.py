@@ -1,7 +1,5 @@
 """Pace: how many steps to make between two pictures of a live window. Plain numbers; no clock."""
 
-__all__ = ["Pace"]
-
 BUDGET = 0.05  # s of work between two pictures, so that a heavy scene still answers the mouse
 STALL = 0.25  # s: longer waits are not caught up with
 SPEEDS = (1 / 1024, 1024.0)

@@ -7,8 +7,6 @@ from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image
 from taichi_sim.outputs.video import Video
 
-__all__ = ["Recording", "free_name"]
-
 
 def free_name(stem: str, suffix: str) -> Path:
     """stem_000.suffix, stem_001.suffix, ... in the working folder: the first that is not there."""

@@ -13,14 +13,12 @@ import numpy as np
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import BackendError
 from taichi_sim.common.signals import heard
-from taichi_sim.forces.pointer import MOST, RATE, Pointer
+from taichi_sim.forces.pointer import MOST_RATE_STEP, POINTER_RATE, Pointer
 from taichi_sim.outputs.base import Image
 from taichi_sim.viewer import overlay
 from taichi_sim.viewer.orbit import pick, view_of
 from taichi_sim.viewer.pace import Pace
 from taichi_sim.viewer.recording import Recording, free_name
-
-__all__ = ["HELP", "require_display", "show"]
 
 TITLE = "taichi_sim (h: help)"
 HELP = (
@@ -40,8 +38,8 @@ HELP = (
 )
 USE = "use `taichi-sim run SCENE -o x.mp4` instead"
 FIGURES, KEYS, NOTHING = range(3)  # what the overlay shows; h goes through them
-TOLD = 3.0  # s that a message stays
-SLOW = 0.05  # s: where a picture takes longer, what moves is drawn less fine
+MESSAGE_TIME = 3.0  # s that a message stays
+SLOW_PICTURE = 0.05  # s: where a picture takes longer, what moves is drawn less fine
 COARSEST = 3  # times less wide and high than the window
 PAN = ("RMB", "MMB")
 
@@ -76,7 +74,7 @@ def show(
 
     Args: simulate makes a `Simulation` with forces of the window's, or without: then balls cannot be dragged;
         fps: most pictures per second; size px; until: simulated seconds, or for ever; style: further arguments of
-        `Renderer`; say: told what was written. Raises what the simulation raises, UnstableError among it.
+        `Renderer`; say: gets a line for what was written. Raises what the simulation raises, UnstableError among it.
     """
     from taichi_sim.render import Renderer
 
@@ -206,8 +204,8 @@ class _Window:
         if not self.mode or not (dx or dy):
             return
         self.stale = True
-        if self.mode == "pull":
-            self._aim()
+        if self.mode == "pull" and self.pointer is not None:
+            self.pointer.move(self.view.point(self.cursor, self.depth) + self.hold)
         else:
             self.moved = True
             getattr(self.view, self.mode)(dx, dy)
@@ -221,12 +219,8 @@ class _Window:
             sim = self.simulation
             self.depth = float(self.view.see(self.frame.position[[ball]]).depth[0])
             self.hold = self.frame.position[ball] - self.view.point(self.cursor, self.depth)  # where on it
-            self.pointer.rate = min(RATE, MOST * sim.substeps / sim.dt)
+            self.pointer.rate = min(POINTER_RATE, MOST_RATE_STEP * sim.substeps / sim.dt)
             self.pointer.grab(ball, self.frame.position[ball])
-
-    def _aim(self) -> None:
-        assert self.pointer is not None
-        self.pointer.move(self.view.point(self.cursor, self.depth) + self.hold)
 
     def _let_go(self) -> None:
         if self.mode == "pull" and self.pointer is not None:
@@ -303,24 +297,24 @@ class _Window:
     def _judge(self, seconds: float) -> None:
         """Draw what moves finer or coarser from now on, where its picture took so long; 2D is never coarse."""
         if self.frame.dim == 3 and self.coarse == self.moving:
-            wanted = self.coarse + (seconds > SLOW) - (seconds < SLOW / 4)
+            wanted = self.coarse + (seconds > SLOW_PICTURE) - (seconds < SLOW_PICTURE / 4)
             self.moving = min(max(wanted, 1), COARSEST)
 
     def _rows(self) -> tuple[tuple[str, str], ...]:
         """The figures that the overlay shows."""
-        told = (("", self.message),) if time.perf_counter() < self.message_until else ()
+        message = (("", self.message),) if time.perf_counter() < self.message_until else ()
         if self.level == NOTHING:
-            return told
+            return message
         frame, pace = self.frame, self.pace
         asked = "" if pace.speed == 1 else f" ({pace.speed:g} x asked for)"
         speed = "paused" if self.paused else "at its end" if self.ended else f"{pace.reached:.2g} x real time"
         rate = () if self.paused or self.ended else (("pictures", f"{pace.rate:.0f} per second"),)
         energy = () if frame.energy is None else (("energy", f"{frame.energy[3]:.4g} J"),)
         balls = ("balls", f"{len(frame.position):,}".replace(",", " "))
-        return (("time", f"{frame.time:.3f} s"), ("speed", speed + asked), *rate, *energy, balls, *told)
+        return (("time", f"{frame.time:.3f} s"), ("speed", speed + asked), *rate, *energy, balls, *message)
 
     def _tell(self, message: str) -> None:
-        self.message, self.message_until = message, time.perf_counter() + TOLD
+        self.message, self.message_until = message, time.perf_counter() + MESSAGE_TIME
 
     def _save(self) -> None:
         """Write picture_000.png, picture_001.png, ..., without the overlay."""

@@ -9,14 +9,14 @@ from physics_support import F64, simulate
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy
 from taichi_sim.analysis.methods import VERLET
-from taichi_sim.analysis.outcome import Scales, of_depth, of_energy, of_passes
+from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
 
 pytestmark = pytest.mark.slow_in("f32")
 
 G, R = 10.0, 0.05
-SLOW = pytest.mark.slow
+LONG = pytest.mark.long
 
 
 def said(sim, subject):
@@ -113,8 +113,8 @@ def test_directions_after_impacts_are_off_as_said():
     ("method", "contacts"),
     [
         ("verlet", "gauss_seidel"),
-        pytest.param("symplectic_euler", "gauss_seidel", marks=SLOW),
-        pytest.param("verlet", "jacobi", marks=SLOW),
+        pytest.param("symplectic_euler", "gauss_seidel", marks=LONG),
+        pytest.param("verlet", "jacobi", marks=LONG),
     ],
 )
 def test_columns_sink_in_as_said(method, contacts):
@@ -128,7 +128,7 @@ def test_columns_sink_in_as_said(method, contacts):
         assert sim.contacts().unsolved < 2.0 * G * sim.dt
 
 
-@SLOW
+@LONG
 def test_a_heap_sinks_in_as_said():
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
     scene.add_balls(heap(), radius=R)
@@ -152,7 +152,7 @@ def heap():
     )
 
 
-@SLOW
+@LONG
 def test_crowds_lose_what_is_said():
     rng = np.random.default_rng(3)
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
@@ -265,10 +265,10 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
 
 def test_verdicts_go_with_the_scene():
     scales = Scales(slow=0.02, closed=True, lossless=True, motion=10.0, swing=0.0, squeezes=False)
-    assert of_passes(0.01, scales, 1.0, 2) == "good"
-    assert of_passes(0.1, scales, 1.0, 2) == "look at it; take shorter steps, or more contact_iterations than 2"
-    assert of_passes(1.0, scales, 1.0, 2).startswith("wrong")
-    assert of_passes(1.0, scales, 100.0, 2) == "good"  # of a fast crowd
+    assert of_approach(0.01, scales, 1.0, 2) == "good"
+    assert of_approach(0.1, scales, 1.0, 2) == "look at it; take shorter steps, or more contact_iterations than 2"
+    assert of_approach(1.0, scales, 1.0, 2).startswith("wrong")
+    assert of_approach(1.0, scales, 100.0, 2) == "good"  # of a fast crowd
     assert [of_depth(part, False, 2).split(";")[0] for part in (0.05, 0.3, 2.5)] == ["good", "look at it", "wrong"]
     assert of_energy(0.0, -0.01, scales).endswith("good")
     assert "look at it" in of_energy(0.0, -0.3, scales)

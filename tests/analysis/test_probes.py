@@ -244,7 +244,7 @@ def crowd():
     return crowd
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "settings"),
     [
@@ -308,7 +308,7 @@ def test_nothing_is_compiled_where_no_probe_asks():
     scene = boxed(0.5)
     scene.probes.clear()
     with ts.Simulation(scene, dt=1e-3) as sim:
-        assert not sim._parts.contacts.walls.told
+        assert not sim._parts.contacts.walls.probed
         assert sim.probes() == {}
 
 

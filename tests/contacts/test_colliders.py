@@ -250,7 +250,7 @@ def test_a_lone_ball_in_a_drum_soon_rolls_without_slipping():
         assert turn > 0.25
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
 @pytest.mark.parametrize("dim", DIMS)
 def test_same_bits_in_either_driver_and_however_a_run_is_divided(dim, contacts):
@@ -266,7 +266,7 @@ def test_same_bits_in_either_driver_and_however_a_run_is_divided(dim, contacts):
         assert np.array_equal(v, ends[0][1])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_is_pushed_and_carried(method):
     """A piston at an elastic ball, a lift under another, in each method and driver."""
@@ -284,7 +284,7 @@ def test_every_method_is_pushed_and_carried(method):
             assert sim.velocity[1, 1] == pytest.approx(0.5, abs=2 * G * H)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("dim", DIMS)
 def test_nothing_passes_through_a_collider_that_moves_fast(dim):
     """Balls at rest before a box, a ball, a turning blade and, in 3D, a mesh that move 10 radii a step or turn 0.1 rad."""

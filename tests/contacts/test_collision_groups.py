@@ -62,7 +62,10 @@ def test_balls_walls_and_sticks_meet_only_what_they_collide_with():
         assert 0.2 * len(touch) < len(found) < 0.8 * len(touch)
         used = int(parts.sticks.used[0])
         rows = set(
-            zip(parts.sticks.row.ball.to_numpy()[:used].tolist(), parts.sticks.row.stick.to_numpy()[:used].tolist())
+            zip(
+                parts.sticks.contact.ball.to_numpy()[:used].tolist(),
+                parts.sticks.contact.stick.to_numpy()[:used].tolist(),
+            )
         )
         expected = {(first_near + k, k // 6) for k, kind in enumerate(near) if meet(kind, sticks[k // 6])}
         assert rows == expected

@@ -49,7 +49,7 @@ def sledges(floor):
 @pytest.mark.parametrize(
     ("floor", "method"),
     [
-        pytest.param(f, m, marks=[] if f == "wall" and m in ("verlet", "rk4") else [pytest.mark.slow])
+        pytest.param(f, m, marks=[] if f == "wall" and m in ("verlet", "rk4") else [pytest.mark.long])
         for f in ("wall", "box", "mesh")
         for m in METHODS
         if f == "wall" or m in ("verlet", "implicit_euler")
@@ -74,7 +74,7 @@ def test_what_springs_press_down_slides_with_mu_times_its_weight(floor, method):
     np.testing.assert_allclose(-change[:, 0], MU * upward, rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_jelly_stops_where_friction_holds_it():
     """On a slope of 15 degrees with mu = .4 it stays; its balls meet the wall all the time, pressed by springs."""
     slope = np.radians(15.0)
@@ -120,11 +120,11 @@ def energy(scene, sim):
     ("dim", "n", "filled", "gravity", "speed", "method"),
     [
         (2, 60, 0.15, 10.0, 3.0, "verlet"),
-        pytest.param(2, 60, 0.15, 0.003, 1.0, "symplectic_euler", marks=pytest.mark.slow),
-        pytest.param(2, 150, 0.3, 5.0, 3.0, "verlet", marks=pytest.mark.slow),
-        pytest.param(2, 50, 0.05, 10.0, 3.0, "rk4", marks=pytest.mark.slow),
-        pytest.param(3, 80, 0.1, 10.0, 4.0, "verlet", marks=pytest.mark.slow),
-        pytest.param(3, 200, 0.2, 1.0, 1.0, "verlet", marks=pytest.mark.slow),
+        pytest.param(2, 60, 0.15, 0.003, 1.0, "symplectic_euler", marks=pytest.mark.long),
+        pytest.param(2, 150, 0.3, 5.0, 3.0, "verlet", marks=pytest.mark.long),
+        pytest.param(2, 50, 0.05, 10.0, 3.0, "rk4", marks=pytest.mark.long),
+        pytest.param(3, 80, 0.1, 10.0, 4.0, "verlet", marks=pytest.mark.long),
+        pytest.param(3, 200, 0.2, 1.0, 1.0, "verlet", marks=pytest.mark.long),
     ],
 )
 def test_elastic_crowds_keep_their_energy(dim, n, filled, gravity, speed, method):
@@ -141,7 +141,7 @@ def test_elastic_crowds_keep_their_energy(dim, n, filled, gravity, speed, method
     [
         ("verlet", 1.0),
         ("verlet", 6.0),
-        *(pytest.param(m, 6.0, marks=pytest.mark.slow) for m in ("symplectic_euler", "rk4")),
+        *(pytest.param(m, 6.0, marks=pytest.mark.long) for m in ("symplectic_euler", "rk4")),
     ],
 )
 def test_springs_in_an_elastic_crowd_take_nothing_from_it(method, ratio):
@@ -232,7 +232,7 @@ def test_neighbours_take_nothing_from_a_bounce():
         np.testing.assert_allclose(-sim.velocity[:, 0], e * rolls[:, 0], rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("e", "mu"), [(0.0, 0.0), (0.5, 0.0), (0.6, 0.2)])
 def test_crowds_of_unequal_balls_do_not_fall_through_each_other(e, mu):
     """Masses 1 to 100 and radii 1 to 3: no overlap above the radius of the smaller ball, little of it left at rest."""

@@ -53,7 +53,7 @@ def test_rows_side_by_side_or_spread(dim, far):
 
 def test_a_crowded_cell_is_sorted_whatever_the_threads_did(monkeypatch):
     """One large ball makes the cells so wide that hundreds of small ones share one; enough of them to keep two threads busy."""
-    monkeypatch.setattr("taichi_sim.contacts.grid.WORTH", np.inf)  # all in one level
+    monkeypatch.setattr("taichi_sim.contacts.grid.FEWER_CANDIDATES", np.inf)  # all in one level
     n = 200_000
     scene = ts.Scene(dim=2)
     i, j = np.divmod(np.random.default_rng(5).permutation(n), 500)
@@ -121,8 +121,8 @@ def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
     x -= x.mean(axis=0)
     scene = ts.Scene(dim=2)
     scene.add_balls(x, radius=0.1)
-    monkeypatch.setattr(pairs, "PER_BALL", {2: 1})
-    monkeypatch.setattr(pairs, "POOL", 0)
+    monkeypatch.setattr(pairs, "LINKS_PER_BALL", {2: 1})
+    monkeypatch.setattr(pairs, "POOL_LINKS", 0)
     spin = np.random.default_rng(0).standard_normal((100, 1))
     settings = {"dt": H, "spin": True, "contact_iterations": 1}
     with simulate(scene, **settings) as sim:
@@ -152,21 +152,21 @@ def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):
     crowd = 1e-5 * scene.position
     with simulate(scene, dt=H) as sim:
         grid = sim._parts.contacts.pairs.grid
-        enough = grid.most[0]
+        enough = grid.pair_limit[0]
         with monkeypatch.context() as patch:
             patch.setattr(memory, "available", lambda: 1 << 20)
             for most, words in (
                 (enough, r"pairs .* need 200\d{4} entries, .* memory for \d{6,7} "),
                 (1e5, "2e.06 pairs .* same cells"),
             ):
-                grid.most[0] = most
+                grid.pair_limit[0] = most
                 sim.set_position(crowd)
                 for _ in range(2):
                     with pytest.raises(ts.SceneError, match=r"contacts: .*" + words):
                         sim.step(5)
                 assert sim.time == 0.0
                 assert np.allclose(sim.position, crowd)
-        grid.most[0] = enough
+        grid.pair_limit[0] = enough
         assert sim.penetration() == pytest.approx(0.2 - 1e-5, rel=1e-5)
         found = sim._parts.contacts.pairs
         assert int(np.sum(found.number.to_numpy()[:2000])) == 1999 * 1000

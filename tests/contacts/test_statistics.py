@@ -91,7 +91,7 @@ def test_a_stack_set_up_by_hand(stack):
     before = stack.contacts().searches
     said = stack.contacts()
     assert said.searches == before  # to ask is no step
-    assert (said.number, said.passes, said.substeps) == (5, 3, 2)
+    assert (said.number, said.iterations, said.substeps) == (5, 3, 2)
     rounding = 8 * EPS
     assert said.penetration == pytest.approx(0.05 * R, abs=rounding)
     assert said.mean_penetration == pytest.approx(0.03 * R, abs=rounding)

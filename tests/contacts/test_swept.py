@@ -74,7 +74,7 @@ def test_bullets_of_ten_radii_a_step_hit(dim):
     check_bullets(dim, 60, seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
 @each_dim
 def test_ten_thousand_bullets(dim, contacts):

@@ -10,7 +10,7 @@ import pytest
 import reference_facets as ref
 from physics_bits import digest
 from physics_support import F64, PRECISION, simulate
-from taichi_sim.kernels.contacts.triangle_pairs import LEVER
+from taichi_sim.kernels.contacts.triangle_pairs import SHORTEST_LEVER
 
 import taichi_sim as ts
 
@@ -41,13 +41,12 @@ def soup():
     return scene
 
 
-def rows(sim):
+def listed_pairs(sim):
     """The listed pairs as (balls, weights, normal, distance, thickness or -1)."""
-    facets = sim._parts.contacts.triangles
-    used = int(facets.used[0])
-    row = facets.row
-    member, weight = (f.to_numpy()[: 4 * used].reshape(-1, 4) for f in (facets.member, facets.weight))
-    columns = (row.normal.to_numpy(), row.distance.to_numpy(), row.thickness.to_numpy())
+    triangles = sim._parts.contacts.triangles
+    used, table = int(triangles.used[0]), triangles.contact
+    member, weight = (f.to_numpy()[: 4 * used].reshape(-1, 4) for f in (triangles.member, triangles.weight))
+    columns = (table.normal.to_numpy(), table.distance.to_numpy(), table.thickness.to_numpy())
     return list(zip(map(tuple, member.tolist()), weight, *columns))
 
 
@@ -75,21 +74,21 @@ def draw(rng, scene):
     return (a.astype(np.float64 if F64 else np.float32).astype(np.float64) for a in (x, v))
 
 
-def test_pairs_and_one_pass_as_by_brute_force(soup_run):
+def test_pairs_and_one_iteration_as_by_brute_force(soup_run):
     sim, scene = soup_run, soup_run.scene
     rng = np.random.default_rng(1)
     w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
     slack = 1e-9 if F64 else 3e-5
-    contacts = passes = 0
+    contacts = iterations = 0
     for _ in range(24):
         x, v = draw(rng, scene)
         sim.resume(ts.Snapshot(x, v))
         sim.contacts()  # finds them
         listed = ref.pairs(x, v, scene.radius, scene.triangles, scene.pairs, H, scene.position)
         listed = {key(p.edge, p.balls): p for p in listed if w[list(p.balls)].any()}
-        kinds = sim._parts.contacts.triangles.row.kind.to_numpy()
+        kinds = sim._parts.contacts.triangles.contact.kind.to_numpy()
         found = {}
-        for c, (balls, *row) in enumerate(rows(sim)):
+        for c, (balls, *row) in enumerate(listed_pairs(sim)):
             assert key(kinds[c] > 0, balls) not in found, "a pair is listed twice"
             found[key(kinds[c] > 0, balls)] = row
         for name in listed.keys() ^ found.keys():
@@ -99,8 +98,8 @@ def test_pairs_and_one_pass_as_by_brute_force(soup_run):
             p = listed[name]
             assert abs(d - p.distance) < slack
             free, part = w[list(p.balls)] > 0, np.abs(p.g)
-            if p.margin > slack and np.all(np.abs(part - LEVER) > slack):
-                held = p.contact and bool(np.any(free & (part > LEVER)))  # else what moves is next to a pin
+            if p.margin > slack and np.all(np.abs(part - SHORTEST_LEVER) > slack):
+                held = p.contact and bool(np.any(free & (part > SHORTEST_LEVER)))  # else what moves is next to a pin
                 assert (thickness >= 0) == held
                 if held:
                     assert abs(thickness - p.thickness) < slack
@@ -114,9 +113,9 @@ def test_pairs_and_one_pass_as_by_brute_force(soup_run):
             assert (
                 off.max() < 1e-8 if F64 else np.median(off) < 1e-3
             )  # edges that cross have no normal in single precision
-            passes += np.any(after != v)
+            iterations += np.any(after != v)
     assert contacts > 300
-    assert passes > 4
+    assert iterations > 4
 
 
 # Momentum and energy ----------------------------------------------------------------------------------------------------
@@ -319,7 +318,7 @@ def test_the_look_from_beneath_sees_what_it_looks_for():
     assert beneath(at, x[net.triangles]).tolist() == [False, True, False, False]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_drivers_and_any_number_of_threads_have_the_same_bits(flight):
     def run(threads):
         command = [sys.executable, __file__, PRECISION, str(threads)]

@@ -16,12 +16,12 @@ H = 1e-3
 
 @pytest.fixture
 def always(monkeypatch):
-    monkeypatch.setattr(spatial_sort, "FROM", 1)
+    monkeypatch.setattr(spatial_sort, "FEWEST_SORTED", 1)
 
 
 def test_small_scenes_and_those_with_springs_stay_as_they_are():
     scene = ts.Scene(dim=2)
-    scene.add_balls(np.random.default_rng(0).uniform(size=(spatial_sort.FROM - 1, 2)), radius=0.1)
+    scene.add_balls(np.random.default_rng(0).uniform(size=(spatial_sort.FEWEST_SORTED - 1, 2)), radius=0.1)
     assert spatial_sort.spatial_order(scene) is None
     scene.add_balls([[0.0, 0.0]], radius=0.1)
     assert spatial_sort.spatial_order(scene) is not None
@@ -31,21 +31,23 @@ def test_small_scenes_and_those_with_springs_stay_as_they_are():
 
 def test_neighbours_lie_near_each_other():
     rng = np.random.default_rng(1)
-    x = rng.permutation(np.stack(np.unravel_index(np.arange(spatial_sort.FROM), (200, 100)), axis=1).astype(float))
+    x = rng.permutation(
+        np.stack(np.unravel_index(np.arange(spatial_sort.FEWEST_SORTED), (200, 100)), axis=1).astype(float)
+    )
     scene = ts.Scene(dim=2)
     scene.add_balls(x, radius=0.4)
     sorted_x = x[spatial_sort.spatial_order(scene)]
     assert np.median(np.linalg.norm(np.diff(sorted_x, axis=0), axis=1)) < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @each_dim
 def test_a_pile_moves_the_same_in_either_order(dim, monkeypatch):
     scene = physics_bits.pile(dim)
     scene.pinned[7], scene.velocity[7] = True, 0.0
     ends = []
-    for first in (spatial_sort.FROM, 1):
-        monkeypatch.setattr(spatial_sort, "FROM", first)
+    for first in (spatial_sort.FEWEST_SORTED, 1):
+        monkeypatch.setattr(spatial_sort, "FEWEST_SORTED", first)
         with simulate(scene, dt=H, contacts="jacobi", contact_iterations=2) as sim:
             assert np.array_equal(sim.position, scene.position if F64 else scene.position.astype(np.float32))
             sim.step(20)

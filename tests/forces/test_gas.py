@@ -25,13 +25,13 @@ def balloon(subdivisions: int, radius: float, **settings) -> ts.Scene:
 def test_a_turning_balloon_keeps_its_angular_momentum(method):
     """But for what the method itself takes: turning at W, implicit Euler leaves 1 / (1 + h^2 W^2) of it in a step. Gas that acts
     at old places took 1 / (1 + 3 h^2 p R / (M R^2 / (4 pi R^2))), nine tenths of it in half a second."""
-    turn, scene = 4.0, balloon(1, 0.25, pressure=120.0, mass=0.06)
-    scene.velocity[:] = np.cross([0.0, turn, 0.0], scene.position)
+    spin, scene = 4.0, balloon(1, 0.25, pressure=120.0, mass=0.06)
+    scene.velocity[:] = np.cross([0.0, spin, 0.0], scene.position)
     with simulate(scene, integrator=method, contacts="off") as sim:
         start, h = sim.angular_momentum()[1], sim.dt / sim.substeps
         sim.run(0.5)
         kept = sim.angular_momentum()[1] / start
-    own = (1.0 + (h * turn) ** 2) ** (-0.5 / h)
+    own = (1.0 + (h * spin) ** 2) ** (-0.5 / h)
     assert h > 2e-4
     assert own - 0.003 < kept < 1.003
 

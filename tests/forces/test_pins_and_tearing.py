@@ -15,8 +15,8 @@ EACH_DRIVER = pytest.mark.parametrize("driver", ["fused", "parallel"])
 PATH = [(0.0, (0.0, 0.0)), (0.1, (0.2, 0.1)), (0.3, (0.2, -0.3), 90.0)]
 
 
-def led(method_damping: float = 0.1) -> ts.Scene:
-    """A chain of four in 2D, its first two balls led along a path that turns them."""
+def driven(method_damping: float = 0.1) -> ts.Scene:
+    """A chain of four in 2D, its first two balls driven along a path that rotates them."""
     scene = ts.Scene(dim=2, gravity=(0.0, -10.0))
     balls = scene.add_balls([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.5, 0.0]], radius=0.05, mass=0.2)
     scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=200.0, damping=method_damping)
@@ -25,13 +25,13 @@ def led(method_damping: float = 0.1) -> ts.Scene:
 
 
 def place(time: float) -> np.ndarray:
-    """Where the two led balls of `led` are, worked out by hand."""
+    """Where the two driven balls of `driven` are, worked out by hand."""
     if time <= 0.1:
-        by, turn = np.array([0.2, 0.1]) * time / 0.1, 0.0
+        by, angle = np.array([0.2, 0.1]) * time / 0.1, 0.0
     else:
         part = min(1.0, (time - 0.1) / 0.2)
-        by, turn = np.array([0.2, 0.1 - 0.4 * part]), np.pi / 2 * part
-    arm = 0.25 * np.array([np.cos(turn), np.sin(turn)])
+        by, angle = np.array([0.2, 0.1 - 0.4 * part]), np.pi / 2 * part
+    arm = 0.25 * np.array([np.cos(angle), np.sin(angle)])
     centre = np.array([0.25, 0.0]) + by
     return np.array([centre - arm, centre + arm])
 
@@ -42,7 +42,7 @@ def place(time: float) -> np.ndarray:
 def test_pins_follow_their_path(method, driver):
     if method == "rk4" and driver == "parallel":
         pytest.skip("rk4 leads pins by the same kernel as verlet; one driver is enough")
-    with simulate(led(), ("ordered", driver), integrator=method, dt=1e-3, contacts="off") as sim:
+    with simulate(driven(), ("ordered", driver), integrator=method, dt=1e-3, contacts="off") as sim:
         for _ in range(4):
             sim.step(100)
             np.testing.assert_allclose(sim.position[:2], place(sim.time), atol=40 * EPS)
@@ -53,7 +53,7 @@ def test_pins_follow_their_path(method, driver):
 def test_bits_do_not_depend_on_how_a_run_is_divided():
     ends = []
     for parts in ([400], [130, 1, 269]):
-        with simulate(led(), dt=1e-3, contacts="off") as sim:
+        with simulate(driven(), dt=1e-3, contacts="off") as sim:
             for n in parts:
                 sim.step(n)
             ends.append(sim.position)
@@ -61,7 +61,7 @@ def test_bits_do_not_depend_on_how_a_run_is_divided():
 
 
 def test_a_run_is_restored_on_its_path(tmp_path):
-    with simulate(led(), dt=1e-3, contacts="off") as sim:
+    with simulate(driven(), dt=1e-3, contacts="off") as sim:
         sim.step(150)
         sim.save(tmp_path / "state.npz")
         sim.step(150)

@@ -6,7 +6,7 @@ import pytest
 from taichi_sim import Pointer, Scene, SceneError, Simulation, Snapshot, shapes
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
-from taichi_sim.forces.pointer import MOST, PART
+from taichi_sim.forces.pointer import DRAGGED_PART, MOST_RATE_STEP
 from taichi_sim.simulation.assembly import ContactCapacity
 
 pytestmark = pytest.mark.slow_in("f64")
@@ -33,7 +33,7 @@ def played():
 
 
 @pytest.fixture
-def held(played):
+def dragged(played):
     sim, pointer = played
     pointer.release()
     sim.resume(Snapshot(sim.scene.position, sim.scene.velocity))
@@ -41,7 +41,7 @@ def held(played):
 
 
 def reference(steps: int, rate: float = 40.0) -> tuple[np.ndarray, np.ndarray]:
-    """Position and velocity (3, 2) of `three` after steps of symplectic Euler, in float64, the middle ball held."""
+    """Position and velocity (3, 2) of `three` after steps of symplectic Euler, in float64, the middle ball dragged."""
     scene = three()
     x, v, m = scene.position.copy(), scene.velocity.copy(), scene.mass[:, None]
     for _ in range(steps):
@@ -56,8 +56,8 @@ def close(precision: str) -> float:
     return 1e-12 if precision == "f64" else 3e-6
 
 
-def test_a_held_ball_moves_by_the_law(held, precision):
-    sim, pointer = held
+def test_a_dragged_ball_moves_by_the_law(dragged, precision):
+    sim, pointer = dragged
     pointer.grab(HELD, TARGET)
     sim.step(60)
     x, v = reference(60)
@@ -65,8 +65,8 @@ def test_a_held_ball_moves_by_the_law(held, precision):
     assert sim.velocity == pytest.approx(v, abs=40 * close(precision))
 
 
-def test_momentum_changes_by_the_impulse_alone(held, precision):
-    sim, pointer = held
+def test_momentum_changes_by_the_impulse_alone(dragged, precision):
+    sim, pointer = dragged
     scene = sim.scene
     pointer.grab(HELD, TARGET)
     before, at = sim.momentum(), sim.position[HELD]
@@ -79,8 +79,8 @@ def test_momentum_changes_by_the_impulse_alone(held, precision):
     assert pointer.target == pytest.approx(TARGET)
 
 
-def test_it_follows_the_target(held):
-    sim, pointer = held
+def test_it_follows_the_target(dragged):
+    sim, pointer = dragged
     pointer.grab(HELD, TARGET)
     sim.run(0.3)
     sag = np.array([0.0, -10.0]) / 40.0**2  # where weight and spring balance
@@ -90,11 +90,11 @@ def test_it_follows_the_target(held):
     assert sim.position[HELD] == pytest.approx(np.array([-0.5, 0.4]) + sag, abs=2e-3)
 
 
-def test_a_ball_let_go_flies_as_one_that_was_never_held(held, precision):
-    sim, pointer = held
+def test_a_ball_let_go_flies_as_one_that_was_never_dragged(dragged, precision):
+    sim, pointer = dragged
     pointer.grab(HELD, TARGET)
     pointer.release()
-    pointer.move([9.0, 9.0])  # nothing is held
+    pointer.move([9.0, 9.0])  # nothing is dragged
     sim.step(100)
     touched = sim.position
     assert pointer.ball is None
@@ -107,9 +107,9 @@ def test_a_ball_let_go_flies_as_one_that_was_never_held(held, precision):
     assert np.array_equal(sim.position, touched)
 
 
-def test_one_after_the_other(held):
+def test_one_after_the_other(dragged):
     """A second grab lets the first ball go."""
-    sim, pointer = held
+    sim, pointer = dragged
     pointer.grab(FREE, TARGET)
     pointer.grab(HELD, TARGET)
     before = sim.velocity[FREE]
@@ -117,9 +117,9 @@ def test_one_after_the_other(held):
     assert sim.velocity[FREE] - before == pytest.approx([0.0, -10.0 * DT], rel=1e-3)
 
 
-def test_it_holds_on_where_a_simulation_is_made_anew_inside(held, precision):
+def test_it_holds_on_where_a_simulation_is_made_anew_inside(dragged, precision):
     """As when lists of contacts have grown."""
-    sim, pointer = held
+    sim, pointer = dragged
     pointer.grab(HELD, [9.0, 9.0])
     pointer.move(TARGET)
     sim.step(30)
@@ -131,8 +131,8 @@ def test_it_holds_on_where_a_simulation_is_made_anew_inside(held, precision):
     assert sim.position == pytest.approx(x, abs=close(precision))
 
 
-def test_what_cannot_be_dragged(held):
-    sim, pointer = held
+def test_what_cannot_be_dragged(dragged):
+    sim, pointer = dragged
     pointer.grab(HELD, TARGET)
     for ball, target, message in (
         (PINNED, TARGET, "ball: 2 is pinned; only balls that move can be dragged"),
@@ -179,18 +179,18 @@ def test_a_cloth_of_any_mass_hangs_from_the_hand(method, mass):
     with Simulation(scene, integrator=method, dt=dt, contacts="off", forces=[pointer]) as sim:
         target = np.array([0.5, 0.5, 0.5])
         pointer.grab(70, target)
-        held = pointer._balls
-        assert scene.mass[held].sum() == pytest.approx(PART * scene.mass.sum(), abs=1.001 * scene.mass[0])
+        dragged = pointer._balls
+        assert scene.mass[dragged].sum() == pytest.approx(DRAGGED_PART * scene.mass.sum(), abs=1.001 * scene.mass[0])
         sim.run(2.0)
         x = sim.position
-        rate = min(50.0, MOST / sim.dt)
-        sag = 10.0 / PART / rate**2
-        assert np.linalg.norm(x[held].mean(axis=0) - target) < 2 * sag + 0.1
+        rate = min(50.0, MOST_RATE_STEP / sim.dt)
+        sag = 10.0 / DRAGGED_PART / rate**2
+        assert np.linalg.norm(x[dragged].mean(axis=0) - target) < 2 * sag + 0.1
         assert sim.energy().kinetic < 0.5 * scene.mass.sum() * 2.0**2  # it still swings
 
 
 def test_two_bodies_are_told_apart():
-    """Only what springs join is held with the ball, though another lies nearer."""
+    """Only what springs join is dragged with the ball, though another lies nearer."""
     scene = Scene(dim=2)
     scene.add_balls([[0, 0], [1, 0], [0.1, 0], [2, 0]], mass=[0.01, 1, 100, 1], radius=0.01, pinned=[3])
     scene.add_springs([[0, 1], [1, 3]], stiffness=1.0)

@@ -6,7 +6,6 @@ import taichi as ti
 from physics_support import EPS, F64, PRECISION
 
 import taichi_sim as ts
-from taichi_sim.analysis.element_rates import largest_rate
 from taichi_sim.analysis.methods import BUILT_IN_METHODS
 from taichi_sim.reports import check
 
@@ -52,7 +51,7 @@ class Rod(ts.Element):
         return 0.5 * self.columns["stiffness"] * np.sum((a - 2.0 * b + c) ** 2, axis=1)
 
     def stiffness_rate(self, scene):
-        return largest_rate(scene, self.balls, [1.0, -2.0, 1.0], self.columns["stiffness"])
+        return ts.largest_rate(scene, self.balls, [1.0, -2.0, 1.0], self.columns["stiffness"])
 
 
 def simulation(scene, forces, **settings):
@@ -180,3 +179,38 @@ def test_what_is_not_an_element_is_named():
     ):
         with pytest.raises(ValueError, match=words):
             simulation(row(), [force])
+
+
+FILE = """format = 1
+[[balls]]
+position = [[0.0, 0.0], [0.5, 0.1], [1.0, 0.0]]
+radius = 0.01
+[[rods]]
+balls = [[0, 1, 2]]
+stiffness = 1000.0
+"""
+
+
+def test_a_scene_file_may_have_a_table_of_elements(tmp_path):
+    rods, file = [], tmp_path / "rods.toml"
+
+    def add(scene, balls, stiffness):
+        if stiffness < 0.0:
+            raise ts.SceneError(f"stiffness: {stiffness:g} is not allowed")
+        rods.append(Rod(balls, stiffness))
+
+    file.write_text(FILE)
+    scene = ts.load_scene(file, tables={"rods": add})
+    with simulation(scene, rods, dt=H) as sim:
+        assert sim.energy().spring == pytest.approx(0.5 * 1000.0 * 0.2**2)
+    for there, instead, words in (
+        ("stiffness =", "weight = 1.0\nstiffness =", r"rods.toml, line 5: rods\[0\]: .*'weight'"),
+        ("1000.0", "-1.0", r"rods.toml, line \d: rods\[0\].*stiffness: -1 is not allowed"),
+        ("stiffness = 1000.0", "", r"rods.toml, line 5: rods\[0\]: .*'stiffness'"),
+        ("stiffness = 1000.0", 'stiffness = 1.0\nname = "a"', r"rods.toml, line \d: rods\[0\].*name: is not allowed"),
+    ):
+        file.write_text(FILE.replace(there, instead))
+        with pytest.raises(ts.SceneError, match=words):
+            ts.load_scene(file, tables={"rods": add})
+    with pytest.raises(ts.SceneError, match="rods"):
+        ts.load_scene(file)

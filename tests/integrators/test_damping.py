@@ -165,11 +165,11 @@ def test_momentum_and_bits_in_both_drivers(strength):
     kept = []
     for driver in ("fused", "parallel"):
         with simulate(scene, ("ordered", driver), dt=1e-3, contacts="off") as sim:
-            p, turn = sim.momentum(), sim.angular_momentum()
+            p, angular = sim.momentum(), sim.angular_momentum()
             sim.step(60)
             size = float(scene.mass @ np.linalg.norm(scene.velocity, axis=1))
             assert np.abs(sim.momentum() - p).max() < 400 * EPS * size
-            assert np.abs(sim.angular_momentum() - turn).max() < 400 * EPS * size
+            assert np.abs(sim.angular_momentum() - angular).max() < 400 * EPS * size
             kept.append((sim.position, sim.velocity))
     assert np.array_equal(kept[0][0], kept[1][0])
     assert np.array_equal(kept[0][1], kept[1][1])
@@ -225,7 +225,7 @@ END = 0.4  # s
 
 
 def drawn(damping):
-    """Two balls in a row behind a pin that is drawn along x and turns corners."""
+    """Two balls in a row behind a driven pin, along x and around corners."""
     scene = ts.Scene(dim=2)
     b = scene.add_balls([[0.0, 0.0], [0.3, 0.0], [0.6, 0.0]], radius=0.01, mass=[1.0, 0.4, 0.7])
     scene.add_springs([b[:2], b[1:]], stiffness=60.0, damping=damping)

@@ -52,19 +52,19 @@ OMEGAS, ZETAS = (2.0, 10.0, 40.0), (0.1, 0.5, 1.0, 3.0)
 OSCILLATORS = [(w, 0.0) for w in OMEGAS] + [(40.0, z) for z in ZETAS]
 X0, V0 = 0.4, 3.0  # m, m/s
 TURN = 5.0  # 1/s
-TURNING_K, TURNING_M = 300.0, (1.0, 3.0)
+ROTATING_K, ROTATING_M = 300.0, (1.0, 3.0)
 N, MODE_K, MODE_M, GAP = 5, 800.0, 0.5, 1.0
 MODE_X0, MODE_V0 = 0.02, 0.1  # small, so that balls do not pass each other where explicit Euler grows
 
 
-def turning_pair(method):
-    """Length, relative velocity (x along the spring, y across) with which the scheme itself turns a pair steadily.
+def rotating_pair(method):
+    """Length, relative velocity (x along the spring, y across) with which the scheme itself rotates a pair steadily.
 
     x_(n+1) - 2 x_n + x_(n-1) = h^2 a makes the pair feel W' = 2 sin(W h / 2) / h in place of W.
     """
-    mu = 1.0 / sum(1.0 / m for m in TURNING_M)
+    mu = 1.0 / sum(1.0 / m for m in ROTATING_M)
     felt = TURN if method == "rk4" else 2.0 * np.sin(TURN * H / 2) / H
-    d = ref.rotating_pair_length(1.0, mu, felt, TURNING_K)
+    d = ref.rotating_pair_length(1.0, mu, felt, ROTATING_K)
     t = TURN * H
     u = {
         "rk4": (0.0, d * TURN),
@@ -83,7 +83,7 @@ def free_scene(dim, method):
     at.axis = []
     for omega, zeta in OSCILLATORS:
         # a ball on a spring of rest length 0 to a pin at the origin: linear in every direction; damped along the first axis
-        # only, since damping keeps angular momentum: a turn of round-off would end in a circle of sqrt(L / omega) = 1e-9
+        # only, since damping keeps angular momentum: a rotation of round-off would end in a circle of sqrt(L / omega) = 1e-9
         axis = slant if zeta == 0.0 else vector(dim, 1.0)
         at.axis.append(axis)
         b = scene.add_balls(
@@ -97,12 +97,12 @@ def free_scene(dim, method):
         b = scene.add_balls(x, radius=0.01, velocity=v, mass=[1.0, 3.0])
         scene.add_springs([b], stiffness=0.75 * omega**2, damping=0.75 * 2 * zeta * omega, rest_length=1.0)
         at.pair.append(b)
-    d, u = turning_pair(method)
-    share = np.array(TURNING_M[::-1]) / sum(TURNING_M)  # the centre of mass stays at the origin
+    d, u = rotating_pair(method)
+    share = np.array(ROTATING_M[::-1]) / sum(ROTATING_M)  # the centre of mass stays at the origin
     x = np.outer([-share[0], share[1]], vector(dim, d))
     v = np.outer([-share[0], share[1]], vector(dim, *u))
-    at.turning = scene.add_balls(x, radius=0.01, velocity=v, mass=TURNING_M)
-    scene.add_springs([at.turning], stiffness=TURNING_K, rest_length=1.0)
+    at.rotating = scene.add_balls(x, radius=0.01, velocity=v, mass=ROTATING_M)
+    scene.add_springs([at.rotating], stiffness=ROTATING_K, rest_length=1.0)
     for p in range(1, N + 1):
         x = np.outer(np.arange(N + 2) * GAP, vector(dim, 1.0))
         shape = np.sin(np.arange(N + 2) * p * np.pi / (N + 1))
@@ -175,22 +175,22 @@ def test_pinned_balls_stay(free):
 def test_rotating_pair_keeps_its_length(free):
     if free.method == "explicit_euler":  # it spirals outward; its drift is what validation/test_orders measures
         return
-    i, j = free.at.turning
+    i, j = free.at.rotating
     r = free.x[:, j] - free.x[:, i]
-    d, _ = turning_pair(free.method)
+    d, _ = rotating_pair(free.method)
     # RK4 has no closed form here: the continuum's, and an error of its order
     tolerance = max(exact(LOOKS[-1]), 1e-8 if free.method == "rk4" else 0.0)
     assert error(np.linalg.norm(r, axis=1), d) < tolerance
-    turned = np.arctan2(r[:, 1], r[:, 0])
+    angle = np.arctan2(r[:, 1], r[:, 0])
     expected = TURN * H * np.array(LOOKS)
-    assert np.max(np.abs(np.exp(1j * turned) - np.exp(1j * expected))) < tolerance
+    assert np.max(np.abs(np.exp(1j * angle) - np.exp(1j * expected))) < tolerance
 
 
 @pytest.mark.parametrize("method", ["symplectic_euler", "verlet"])
 @pytest.mark.parametrize("omega", OMEGAS)
 def test_the_closed_form_oscillates_at_the_discrete_frequency(method, omega):
-    turn = np.abs(np.angle(np.linalg.eigvals(transfer(method, omega, 0.0, H)))) / H
-    np.testing.assert_allclose(turn, ref.discrete_frequency(omega, H), rtol=1e-9)
+    rotation = np.abs(np.angle(np.linalg.eigvals(transfer(method, omega, 0.0, H)))) / H
+    np.testing.assert_allclose(rotation, ref.discrete_frequency(omega, H), rtol=1e-9)
 
 
 def test_rk4_amplification():

@@ -317,13 +317,13 @@ def test_small_steps_keep_single_precision():
 
 @pytest.mark.slow
 def test_patches_save_passes(monkeypatch):
-    """Patches condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
+    """Aggregates condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(20, 20), stiffness=1e4, mass=0.3)
     scene.pinned[sheet.balls[:20]] = True
     found = []
     for fewest in (32, 10**6):
-        monkeypatch.setattr(coarse_preconditioner, "FEWEST", fewest)
+        monkeypatch.setattr(coarse_preconditioner, "FEWEST_BALLS", fewest)
         with simulate(scene, integrator=ImplicitEuler(1e-3), dt=1e-2, contacts="off") as sim:
             sim.step(20)
             found.append((sim.solver().passes, sim.position))

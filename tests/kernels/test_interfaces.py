@@ -1,8 +1,9 @@
 """What kernels read of the objects handed to them is what the folder's `interfaces.py` declares, no less and no more.
 
-A folder of `kernels/` declares in `interfaces.py` a Protocol for each kind of object, a line for each attribute with its
-shape and unit, and in `READS` which Protocol each parameter has that is annotated `ti.template()`; a module that means something
-else by a name has a `READS` of its own. Source is read, not run: `solver.pairs.row[c].depth` uses `pairs` of the solver's
+A folder of `kernels/` declares in `interfaces.py` a Protocol for each kind of object, a line for each attribute with its shape
+and unit, and in `READS` which Protocol a parameter of a name has; a module that means something else by a name has a `READS` of
+its own. What no folder says is what `kernels/interfaces.py` says, for all of them. Every parameter annotated `ti.template()` of
+which anything is read must be there. Source is read, not run: `solver.pairs.contact[c].depth` uses `pairs` of the solver's
 Protocol, `row` of that of `pairs`, and `depth` of that of `row`, whose Protocol describes one entry of the table.
 """
 
@@ -15,7 +16,6 @@ pytestmark = pytest.mark.once
 
 KERNELS = Path(__file__).resolve().parents[2] / "kernels"
 PACKAGE = "taichi_sim.kernels"
-NOT_YET = {"contacts", "springs", "render"}  # folders without declarations
 
 
 class Declarations:
@@ -60,7 +60,8 @@ class Declarations:
     def of_parameter(self, module, name):
         """The Protocol of a parameter, or None."""
         folder = ".".join([*module.split(".")[:-1], "interfaces"])
-        return self.reads[module].get(name) or self.reads.get(folder, {}).get(name)
+        places = (module, folder, "interfaces")
+        return next((self.reads[place][name] for place in places if name in self.reads.get(place, {})), None)
 
 
 def read_table(tree):
@@ -85,10 +86,8 @@ class Reader(ast.NodeVisitor):
         self.declared, self.module, self.function = declared, module, function
         self.functions, self.imported = functions, imported
         self.used, self.faults = set(), []
-        self.kinds = dict.fromkeys(templates(function))
-        for name in self.kinds:
-            self.kinds[name] = declared.of_parameter(module, name)
-        self.templates = set(self.kinds)
+        self.kinds = {a.arg: declared.of_parameter(module, a.arg) for a in function.args.args}
+        self.templates = templates(function)
         for statement in function.body:
             self.visit(statement)
 
@@ -137,6 +136,11 @@ class Reader(ast.NodeVisitor):
                 if isinstance(name, ast.Name):
                     self.kinds[name.id] = self.kind(value)
 
+    def visit_For(self, node):
+        if isinstance(node.target, ast.Name):
+            self.kinds[node.target.id] = self.kind(node.iter)
+        self.generic_visit(node)
+
     def visit_Call(self, node):
         self.generic_visit(node)
         called = self.imported.get(ast.unparse(node.func), (self.module, ast.unparse(node.func)))
@@ -177,8 +181,8 @@ def imported_functions(module, trees):
     return found
 
 
-def examine(sources, skip=()):
-    """Faults of all modules but those in the folders `skip`, and the declared attributes that nobody reads."""
+def examine(sources):
+    """Faults of all modules, and the declared attributes that nobody reads."""
     declared = Declarations(sources)
     functions = {
         (module, node.name): node
@@ -188,27 +192,24 @@ def examine(sources, skip=()):
     }
     used, faults = set(), [f"{text} has no shape and unit" for text in declared.undescribed]
     for (module, _), function in functions.items():
-        if module.split(".")[0] not in skip:
-            reader = Reader(declared, module, function, functions, imported_functions(module, declared.trees))
-            used |= reader.used
-            faults += reader.faults
+        reader = Reader(declared, module, function, functions, imported_functions(module, declared.trees))
+        used |= reader.used
+        faults += reader.faults
     for kind, attributes in declared.attributes.items():
-        if declared.where[kind].split(".")[0] not in skip:
-            unused = [name for name in attributes if (kind, name) not in used]
-            faults += [f"{declared.where[kind]}: {kind}.{name} is read by no kernel" for name in unused]
+        unused = [name for name in attributes if (kind, name) not in used]
+        faults += [f"{declared.where[kind]}: {kind}.{name} is read by no kernel" for name in unused]
     return faults
 
 
 def kernel_sources():
-    """The text of every module of `kernels` that lies in a folder, by its dotted name below it."""
-    paths = sorted(KERNELS.glob("*/*.py"))
+    """The text of every module of `kernels`, by its dotted name below it."""
+    paths = sorted(KERNELS.rglob("*.py"))
     return {".".join(path.relative_to(KERNELS).with_suffix("").parts): path.read_text("utf-8") for path in paths}
 
 
 def test_kernels_read_what_is_declared():
-    folders = {path.parent.name for path in KERNELS.glob("*/__init__.py")}
-    assert {folder for folder in folders if not (KERNELS / folder / "interfaces.py").exists()} == NOT_YET
-    assert examine(kernel_sources(), NOT_YET) == []
+    assert all((path.parent / "interfaces.py").exists() for path in KERNELS.glob("*/__init__.py"))
+    assert examine(kernel_sources()) == []
 
 
 DECLARED = """

@@ -62,7 +62,7 @@ class FakeSimulation:
         self.asked = getattr(self, "asked", 0) + 1
         deep = 0.25 if self.asked == 3 else 0.01
         speeds = {"residual": 0.5 / self.asked, "rms_residual": 0.1, "largest_speed": 4.0, "unsolved": 0.1 * deep}
-        counts = {"passes": 2, "substeps": 3, "searches": self.asked}
+        counts = {"iterations": 2, "substeps": 3, "searches": self.asked}
         return Contacts(7 - self.asked % 3, deep, 0.004, 10 * deep, 0.04, **counts, **speeds)
 
 
@@ -278,10 +278,10 @@ def test_summary():
     for word in (
         "10, 1 s simulated",
         "6 J at the start, 5.1 J at the end",
-        "contacts     6 at the end, 7 at most; 2 passes in each of 3 substeps, 10 searches; largest speed 4 m/s",
+        "contacts     6 at the end, 7 at most; 2 iterations in each of 3 substeps, 10 searches; largest speed 4 m/s",
         "lost 0.3 of the largest energy in motion, 3 J: restitution, friction and damping take their part",
         "penetration  0.25 m at most (2.5 of a radius), mean 0.004 m at the end: wrong; take shorter steps, or more",
-        "residual     passes leave 0.001 m/s of approach in most frames, 0.025 at most: good",
+        "residual     iterations leave 0.001 m/s of approach in most frames, 0.025 at most: good",
         "per simulated second",
     ):
         assert word in text

@@ -1,4 +1,4 @@
-"""An output of the user's own: no file of the package knows it."""
+"""A user-defined output: no file of the package knows it."""
 
 import textwrap
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.outputs import Output, base, export
+from taichi_sim.outputs import base
 
 
 def falling():
@@ -19,7 +19,7 @@ def test_the_example_of_the_docstring_writes_a_table(tmp_path, monkeypatch):
     example = base.__doc__.split(":\n\n", 1)[1].split("\n\nWithout", 1)[0]
     monkeypatch.chdir(tmp_path)
     with ts.Simulation(falling(), dt=1e-3, arch="cpu") as simulation:
-        exec(textwrap.dedent(example), {"simulation": simulation})
+        exec(textwrap.dedent(example), {"simulation": simulation, "ts": ts})
     table = np.loadtxt("heights.csv", delimiter=",")
     assert table.shape == (120, 3)
     time = table[:, 0]
@@ -28,7 +28,7 @@ def test_the_example_of_the_docstring_writes_a_table(tmp_path, monkeypatch):
     assert table[:, 2] - table[:, 1] == pytest.approx(np.ones(120), abs=1e-5)
 
 
-class Kept(Output):
+class Kept(ts.Output):
     """Remembers what it is asked."""
 
     needs_image = False
@@ -54,7 +54,7 @@ class Kept(Output):
 def test_it_says_which_frames_it_wants_and_is_finished():
     output = Kept()
     with ts.Simulation(falling(), dt=1e-3, arch="cpu") as simulation:
-        summary = export(simulation, output, fps=50, duration=0.1)
+        summary = ts.export(simulation, output, fps=50, duration=0.1)
     assert summary.frames == 5
     assert output.calls == [(0, None), (2, None), (4, None), "finish"]
     assert output.frames == 3

@@ -1,4 +1,4 @@
-"""Skins: surfaces that follow balls. What is refused, that they are kept in files, where their vertices lie, and that they
+"""Embedded surfaces, which follow balls. What is refused, that they are kept in files, where their vertices lie, and that they
 are drawn in place of the balls that they cover."""
 
 import numpy as np
@@ -17,7 +17,7 @@ SIZE = (160, 90)
 
 
 def tetrahedron(colour=None, covers=None):
-    """Four balls joined by springs, a small skin between them, and a loose ball."""
+    """Four balls joined by springs, a small surface between them, and a loose ball."""
     scene = Scene(dim=3)
     scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], radius=0.2, colour=GREEN)
     scene.add_balls([[3, 0, 0]], radius=0.1)
@@ -115,7 +115,7 @@ def test_kept_in_scene_and_state_files(tmp_path, colour, covers):
         same(again.scene.embedded_surfaces, scene.embedded_surfaces)
 
 
-def test_a_skin_in_a_scene_file_counts_within_its_group(tmp_path):
+def test_a_surface_in_a_scene_file_counts_within_its_group(tmp_path):
     text = """format = 1
 [[balls]]
 position = [[5.0, 5.0]]
@@ -132,24 +132,24 @@ triangles = [[0, 1, 1]]
 covers = [1]
 """
     (tmp_path / "x.toml").write_text(text)
-    skin = load_scene(tmp_path / "x.toml").embedded_surfaces[0]
-    assert skin.corners.tolist() == [[1, 2], [2, 1]]
-    assert skin.covers.tolist() == [2]
+    surface = load_scene(tmp_path / "x.toml").embedded_surfaces[0]
+    assert surface.corners.tolist() == [[1, 2], [2, 1]]
+    assert surface.covers.tolist() == [2]
     (tmp_path / "x.toml").write_text(text.replace("[[0, 1], [1, 0]]", "[[0, 1], [1, 7]]"))
     with pytest.raises(SceneError, match=r"line 11: embedded_surfaces\[0\]\.corners\[1\]: \[1, 7\] is not allowed"):
         load_scene(tmp_path / "x.toml")
 
 
 def test_what_is_drawn():
-    """The skin in place of balls, springs and triangles; where its vertices are."""
+    """The surface in place of balls, springs and triangles; where its vertices are."""
     scene = tetrahedron()
     content = Content.of(frame_of(scene), 1.0)
     assert content.radius.tolist() == [0, 0, 0, 0, 0.1]
     assert len(content.rods) == 0
     assert (content.triangles >= 5).all()
     x = np.random.default_rng(3).normal(size=(5, 3))
-    skin = scene.embedded_surfaces[0]
-    wanted = np.einsum("sk,skd->sd", skin.weights, x[skin.corners])
+    surface = scene.embedded_surfaces[0]
+    wanted = np.einsum("sk,skd->sd", surface.weights, x[surface.corners])
     assert content.binding.apply(x) == pytest.approx(wanted, rel=1e-14)
     assert content.colour[5:] == pytest.approx(np.tile(GREEN, (4, 1)))
     assert Content.of(frame_of(tetrahedron(RED, [4])), 1.0).colour[5:] == pytest.approx(np.tile(RED, (4, 1)))
@@ -161,14 +161,16 @@ def test_vertices_on_the_device_are_the_weighted_means():
     with Renderer(frame_of(scene), size=SIZE) as renderer:
         x = scene.position + np.random.default_rng(4).normal(size=(5, 3))
         renderer.render(frame_of(scene, x))
-        painter = renderer._painter
-        vertices = painter._buffers.ball.to_numpy()[5:9, :3] * painter._unit + painter._origin
-    skin = scene.embedded_surfaces[0]
-    assert vertices == pytest.approx(np.einsum("sk,skd->sd", skin.weights, x[skin.corners]), abs=1e-5)
+        drawn = renderer.buffers.ball.to_numpy()[:9, :3]  # in units of the scene's size about its centre
+    surface = scene.embedded_surfaces[0]
+    assert np.diff(drawn[:5], axis=0) / np.diff(x, axis=0) == pytest.approx(
+        (drawn[1, 0] - drawn[0, 0]) / (x[1, 0] - x[0, 0]), rel=1e-4
+    )
+    assert drawn[5:] == pytest.approx(np.einsum("sk,skd->sd", surface.weights, drawn[surface.corners]), abs=1e-5)
 
 
 def test_in_pictures():
-    """A red skin half as wide as the green triangle that it stands for, in 3D and in 2D."""
+    """A red surface half as wide as the green triangle that it stands for, in 3D and in 2D."""
     for dim in (3, 2):
         points = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])[:, :dim]
         scene = Scene(dim=dim)

@@ -320,10 +320,9 @@ def test_what_tears_is_drawn_without_new_fields(dim):
 
     with Renderer(frame(4, 3), size=SIZE) as renderer:
         whole = renderer.render(frame(4, 3))
-        painter = renderer._painter
-        fields = painter._tree if dim == 2 else painter._buffers
+        buffers = renderer.buffers
         torn = renderer.render(frame(2, 1))
-        assert fields is (painter._tree if dim == 2 else painter._buffers)
+        assert renderer.buffers is buffers
         assert not np.array_equal(torn, whole)
         assert np.array_equal(renderer.render(frame(4, 3)), whole)
     with Renderer(frame(2, 1), size=SIZE) as renderer:

@@ -6,7 +6,7 @@ from test_embedded_surfaces import frame_of
 
 from taichi_sim import Frame, Scene, Simulation, shapes
 from taichi_sim.render import Camera, Renderer
-from taichi_sim.render.colouring import SCALE, Colouring
+from taichi_sim.render.colouring import COLOUR_SCALE, Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 from taichi_sim.render.subdivision import subdivide
@@ -69,10 +69,10 @@ def test_a_finer_surface_is_closed_and_faces_outwards():
     assert np.ptp(np.linalg.norm(points, axis=1)) < 0.1  # nearly round
 
 
-def cloth(colour=None, skin=False):
+def cloth(colour=None, embedded=False):
     scene = Scene(dim=3, gravity=(0, -10, 0))
     sheet = shapes.cloth(scene, size=(1, 1), resolution=(5, 5), colour=colour)
-    if skin:
+    if embedded:
         shares = np.full((25, 2), 0.5)
         scene.add_embedded_surface(
             np.stack([sheet.balls, sheet.balls[::-1]], 1), shares, sheet.triangles, colour=colour
@@ -80,11 +80,11 @@ def cloth(colour=None, skin=False):
     return scene
 
 
-@pytest.mark.parametrize("skin", [False, True])
+@pytest.mark.parametrize("embedded", [False, True])
 @pytest.mark.parametrize("times", [1, 2])
-def test_what_is_drawn_of_a_finer_surface(skin, times):
-    """Its vertices follow the balls of the cloth or of its skin; with the colour that was given."""
-    scene = cloth((0.2, 0.4, 0.6), skin)
+def test_what_is_drawn_of_a_finer_surface(embedded, times):
+    """Its vertices follow the balls of the cloth or of its embedded surface; with the colour that was given."""
+    scene = cloth((0.2, 0.4, 0.6), embedded)
     content = Content.of(frame_of(scene), 1.0, times)
     side = 4 * 2**times + 1
     assert len(content.binding) == side**2
@@ -92,7 +92,7 @@ def test_what_is_drawn_of_a_finer_surface(skin, times):
     assert content.triangles.min() == 25
     assert content.colour[25:] == pytest.approx(np.tile((0.2, 0.4, 0.6), (side**2, 1)))
     x = np.random.default_rng(5).normal(size=(25, 3))
-    base, n, triangles = (x + x[::-1]) / 2 if skin else x, 25, scene.triangles
+    base, n, triangles = (x + x[::-1]) / 2 if embedded else x, 25, scene.triangles
     for _ in range(times):
         matrix, triangles = loop(triangles, n), subdivide(triangles, n)[0]
         base, n = matrix @ base, len(matrix)
@@ -135,7 +135,7 @@ def oklab(srgb):
 
 
 def test_the_scale_is_even_to_the_eye():
-    lab = oklab(SCALE)
+    lab = oklab(COLOUR_SCALE)
     step = np.linalg.norm(np.diff(lab, axis=0), axis=1)
     assert np.all(np.diff(lab[:, 0]) > 0.02)  # ever lighter: it survives grey print
     assert np.ptp(step) < 0.1 * step.mean()

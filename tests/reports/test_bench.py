@@ -12,8 +12,10 @@ from taichi_sim.reports.peers import PeerMissingError, granular_lammps
 
 pytestmark = pytest.mark.once
 
+PEERS = ("springs", "contacts", "shuffled", "pile", "small_pile", "granular", "stiff")
 
-@pytest.mark.slow
+
+@pytest.mark.long
 @pytest.mark.skipif(F64, reason="the benchmark runs in single precision")
 @pytest.mark.parametrize("name", list(main.CASES))
 def test_each_case_runs(name, capsys):
@@ -24,11 +26,17 @@ def test_each_case_runs(name, capsys):
     for _, seconds, _ in report.rows:
         assert len(seconds) == report.samples
         assert np.all(np.array(seconds) > 0.0)
-    for note in report.notes:
-        difference = re.search(r"differs from ours by (\S+) \(position\)", note)
-        assert difference is None or float(difference[1]) < 1e-5, note
-        same = re.search(r"([\d.]+)% of the balls get the same velocity", note)
-        assert same is None or float(same[1]) > 99.0, note
+    rivals = sum("taichi_sim" not in row for row, _, _ in report.rows)
+    notes = "\n".join(report.notes)
+    if name == "springs":
+        differences = re.findall(r"differs from ours by (\S+) \(position\)", notes)
+        assert len(differences) == rivals > 0 or "no C compiler" in notes
+        assert all(float(difference) < 1e-5 for difference in differences)
+    if name in ("contacts", "shuffled"):
+        same = re.findall(r"([\d.]+)% of the balls get the same velocity", notes)
+        assert len(same) == (rivals == 2)
+        assert all(float(share) > 99.0 for share in same)
+    assert rivals or name not in PEERS or "not measured" in notes
 
 
 def test_overlaps_of_a_pile():

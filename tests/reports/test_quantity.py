@@ -34,14 +34,14 @@ def test_what_has_a_zero_counts_from_there_and_a_place_from_where_it_starts():
     values = [np.array([k]) for k in (3.0, 5.0, -7.0)]
     outcome = Outcome("", [], [], [], quantity=values, begin=np.array([4.0]))
     for name, moved in (("load", [3.0, 5.0, 7.0]), ("end.x", [1.0, 1.0, 11.0]), ("heat.total", [2.0, 2.0, 2.0])):
-        compared = Compared.of(scene, plan(quantity=name))
+        compared = Compared(scene, plan(quantity=name))
         assert compared.motion(outcome, 2.0).tolist() == moved
         assert compared.unit == {"load": "N", "end.x": "m", "heat.total": "J"}[name]
-    vector = Compared.of(scene, plan(quantity="end"))
+    vector = Compared(scene, plan(quantity="end"))
     one, other = (Outcome("", [], [], [], quantity=[np.array(x)]) for x in ([0.0, 0.0], [3.0, 4.0]))
     assert vector.errors(one, other)[0].tolist() == [5.0]
     moved = Outcome("", [scene.position + np.array([0.3, 0.4])], [], [])
-    assert Compared.of(scene, plan()).motion(moved, 2.0).tolist() == [0.5]  # of positions: how far balls went
+    assert Compared(scene, plan()).motion(moved, 2.0).tolist() == [0.5]  # of positions: how far balls went
 
 
 def test_a_report_is_of_the_quantity(tmp_path, monkeypatch):

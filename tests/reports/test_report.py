@@ -11,9 +11,9 @@ from speed_support import MadeUp, length, pair, plan
 import taichi_sim as ts
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.source import open_scene, resolve
-from taichi_sim.reports.speed_error import csv_table, report, rows, statistics
+from taichi_sim.reports.speed_error import report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings, choice
-from taichi_sim.reports.speed_error.folder import Folder
+from taichi_sim.reports.speed_error.folder import Folder, parsed
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 
@@ -103,14 +103,18 @@ def test_pages(made):
         assert f"{row.step:.3g}" in text
     assert "fastest for 1 %: " in said
     assert "fastest for 0.01 %: " in said
-    kept = csv_table.read(folder / "rows.csv", rows.Row)
+    kept = rows_of(folder)
     assert kept == sorted_as(folder, findings.rows)
     assert any(row.order for row in kept)
 
 
+def rows_of(folder):
+    return parsed((folder / "rows.csv").read_text(), rows.Row)
+
+
 def sorted_as(folder, found):
     """The rows in the order of the file."""
-    keys = [row.key for row in csv_table.read(folder / "rows.csv", rows.Row)]
+    keys = [row.key for row in rows_of(folder)]
     return sorted(found, key=lambda row: keys.index(row.key))
 
 
@@ -193,7 +197,7 @@ def test_an_interrupted_report_goes_on(tmp_path, made_up):
     first = made_up(scene, fail=14)
     with pytest.raises(KeyboardInterrupt):
         report.main(scene, plan(), tmp_path / "r", progress=False, say=say)
-    kept = csv_table.read(tmp_path / "r" / "rows.csv", rows.Row)
+    kept = rows_of(tmp_path / "r")
     of_reference = sum(not trial.timed for _, trial in first.trials)
     budget = 1  # a run with the scene's own settings
     assert 1 <= len(kept) == 14 - of_reference <= 9
@@ -219,7 +223,7 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
     with pytest.raises(FileExistsError, match="another scene or with other settings"):
         report.main(scene, plan(duration=0.5), tmp_path / "r", progress=False, say=say)
     findings = report.main(scene, plan(duration=0.5), tmp_path / "r", overwrite=True, progress=False, say=say)
-    assert len(csv_table.read(tmp_path / "r" / "rows.csv", rows.Row)) == len(findings.rows)
+    assert len(rows_of(tmp_path / "r")) == len(findings.rows)
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["notes.txt"]
 
 
@@ -305,7 +309,7 @@ def test_statistics_alone_where_there_is_no_horizon(tmp_path, made_up):
 
 
 @pytest.mark.parametrize("touch", [False, True])
-def test_contacts_between_the_looks_are_known_by_errors_that_do_not_fall(tmp_path, made_up, touch):
+def test_contacts_between_the_samples_are_known_by_errors_that_do_not_fall(tmp_path, made_up, touch):
     workers = made_up(pair())
     run = workers.run
 
@@ -372,7 +376,7 @@ def test_a_scene_that_the_reference_cannot_follow_says_so(tmp_path, made_up, mon
 
     def fails(precision, trial):
         outcome = run(precision, trial)
-        return outcome._replace(unstable="ball 0 left the world") if trial.look else outcome
+        return outcome._replace(unstable="ball 0 left the world") if trial.contacts else outcome
 
     workers.run = fails
     findings = report.main(pair(), plan(), tmp_path / "r", progress=False, say=lambda line: None)

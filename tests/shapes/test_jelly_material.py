@@ -297,7 +297,7 @@ def test_a_mesh_with_a_hole_is_filled_with_boxes_and_reported():
     assert scene.n_balls == whole.n_balls
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mesh_filled_with_tetrahedra(tmp_path, monkeypatch):
     pytest.importorskip("pytetwild")
     monkeypatch.chdir(tmp_path)

@@ -47,7 +47,7 @@ def test_blocks_have_the_same_bits_in_both_drivers(monkeypatch):
 @pytest.mark.parametrize(
     ("dim", "contacts"),
     [
-        pytest.param(dim, rule, id=f"{dim}d-{rule}", marks=[] if (dim, rule) == (3, "jacobi") else [pytest.mark.slow])
+        pytest.param(dim, rule, id=f"{dim}d-{rule}", marks=[] if (dim, rule) == (3, "jacobi") else [pytest.mark.long])
         for dim in (2, 3)
         for rule in ("gauss_seidel", "jacobi")
     ],
@@ -86,7 +86,7 @@ def test_all_orders_of_springs_agree(dim, method, monkeypatch):
     """Four orders of one sum, after 100 steps of a cloth."""
     scene, steps = physics_bits.cloth(dim), 100
     ends = {}
-    for order in ("blocks", "gather", "rows", "atomic"):
+    for order in ("blocks", "gather", "padded", "atomic"):
         monkeypatch.setattr(assembly, "fixed_order", lambda *_, order=order: order)
         with simulate(
             scene, ("atomic" if order == "atomic" else "ordered", "parallel"), integrator=method, dt=H, contacts="off"
@@ -94,7 +94,7 @@ def test_all_orders_of_springs_agree(dim, method, monkeypatch):
             assert f"springs.{order}" in sim.kernels()
             sim.step(steps)
             ends[order] = sim.position, sim.velocity
-    for order in ("gather", "rows", "atomic"):
+    for order in ("gather", "padded", "atomic"):
         # in phase space: velocities in units of omega times the size, where omega^2 = k / m
         size = float(np.max(np.abs(ends["blocks"][0])))
         found = max(error(ends[order][k], ends["blocks"][k], size * (1.0, np.sqrt(2000.0))[k]) for k in (0, 1))

@@ -135,7 +135,7 @@ def test_what_a_hand_did_before_is_not_repeated():
     assert np.linalg.norm(end - exact, axis=1).max() / found.size < 1e-3 * 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", KINDS)
 def test_calibration(name):
     """Of scenes drawn at random: what is promised is kept."""
@@ -160,7 +160,7 @@ def test_contacts_that_act_together_are_no_promise():
         assert sim.error().lost is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_impacts_do_not_drive_the_step_to_nothing():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.add_material("rubber", restitution=0.5)
@@ -222,7 +222,7 @@ def test_a_scene_file_may_name_it(tmp_path):
     assert error(again.position, scene.position) == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_error_above_what_was_asked_is_said():
     """Elastic discs in a box meet all the time: no step is short enough."""
     scene = ts.Scene(dim=2)

@@ -38,9 +38,6 @@ class MadeUp:
         self.scene, self.grows, self.fail, self.trials = scene, grows, fail, []
         self.cost = cost or {}
 
-    def __call__(self, precision):
-        return lambda trial: self.run(precision, trial)
-
     def __enter__(self):
         return self
 

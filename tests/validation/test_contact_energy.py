@@ -11,7 +11,7 @@ pytestmark = pytest.mark.slow_in("f32")
 
 BATCHES = 10_000 // PLACES
 ROUNDING = 1e-13 if F64 else 1e-5
-SLOW = pytest.mark.slow
+LONG = pytest.mark.long
 
 
 def changes(clusters: Clusters, contacts: str, passes: int) -> np.ndarray:
@@ -25,11 +25,11 @@ def changes(clusters: Clusters, contacts: str, passes: int) -> np.ndarray:
     ("dim", "friction", "passes"),
     [
         (2, True, 1),
-        pytest.param(2, False, 1, marks=SLOW),
-        pytest.param(3, True, 1, marks=SLOW),
-        pytest.param(3, False, 1, marks=SLOW),
-        pytest.param(2, False, 2, marks=SLOW),
-        pytest.param(3, True, 3, marks=SLOW),
+        pytest.param(2, False, 1, marks=LONG),
+        pytest.param(3, True, 1, marks=LONG),
+        pytest.param(3, False, 1, marks=LONG),
+        pytest.param(2, False, 2, marks=LONG),
+        pytest.param(3, True, 3, marks=LONG),
     ],
 )
 def test_a_cold_pass_of_split_masses_never_adds_energy(dim, friction, passes):
@@ -39,7 +39,7 @@ def test_a_cold_pass_of_split_masses_never_adds_energy(dim, friction, passes):
     assert found.mean() < -0.1  # and contacts were met
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
 @pytest.mark.parametrize(("bounce", "passes"), [(0.0, 1), (0.0, 30), (0.5, 2), (0.5, 30)])
 def test_without_friction_neither_solver_adds_energy_up_to_half_a_bounce(contacts, bounce, passes):
@@ -48,7 +48,7 @@ def test_without_friction_neither_solver_adds_energy_up_to_half_a_bounce(contact
     assert found.max() < ROUNDING, f"{found.max():.2e}"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("passes", [2, 30])
 def test_without_a_bounce_gauss_seidel_adds_no_energy_with_friction_and_spin(passes):
     found = changes(Clusters(3, friction=True, bounce=0.0), "gauss_seidel", passes)
@@ -79,7 +79,7 @@ def approach(scene: ts.Scene, pairs: np.ndarray, v: np.ndarray) -> float:
     return float(np.max(-np.sum(n * (v[pairs[:, 1]] - v[pairs[:, 0]]), axis=1)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @each_dim
 def test_packs_thrown_together(dim):
     """Passes of split masses converge, to the velocities that gauss_seidel finds; those of the plain sum diverge."""
@@ -128,7 +128,7 @@ def test_two_elastic_balls_on_each_other_bounce_and_keep_most_of_their_energy(co
     assert min(changes) > -0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("restitution", [0.3, 0.6, 0.8, 1.0])
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
 def test_stacks_thrown_on_a_floor_never_gain_energy(contacts, restitution):

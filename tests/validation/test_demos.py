@@ -21,10 +21,15 @@ def check_box(sim):
 
 
 QUICK = ("jelly", "shell", "thread/10_truss", "thread/14_order")  # of each kind one, seconds each
+LONG = ("flag", "million", "net", "sphere", "tower", "wind")  # minutes each
 CHECKS = {"box": check_box}  # scene files hold no code
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in DEMOS])
+def _how_long(name):
+    return [] if name in QUICK else [pytest.mark.long if name in LONG else pytest.mark.slow]
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=_how_long(name)) for name in DEMOS])
 def test_demo_ends_as_its_check_says(name):
     scene = open_scene(DEMOS[name])
     assert scene is not None, "a demo defines scene(), so that its output and settings are known"

@@ -75,7 +75,7 @@ def test_the_table_fails_when_a_case_fails_with_every_rule(capsys):
     assert "FAIL" in shown
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("contacts", hard_cases.RULES)
 @pytest.mark.parametrize("name", [name for name in CASES if name != "1e6 balls in one cell"])
 def test_hard_case(name, contacts):
@@ -85,7 +85,7 @@ def test_hard_case(name, contacts):
     assert verdict.passed, f"{verdict.figure:.3g} {verdict.words}"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("method", springs.METHODS)
 @pytest.mark.parametrize("name", SPRINGS)
 def test_hard_case_of_springs(name, method):

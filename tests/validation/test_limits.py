@@ -175,7 +175,7 @@ CLOTHS = [
         side,
         damped,
         id=f"{method}-{side}x{side}" + damped * "-damped",
-        marks=[pytest.mark.slow] * (side == 100 or (damped and method != "symplectic_euler")),
+        marks=[pytest.mark.long] * (side == 100 or (damped and method != "symplectic_euler")),
     )
     for side in (10, 100)
     for method, damped in (
@@ -223,7 +223,7 @@ def networks(dim, method, damped):
     [
         ("symplectic_euler", True),
         ("verlet", False),
-        *(pytest.param(name, True, marks=pytest.mark.slow) for name in ("verlet", "rk4", "explicit_euler")),
+        *(pytest.param(name, True, marks=pytest.mark.long) for name in ("verlet", "rk4", "explicit_euler")),
     ],
 )
 def test_no_advised_step_blows_up(method, damped, dim):

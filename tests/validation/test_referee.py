@@ -18,20 +18,20 @@ FROM_ANYWHERE = ("mirror", "elsewhere", "in_other_masses", "renumbered", "moment
 LEDGERS = ("momentum_with_the_colliders", "energy_with_the_work", "in_a_moving_frame", "mirror")
 
 
-def _holds(family, seed, scenes, relations=None, slow=False):
-    marks = [pytest.mark.slow] if slow else []
+def _holds(family, seed, scenes, relations=None, long=False):
+    marks = [pytest.mark.long] if long else []
     return pytest.param(family, seed, scenes, relations, id=f"{family}-{seed}", marks=marks)
 
 
-def _fails(family, seed, scenes, reason, relations=None, slow=False):
-    case = _holds(family, seed, scenes, relations, slow)
+def _fails(family, seed, scenes, reason, relations=None, long=False):
+    case = _holds(family, seed, scenes, relations, long)
     return pytest.param(*case.values, id=case.id, marks=[*case.marks, pytest.mark.xfail(strict=True, reason=reason)])
 
 
 @pytest.mark.parametrize(
     ("family", "seed", "scenes", "relations"),
     [
-        _holds("few_balls", 7, 8, (*FROM_ANYWHERE, "energy_never_grows"), slow=True),
+        _holds("few_balls", 7, 8, (*FROM_ANYWHERE, "energy_never_grows"), long=True),
         _holds("chain", 4, 10),
         _holds("chain", 2, 10),
         _holds("sled", 2, 12),
@@ -44,27 +44,27 @@ def _fails(family, seed, scenes, reason, relations=None, slow=False):
         _holds("thrown", 1, 4),
         _holds("on_a_stick", 1, 3),
         _holds("driven", 1, 6, LEDGERS),
-        _holds("thrown", 0, 4, slow=True),
-        _holds("on_a_stick", 0, 5, slow=True),
-        _holds("on_pinned_cloth", 1, 4, slow=True),
-        _holds("heap", 1, 5, slow=True),
-        _holds("driven", 0, 6, slow=True),
-        _holds("mixed", 1, 1, slow=True),
-        _holds("net", 2, 8, ("methods_agree", "one_thread_is_two", "single_is_near_double"), slow=True),
-        _holds("neighbours", 3, 10, slow=True),
-        _holds("balloon", 4, 4, slow=True),
-        _holds("jelly_stays", 1, 6, slow=True),
-        _holds("cluster", 1, 20, slow=True),
-        _holds("elastic_row", 1, 20, slow=True),
-        _holds("jelly_slides", 2, 8, slow=True),
-        _holds("sled", 5, 4, slow=True),
-        _holds("sled", 7, 8, slow=True),
-        _holds("unequal_crowd", 0, 4, slow=True),
-        _holds("elastic_crowd", 1, 4, slow=True),
-        _holds("heavy_crowd", 1, 4, slow=True),
-        _holds("slow_balls", 1, 10, slow=True),
-        _holds("glancing", 0, 6, slow=True),
-        _holds("led_chain", 0, 10, ("order_is_kept",), slow=True),
+        _holds("thrown", 0, 4, long=True),
+        _holds("on_a_stick", 0, 5, long=True),
+        _holds("on_pinned_cloth", 1, 4, long=True),
+        _holds("heap", 1, 5, long=True),
+        _holds("driven", 0, 6, long=True),
+        _holds("mixed", 1, 1, long=True),
+        _holds("net", 2, 8, ("methods_agree", "one_thread_is_two", "single_is_near_double"), long=True),
+        _holds("neighbours", 3, 10, long=True),
+        _holds("balloon", 4, 4, long=True),
+        _holds("jelly_stays", 1, 6, long=True),
+        _holds("cluster", 1, 20, long=True),
+        _holds("elastic_row", 1, 20, long=True),
+        _holds("jelly_slides", 2, 8, long=True),
+        _holds("sled", 5, 4, long=True),
+        _holds("sled", 7, 8, long=True),
+        _holds("unequal_crowd", 0, 4, long=True),
+        _holds("elastic_crowd", 1, 4, long=True),
+        _holds("heavy_crowd", 1, 4, long=True),
+        _holds("slow_balls", 1, 10, long=True),
+        _holds("glancing", 0, 6, long=True),
+        _holds("led_chain", 0, 10, ("order_is_kept",), long=True),
     ],
 )
 def test_relations(family, seed, scenes, relations):

@@ -16,7 +16,7 @@ def hanging_cloth():
     return scene
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ten_times_smaller_steps_are_ten_times_better():
     """A cloth of 1378 springs, half a second in 300, 3000 and 30 000 steps: order 1 down to the smallest."""
     scene = hanging_cloth()

@@ -60,8 +60,8 @@ MIDDLE = 0.35  # m: what lies further from the centre is near a wall
 # Balls are found to overlap when they do, half a step too late on average: that makes them a little smaller.
 GASES = [
     pytest.param(2, 100, 0.2, 1 / 50, 2500, None, id="2d-short"),
-    pytest.param(2, 900, 0.3, 1 / 100, 90_000, 0.02, id="2d", marks=pytest.mark.slow),
-    pytest.param(3, 729, 0.2, 1 / 150, 50_000, 0.02, id="3d", marks=pytest.mark.slow),
+    pytest.param(2, 900, 0.3, 1 / 100, 90_000, 0.02, id="2d", marks=pytest.mark.long),
+    pytest.param(3, 729, 0.2, 1 / 150, 50_000, 0.02, id="3d", marks=pytest.mark.long),
 ]
 
 
@@ -169,7 +169,7 @@ def collision_rate(sim, steps):
     return -np.log1p(-met / (steps * len(v))) / sim.dt  # some met more than once in a step
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @each_dim
 def test_granular_cooling(dim):
     """Haff's law T0 (1 + t/tau)^-2 with tau = 2d / ((1 - e^2) nu), nu counted before: within 5 % until a twelfth is left.

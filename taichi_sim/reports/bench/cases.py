@@ -5,21 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Box",
-    "Cloth",
-    "Grains",
-    "HalfSprings",
-    "Pack",
-    "Pile",
-    "box_of_discs",
-    "cloth_case",
-    "granular_case",
-    "half_springs",
-    "pack_case",
-    "pile_case",
-    "random_pack",
-]
+from taichi_sim.geometry.graph import incidence
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -46,49 +32,18 @@ class HalfSprings(NamedTuple):
     rest_length: NDArray[np.float32]  # (2 m,) m
 
 
-class Pack(NamedTuple):
-    """Balls of one radius and unit mass, dense enough that each touches 4 to 7 others."""
+class Balls(NamedTuple):
+    """Balls of one radius and unit mass, in empty space or in a box: its floor at y = 0, its walls at 0 and side."""
 
-    position: Floats  # (n, 3) m
-    velocity: Floats  # (n, 3) m/s
+    position: Floats  # (n, dim) m
+    velocity: Floats  # (n, dim) m/s
     radius: float  # m
     restitution: float
-
-
-class Box(NamedTuple):
-    """Discs in the square from 0 to side, under gravity."""
-
-    position: Floats  # (n, 2) m
-    velocity: Floats  # (n, 2) m/s
-    radius: float  # m
-    restitution: float
-    side: float  # m
-    gravity: tuple[float, float]  # m/s^2
-    dt: float  # s
-
-
-class Pile(NamedTuple):
-    """Discs of unit mass on a loose lattice that fall into a box open above, its floor at y = 0, its walls at x = 0 and side."""
-
-    position: Floats  # (n, 2) m
-    radius: float  # m
-    restitution: float
-    friction: float
-    side: float  # m
-    gravity: tuple[float, float]  # m/s^2
-    dt: float  # s
-
-
-class Grains(NamedTuple):
-    """Balls of unit mass in a box open above, its floor at y = 0, its walls at x, z = 0 and side."""
-
-    position: Floats  # (n, 3) m
-    radius: float  # m
-    restitution: float
-    friction: float
-    side: float  # m
-    gravity: float  # m/s^2
-    dt: float  # s, for the program; each layer then sinks in by 2.4e-5 of the radius for each layer above it
+    friction: float = 0.0
+    side: float = 0.0  # m; 0: no box
+    lid: bool = False  # whether the box is closed above
+    gravity: float = 0.0  # m/s^2, downward
+    dt: float = 1e-3  # s, of the program
 
 
 def cloth_case(n: int, seed: int = 0) -> Cloth:
@@ -117,13 +72,9 @@ def cloth_case(n: int, seed: int = 0) -> Cloth:
 
 def half_springs(cloth: Cloth) -> HalfSprings:
     """The springs of a cloth seen from each ball."""
-    near = np.concatenate([cloth.pairs[:, 0], cloth.pairs[:, 1]])
-    far = np.concatenate([cloth.pairs[:, 1], cloth.pairs[:, 0]])
-    order = np.lexsort((far, near))
-    start = np.zeros(len(cloth.position) + 1, dtype=np.int32)
-    np.cumsum(np.bincount(near, minlength=len(cloth.position)), out=start[1:])
-    k, rest = (np.concatenate([a, a])[order].astype(np.float32) for a in (cloth.stiffness, cloth.rest_length))
-    return HalfSprings(start, far[order], k, rest)
+    start, neighbour, spring = incidence(cloth.pairs, len(cloth.position))
+    stiffness, rest_length = (column[spring].astype(np.float32) for column in (cloth.stiffness, cloth.rest_length))
+    return HalfSprings(start, neighbour, stiffness, rest_length)
 
 
 def random_pack(n: int, seed: int = 0, shuffled: bool = True) -> tuple[Floats, float]:
@@ -138,14 +89,14 @@ def random_pack(n: int, seed: int = 0, shuffled: bool = True) -> tuple[Floats, f
     return rng.permutation(position) if shuffled else position, 0.512
 
 
-def pack_case(n: int, seed: int = 0, shuffled: bool = True) -> Pack:
+def pack_case(n: int, seed: int = 0, shuffled: bool = True) -> Balls:
     """random_pack with random velocities, restitution 0.5."""
     position, radius = random_pack(n, seed, shuffled)
     velocity = np.random.default_rng(seed + 1).standard_normal((n, 3))
-    return Pack(position, velocity, radius, 0.5)
+    return Balls(position, velocity, radius, 0.5)
 
 
-def box_of_discs(n: int = 100, seed: int = 0) -> Box:
+def box_of_discs(n: int = 100, seed: int = 0) -> Balls:
     """n discs that fill 0.6 of a box of side 1 m, on a jittered lattice, speeds about 1 m/s, 1 ms steps."""
     rng = np.random.default_rng(seed)
     side = int(np.ceil(np.sqrt(n)))
@@ -153,19 +104,20 @@ def box_of_discs(n: int = 100, seed: int = 0) -> Box:
     i, j = np.divmod(np.arange(n), side)
     gap = 1.0 / side - 2 * radius
     position = (np.stack([i, j], axis=1) + 0.5) / side + rng.uniform(-gap / 2, gap / 2, (n, 2))
-    return Box(position, rng.standard_normal((n, 2)), radius, 0.5, 1.0, (0.0, -10.0), 1e-3)
+    velocity = rng.standard_normal((n, 2))
+    return Balls(position, velocity, radius, 0.5, side=1.0, lid=True, gravity=10.0)
 
 
-def pile_case(n: int, seed: int = 0) -> Pile:
-    """As many columns as rows, 0.12 m apart and jittered by 8 mm; radius 0.05 m, restitution and friction 0.3, 240 Hz."""
+def pile_case(n: int, seed: int = 0) -> Balls:
+    """Discs in as many columns as rows, 0.12 m apart and jittered by 8 mm; radius 0.05 m, both coefficients 0.3, 240 Hz."""
     columns = int(np.ceil(np.sqrt(n)))
     row, column = np.divmod(np.arange(n), columns)
     jitter = np.random.default_rng(seed).uniform(-0.008, 0.008, (n, 2))
     position = 0.12 * (np.stack([column, row], axis=1) + 0.5) + jitter
-    return Pile(position, 0.05, 0.3, 0.3, 0.12 * columns, (0.0, -10.0), 1 / 240)
+    return Balls(position, 0 * position, 0.05, 0.3, 0.3, 0.12 * columns, gravity=10.0, dt=1 / 240)
 
 
-def granular_case(n: int, seed: int = 0) -> Grains:
+def granular_case(n: int, seed: int = 0) -> Balls:
     """Close-packed layers, as high as wide, 1.5 % of a radius apart and jittered by 0.5 %: after a short fall they touch."""
     radius = 0.05
     cell = 2.015 * radius * np.sqrt(2.0)  # holds four balls
@@ -175,4 +127,6 @@ def granular_case(n: int, seed: int = 0) -> Grains:
     position = cell * (corner[:, None] + within).reshape(-1, 3)
     position = position[np.argsort(position[:, 1], kind="stable")][:n] + 1.01 * radius
     position += np.random.default_rng(seed).uniform(-0.005 * radius, 0.005 * radius, position.shape)
-    return Grains(position, radius, 0.3, 0.3, (count - 0.5) * cell + 2.02 * radius, 10.0, 1 / 1280)
+    side = (count - 0.5) * cell + 2.02 * radius
+    # in a step each layer sinks in by 2.4e-5 of the radius for each layer above it
+    return Balls(position, 0 * position, radius, 0.3, 0.3, side, gravity=10.0, dt=1 / 1280)

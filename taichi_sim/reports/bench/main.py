@@ -14,15 +14,13 @@ from taichi_sim.device import backend
 from taichi_sim.render import Renderer
 from taichi_sim.reports.bench import cases
 from taichi_sim.reports.bench.granular import granular_report
-from taichi_sim.reports.bench.ours import ContactPass, small_step, springs_step
+from taichi_sim.reports.bench.ours import ContactPass, ball_step, cloth_step
 from taichi_sim.reports.bench.piles import pile_report
 from taichi_sim.reports.bench.scale import drape_report, hanging_report, jelly_report, video_report
 from taichi_sim.reports.bench.stiff_cloth import stiff_report
-from taichi_sim.reports.bench.table import Report, difference, peer
+from taichi_sim.reports.bench.table import Report, count_of, difference, peer
 from taichi_sim.reports.machine import processor
 from taichi_sim.reports.peers import PeerMissingError
-
-__all__ = ["CASES", "head_line", "main"]
 
 
 def springs(quick: bool) -> Report:
@@ -31,18 +29,15 @@ def springs(quick: bool) -> Report:
     cloth = cases.cloth_case(n)
     half, m = cases.half_springs(cloth), len(cloth.pairs)
     report = Report(f"springs: {n} x {n} cloth, {m} springs, one symplectic Euler step, f32", "spring")
-    ours = springs_step(cloth)
+    ours = cloth_step(cloth)
     report.enter("taichi_sim", lambda: ours, m, 20)
     threads = ours.simulation.backend.threads
     for count in sorted({1, threads}, reverse=True):
-        name = f"C + OpenMP, {count} thread{'s' if count > 1 else ''}"
-        for fast_math, what in ((False, name), (True, f"{name}, -ffast-math")):
-            make = peer("cloth_openmp.ClothOpenMP", cloth, half, threads=count, fast_math=fast_math)
-            report.enter(what, make, m, 20)
-        if count == threads:
-            report.goals[name] = ">= 0.9"
-    report.enter("Warp on the CPU, 1 thread", peer("cloth_warp.ClothWarp", cloth, half), m, 5)
-    report.goals["Warp on the CPU, 1 thread"] = ">= 1.7"
+        name = f"C + OpenMP, {count_of(count, 'thread')}"
+        make = partial(peer, "cloth_openmp.ClothOpenMP", cloth, half, threads=count)
+        report.enter(name, make(fast_math=False), m, 20, ">= 0.9" if count == threads else None)
+        report.enter(f"{name}, -ffast-math", make(fast_math=True), m, 20)
+    report.enter("Warp on the CPU, 1 thread", peer("cloth_warp.ClothWarp", cloth, half), m, 5, ">= 1.7")
     report.take_turns()
     for entry in report.entries:
         entry.runner.reset()
@@ -58,17 +53,16 @@ def springs(quick: bool) -> Report:
 
 
 def contacts(quick: bool, shuffled: bool = False) -> Report:
-    """A million balls in 3D, search and one pass of impulses, by both rules; shuffled: not in the lattice's order but in random
+    """A million balls in 3D, search and one iteration, by both rules; shuffled: not in the lattice's order but in random
     order, in which every access to another ball misses the caches."""
     n = 8000 if quick else 1_000_000
     pack = cases.pack_case(n, shuffled=shuffled)
     order = "random" if shuffled else "lattice"
-    report = Report(f"contacts: {n} balls in 3D in {order} order, search and one pass, f32", "ball-step")
+    report = Report(f"contacts: {n} balls in 3D in {order} order, search and one iteration, f32", "ball-step")
     report.enter("taichi_sim, split masses", lambda: ContactPass(pack, "jacobi"), n, 3)
     report.enter("taichi_sim, plain sum", lambda: ContactPass(pack, "sum"), n, 3)
-    report.enter("Warp hash grid, split masses", peer("contacts_warp.ContactsWarp", pack, split="count"), n, 2)
+    report.enter("Warp hash grid, split masses", peer("contacts_warp.ContactsWarp", pack, split="count"), n, 2, ">= 6")
     report.enter("Warp hash grid, plain sum", peer("contacts_warp.ContactsWarp", pack, split="none"), n, 2)
-    report.goals["Warp hash grid, split masses"] = ">= 6"
     report.take_turns()
     if len(report.entries) == 4:
         _, own, _, theirs = report.entries
@@ -78,7 +72,7 @@ def contacts(quick: bool, shuffled: bool = False) -> Report:
             entry.runner.step(1)
         far = np.abs(own.runner.result()[1] - theirs.runner.result()[1]).max(axis=1)
         report.notes.append(
-            f"plain sum, one pass: {np.mean(far < 0.03):.2%} of the balls get the same velocity (0.03 m/s)"
+            f"plain sum, one iteration: {np.mean(far < 0.03):.2%} of the balls get the same velocity (0.03 m/s)"
         )
     report.close()
     return report
@@ -89,11 +83,10 @@ def small(quick: bool) -> Report:
     box = cases.box_of_discs(100)
     report = Report("small: 100 discs in a 2D box with contacts, default settings, 1 ms steps, f32")
     many, few = (256, 64) if quick else (2000, 500)
-    report.enter("taichi_sim, fused", partial(small_step, box, "fused"), 100, many)
-    once = partial(small_step, box, "fused", contact_iterations=1)
-    report.enter("taichi_sim, fused, 1 contact pass", once, 100, many)
-    report.enter("taichi_sim, parallel", partial(small_step, box, "parallel"), 100, few)
-    report.goals = {"taichi_sim, fused": "<= 10 us", "taichi_sim, parallel": ">= 20"}
+    report.enter("taichi_sim, fused", partial(ball_step, box, driver="fused"), 100, many, "<= 10 us")
+    once = partial(ball_step, box, driver="fused", contact_iterations=1)
+    report.enter("taichi_sim, fused, 1 contact iteration", once, 100, many)
+    report.enter("taichi_sim, parallel", partial(ball_step, box, driver="parallel"), 100, few, ">= 20")
     report.take_turns()
     report.close()
     return report
@@ -107,10 +100,9 @@ class _Pictures:
         self.close = self._renderer.close
 
     def reset(self) -> None:
-        """Nothing to do."""
+        pass
 
     def step(self, steps: int) -> None:
-        """Draw `steps` pictures."""
         for _ in range(steps):
             self._renderer.render(self._frame)
 
@@ -132,8 +124,7 @@ def renderer(quick: bool) -> Report:
         (f"{n} spheres", spheres, n, "<= 0.35 s"),
         (f"{side} x {side} cloth with shadow", cloth, count, "<= 0.2 s"),
     ):
-        report.enter(name, partial(_Pictures, frame), balls)
-        report.goals[name] = goal
+        report.enter(name, partial(_Pictures, frame), balls, goal=goal)
     report.take_turns()
     report.close()
     return report

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from taichi_sim.reports.bench import cases
-from taichi_sim.reports.bench.ours import pile_step
-from taichi_sim.reports.bench.table import Report, elapsed, peer
-
-__all__ = ["Lie", "PileReport", "overlaps", "pile_report"]
+from taichi_sim.reports.bench.ours import ball_step
+from taichi_sim.reports.bench.table import Report, count_of, elapsed, peer
 
 SEEDS = 6
 SETTLE = 4.0  # s, before the clock starts
@@ -35,12 +33,9 @@ def overlaps(x: NDArray, radius: float, side: float) -> tuple[float, float, floa
     """Largest and mean overlap of two discs that overlap, and the largest with a wall, in radii."""
     i, j = cKDTree(x).query_pairs(2 * radius, output_type="ndarray").T
     depth = 2 * radius - np.linalg.norm(x[i] - x[j], axis=1)
-    wall = radius - min(x[:, 1].min(), x[:, 0].min(), side - x[:, 0].max())
-    return (
-        float(depth.max(initial=0.0)) / radius,
-        float(depth.sum()) / max(1, len(depth)) / radius,
-        max(0.0, wall) / radius,
-    )
+    wall = max(0.0, radius - min(x[:, 1].min(), x[:, 0].min(), side - x[:, 0].max()))
+    mean = float(depth.sum()) / max(1, len(depth))
+    return float(depth.max(initial=0.0)) / radius, mean / radius, wall / radius
 
 
 @dataclass
@@ -65,26 +60,26 @@ class PileReport(Report):
         return head, rows
 
 
-def _span(values: Any, form: str) -> str:
+def _span(values: Sequence[float], form: str) -> str:
     """From the least to the largest value."""
-    if not len(values):
+    if not values:
         return "-"
     low, high = f"{min(values):{form}}", f"{max(values):{form}}"
     return low if low == high else f"{low} .. {high}"
 
 
-def _lie(runner: Any, case: cases.Pile) -> Lie:
+def _lie(runner: Any, case: cases.Balls) -> Lie:
     simulation = getattr(runner, "simulation", None)
     kinetic = float(runner.kinetic() if simulation is None else simulation.energy().kinetic)
-    weight = len(case.position) * -case.gravity[1] * case.radius
+    weight = len(case.position) * case.gravity * case.radius
     return Lie(kinetic / weight, *overlaps(runner.result()[0], case.radius, case.side))
 
 
-def _measure(n: int, seeds: int, settle: float, timed: float, report: PileReport) -> None:
+def _measure(n: int, settle: float, timed: float, report: PileReport) -> None:
     """All seeds: every contestant settles, then all take turns."""
     report.rows = [(entry.name, [], float(n)) for entry in report.entries]
     report.lies = {entry.name: [] for entry in report.entries}
-    for seed in range(seeds):
+    for seed in range(report.samples):
         case = cases.pile_case(n, seed)
         steps = round(timed / SLICES / case.dt)
         for entry in report.entries:
@@ -104,21 +99,21 @@ def pile_report(quick: bool, *, few: bool = False) -> PileReport:
     title = f"{n} discs in a box, {seeds} seeds, {timed:g} s from {settle:g} s after the drop on, one 240 Hz step"
     report = PileReport(f"pile: {title}; min .. max over the seeds", samples=seeds)
     case, substeps = cases.pile_case(n), 1 if few else 2
-    settings = {"substeps": substeps, "contact_iterations": 1}
-    report.enter("taichi_sim", partial(pile_step, case))
-    name = f"taichi_sim, {substeps} substep{'s' if substeps > 1 else ''}, 1 pass"
-    report.enter(name, partial(pile_step, case, **settings))
-    report.enter(RIVAL, peer("pile_pymunk.PilePymunk", case, iterations=10, hashed=False))
+    report.enter("taichi_sim", partial(ball_step, case))
+    name = f"taichi_sim, {count_of(substeps, 'substep')}, 1 iteration"
+    report.enter(name, partial(ball_step, case, substeps=substeps, contact_iterations=1))
+    pymunk = partial(peer, "pile_pymunk.PilePymunk", case)
+    report.enter(RIVAL, pymunk(iterations=10, hashed=False))
     if few:
-        report.enter("pymunk, 4 iterations", peer("pile_pymunk.PilePymunk", case, iterations=4, hashed=False))
+        report.enter("pymunk, 4 iterations", pymunk(iterations=4, hashed=False))
     else:
-        report.enter(f"{RIVAL}, spatial hash", peer("pile_pymunk.PilePymunk", case, iterations=10, hashed=True))
+        report.enter(f"{RIVAL}, spatial hash", pymunk(iterations=10, hashed=True))
     if not quick:
         report.notes.append(f"goal, time: a sixth of {RIVAL}")
     if not quick and not few:
         report.notes.append(
             "goal, the pile: kinetic energy within pymunk's spread, overlap 0.10 r, mean 0.033 r, walls likewise"
         )
-    _measure(n, seeds, settle, timed, report)
+    _measure(n, settle, timed, report)
     report.close()
     return report

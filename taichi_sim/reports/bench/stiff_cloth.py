@@ -14,8 +14,6 @@ from taichi_sim.reports.bench.table import REPEATS, Report, elapsed, peer
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth
 
-__all__ = ["SIDE", "StiffReport", "T", "converged", "stiff_report", "stiff_scene"]
-
 Floats = NDArray[np.float64]
 
 SIDE, T = 16, 0.5  # balls along an edge; s
@@ -40,24 +38,17 @@ TASKS = (
     Task(
         1e3,
         1e-3,
-        {
-            "taichi_sim, Verlet": 800,
-            "Verlet in numba": 800,
-            "symplectic Euler in numba": 800,
-            "Newton, semi-implicit": 800,
-        },
+        dict.fromkeys(
+            ("taichi_sim, Verlet", "Verlet in numba", "symplectic Euler in numba", "Newton, semi-implicit"), 800
+        ),
         4000,
     ),
     Task(1e3, 3e-5, {"taichi_sim, Verlet": 1280, "Verlet in numba": 1400}, 4000),
     Task(
         1e5,
         1e-2,
-        {
-            "taichi_sim, TR-BDF2": 40,
-            "taichi_sim, implicit Euler": 160,
-            "Verlet in numba": 8000,
-            "Newton, semi-implicit": 8000,
-        },
+        {"taichi_sim, TR-BDF2": 40, "taichi_sim, implicit Euler": 160}
+        | dict.fromkeys(("Verlet in numba", "Newton, semi-implicit"), 8000),
         16_000,
     ),
 )
@@ -102,17 +93,15 @@ def converged(scene: Scene, steps: int) -> Floats:
 
 @dataclass
 class StiffReport(Report):
-    """Rows with the task they belong to, the steps and the error [m]; times are seconds per simulated second."""
+    """Times are seconds per simulated second."""
 
-    tasks: list[Task] = field(default_factory=list)  # of each row
-    counts: list[int] = field(default_factory=list)
-    errors: list[float] = field(default_factory=list)
+    details: list[tuple[Task, int, float]] = field(default_factory=list)  # task, steps and error [m] of each row
 
     def cells(self) -> tuple[Sequence[str], list[list[str]]]:
         """Times beside what was asked and how far each is off."""
         head = ("k, N/m", "asked, m", "", "steps", "error, m", "s per simulated s", "its time / our best")
         rows = []
-        for (name, seconds, _), task, steps, error in zip(self.rows, self.tasks, self.counts, self.errors):
+        for (name, seconds, _), (task, steps, error) in zip(self.rows, self.details):
             middle = statistics.median(seconds)
             cells = [f"{steps}", f"{error:.2g}", f"{middle:.4f}", f"{middle / self.best(task):.2f}"]
             rows.append([f"{task.stiffness:g}", f"{task.error:g}", name, *cells])
@@ -120,12 +109,8 @@ class StiffReport(Report):
 
     def best(self, task: Task) -> float:
         """Our shortest median time for a task."""
-        ours = [
-            statistics.median(seconds)
-            for (name, seconds, _), t in zip(self.rows, self.tasks)
-            if t == task and name in OURS
-        ]
-        return min(ours)
+        rows = zip(self.rows, self.details)
+        return min(statistics.median(seconds) for (name, seconds, _), of in rows if of[0] == task and name in OURS)
 
 
 def _contestant(name: str, scene: Scene, steps: int) -> Callable[[], Any]:
@@ -157,9 +142,7 @@ def stiff_report(quick: bool) -> StiffReport:
                     seconds.append(taken)
         report.rows += rows
         for entry in report.entries:
-            report.tasks.append(task)
-            report.counts.append(entry.steps)
             off = entry.runner.result()[0] - exact
-            report.errors.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
+            report.details.append((task, entry.steps, float(np.sqrt(np.mean(np.sum(off**2, axis=1))))))
         report.close()
     return report

@@ -11,8 +11,6 @@ import numpy as np
 
 from taichi_sim.reports.peers import PeerMissingError, Runner
 
-__all__ = ["REPEATS", "Entry", "Report", "difference", "elapsed", "peer"]
-
 REPEATS = 5
 LEAST_WIDTH = 160  # a pipe says 80, which would cut the columns
 
@@ -39,8 +37,12 @@ class Report:
     samples: int = REPEATS  # times in each row
     entries: list[Entry] = field(default_factory=list)  # the contestants
 
-    def enter(self, name: str, make: Callable[[], Any], units: float = 0.0, steps: int = 1) -> None:
+    def enter(
+        self, name: str, make: Callable[[], Any], units: float = 0.0, steps: int = 1, goal: str | None = None
+    ) -> None:
         """Add a contestant, or a line that says why it is absent."""
+        if goal is not None:
+            self.goals[name] = goal
         try:
             self.entries.append(Entry(name, make(), units, steps))
         except PeerMissingError as reason:
@@ -115,6 +117,11 @@ def elapsed(work: Callable[..., object], *arguments: Any) -> float:
     start = time.perf_counter()
     work(*arguments)
     return time.perf_counter() - start
+
+
+def count_of(number: int, what: str, ending: str = "s") -> str:
+    """`1 thread`, `2 threads`."""
+    return f"{number} {what}{ending if number > 1 else ''}"
 
 
 def peer(place: str, *arguments: Any, **options: Any) -> Callable[[], Runner]:

@@ -8,11 +8,11 @@ import numpy as np
 
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
+from taichi_sim.device import backend
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.simulation import Simulation
 
-__all__ = ["Case", "Verdict", "double", "heeding", "judge", "rounding", "show", "simulation"]
-
+G = 10.0  # m/s^2
 H = 1e-3  # s
 
 
@@ -50,9 +50,7 @@ def judge(case: Case, column: str, short: bool = False) -> Verdict:
         return Verdict(False, refusal.safe, "s is the safe step" if safe else str(refusal), refused=True)
     except Exception as error:
         return Verdict(False, float("nan"), f"{type(error).__name__}: {error}")
-    if not np.isfinite(verdict.figure):
-        return Verdict(False, verdict.figure, verdict.words)
-    return verdict
+    return verdict._replace(passed=verdict.passed and bool(np.isfinite(verdict.figure)))
 
 
 def show(title: str, cases: Sequence[Case], columns: Sequence[str]) -> bool:
@@ -67,15 +65,14 @@ def show(title: str, cases: Sequence[Case], columns: Sequence[str]) -> bool:
         passed = False
         for column in columns:
             verdict = judge(case, column)
-            console.print(f"  {column:16} {_mark(verdict)} {verdict.figure:.3g} ", end="")
+            mark = "[yellow]refuses[/]" if verdict.refused else "[red]FAIL[/]   "
+            console.print(
+                f"  {column:16} {'[green]pass[/]   ' if verdict.passed else mark} {verdict.figure:.3g} ", end=""
+            )
             console.print(verdict.words, markup=False)
             passed = passed or verdict.passed
         good = good and passed
     return good
-
-
-def _mark(verdict: Verdict) -> str:
-    return "[green]pass[/]   " if verdict.passed else "[yellow]refuses[/]" if verdict.refused else "[red]FAIL[/]   "
 
 
 def simulation(scene: Scene, contacts: str, **settings: Any) -> Simulation:
@@ -100,10 +97,31 @@ def heeding(scene: Scene, integrator: str, **settings: Any) -> Simulation:
 
 
 def _start() -> None:
-    from taichi_sim.device import backend
-
     if backend.running() is None:
         backend.start("cpu", "f64")
+
+
+def largest(sim: Simulation, seconds: float, times: int, *figures: Callable[[], Any]) -> list[Any]:
+    """The largest value of each figure, or of each of its entries, at so many moments in the next `seconds`."""
+    seen = []
+    for _ in range(times):
+        sim.run(seconds / times)
+        seen.append([figure() for figure in figures])
+    return [np.max(values, axis=0) for values in zip(*seen)]
+
+
+def energy_part(sim: Simulation) -> Callable[[], float]:
+    """A figure: the total energy as a part of what it is now."""
+    start = sim.energy().total
+    return lambda: sim.energy().total / start
+
+
+def on_floor(dim: int = 2, offset: float = 0.0, **material: Any) -> Scene:
+    """Gravity, and a wall under all; "it" is the material that it is of."""
+    scene = Scene(dim=dim, gravity=(0.0, -G, 0.0)[:dim])
+    scene.add_material("it", **material)
+    scene.add_wall((0.0, 1.0, 0.0)[:dim], offset, "it")
+    return scene
 
 
 def double(sim: Simulation) -> bool:

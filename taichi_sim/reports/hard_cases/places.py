@@ -5,22 +5,17 @@ import warnings
 
 import numpy as np
 
-from taichi_sim.reports.hard_cases.case import H, Verdict, double, simulation
+from taichi_sim.geometry.graph import components
+from taichi_sim.reports.hard_cases.case import H, Verdict, double, on_floor, simulation
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.simulation import Simulation
 
-__all__ = ["crowded_cell", "negative_coordinates", "radii_from_1_to_1000", "tiny_in_a_large_world", "world_offset"]
-
-G = 10.0  # m/s^2
-
 
 def _offset_scene(shift: float) -> Scene:
-    scene = Scene(dim=2, gravity=(0.0, -G))
-    lively = scene.add_material("lively", restitution=0.5, friction=0.2)
-    scene.add_wall((0.0, 1.0), shift, lively)
+    scene = on_floor(offset=shift, restitution=0.5, friction=0.2)
     x = np.array([[0.0, 1.25], [3.0, 1.0], [3.0, 3.0], [6.0, 4.0], [8.5, 4.0]])  # falls; one on another; two meet
     v = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.97, 0.0], [-0.91, 0.0]]
-    scene.add_balls(shift + x, radius=1.0, velocity=v, material=lively)
+    scene.add_balls(shift + x, radius=1.0, velocity=v, material="it")
     return scene
 
 
@@ -44,7 +39,7 @@ def world_offset(contacts: str, short: bool) -> Verdict:
 
 
 def _right_pairs(scene: Scene, contacts: str) -> Verdict:
-    """What one pass changed, against pairs found by brute force.
+    """What one iteration changed, against pairs found by brute force.
 
     Of two balls that touch and approach at least one must change; no ball may that has no such pair in its group of balls that
     touch each other, for impulses go no further.
@@ -53,23 +48,15 @@ def _right_pairs(scene: Scene, contacts: str) -> Verdict:
         x, v = sim.position, sim.velocity
         sim.step()
         changed = np.any(sim.velocity != v, axis=1)
-    approach, group, touching = [], np.arange(len(x)), []
-    for i in range(len(x) - 1):
-        r = x[i + 1 :] - x[i]
-        for k in np.flatnonzero(np.sum(r * r, axis=1) < (scene.radius[i + 1 :] + scene.radius[i]) ** 2):
-            j = i + 1 + int(k)
-            touching.append((i, j))
-            if (v[j] - v[i]) @ r[k] < 0.0:
-                approach.append((i, j))
-    for _ in range(len(x)):
-        before = group.copy()
-        for i, j in touching:
-            group[[i, j]] = min(group[i], group[j])
-        if np.array_equal(before, group):
-            break
-    missed = sum(not (changed[i] or changed[j]) for i, j in approach)
-    false = int(np.sum(changed & ~np.isin(group, [group[i] for i, _ in approach])))
-    return Verdict(missed + false == 0 < len(approach), missed + false, f"wrong; {len(touching)} pairs touch")
+    i, j = np.triu_indices(len(x), 1)
+    r = x[j] - x[i]
+    near = np.sum(r * r, axis=1) < (scene.radius[i] + scene.radius[j]) ** 2
+    i, j, r = i[near], j[near], r[near]
+    approach = np.sum((v[j] - v[i]) * r, axis=1) < 0.0
+    group = components(len(x), np.stack([i, j], axis=1))
+    missed = int(np.sum(approach & ~(changed[i] | changed[j])))
+    false = int(np.sum(changed & ~np.isin(group, group[i[approach]])))
+    return Verdict(missed + false == 0 and approach.any(), missed + false, f"wrong; {len(i)} pairs touch")
 
 
 def tiny_in_a_large_world(contacts: str, short: bool) -> Verdict:

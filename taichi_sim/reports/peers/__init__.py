@@ -4,8 +4,6 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
-__all__ = ["PeerMissingError", "Runner"]
-
 
 class PeerMissingError(Exception):
     """The peer cannot run here; the text says what is lacking."""

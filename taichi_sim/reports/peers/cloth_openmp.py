@@ -6,17 +6,14 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-import time
 from os import environ
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Cloth, HalfSprings, half_springs
+from taichi_sim.reports.bench.cases import Cloth, HalfSprings
 from taichi_sim.reports.peers import PeerMissingError
-
-__all__ = ["ClothOpenMP", "compiler", "time_step"]
 
 # -ffast-math lets the compiler vectorise the sum over a ball's springs and made the loop 1.2 times as fast (gcc 12).
 # It is given when compiling only: when linking it would switch denormal numbers off for the whole process.
@@ -67,10 +64,7 @@ def _library(fast_math: bool) -> ctypes.CDLL:
 class ClothOpenMP:
     """A cloth stepped by the C loop on `threads` threads, f32."""
 
-    def __init__(
-        self, cloth: Cloth, springs: HalfSprings | None = None, *, threads: int = 1, fast_math: bool = True
-    ) -> None:
-        half = half_springs(cloth) if springs is None else springs
+    def __init__(self, cloth: Cloth, half: HalfSprings, *, threads: int, fast_math: bool) -> None:
         self._function = _library(fast_math).cloth_steps
         self._dt, self._threads, self._done = cloth.dt, threads, 0
         self._gravity = np.array(cloth.gravity, dtype=np.float32)
@@ -83,28 +77,14 @@ class ClothOpenMP:
         self._states = [state.copy(), state.copy()]  # where the state is after an even, an odd number of steps
 
     def reset(self) -> None:
-        """Back to the start."""
         self._states[0][:], self._done = self._first, 0
 
     def step(self, steps: int) -> None:
-        """`steps` steps; returns when they are done."""
         now, following = self._states if self._done % 2 == 0 else self._states[::-1]
         arrays = (a.ctypes.data for a in (self._start, self._springs, now, following))
         self._function(len(now), *arrays, self._dt, self._gravity.ctypes.data, steps, self._threads)
         self._done += steps
 
     def result(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Position and velocity, each (n, 3)."""
         state = self._states[self._done % 2]
         return state[:, :3].copy(), state[:, 3:].copy()
-
-
-def time_step(
-    cloth: Cloth, springs: HalfSprings, *, steps: int, threads: int, fast_math: bool = True
-) -> tuple[float, NDArray[np.float32], NDArray[np.float32]]:
-    """Seconds per step, and the position and velocity after `steps` steps (no warm-up)."""
-    runner = ClothOpenMP(cloth, springs, threads=threads, fast_math=fast_math)
-    start = time.perf_counter()
-    runner.step(steps)
-    seconds = (time.perf_counter() - start) / steps
-    return seconds, *runner.result()

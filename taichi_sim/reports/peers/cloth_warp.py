@@ -4,13 +4,10 @@
 
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Cloth, HalfSprings, half_springs
-from taichi_sim.reports.peers.warp_start import wp
-
-__all__ = ["ClothWarp"]
+from taichi_sim.reports.bench.cases import Cloth, HalfSprings
+from taichi_sim.reports.peers.warp_start import on_cpu, wp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -42,29 +39,22 @@ def _step(
 class ClothWarp:
     """A cloth stepped by Warp in f32. Balls have no masses here: all are 1 kg."""
 
-    def __init__(self, cloth: Cloth, springs: HalfSprings | None = None, *, device: str = "cpu") -> None:
-        half = half_springs(cloth) if springs is None else springs
-        self._device, self._dt, self._gravity = device, cloth.dt, wp.vec3(*cloth.gravity)
-        self._springs = [wp.array(column, device=device) for column in half]
-        self._x, self._next, self._v = (
-            wp.array(a.astype(np.float32), dtype=wp.vec3, device=device)
-            for a in (cloth.position, cloth.position, cloth.velocity)
-        )
+    def __init__(self, cloth: Cloth, half: HalfSprings) -> None:
+        self._dt, self._gravity = cloth.dt, wp.vec3(*cloth.gravity)
+        self._springs = [wp.array(column, device="cpu") for column in half]
+        self._x, self._next, self._v = map(on_cpu, (cloth.position, cloth.position, cloth.velocity))
         self._first = (wp.clone(self._x), wp.clone(self._v))
 
     def reset(self) -> None:
-        """Back to the start."""
         wp.copy(self._x, self._first[0])
         wp.copy(self._v, self._first[1])
 
     def step(self, steps: int) -> None:
-        """`steps` steps; returns when they are done."""
         for _ in range(steps):
             inputs: list[Any] = [*self._springs, self._x, self._v, self._dt, self._gravity]
-            wp.launch(_step, dim=len(self._x), inputs=inputs, outputs=[self._next], device=self._device)
+            wp.launch(_step, dim=len(self._x), inputs=inputs, outputs=[self._next], device="cpu")
             self._x, self._next = self._next, self._x
-        wp.synchronize_device(self._device)
+        wp.synchronize_device("cpu")
 
     def result(self) -> tuple[NDArray, NDArray]:
-        """Position and velocity, each (n, 3)."""
         return self._x.numpy().copy(), self._v.numpy().copy()

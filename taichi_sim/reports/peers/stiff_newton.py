@@ -15,8 +15,6 @@ try:
 except ImportError:
     raise PeerMissingError("Newton is not installed (pip install newton)") from None
 
-__all__ = ["StiffNewton"]
-
 
 class StiffNewton:
     """A scene's springs in steps of `h` [s]. Rest lengths are those of the start."""
@@ -34,11 +32,9 @@ class StiffNewton:
         self._h = h
 
     def reset(self) -> None:
-        """Back to the start."""
         self._now, self._next = self._model.state(), self._model.state()
 
     def step(self, steps: int) -> None:
-        """`steps` steps; returns when they are done."""
         for _ in range(steps):
             self._now.clear_forces()
             self._solver.step(self._now, self._next, self._control, None, self._h)
@@ -46,5 +42,4 @@ class StiffNewton:
         wp.synchronize()
 
     def result(self) -> tuple[NDArray, NDArray]:
-        """Position and velocity, each (n, 3)."""
         return self._now.particle_q.numpy().astype(np.float64), self._now.particle_qd.numpy().astype(np.float64)

@@ -13,8 +13,6 @@ try:
 except ImportError:
     raise PeerMissingError("numba is not installed (pip install numba)") from None
 
-__all__ = ["StiffNumba"]
-
 
 @njit(fastmath=True)
 def _force(x, v, one, other, stiffness, damping, rest_length, gravity, mass, force):
@@ -71,14 +69,11 @@ class StiffNumba:
         self._force = np.zeros_like(scene.position)
 
     def reset(self) -> None:
-        """Back to the start."""
         self._x, self._v = self._scene.position.copy(), self._scene.velocity.copy()
 
     def step(self, steps: int) -> None:
-        """`steps` steps."""
         scene = self._scene
         self._step(self._x, self._v, self._w, self._springs, scene.gravity, scene.mass, self._force, self._h, steps)
 
     def result(self) -> tuple[NDArray, NDArray]:
-        """Position and velocity, each (n, 3)."""
         return self._x, self._v

@@ -1,33 +1,26 @@
 """Where the error of a scene comes from at its own settings: the step, the mesh, single precision."""
 
-import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from zipfile import BadZipFile
+from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_sim.common.atomic_file import replacing
-from taichi_sim.reports.speed_error.compared import Compared, worst
-from taichi_sim.reports.speed_error.csv_table import whole
-from taichi_sim.reports.speed_error.plan import PARTS, Plan
+from taichi_sim.reports.speed_error.compared import worst
+from taichi_sim.reports.speed_error.plan import PARTS, Step
 from taichi_sim.reports.speed_error.reference import Reference
+from taichi_sim.reports.speed_error.study import Study
 from taichi_sim.reports.speed_error.worker import Outcome
-from taichi_sim.scene.scene import Scene
 
-__all__ = ["Budget", "load", "made", "mesh_error", "save"]
-
-ASSUMED = 1.0  # order where there is one difference only
-LARGER = 10.0  # times the error of the step: that of the mesh hides it
-LEAST = 0.3  # order below which differences do not add up to an error
+ASSUMED_ORDER = 1.0  # where there is one difference only
+HIDING_MESH = 10.0  # times the error of the step: that of the mesh hides it
+LEAST_ORDER = 0.3  # order below which differences do not add up to an error
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
 @dataclass(frozen=True)
 class Budget:
-    """In the unit of what is compared; None: not looked at, or not known. Each is the largest at the moments compared.
+    """In the unit of what is compared; None: not measured, or not known. Each is the largest at the moments compared.
 
     value: of the quantity, the largest at these moments, or how far it has gone; of positions, the largest rms displacement.
     time: of the last moment. order: of the mesh, as observed.
@@ -58,7 +51,7 @@ class Budget:
             f"{self.name} with {self.method} at {self.step_length:.3g} s, the scene's own settings, at most until"
             f" {self.time:.3g} s: {value}, of which {words}."
         )
-        if self.mesh is not None and self.step is not None and self.mesh > LARGER * self.step:
+        if self.mesh is not None and self.step is not None and self.mesh > HIDING_MESH * self.step:
             yield (
                 "The mesh is by far the largest part: a finer resolution gains what no step and no method does. The fastest"
                 " settings below are for the motion of this mesh."
@@ -68,7 +61,7 @@ class Budget:
         elif self.order is not None:
             yield f"The error of the mesh falls with the order {self.order:.2f} of the spacing, as observed."
         elif self.mesh is None:
-            yield "The error of the mesh was not looked at; --resolutions does."
+            yield "The error of the mesh was not measured; --resolutions does that."
 
 
 def _short(value: float | None, power: int) -> str:
@@ -76,25 +69,24 @@ def _short(value: float | None, power: int) -> str:
 
 
 def made(
-    scene: Scene, plan: Plan, reference: Reference, method: str, step: float, double: Outcome, single: Outcome | None
+    study: Study, reference: Reference, method: str, step: Step, double: Outcome, single: Outcome | None
 ) -> Budget | None:
     """The error of the step, and of single precision, from runs with the scene's own settings; None without a reference."""
-    parts = reference.parts
+    parts, compared = reference.parts, study.compared
     if not parts or not reference.motion:
         return None
-    compared = Compared.of(scene, plan)
-    whole_run = _reached(double)
-    off = worst(compared.errors(double, reference)[:parts]) if whole_run else None
-    rounded = None
-    if single is not None and whole_run and _reached(single):
-        rounded = worst(compared.errors(single, double)[:parts])
-    value = reference.motion
-    name = "rms displacement"
-    if compared.quantity is not None:
+    off = rounded = None
+    if _reached(double):
+        off = worst(compared.errors(double, reference)[:parts])
+        if single is not None and _reached(single):
+            rounded = worst(compared.errors(single, double)[:parts])
+    value, name = reference.motion, "rms displacement"
+    if compared.quantity is not None and compared.quantity.from_start:  # where it is says nothing
+        value, name = float(np.max(reference.displacement[:parts])), f"motion of {compared.name}"
+    elif compared.quantity is not None:
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
-        if compared.quantity.from_start:  # where it is says nothing
-            value, name = float(np.max(reference.displacement[:parts])), f"motion of {name}"
-    return Budget(name, compared.unit, value, plan.duration * parts / PARTS, method, step, off, single=rounded)
+    until = study.plan.duration * parts / PARTS
+    return Budget(name, compared.unit, value, until, method, step.seconds, off, single=rounded)
 
 
 def _reached(outcome: Outcome) -> bool:
@@ -109,32 +101,15 @@ def mesh_error(differences: Sequence[float]) -> tuple[float | None, float | None
     """
     first = differences[0]
     if len(differences) == 1:
-        ratio = 2.0**ASSUMED
-        return first * ratio / (ratio - 1.0), None, f"from two meshes alone, its order taken to be {ASSUMED:g}"
+        ratio = 2.0**ASSUMED_ORDER
+        return first * ratio / (ratio - 1.0), None, f"from two meshes alone, its order taken to be {ASSUMED_ORDER:g}"
     if first == 0.0 or differences[1] == 0.0:
         return first, None, "the meshes give the same"
     order = math.log2(first / differences[1])
-    if order < LEAST:
-        return (
-            None,
-            order,
-            (
-                f"not known, at least {first:.2g}: it does not fall yet with the spacing; the differences between h, h/2 and h/4"
-                f" are {first:.2g} and {differences[1]:.2g}"
-            ),
+    if order < LEAST_ORDER:
+        why = (
+            f"not known, at least {first:.2g}: it does not fall yet with the spacing; the differences between h, h/2 and h/4"
+            f" are {first:.2g} and {differences[1]:.2g}"
         )
+        return None, order, why
     return first * 2.0**order / (2.0**order - 1.0), order, ""
-
-
-def save(path: Path, budget: Budget) -> None:
-    """As JSON, replaced whole."""
-    with replacing(path) as file:
-        file.write(json.dumps(asdict(budget)).encode())
-
-
-def load(path: Path) -> Budget | None:
-    """What `save` wrote, or None where there is no such file."""
-    if not path.exists():
-        return None
-    with whole(path, BadZipFile, KeyError, TypeError):
-        return Budget(**json.loads(path.read_text(encoding="utf-8")))

@@ -12,8 +12,6 @@ from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings
 
-__all__ = ["read", "require_own_file"]
-
 
 def read(
     name: str | None,
@@ -51,8 +49,7 @@ def read(
     checked_output(scene)
     process = {"arch": arch, "threads": threads}
     Settings.resolve(scene, {key: value for key, value in process.items() if value is not None})
-    known = {made: key for key, made in demos().items()}
-    title = known.get(file, file.stem)
+    title = next((name for name, made in demos().items() if made == file), file.stem)
     most = longest_duration(scene)
     if duration is not None and duration > most * (1.0 + 1e-5):
         raise ValueError(

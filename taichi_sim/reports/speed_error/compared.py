@@ -1,17 +1,14 @@
 """What errors are of: the positions of all balls, or one quantity that a probe names; and what they are relative to."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.probe_readings import Quantity, quantity_of
+from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.reports.speed_error.plan import Plan
 from taichi_sim.scene.scene import Scene
-
-__all__ = ["Compared", "distance", "rms", "worst"]
 
 Floats = NDArray[np.float64]
 
@@ -31,21 +28,16 @@ def worst(errors: Sequence[Floats]) -> float:
     return max((rms(error) for error in errors), default=0.0)
 
 
-@dataclass(frozen=True)
 class Compared:
-    """quantity: None for the positions of all balls that are not pinned.
+    """The quantity that a plan asks for; None: the positions of all balls that are not pinned.
 
     An error is relative to how far what is compared moves from where it starts; to its own size for what has a zero of its own,
-    such as a tension; energies to the largest kinetic and spring energy.
+    such as a tension; energies to the largest kinetic and spring energy. Raises SceneError for a quantity that there is not.
     """
 
-    scene: Scene
-    quantity: Quantity | None
-
-    @classmethod
-    def of(cls, scene: Scene, plan: Plan) -> "Compared":
-        """Raises SceneError for a quantity that the scene does not have."""
-        return cls(scene, None if plan.quantity is None else quantity_of(scene, plan.quantity))
+    def __init__(self, scene: Scene, plan: Plan) -> None:
+        self.scene = scene
+        self.quantity = None if plan.quantity is None else quantity_of(scene, plan.quantity)
 
     @property
     def unit(self) -> str:

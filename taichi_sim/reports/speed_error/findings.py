@@ -24,8 +24,6 @@ from taichi_sim.reports.speed_error.rows import (
 from taichi_sim.reports.speed_error.statistics import Interval
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["TOLERANCES", "Findings"]
-
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6)
 
 
@@ -69,7 +67,7 @@ class Findings:
     @property
     def compared(self) -> Compared:
         """What errors are of."""
-        return Compared.of(self.scene, self.plan)
+        return Compared(self.scene, self.plan)
 
     def about(self) -> Iterator[str]:
         """What was done and how well it is known, a sentence each."""

@@ -1,51 +1,40 @@
 """From a trial to a row."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
-from taichi_sim.reports.speed_error.compared import Compared, worst
-from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
+from taichi_sim.reports.speed_error.compared import worst
+from taichi_sim.reports.speed_error.plan import PARTS, Step
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, STABLE, UNSTABLE, Row
-from taichi_sim.reports.speed_error.worker import Outcome, Trial
-from taichi_sim.scene.scene import Scene
-
-__all__ = ["measure", "row_of"]
+from taichi_sim.reports.speed_error.study import Study
+from taichi_sim.reports.speed_error.worker import Outcome
 
 GAIN = 1.0  # of the largest kinetic and spring energy: more motion than that is not the scene's
 
 
 def measure(
-    scene: Scene,
-    plan: Plan,
-    reference: Reference,
-    run: Callable[[Trial], Outcome],
-    precision: str,
-    method: str,
-    step: Step,
+    study: Study, reference: Reference, precision: str, method: str, step: Step, most: float | None = None
 ) -> Row:
-    """Run one method with one step, and say what it cost and how far it was off."""
-    outcome = run(Trial(method, step, most=plan.most, timed=True))
-    return row_of(scene, plan, reference, outcome, precision, method, step)
+    """Run one method with one step for at most so many seconds, and say what it cost and how far it was off."""
+    outcome = study.run(precision, method, step, most=most or study.plan.most, timed=True)
+    return row_of(study, reference, outcome, precision, method, step)
 
 
-def row_of(
-    scene: Scene, plan: Plan, reference: Reference, outcome: Outcome, precision: str, method: str, step: Step
-) -> Row:
+def row_of(study: Study, reference: Reference, outcome: Outcome, precision: str, method: str, step: Step) -> Row:
     """What an outcome says beside the reference. A run that ended early has no error, and for its cost what its first
     step promised."""
+    scene, duration = study.scene, study.plan.duration
     safe = stability(scene, named(method)).dt_any_shape
     verdict, reason = _verdict(reference, outcome)
     known = verdict != LEFT_OUT and len(outcome.position) == PARTS
-    errors = Compared.of(scene, plan).errors(outcome, reference)[: reference.parts] if known else []
+    errors = study.compared.errors(outcome, reference)[: reference.parts] if known else []
     off = worst(errors) if errors else None
-    steps = step.number * PARTS
-    seconds = None if verdict == LEFT_OUT else outcome.seconds
+    seconds = None if verdict == LEFT_OUT or outcome.seconds is None else outcome.seconds / duration
+    ball_steps = step.number * PARTS * max(1, scene.n_balls)
     return Row(
-        scene=plan.name,
+        scene=study.plan.name,
         balls=scene.n_balls,
         springs=scene.n_springs,
         precision=precision,
@@ -53,10 +42,10 @@ def row_of(
         method=method,
         step=step.seconds,
         part_of_safe_step=step.seconds / safe if 0.0 < safe < np.inf else None,
-        passes=None if not known or outcome.passes is None else outcome.passes / plan.duration,
-        seconds=None if seconds is None else seconds / plan.duration,
-        noise=None if seconds is None or outcome.noise is None else outcome.noise / plan.duration,
-        ns_per_ball_step=None if seconds is None else 1e9 * seconds / steps / max(1, scene.n_balls),
+        passes=None if not known or outcome.passes is None else outcome.passes / duration,
+        seconds=seconds,
+        noise=None if seconds is None or outcome.noise is None else outcome.noise / duration,
+        ns_per_ball_step=None if seconds is None else 1e9 * seconds * duration / ball_steps,
         rms_error=off,
         max_error=float(np.max(errors, initial=0.0)) if errors else None,
         relative_error=None if off is None or not reference.motion else off / reference.motion,

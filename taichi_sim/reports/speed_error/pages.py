@@ -3,18 +3,15 @@
 import html
 import platform
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 from taichi_sim import __version__
-from taichi_sim.common.atomic_file import replacing
 from taichi_sim.reports.machine import processor
 from taichi_sim.reports.speed_error import plot
 from taichi_sim.reports.speed_error.findings import Findings, choice, in_unit
+from taichi_sim.reports.speed_error.folder import Folder
 from taichi_sim.reports.speed_error.rows import UNSTABLE, Row
 from taichi_sim.reports.speed_error.statistics import QUANTITIES
-
-__all__ = ["write_pages"]
 
 Table = tuple[list[str], list[list[str]], list[str]]  # heads, rows of cells, and what each row is: front, bad or ""
 STYLE = """
@@ -41,7 +38,7 @@ of runs repeated for a quarter of a second or more, or of the eighths of a long 
 what they are known. Bold: on the Pareto front."""
 
 
-def write_pages(findings: Findings, folder: Path) -> None:
+def write_pages(findings: Findings, folder: Folder) -> None:
     """Both pages and both pictures, each complete when it appears."""
     figure = plot.draw(findings)
     files: dict[str, bytes] = {}
@@ -53,8 +50,7 @@ def write_pages(findings: Findings, folder: Path) -> None:
     files["report.html"] = "".join(HTML[kind](value) for kind, value in content).encode() + b"</body></html>\n"
     files["report.md"] = "\n\n".join(MARKDOWN[kind](value) for kind, value in content).encode() + b"\n"
     for name, data in files.items():
-        with replacing(folder / name) as file:
-            file.write(data)
+        folder.write(name, data)
 
 
 def _made(findings: Findings) -> str:
@@ -71,37 +67,29 @@ def _number(value: float | None, digits: int = 3) -> str:
     return "" if value is None else f"{value:.{digits}g}"
 
 
-def _cells(row: Row) -> list[str]:
-    return [
-        row.method,
-        row.precision,
-        row.verdict,
-        _number(row.step),
-        _number(row.part_of_safe_step, 2),
-        _number(row.passes),
-        _number(row.seconds),
-        _number(row.noise, 1),
-        _number(row.ns_per_ball_step),
-        *(_number(error, 2) for error in (row.rms_error, row.max_error, row.relative_error)),
-        "" if row.order is None else f"{row.order:.2f}",
-        _number(row.energy_drift, 2),
-    ]
+COLUMNS: dict[str, Callable[[Row], str]] = {
+    "method": lambda row: row.method,
+    "precision": lambda row: row.precision,
+    "verdict": lambda row: row.verdict,
+    "h [s]": lambda row: _number(row.step),
+    "h / safe": lambda row: _number(row.part_of_safe_step, 2),
+    "passes/s": lambda row: _number(row.passes),
+    "wall s per s": lambda row: _number(row.seconds),
+    "noise": lambda row: _number(row.noise, 1),
+    "ns per ball-step": lambda row: _number(row.ns_per_ball_step),
+    "rms error": lambda row: _number(row.rms_error, 2),
+    "max error": lambda row: _number(row.max_error, 2),
+    "relative": lambda row: _number(row.relative_error, 2),
+    "order": lambda row: "" if row.order is None else f"{row.order:.2f}",
+    "drift": lambda row: _number(row.energy_drift, 2),
+}
 
 
-def _head(findings: Findings) -> list[str]:
-    errors = [in_unit(word, findings.compared.unit) for word in ("rms error", "max error")]
-    before = [
-        "method",
-        "precision",
-        "verdict",
-        "h [s]",
-        "h / safe",
-        "passes/s",
-        "wall s per s",
-        "noise",
-        "ns per ball-step",
-    ]
-    return [*before, *errors, "relative", "order", "drift"]
+def _runs(findings: Findings) -> Table:
+    unit, front = findings.compared.unit, findings.front
+    head = [in_unit(name, unit) if name.endswith(" error") else name for name in COLUMNS]
+    kinds = ["front" if row in front else "bad" if row.verdict == UNSTABLE else "" for row in findings.rows]
+    return head, [[cell(row) for cell in COLUMNS.values()] for row in findings.rows], kinds
 
 
 def _reasons(findings: Findings) -> Iterator[str]:
@@ -139,10 +127,8 @@ def _content(findings: Findings, picture: str) -> Iterator[tuple[str, Any]]:
         yield "heading", "Fastest for a relative error"
         yield "table", _advice(findings)
     if findings.rows:
-        front = findings.front
-        kinds = ["front" if row in front else "bad" if row.verdict == UNSTABLE else "" for row in findings.rows]
         yield "heading", "All runs"
-        yield "table", (_head(findings), [_cells(row) for row in findings.rows], kinds)
+        yield "table", _runs(findings)
         yield "small", NOTES
         if reasons := list(_reasons(findings)):
             yield "reasons", reasons

@@ -14,23 +14,6 @@ from taichi_sim.analysis.stability import stability
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings
 
-__all__ = [
-    "METHODS",
-    "PARTS",
-    "PRECISIONS",
-    "Plan",
-    "Step",
-    "duration_of",
-    "fitting",
-    "halved",
-    "key_of",
-    "limit",
-    "longest_duration",
-    "own_step",
-    "size_of",
-    "steps_of",
-]
-
 METHODS = ("verlet", "symplectic_euler", "rk4", "explicit_euler", "xpbd", "implicit_euler", "tr_bdf2")
 PRECISIONS = ("f64", "f32")
 PARTS = 8  # of the duration, at whose ends states are compared; steps fit into each a whole number of times
@@ -85,14 +68,11 @@ def steps_of(scene: Scene, method: str, plan: Plan) -> list[Step]:
     if plan.steps is not None:
         return sorted({fitting(plan.duration, seconds) for seconds in plan.steps}, key=lambda step: step.number)
     steps = [fitting(plan.duration, min(FRAME, 2.0 * limit(scene, method)))]
-    for _ in range(HALVINGS + (not _limited_by_springs(method))):
+    declared = named(method).limit
+    by_springs = declared is not None and declared.by_springs
+    for _ in range(HALVINGS if by_springs else HALVINGS + 1):
         steps.append(halved(plan.duration, steps[-1]))
     return steps
-
-
-def _limited_by_springs(method: str) -> bool:
-    declared = named(method).limit
-    return declared is not None and declared.by_springs
 
 
 def limit(scene: Scene, method: str) -> float:
@@ -109,7 +89,7 @@ def own_step(scene: Scene, method: str | None = None) -> tuple[str, float]:
 
 
 def duration_of(scene: Scene) -> float:
-    """The simulated seconds [s] of a report that is not told: the scene's own, or less where its reference would take long."""
+    """The simulated seconds [s] that a report is of by default: the scene's own, or less where its reference would take long."""
     whole = float(scene.output.get("duration", 5.0))
     most = WORK / _work(scene, 1)
     if most >= whole:

@@ -8,8 +8,6 @@ from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.plan import METHODS
 from taichi_sim.reports.speed_error.rows import CLEAR_OF_REFERENCE, STABLE, UNSTABLE, Row
 
-__all__ = ["draw", "png", "svg"]
-
 COLOURS = ("#3d85c6", "#d99a1c", "#2a9d78", "#8c8c8c", "#c5689c", "#d4623a", "#8a6fd6")  # seen on white and on black
 MARKERS = ("o", "s", "D", "x", "^", "v", "P")
 INK = "#010203"  # of words and axes; becomes the page's own colour
@@ -72,13 +70,10 @@ def _curve(axis: Any, findings: Findings, rows: list[Row], margin: float) -> Non
         return
     index = METHODS.index(rows[0].method)
     colour, marker = COLOURS[index], MARKERS[index]
-    good = [
-        (row.relative_error, row.seconds)
-        for row in rows
-        if row.verdict == STABLE and row.relative_error and row.seconds
-    ]
+    good = [row for row in rows if row.verdict == STABLE and row.relative_error and row.seconds]
     if good:
-        axis.plot(*zip(*good), color=colour, marker=marker, ms=5, lw=1.6, label=rows[0].method)
+        points = [(row.relative_error, row.seconds) for row in good]
+        axis.plot(*zip(*points), color=colour, marker=marker, ms=5, lw=1.6, label=rows[0].method)
     bad = [row.seconds for row in rows if row.verdict == UNSTABLE and row.seconds]
     if bad:
         axis.plot([margin] * len(bad), bad, color=colour, marker="$\\times$", ms=9, lw=0, label="unstable")

@@ -5,35 +5,17 @@ from converging. The difference of the two is published: the finer one is at lea
 away; when it has parted by a thousandth of the size, pointwise errors say nothing any more, of any method.
 """
 
-import zlib
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from zipfile import BadZipFile
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.methods import RK4
-from taichi_sim.common.atomic_file import replacing
-from taichi_sim.reports.speed_error.compared import Compared, rms
-from taichi_sim.reports.speed_error.csv_table import whole
-from taichi_sim.reports.speed_error.plan import (
-    FRAME,
-    PARTS,
-    WORK,
-    Plan,
-    Step,
-    fitting,
-    halved,
-    limit,
-    own_step,
-    size_of,
-)
-from taichi_sim.reports.speed_error.worker import Outcome, Trial
+from taichi_sim.reports.speed_error.compared import rms
+from taichi_sim.reports.speed_error.plan import FRAME, PARTS, WORK, Step, fitting, halved, limit, own_step
+from taichi_sim.reports.speed_error.study import Study
+from taichi_sim.reports.speed_error.worker import Outcome
 from taichi_sim.scene.scene import Scene
-
-__all__ = ["APART", "PARTED", "Reference", "load", "make", "save"]
 
 REFERENCE = RK4.name
 
@@ -45,22 +27,30 @@ QUICK = 2.0  # times the work of a default reference, for which another method n
 ATTEMPTS = 3  # at half the step, where it became unstable
 
 
+def _none() -> Floats:
+    return np.zeros((0, 4))
+
+
 @dataclass(frozen=True)
 class Reference:
-    """What the runs of the reference say, an entry for each of the PARTS of the duration. Without one, `position` is empty."""
+    """What the runs of the reference say, an entry for each of the PARTS of the duration; without one, none."""
 
     method: str
     step: float  # s, of the finer run
     size: float  # m, of the scene
-    position: Floats  # (PARTS, n, dim) m
-    quantity: Floats  # (PARTS, 1 or dim) in its unit, where one is asked for, else (PARTS, 0)
-    energy: Floats  # (PARTS, 4) J
-    difference: Floats  # (PARTS,) between the two steps: rms of positions [m], or of the quantity in its unit
-    displacement: Floats  # (PARTS,) what that is relative to, see `Compared.motion`
-    parting: Floats  # (PARTS,) between the runs that start APART: of positions as a part of the size, of a quantity of its motion
-    contacts: int  # the most that were seen
-    touch: bool  # whether contacts can act, seen at a moment that was looked at or not
-    why: str  # there is none
+    position: Floats = field(default_factory=_none)  # (PARTS, n, dim) m
+    quantity: Floats = field(
+        default_factory=_none
+    )  # (PARTS, 1 or dim) in its unit, where one is asked for, else (PARTS, 0)
+    energy: Floats = field(default_factory=_none)  # (PARTS, 4) J
+    # all (PARTS,): between the two steps, rms of positions [m] or of the quantity in its unit; what that is relative to, see
+    # `Compared.motion`; between the runs that start APART, of positions as a part of the size, of a quantity of its motion
+    difference: Floats = field(default_factory=lambda: np.zeros(0))
+    displacement: Floats = field(default_factory=lambda: np.zeros(0))
+    parting: Floats = field(default_factory=lambda: np.zeros(0))
+    contacts: int = 0  # the most that were seen
+    touch: bool = False  # whether contacts can act, whether at a moment that was sampled or not
+    why: str = ""  # there is none
 
     @property
     def parts(self) -> int:
@@ -100,90 +90,59 @@ class Reference:
         return bool(np.any(np.abs(self.position - scene.position) > 1e-12 * self.size))
 
 
-def apart(scene: Scene, share: float, seed: int) -> Floats:
-    """Positions (n, dim) [m] a share of the size away from the scene's, rms over the balls that are not pinned."""
-    noise = np.random.default_rng(seed).normal(size=scene.position.shape) / np.sqrt(scene.dim)
-    noise[scene.pinned] = 0.0
-    return scene.position + share * size_of(scene) * noise
-
-
 def _largest(energy: Floats) -> float:
     return float(np.abs(energy[:, :2]).sum(axis=1).max(initial=0.0)) or 1.0  # that of a gas may be negative
 
 
-def make(scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], enough: float | None = None) -> Reference:
+def make(study: Study, enough: float | None = None) -> Reference:
     """Run what the reference needs in double precision. enough: part of the motion to which it must be known; then the scene's
     own method is tried first, which is compiled anyway."""
-    own, step = own_step(scene)
+    own, step = own_step(study.scene)
     if enough is not None and own != REFERENCE:
-        quick = _by(scene, plan, run, own, step / 4.0, enough, QUICK * WORK)
+        quick = _by(study, own, step / 4.0, enough, QUICK * WORK)
         if len(quick.position) and quick.known <= enough * quick.motion:
             return quick
-    reference = _by(scene, plan, run, REFERENCE, min(FRAME, limit(scene, REFERENCE)) / 4.0, enough or FINE)
-    if enough is not None and own != REFERENCE:
+    reference = _by(study, REFERENCE, min(FRAME, limit(study.scene, REFERENCE)) / 4.0, enough or FINE)
+    if own == REFERENCE:
+        return reference
+    none = not len(reference.position)
+    if enough is not None:
         return quick if len(quick.position) and not reference.known < quick.known else reference
-    if own != REFERENCE and (
-        not len(reference.position) or (reference.touch and reference.known > GOOD * reference.motion)
-    ):
-        other = _by(scene, plan, run, own, step / 4.0, FINE)
-        if len(other.position) and (not len(reference.position) or other.known < reference.known):
+    if none or (reference.touch and reference.known > GOOD * reference.motion):
+        other = _by(study, own, step / 4.0, FINE)
+        if len(other.position) and (none or other.known < reference.known):
             return other
     return reference
 
 
-def _by(
-    scene: Scene,
-    plan: Plan,
-    run: Callable[[Trial], Outcome],
-    method: str,
-    seconds: float,
-    fine_enough: float,
-    work: float = WORK / 8,
-) -> Reference:
-    step = fitting(plan.duration, seconds)
+def _by(study: Study, method: str, seconds: float, fine_enough: float, work: float = WORK / 8) -> Reference:
+    duration = study.plan.duration
+    step = fitting(duration, seconds)
     for _ in range(ATTEMPTS):
-        coarse, fine = run(Trial(method, step)), run(Trial(method, halved(plan.duration, step), look=True))
+        coarse = study.run("f64", method, step)
+        fine = study.run("f64", method, halved(duration, step), contacts=True)
         why = coarse.unstable or fine.unstable or coarse.left_out or fine.left_out
         if not why:
-            parting = _parting(scene, plan, coarse, run(Trial(method, step, start=apart(scene, APART, 0))))
+            parting = _parting(study, coarse, study.run("f64", method, step, start=study.apart(APART, 0)))
             while True:
-                reference = _reference(scene, plan, method, step, coarse, fine, parting)
-                if (
-                    reference.known <= fine_enough * reference.motion
-                    or _work(scene, step) >= work
-                    or not reference.parts
-                ):
-                    return reference
-                step = halved(plan.duration, step)
-                coarse, fine = fine, run(Trial(method, halved(plan.duration, step), look=True))
-        step = halved(plan.duration, step)
-    none = np.zeros((0, 4))
-    return Reference(
-        method=method,
-        step=step.seconds,
-        size=size_of(scene),
-        position=np.zeros((0, 0, 0)),
-        quantity=none,
-        energy=none,
-        difference=none[:, 0],
-        displacement=none[:, 0],
-        parting=none[:, 0],
-        contacts=0,
-        touch=False,
-        why=why,
-    )
+                found = _reference(study, method, step, coarse, fine, parting)
+                if found.known <= fine_enough * found.motion or _work(study.scene, step) >= work or not found.parts:
+                    return found
+                step = halved(duration, step)
+                coarse, fine = fine, study.run("f64", method, halved(duration, step), contacts=True)
+        step = halved(duration, step)
+    return Reference(method, step.seconds, study.size, why=why)
 
 
-def _parting(scene: Scene, plan: Plan, one: Outcome, other: Outcome) -> Floats:
+def _parting(study: Study, one: Outcome, other: Outcome) -> Floats:
     """What `Reference.parting` is, of two runs."""
-    compared = Compared.of(scene, plan)
-    unit = size_of(scene) if compared.quantity is None else _motion(compared, one).max() or 1.0
-    parting = [rms(error) / unit for error in compared.errors(one, other)]
+    unit = study.size if study.compared.quantity is None else _motion(study, one).max() or 1.0
+    parting = [rms(error) / unit for error in study.compared.errors(one, other)]
     return np.array(parting + [np.inf] * (PARTS - len(parting)))
 
 
-def _motion(compared: Compared, outcome: Outcome) -> Floats:
-    return compared.motion(outcome, _largest(np.array(outcome.energy)))
+def _motion(study: Study, outcome: Outcome) -> Floats:
+    return study.compared.motion(outcome, _largest(np.array(outcome.energy)))
 
 
 def _work(scene: Scene, step: Step) -> float:
@@ -191,36 +150,17 @@ def _work(scene: Scene, step: Step) -> float:
     return 4.0 * 4.0 * step.number * PARTS * (scene.n_balls + scene.n_springs)
 
 
-def _reference(
-    scene: Scene, plan: Plan, method: str, step: Step, coarse: Outcome, fine: Outcome, parting: Floats
-) -> Reference:
-    compared = Compared.of(scene, plan)
+def _reference(study: Study, method: str, step: Step, coarse: Outcome, fine: Outcome, parting: Floats) -> Reference:
     return Reference(
-        method=method,
-        step=step.seconds / 2.0,
-        size=size_of(scene),
+        method,
+        step.seconds / 2.0,
+        study.size,
         position=np.array(fine.position),
         quantity=np.array(fine.quantity) if fine.quantity else np.zeros((PARTS, 0)),
         energy=np.array(fine.energy),
-        difference=np.array([rms(error) for error in compared.errors(coarse, fine)]),
-        displacement=_motion(compared, fine),
+        difference=np.array([rms(error) for error in study.compared.errors(coarse, fine)]),
+        displacement=_motion(study, fine),
         parting=parting,
         contacts=max(number for number, _ in fine.contacts),
         touch=fine.touch,
-        why="",
     )
-
-
-def save(path: Path, reference: Reference) -> None:
-    """As an .npz."""
-    with replacing(path) as file:
-        np.savez(file, **{name: np.asarray(value) for name, value in asdict(reference).items()})  # type: ignore[arg-type]
-
-
-def load(path: Path) -> Reference | None:
-    """What `save` wrote, or None where there is no such file."""
-    if not path.exists():
-        return None
-    with whole(path, BadZipFile, EOFError, KeyError, zlib.error), np.load(path, allow_pickle=False) as file:
-        values = {field.name: file[field.name] for field in fields(Reference)}
-    return Reference(**{name: value.item() if value.ndim == 0 else value for name, value in values.items()})

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from taichi_sim.reports.speed_error import budget as budgets
-from taichi_sim.reports.speed_error import csv_table, statistics
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
+from taichi_sim.reports.speed_error import statistics
 from taichi_sim.reports.speed_error.budget import Budget
-from taichi_sim.reports.speed_error.compared import Compared, worst
+from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.folder import Folder
 from taichi_sim.reports.speed_error.measure import measure, row_of
@@ -20,10 +20,9 @@ from taichi_sim.reports.speed_error.plan import Plan, fitting, key_of, own_step,
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.resolution import Finer
 from taichi_sim.reports.speed_error.rows import LEFT_OUT
-from taichi_sim.reports.speed_error.worker import Outcome, Trial, Workers
+from taichi_sim.reports.speed_error.study import Study
+from taichi_sim.reports.speed_error.worker import Outcome, Workers
 from taichi_sim.scene.scene import Scene
-
-__all__ = ["coarse", "floor_of", "main", "progress_bar", "run_all"]
 
 Say = Callable[[str], None]
 MESH_PATIENCE = 15.0  # times --limit that the run of a finer mesh may take
@@ -47,9 +46,9 @@ def main(
     from taichi_sim.reports.speed_error.pages import write_pages
 
     folder = Folder(out, key_of(scene, plan), overwrite)
-    with progress_bar(progress) as step_done:
-        findings = run_all(scene, plan, folder, say, step_done, meshes)
-    write_pages(findings, folder.open())
+    with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
+        findings = _run_all(Study(scene, plan, workers), folder, say, step_done, meshes)
+    write_pages(findings, folder)
     if folder.rows:
         folder.complete(findings.rows)
     say("\n".join(findings.lines()))
@@ -57,115 +56,97 @@ def main(
     return findings
 
 
-def run_all(
-    scene: Scene,
-    plan: Plan,
-    folder: Folder,
-    say: Say,
-    step_done: Callable[[str], None],
-    meshes: Sequence[Finer] = (),
+def _run_all(
+    study: Study, folder: Folder, say: Say, step_done: Callable[[str], None], meshes: Sequence[Finer]
 ) -> Findings:
     """All runs that the folder does not hold yet."""
-    with Workers(scene, plan, step_done) as workers:
-        reference = folder.reference()
-        if reference is None:
-            reference = references.make(scene, plan, workers("f64"))
-            folder.keep(reference)
-        seeds: list[statistics.Seed] = []
-        budget = folder.budget()
-        if reference.moves(scene):
-            own, seconds = own_step(scene)
-            step = fitting(plan.duration, seconds)
-            runs: dict[str, Outcome] = {}
-            for precision in plan.precisions:
-                if precision == "f32":
-                    for words in coarse(scene, plan, reference):
-                        say(words)
-                _rows(scene, plan, folder, reference, workers, precision)
-                if budget is None:
-                    runs[precision] = workers(precision)(Trial(own, step))
-                if _needs_statistics(plan, reference, folder.rows):
-                    seeds = _seeds(scene, plan, folder, workers, precision)
+    scene, plan = study.scene, study.plan
+    reference = folder.reference()
+    if reference is None:
+        reference = references.make(study)
+        folder.keep_reference(reference)
+    seeds: list[statistics.Seed] = []
+    budget = folder.budget()
+    if reference.moves(scene):
+        own, step = study.own_step()
+        runs: dict[str, Outcome] = {}
+        for precision in plan.precisions:
+            if precision == "f32":
+                for words in coarse(scene, plan, reference):
+                    say(words)
+            _rows(study, folder, reference, precision)
             if budget is None:
-                double = runs.get("f64") or workers("f64")(Trial(own, step))
-                budget = budgets.made(scene, plan, reference, own, step.seconds, double, runs.get("f32"))
-            if meshes and budget is not None and budget.mesh is None and not budget.why:
-                budget = _with_mesh(scene, plan, reference, budget, meshes, step_done)
-            if budget is not None:
-                folder.keep_budget(budget)
+                runs[precision] = study.run(precision, own, step)
+            if _needs_statistics(reference, folder.rows):
+                seeds = _seeds(study, folder, precision)
+        if budget is None:
+            double = runs.get("f64") or study.run("f64", own, step)
+            budget = budgets.made(study, reference, own, step, double, runs.get("f32"))
+        if meshes and budget is not None and budget.mesh is None and not budget.why:
+            budget = _with_mesh(study, reference, budget, meshes, step_done)
+        if budget is not None:
+            folder.keep_budget(budget)
     asked = [row for row in folder.rows if row.method in plan.methods and row.precision in plan.precisions]
     ordered = table.with_orders(asked, reference.known)
     return Findings(plan, scene, reference, ordered, statistics.intervals(seeds), budget)
 
 
 def _with_mesh(
-    scene: Scene,
-    plan: Plan,
-    reference: Reference,
-    budget: Budget,
-    meshes: Sequence[Finer],
-    step_done: Callable[[str], None],
+    study: Study, reference: Reference, budget: Budget, meshes: Sequence[Finer], step_done: Callable[[str], None]
 ) -> Budget:
     """The error of the mesh, from the same with finer ones at a safe step; compared at the balls of the coarse one."""
-    compared, before = Compared.of(scene, plan), reference
+    plan, before = study.plan, reference
     differences: list[float] = []
     for mesh in meshes:
         step = fitting(plan.duration, own_step(mesh.scene, reference.method)[1])
         with Workers(mesh.scene, plan, step_done) as workers:
-            outcome = workers("f64")(Trial(reference.method, step, most=MESH_PATIENCE * plan.most))
+            finer = Study(mesh.scene, plan, workers)
+            outcome = finer.run("f64", reference.method, step, most=MESH_PATIENCE * plan.most)
         failed = outcome.unstable or outcome.left_out
         if failed and not differences:
             return replace(budget, why=f"not known: the run at half of the spacing {failed}")
         if failed:
             break
         outcome = outcome._replace(position=[x[mesh.balls] for x in outcome.position])
-        differences.append(worst(compared.errors(before, outcome)[: reference.parts]))
+        differences.append(worst(study.compared.errors(before, outcome)[: reference.parts]))
         before = outcome  # type: ignore[assignment]
     error, order, why = budgets.mesh_error(differences)
     return replace(budget, mesh=error, order=order, why=why)
 
 
-def _rows(scene: Scene, plan: Plan, folder: Folder, reference: Reference, workers: Workers, precision: str) -> None:
+def _rows(study: Study, folder: Folder, reference: Reference, precision: str) -> None:
     """Each method from its longest step on, until one takes too long: those after it take longer still."""
-    for method in plan.methods:
+    for method in study.plan.methods:
         too_long = None
-        for step in steps_of(scene, method, plan):
-            known = [row for row in folder.rows if row.key == (precision, method, step.seconds)]
-            if known:
-                row = known[0]
-            elif too_long is not None:
-                outcome = Outcome(
-                    too_long.device, [], [], [], left_out=f"a step of {too_long.step:.3g} s takes too long already"
-                )
-                row = row_of(scene, plan, reference, outcome, precision, method, step)
-            else:
-                row = measure(scene, plan, reference, workers(precision), precision, method, step)
-            if not known:
+        for step in steps_of(study.scene, method, study.plan):
+            row = next((row for row in folder.rows if row.key == (precision, method, step.seconds)), None)
+            if row is None:
+                if too_long is None:
+                    row = measure(study, reference, precision, method, step)
+                else:
+                    words = f"a step of {too_long.step:.3g} s takes too long already"
+                    row = row_of(
+                        study, reference, Outcome(too_long.device, [], [], [], left_out=words), precision, method, step
+                    )
                 folder.add(row)
             if row.verdict == LEFT_OUT and too_long is None:
                 too_long = row
 
 
-def _needs_statistics(plan: Plan, reference: Reference, rows: list[table.Row]) -> bool:
-    """Whether errors of positions alone do not tell: chaos, contacts seen, or contacts between looks, that keep errors up."""
+def _needs_statistics(reference: Reference, rows: list[table.Row]) -> bool:
+    """Whether errors of positions alone do not tell: chaos, contacts seen, or contacts between samples, that keep errors up."""
     stuck = reference.touch and table.stuck(table.with_orders(rows, reference.known), reference.known)
     return reference.chaotic or bool(reference.contacts or stuck)
 
 
-def _seeds(scene: Scene, plan: Plan, folder: Folder, workers: Workers, precision: str) -> list[statistics.Seed]:
-    path = folder.path / "seeds.csv"
-    seeds = csv_table.read(path, statistics.Seed)
-    done = {seed.key for seed in seeds}
-    failed = {seed.key[:3] for seed in seeds if seed.failed}
-    for method, step in statistics.steps_of_seeds(scene, plan):
+def _seeds(study: Study, folder: Folder, precision: str) -> list[statistics.Seed]:
+    seeds = folder.table("seeds.csv", statistics.Seed)
+    for method, step in statistics.steps_of_seeds(study):
         for number in range(statistics.SEEDS):
-            key = (precision, method, step.seconds)
-            if (*key, number) not in done and key not in failed:
-                seeds.append(statistics.one_seed(scene, plan, workers(precision), precision, method, step, number))
-                done.add(seeds[-1].key)
-                if seeds[-1].failed:
-                    failed.add(key)
-                csv_table.write(folder.open() / "seeds.csv", statistics.Seed, seeds)
+            own = [seed for seed in seeds if seed.key[:3] == (precision, method, step.seconds)]
+            if not any(seed.failed or seed.seed == number for seed in own):
+                seeds.append(statistics.one_seed(study, precision, method, step, number))
+                folder.keep_table("seeds.csv", statistics.Seed, seeds)
     return seeds
 
 
@@ -195,8 +176,4 @@ def progress_bar(shown: bool) -> Iterator[Callable[[str], None]]:
     columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("run {task.completed:.0f}: {task.description}"))
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
         task = progress.add_task("starting", total=None)
-
-        def step_done(what: str) -> None:
-            progress.update(task, advance=1, description=what)
-
-        yield step_done
+        yield lambda what: progress.update(task, advance=1, description=what)

@@ -23,21 +23,13 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["LEVELS", "Finer", "finer"]
-
 LEVELS = 2  # halvings of the spacing
 # what makes a shape the same at every resolution
 MATERIAL = {
     "cloth": ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity"),
     "jelly": ("young_modulus",),
 }
-BY_HAND = (
-    "cells",
-    "bending",
-    "gases",
-    "triangles",
-    "embedded_surfaces",
-)  # of ball numbers that a finer mesh does not have
+BY_HAND = ("cells", "bending", "gases", "triangles", "embedded_surfaces")  # of balls that a finer mesh does not have
 Ints = NDArray[np.int64]
 
 

@@ -3,17 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from taichi_sim.reports.speed_error.plan import METHODS
-
-__all__ = ["LEFT_OUT", "STABLE", "UNSTABLE", "Row", "as_fast", "cheapest", "pareto", "stuck", "tells", "with_orders"]
 
 STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
 LONGER_STEP = 1.9  # times a step must be as long as another for their errors to be compared
 ERROR_FALLS = 0.7  # of the error at the longer step, above which a shorter step did not lessen it
-CLEAR_OF_REFERENCE = (
-    10.0  # times what the reference is known to, below which an error says more of the reference than of the method
-)
+CLEAR_OF_REFERENCE = 10.0  # times what the reference is known to: a smaller error says more of it than of the method
 
 
 @dataclass(frozen=True)
@@ -59,14 +56,10 @@ def tells(row: Row, known: float) -> bool:
 def with_orders(rows: Sequence[Row], known: float) -> list[Row]:
     """The rows, sorted by precision and method, steps falling, with the order from each pair of steps that tell."""
     found = sorted(rows, key=lambda row: (row.precision != "f64", METHODS.index(row.method), -row.step))
-    for k in range(1, len(found)):
-        coarse, fine = found[k - 1], found[k]
+    for k, (coarse, fine) in enumerate(pairwise(found), start=1):
         order = None
-        if (
-            (coarse.precision, coarse.method) == (fine.precision, fine.method)
-            and tells(coarse, known)
-            and tells(fine, known)
-        ):
+        same = (coarse.precision, coarse.method) == (fine.precision, fine.method)
+        if same and tells(coarse, known) and tells(fine, known):
             assert coarse.rms_error is not None
             assert fine.rms_error is not None
             order = math.log(coarse.rms_error / fine.rms_error) / math.log(coarse.step / fine.step)
@@ -105,14 +98,8 @@ def pareto(rows: Sequence[Row], known: float) -> list[Row]:
 def cheapest(rows: Sequence[Row], tolerance: float, motion: float, known: float) -> list[Row]:
     """The rows whose error, and what the reference may be off, are together within the tolerance, a part of the motion, and which
     none of those beats in speed by more than noise: equally fast, the one of the smallest error first."""
-    good = [
-        row
-        for row in rows
-        if row.verdict == STABLE
-        and row.seconds is not None
-        and row.rms_error is not None
-        and row.rms_error + known <= tolerance * motion
-    ]
+    within = [row for row in rows if row.rms_error is not None and row.rms_error + known <= tolerance * motion]
+    good = [row for row in within if row.verdict == STABLE and row.seconds is not None]
     fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
     equal = [] if fastest is None else [row for row in good if as_fast(row, fastest)]
     return sorted(equal, key=lambda row: row.rms_error or 0.0)

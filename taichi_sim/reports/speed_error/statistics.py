@@ -1,18 +1,14 @@
 """What can be said beyond the horizon: statistics of many runs that start a little apart, with their intervals."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step, fitting, halved, own_step
-from taichi_sim.reports.speed_error.reference import apart
-from taichi_sim.reports.speed_error.worker import Outcome, Trial
-from taichi_sim.scene.scene import Scene
-
-__all__ = ["QUANTITIES", "SEEDS", "Interval", "Seed", "intervals", "one_seed", "steps_of_seeds"]
+from taichi_sim.reports.speed_error.plan import PARTS, Step, halved
+from taichi_sim.reports.speed_error.study import Study
 
 SEEDS = 8
 STARTS_APART = 1e-6  # of the size, between the starts
@@ -61,18 +57,16 @@ class Interval:
     failed: str = ""
 
 
-def steps_of_seeds(scene: Scene, plan: Plan) -> list[tuple[str, Step]]:
+def steps_of_seeds(study: Study) -> list[tuple[str, Step]]:
     """Each method at the step that the scene would be run with, and last the scene's own at half of it, for comparison."""
-    steps = [(method, fitting(plan.duration, own_step(scene, method)[1])) for method in plan.methods]
-    own, seconds = own_step(scene)
-    return [*steps, (own, halved(plan.duration, fitting(plan.duration, seconds)))]
+    own, step = study.own_step()
+    return [*map(study.own_step, study.plan.methods), (own, halved(study.plan.duration, step))]
 
 
-def one_seed(
-    scene: Scene, plan: Plan, run: Callable[[Trial], Outcome], precision: str, method: str, step: Step, seed: int
-) -> Seed:
+def one_seed(study: Study, precision: str, method: str, step: Step, seed: int) -> Seed:
     """Run one method from one start."""
-    outcome = run(Trial(method, step, start=apart(scene, STARTS_APART, seed), most=plan.most, look=True))
+    start, scene = study.apart(STARTS_APART, seed), study.scene
+    outcome = study.run(precision, method, step, start=start, most=study.plan.most, contacts=True)
     failed = outcome.unstable or outcome.left_out
     if failed:
         return Seed(precision, method, step.seconds, seed, np.nan, np.nan, np.nan, np.nan, failed)
@@ -108,9 +102,8 @@ def _values(seeds: Sequence[Seed], name: str) -> NDArray[np.float64]:
 
 def _chance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     """Welch's: how likely two means differ so much by chance; 1 where one is not known, or nothing differs at all."""
-    if min(len(one), len(other)) < SEEDS or not np.all(np.isfinite(np.concatenate([one, other]))):
-        return 1.0
-    if one.mean() == other.mean():
+    whole = len(one) == len(other) == SEEDS and np.all(np.isfinite([one, other]))
+    if not whole or one.mean() == other.mean():
         return 1.0
     spread = (one.mean(), one.std(ddof=1), SEEDS, other.mean(), other.std(ddof=1), SEEDS)
     with np.errstate(divide="ignore"):  # two that do not spread at all

@@ -16,25 +16,23 @@ from taichi_sim.analysis.stability import stability
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.common.errors import SceneError
 from taichi_sim.reports.speed_error import reference as references
-from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.findings import equal
 from taichi_sim.reports.speed_error.measure import measure
-from taichi_sim.reports.speed_error.plan import FRAME, METHODS, Plan, Step, fitting, halved, own_step, steps_of
+from taichi_sim.reports.speed_error.plan import FRAME, METHODS, Plan, Step, fitting, halved, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of, progress_bar
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
+from taichi_sim.reports.speed_error.study import Study
 from taichi_sim.reports.speed_error.worker import Workers
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings, part_of_bound
 
-__all__ = ["find", "main", "settings_of", "write_settings"]
-
 MORE_HALVINGS = 6  # than a report makes
 PATIENCE = 30.0  # s, after which no further method is compiled, unless they were named
 WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
-LIKELY = 1.5  # times the passes of the best that may still be as fast: they are not all alike
+LIKELY_PASSES = 1.5  # times those of the best that may still be as fast: passes are not all alike
 BY_PRECISION = 2.5  # times the time of the best, which another precision might make up for
-SPARE = 1.2  # times the time of the best so far that a run may take, for noise
+SPARE_TIME = 1.2  # times that of the best so far that a run may take, for noise
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -50,12 +48,13 @@ def main(
     Raises ValueError, OSError, BackendError.
     """
     with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
+        study = Study(scene, plan, workers)
         until = time.monotonic() + PATIENCE if plan.methods == METHODS else np.inf
-        reference = references.make(scene, plan, workers("f64"), plan.tolerance / WELL_KNOWN)
-        _require(scene, plan, reference)
-        plan = _without_coarse(scene, plan, reference, say)
-        rows, untried = find(scene, plan, reference, workers, until)
-    compared = Compared.of(scene, plan)
+        reference = references.make(study, plan.tolerance / WELL_KNOWN)
+        _require(study, reference)
+        study = replace(study, plan=_without_coarse(scene, plan, reference, say))
+        rows, untried = _find(study, reference, until)
+    compared = study.compared
     most = f"{plan.tolerance * reference.motion:.3g} {compared.unit}".rstrip()
     asked = f"{plan.tolerance:g} of the {compared.size_in_words()} ({most})"
     until = plan.duration * reference.parts / len(reference.parting)
@@ -93,8 +92,9 @@ def _without_coarse(scene: Scene, plan: Plan, reference: Reference, say: Callabl
     return replace(plan, precisions=left)
 
 
-def _require(scene: Scene, plan: Plan, reference: Reference) -> None:
+def _require(study: Study, reference: Reference) -> None:
     """Raises SceneError where there is nothing to tune by."""
+    scene, plan = study.scene, study.plan
     if reference.why:
         raise SceneError(f"{plan.name}: there is no reference to measure errors from: {reference.why}")
     if not reference.moves(scene):
@@ -105,7 +105,7 @@ def _require(scene: Scene, plan: Plan, reference: Reference) -> None:
             " `taichi-sim report` compares statistics"
         )
     if not reference.motion:
-        name = Compared.of(scene, plan).name
+        name = study.compared.name
         raise SceneError(f"{plan.name}: {name} stays 0 in the first {plan.duration:g} s: there is nothing to compare")
     if reference.known > plan.tolerance * reference.motion:
         raise SceneError(
@@ -114,55 +114,48 @@ def _require(scene: Scene, plan: Plan, reference: Reference) -> None:
         )
 
 
-def find(
-    scene: Scene, plan: Plan, reference: Reference, workers: Workers, until: float = np.inf
-) -> tuple[list[Row], list[str]]:
+def _find(study: Study, reference: Reference, until: float) -> tuple[list[Row], list[str]]:
     """The cheapest rows that meet the tolerance, see `cheapest`, and the methods that were not tried before `until`.
 
     Compiling a method takes longer than most runs, so those come first that promise most, and those that cannot win are passed
     over: where even the longest step goes through the forces too often. What precision changes is a factor of two at most, so
     the second is tried of the methods that come near the best in the first.
     """
+    plan = study.plan
     good: list[Row] = []
     untried: list[str] = []
-    own = own_step(scene)[0]
-    compiled = {own, reference.method}
-    methods = sorted(plan.methods, key=lambda method: (method not in compiled, _least_passes(scene, method, plan)))
+    compiled = {study.own_step()[0], reference.method}
+    methods = sorted(plan.methods, key=lambda method: (method not in compiled, _least_passes(study, method)))
     for precision in plan.precisions:
         if precision != plan.precisions[0]:
             best = min((row.seconds or 0.0 for row in good), default=0.0)
             methods, compiled = [row.method for row in good if (row.seconds or 0.0) <= BY_PRECISION * best], set()
         for method in methods:
             fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
-            if fastest is not None and not _may_win(scene, plan, method, fastest):
-                continue
+            if fastest is not None and fastest.passes and method != fastest.method:
+                if _least_passes(study, method) > LIKELY_PASSES * fastest.passes:
+                    continue
             if good and method not in compiled and time.monotonic() > until:
                 untried.append(f"{method} in {precision}")
                 continue
             first = next((row.step for row in good if row.method == method), np.inf)
-            row = _longest(scene, plan, reference, workers, precision, method, fastest, first)
+            row = _longest(study, reference, precision, method, fastest, first)
             if row is not None:
                 good.append(row)
     return cheapest(good, plan.tolerance, reference.motion, reference.known), untried
 
 
 def _longest(
-    scene: Scene,
-    plan: Plan,
-    reference: Reference,
-    workers: Workers,
-    precision: str,
-    method: str,
-    best: Row | None,
-    first: float,
+    study: Study, reference: Reference, precision: str, method: str, best: Row | None, first: float
 ) -> Row | None:
     """The row of the longest step, of at most `first` [s], with which a method meets the tolerance; None where that costs more
     than the best so far, for smaller steps cost more still."""
-    for step in _steps(scene, method, plan):
+    plan = study.plan
+    for step in _steps(study, method):
         if step.seconds > first * (1.0 + 1e-9):
             continue
-        most = plan.most if best is None else min(plan.most, SPARE * (best.seconds or 0.0) * plan.duration + 1e-3)
-        row = measure(scene, replace(plan, most=most), reference, workers(precision), precision, method, step)
+        most = plan.most if best is None else min(plan.most, SPARE_TIME * (best.seconds or 0.0) * plan.duration + 1e-3)
+        row = measure(study, reference, precision, method, step, most)
         if row.verdict == LEFT_OUT or (best and not as_fast(row, best)):
             return None
         if row.verdict != UNSTABLE and cheapest([row], plan.tolerance, reference.motion, reference.known):
@@ -170,23 +163,15 @@ def _longest(
     return None
 
 
-def _least_passes(scene: Scene, method: str, plan: Plan) -> float:
+def _least_passes(study: Study, method: str) -> float:
     """Over the forces, per simulated second, with the longest step."""
-    step = next(iter(_steps(scene, method, plan)), None)
-    if step is None:
-        return np.inf
-    return named(method).passes(scene, step.seconds) / step.seconds
+    step = next(_steps(study, method), None)
+    return np.inf if step is None else named(method).passes(study.scene, step.seconds) / step.seconds
 
 
-def _may_win(scene: Scene, plan: Plan, method: str, best: Row) -> bool:
-    """Whether a method could be cheaper than the best so far, judged by how often it goes through the forces."""
-    if method == best.method or not best.passes:
-        return True
-    return _least_passes(scene, method, plan) <= LIKELY * best.passes
-
-
-def _steps(scene: Scene, method: str, plan: Plan) -> Iterator[Step]:
+def _steps(study: Study, method: str) -> Iterator[Step]:
     """The longest step that is safe in the long run, the steps of a report below it, and more halvings."""
+    scene, plan = study.scene, study.plan
     most = part_of_bound(scene, named(method)) * stability(scene, named(method)).dt_any_shape
     steps = steps_of(scene, method, plan)
     if plan.steps is None:

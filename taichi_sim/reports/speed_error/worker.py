@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable
 from copy import copy
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,28 +23,24 @@ from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 
-__all__ = ["Outcome", "Trial", "Worker", "Workers"]
-
 Floats = NDArray[np.float64]
 SHORT = 0.25  # s; a shorter run is made again until all together take so long
 REPEATS, MOST_REPEATS = 5, 200  # for that
 STEADY, LONGEST = 0.05, 4.0  # part to which a time should be known, and times SHORT that this may take
-UNSTEADY = (
-    0.05  # of a time: between runs minutes apart a machine's speed varies by about that, which no repetition shows
-)
-AGAIN = 8  # steps of a second look
+UNSTEADY = 0.05  # of a time: a machine's speed varies by that between runs minutes apart, which no repetition shows
+AGAIN = 8  # steps that are timed where one alone promises too much
 PATIENCE = 3.0  # times what a run may take that its first steps may promise
 
 
 class Trial(NamedTuple):
     """A run through the whole duration. start: positions (n, dim) [m] other than the scene's. most: seconds that it may take.
-    look: at contacts, too. timed: repeat a short run for the median."""
+    contacts: read them, too. timed: repeat a short run for the median."""
 
     method: str
     step: Step
     start: Floats | None = None
     most: float = np.inf
-    look: bool = False
+    contacts: bool = False
     timed: bool = False
 
 
@@ -67,39 +62,49 @@ class Outcome(NamedTuple):
     noise: float | None = None  # s, of `seconds`
 
 
-class Worker:
-    """The parent's end: `run` one trial after the other. Use it as a context; leaving it ends the process."""
+class Workers:
+    """Processes that run trials, one at a time: that of a precision is started when it is asked for, and the one before ends
+    then. Use it as a context; leaving it ends the process."""
 
-    def __init__(self, scene: Scene, plan: Plan, precision: str) -> None:
-        scene = copy(scene)
-        # the trial says these; objects of one's own among them could not be sent
-        scene.settings = {key: value for key, value in scene.settings.items() if key not in ("integrator", "dt")}
-        context = multiprocessing.get_context("spawn")
-        self._pipe, other = context.Pipe()
-        self.precision = precision
-        self._process = context.Process(target=_serve, args=(other, scene, plan, precision), daemon=True)
-        self._process.start()
-        other.close()
+    def __init__(self, scene: Scene, plan: Plan, step_done: Callable[[str], None]) -> None:
+        self._scene, self._plan, self._step_done = copy(scene), plan, step_done
+        # the trial says these; user-defined objects among them could not be sent
+        own = scene.settings.items()
+        self._scene.settings = {key: value for key, value in own if key not in ("integrator", "dt")}
+        self._precision = ""  # of the process that there is
 
-    def run(self, trial: Trial) -> Outcome:
+    def run(self, precision: str, trial: Trial) -> Outcome:
         """Raises BackendError where the process cannot go on; a trial that fails by itself says so in its outcome."""
+        if precision != self._precision:
+            self.__exit__(None)
+            context = multiprocessing.get_context("spawn")
+            self._pipe, other = context.Pipe()
+            arguments = (other, self._scene, self._plan, precision)
+            self._process = context.Process(target=_serve, args=arguments, daemon=True)
+            self._process.start()
+            other.close()
+            self._precision = precision
+        self._step_done(f"{precision} {trial.method} {trial.step.seconds:.3g} s")
         try:
             self._pipe.send(trial)
             answer = self._pipe.recv()
         except (EOFError, OSError):
             self._process.join(5.0)
             raise BackendError(
-                f"report: the {self.precision} process ended with status {self._process.exitcode} in {trial.method} at"
+                f"report: the {precision} process ended with status {self._process.exitcode} in {trial.method} at"
                 f" {trial.step.seconds:.4g} s"
             ) from None
         if isinstance(answer, BaseException):
             raise answer
         return answer
 
-    def __enter__(self) -> "Worker":
+    def __enter__(self) -> "Workers":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if not self._precision:
+            return
+        self._precision = ""
         self._pipe.close()
         if kind is not None:
             self._process.terminate()
@@ -107,37 +112,6 @@ class Worker:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-
-
-class Workers:
-    """Processes, one at a time: that of a precision is started when it is asked for, and the one before ends then."""
-
-    def __init__(self, scene: Scene, plan: Plan, step_done: Callable[[str], None]) -> None:
-        self._made = lambda precision: Worker(scene, plan, precision)
-        self._step_done = step_done
-        self._worker: Worker | None = None
-
-    def __call__(self, precision: str) -> Callable[[Trial], Outcome]:
-        def run(trial: Trial) -> Outcome:
-            if self._worker is None or self._worker.precision != precision:
-                self.close(None, None, None)
-                self._worker = self._made(precision)
-            self._step_done(f"{precision} {trial.method} {trial.step.seconds:.3g} s")
-            return self._worker.run(trial)
-
-        return run
-
-    def close(self, *error: Any) -> None:
-        """End the process."""
-        if self._worker is not None:
-            self._worker.__exit__(*error)
-            self._worker = None
-
-    def __enter__(self) -> "Workers":
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.close(*error)
 
 
 def _serve(pipe: Connection, scene: Scene, plan: Plan, precision: str) -> None:
@@ -190,7 +164,7 @@ class Track:
                 self._prepare(trial)
                 outcome = self._measure(trial, outcome)
             except UnstableError as error:
-                outcome = outcome._replace(unstable=str(error).split("; the last good")[0])
+                outcome = outcome._replace(unstable=_reason(error))
             except ValueError as error:  # a scene that this method, step or precision cannot take
                 outcome = outcome._replace(left_out=str(error))
         return outcome._replace(warning="; ".join(dict.fromkeys(str(one.message) for one in said)))
@@ -207,17 +181,16 @@ class Track:
             self.method = trial.method
             self._begin(trial)
             self.sim.step(1)  # the parallel driver compiles with its first step
-            if trial.look:
+            if trial.contacts:
                 self.sim.contacts()
         else:
             self.sim.set_dt(trial.step.seconds)
 
     def _begin(self, trial: Trial) -> None:
         """Back to the start."""
-        sim, scene = self.sim, self.scene
-        start = scene.position if trial.start is None else trial.start
-        sim.resume(Snapshot(start, scene.velocity))
-        sim.step(0)
+        start = self.scene.position if trial.start is None else trial.start
+        self.sim.resume(Snapshot(start, self.scene.velocity))
+        self.sim.step(0)
 
     def _measure(self, trial: Trial, outcome: Outcome) -> Outcome:
         outcome = outcome._replace(touch=any(name.startswith("contacts.") for name in self.sim.kernels()))
@@ -234,24 +207,23 @@ class Track:
             try:
                 times.append(self._time(trial.step.number))
             except UnstableError as error:
-                return outcome._replace(seconds=promised, unstable=str(error).split("; the last good")[0])
+                return outcome._replace(seconds=promised, unstable=_reason(error))
             outcome.position.append(self.sim.position)
             outcome.energy.append(tuple(self.sim.energy()))
             value = self._value()
             if value is not None:
                 outcome.quantity.append(value)
-            if trial.look:
+            if trial.contacts:
                 contacts = self.sim.contacts()
                 outcome.contacts.append((contacts.number, contacts.relative_penetration))
             if sum(times) > trial.most and part + 1 < PARTS:
                 return outcome._replace(left_out=_too_long(PARTS * float(np.mean(times)), trial.most))
         passes = self._passes()
         seconds, noise = self._timing(trial, times)
-        return outcome._replace(
-            seconds=seconds,
-            noise=noise,
-            passes=self._counted(trial) if passes is None else passes - (before or 0.0),
-        )
+        if passes is None:
+            declared = named(trial.method).passes(self.scene, trial.step.seconds)
+            before, passes = 0.0, float(declared * trial.step.number * PARTS)
+        return outcome._replace(seconds=seconds, noise=noise, passes=passes - (before or 0.0))
 
     def _value(self) -> Floats | None:
         return None if self.quantity is None else self.quantity.value(self.sim.probes())
@@ -274,7 +246,7 @@ class Track:
 
     def _time(self, steps: int) -> float:
         begin = time.perf_counter()
-        self.sim.step(steps)  # ends with a look for balls that are not finite, so it is done
+        self.sim.step(steps)  # ends with a search for balls that are not finite, so it is done
         return time.perf_counter() - begin
 
     def _passes(self) -> float | None:
@@ -282,15 +254,15 @@ class Track:
         solved = self.sim.solver()
         return None if solved is None else float(solved.passes)
 
-    def _counted(self, trial: Trial) -> float:
-        passes = named(trial.method).passes(self.scene, trial.step.seconds)
-        return float(passes * trial.step.number * PARTS)
-
 
 def _interval(values: Any) -> float:
     """Half of the 95 % interval of a median (McGill, Tukey and Larsen, 1978)."""
     low, high = np.percentile(values, [25, 75])
     return 1.57 * float(high - low) / float(np.sqrt(len(values)))
+
+
+def _reason(error: UnstableError) -> str:
+    return str(error).split("; the last good")[0]
 
 
 def _too_long(seconds: float, most: float) -> str:

@@ -1,22 +1,68 @@
-"""Gas within an implicit stage: its forces where the stage ends, what the matrix has of it, and its potential."""
+"""Gas in methods that solve for it together with springs: closed surfaces in XPBD, and in an implicit stage."""
 
 from typing import Any
 
+import numpy as np
+
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.kernels.reductions import each_part
 from taichi_sim.kernels.springs import padded_blocks
-from taichi_sim.kernels.springs.law import GRAIN
 
-__all__ = ["StageGas"]
+__all__ = ["GasConstraints", "StageGas"]
+
+
+@ti.data_oriented
+class GasConstraints:
+    """In XPBD each gas is a constraint on its volume: it asks for its volume V after the step, as springs do for their lengths,
+    and gives the impulse h p dV/dx at the pressure that would be right if the gas were alone, p(V) / (1 + h^2 C / V^2 W), W = sum
+    w |dV/dx|^2; a ball of several gases splits its mass between them. Gas that acted where the step began, against springs that
+    act where it ends, would leave a torque against any rotation."""
+
+    def __init__(self, gases: Any, model: Model, fields: Fields) -> None:
+        self.gases, self.model, self.n = gases, model, model.n
+        self.here = fields.table({"x": ti.types.vector(3, fields.real)}, self.n)
+        scene = model.scene
+        count = np.zeros(model.n)
+        for gas in scene.gases:
+            count[np.unique(gas.triangles)] += 1.0
+        self.give = fields.reals(
+            np.array([_give(scene.position, g, model.inverse_mass_array * count) for g in scene.gases])
+        )
+        self.first = fields.reals(np.array([gas.volume for gas in scene.gases]))
+
+    @ti.func
+    def push(self, ball: ti.template(), state: ti.template(), h):
+        """Kick all balls."""
+        for i in range(self.n):
+            self.here[i].x = ball[i].x + h * ball[i].v
+        self.gases.press(self.here)
+        ti.loop_config(serialize=True)
+        for g in range(self.gases.count):
+            rate = self.gases.rate[g] * self.give[g]
+            self.gases.pressure[g] = self.gases.pressure[g] / (1.0 + h * h * rate)
+        for i in range(self.n):
+            state.kick(i, self.model.inverse_mass[i] * h * self.gases.force(self.here, i))
+
+
+def _give(x: np.ndarray, gas: Any, w: np.ndarray) -> float:
+    """sum w |dV/dx|^2 at the places x (n, 3)."""
+    t = gas.triangles
+    sides = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) / 6.0
+    gradient = np.zeros_like(x)
+    for corner in range(3):
+        np.add.at(gradient, t[:, corner], sides)
+    return float(w @ np.sum(gradient**2, axis=1))
 
 
 @ti.data_oriented
 class StageGas:
-    """Closed surfaces of gas in a StageSolver.
+    """Closed surfaces of gas in a StageSolver: forces where the stage ends, what the matrix has of them, and the potential.
 
     A gas adds U(V) = -C ln V + outside V, C = (pressure + outside) V0, to the potential of a stage, s p dV/dx to its residual and
     s^2 d2U/dx2 = s^2 (C / V^2 dV/dx dV/dx^T - p d2V/dx2) to its matrix. The second part has negative directions, but with
-    it a surface in balance, springs against gas, turns freely, as it should. A ball's own block of d2V/dx2 is 0: moved alone, a
+    it a surface in balance, springs against gas, rotates freely, as it should. A ball's own block of d2V/dx2 is 0: moved alone, a
     corner changes the volume linearly.
 
     Fields: `here` (n), x the places [m] at which the rest was worked out; `change` (gases) [m^3]: of volumes along a product's p.
@@ -32,7 +78,7 @@ class StageGas:
 
     @ti.func
     def push(self, base: ti.template(), total: ti.template(), s):
-        """total (n), in rows, += s times the forces at base.x + s base.v."""
+        """total (n), padded, += s times the forces at base.x + s base.v."""
         self.step[0] = s
         for i in range(self.n):
             self.here[i].x = base[i].x + s * base[i].v
@@ -42,10 +88,8 @@ class StageGas:
 
     @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):
-        """total (n) += the gas's part of the matrix times p (n), all in rows."""
-        for k in range(self.gases.parts * GRAIN):
-            if k % GRAIN == 0:
-                self._change(p, k // GRAIN)
+        """total (n) += the gas's part of the matrix times p (n), all padded."""
+        each_part(self.gases.parts, self._change, (p,))
         ti.loop_config(serialize=True)
         for _ in range(1):
             for g in range(self.gases.count):
@@ -59,14 +103,13 @@ class StageGas:
             for e in range(self.gases.start[i], self.gases.start[i + 1]):
                 row = self.gases.row[e]
                 a, b = self.here[row.a].x - x, self.here[row.b].x - x
-                turned = (padded_blocks.cut(p[row.a], 3) - q).cross(b) + a.cross(padded_blocks.cut(p[row.b], 3) - q)
-                f += (
-                    self.gases.rate[row.gas] * self.change[row.gas] * a.cross(b) - self.gases.pressure[row.gas] * turned
-                )
+                tilt = (padded_blocks.cut(p[row.a], 3) - q).cross(b) + a.cross(padded_blocks.cut(p[row.b], 3) - q)
+                more = self.gases.rate[row.gas] * self.change[row.gas]
+                f += more * a.cross(b) - self.gases.pressure[row.gas] * tilt
             total[i] = total[i] + padded_blocks.pad(s * s / 6.0 * f, 3)
 
     @ti.func
-    def _change(self, p: ti.template(), c):
+    def _change(self, c, p: ti.template()):
         """Of the volume of part c along p; from the gas's first ball, as volumes are."""
         part = self.gases.part[c]
         home = self.gases.law[part.gas].home
@@ -97,9 +140,7 @@ class StageGas:
         for side in ti.static((1, 0)):
             for i in range(self.n):
                 self.here[i].x = base[i].x + s * (base[i].v - ti.static(float(side)) * part * dv[i])
-            for k in range(self.gases.parts * GRAIN):
-                if k % GRAIN == 0:
-                    self._volume(k // GRAIN)
+            each_part(self.gases.parts, self._volume, ())
             ti.loop_config(serialize=True)
             for _ in range(1):
                 self.energy[side] = 0.0

@@ -1,0 +1,63 @@
+"""What the kernels of the renderer read of the objects handed to them, with shape and unit.
+
+Pictures have `pixels` pixels, from the top left, and in 3D `samples` samples in each. Vertices are balls and, after them, what
+follows balls, in 3D in units of the scene's size about its centre. Colours are linear, from 0 to 1.
+"""
+
+from typing import Any, Protocol
+
+Field = Any  # of Taichi: read and written by index
+
+
+class Vertex(Protocol):
+    """(vertices) vector of four numbers, the last one a radius, 0 where none is drawn."""
+
+    xyz: Any  # place
+
+
+class Surfaces(Protocol):
+    """What there is in a 3D scene to be shaded, and what light it gets."""
+
+    has_spheres: bool  # whether any vertex has a radius
+    has_rods: bool  # whether there are rods
+    has_triangles: bool  # whether there are triangles
+    has_shadow: bool  # whether the lamp casts shadows
+    has_occlusion: bool  # whether pixels see only a share of the sky
+    transparent: bool  # whether background and ground stay clear
+    samples: int  # in a pixel
+    ball: Vertex  # (vertices)
+    colour: Field  # (vertices) vector
+    normal: Field  # (vertices) unit vector, of triangles
+    corner: Field  # (triangles) vector of three vertices
+    rod: Field  # (rods) vector of two vertices
+    rod_radius: Field  # (rods)
+    rod_strain: Field  # (rods)
+    shadow: Field  # (shadow_size^2) keys of the shadow map
+    shadow_size: int  # texels along its side
+    coarse: Field  # (cells of the shadow map) largest closeness to the lamp near each
+    open_raw: Field  # (pixels) share of the sky that is seen, not smoothed yet
+    openness: Field  # (pixels) the same, smoothed
+    alpha: Field  # (pixels) where transparent
+
+
+class Shapes(Protocol):
+    """What a 2D picture is made of, in px from its top left; at least one of each."""
+
+    shape: Field  # (shapes) vector of 8 numbers, see paint2d
+    kind: Field  # (shapes) DISC, ROD or TRIANGLE
+    colour: Field  # (shapes) vector
+    wall: Field  # (walls) vector (a, b, c): a x + b y + c px above it
+    body: Field  # (colliders) vector of 8 numbers, see paint2d
+    tint: Field  # (colliders) vector, negative for that of walls
+    image: Field  # (pixels) vector
+    alpha: Field  # (pixels) where transparent
+    transparent: bool  # whether background and walls stay clear
+
+
+class ColourScale(Protocol):
+    """(entries, 3) colours for values from 0 to 1."""
+
+    shape: Any  # (entries, 3)
+
+
+READS = {"ball": Vertex, "scene": Surfaces, "table": ColourScale}

@@ -1,0 +1,236 @@
+"""FoundContacts: which contacts there are, found anew after each move, and what accumulates in them."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from taichi_sim.contacts.pairs import Pairs
+from taichi_sim.contacts.plan import ContactPlan
+from taichi_sim.contacts.sticks import Sticks
+from taichi_sim.contacts.triangles import TriangleContacts
+from taichi_sim.contacts.walls import Walls
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.device.state import State
+from taichi_sim.kernels.contacts import (
+    ccd_balls,
+    ccd_triangles,
+    contact_law,
+    pair_measures,
+    pair_sweeps,
+    warm_start,
+)
+from taichi_sim.kernels.reductions import PART
+from taichi_sim.kernels.vectors import zero_scalar_in_2d
+
+__all__ = ["ContactParts", "FoundContacts"]
+
+STICK_CROSSING = 0.5  # of the smallest radius: what moves further may cross a stick
+
+
+class ContactParts(NamedTuple):
+    """The kinds of contact of a scene, None where it lacks one."""
+
+    walls: Walls | None = None
+    pairs: Pairs | None = None
+    sticks: Sticks | None = None
+    triangles: TriangleContacts | None = None
+
+
+@ti.data_oriented
+class FoundContacts:
+    """The parts of a plan and the fields that kernels.contacts.interfaces.Solver describes.
+
+    Class attributes: `in_turn`: each pair sees what those before it changed, which needs a fixed order; `split`: each ball splits
+    its mass between its contacts, see kernels.contacts.contact_law.share; `sums_plainly`: none does; `warm_starts`, `softens`,
+    `impacts_in_turn`, `energy_limiter`: what of these in ContactPlan the rule can do.
+    """
+
+    name = "off"
+    in_turn = False
+    split = False
+    sums_plainly = False
+    warm_starts = False
+    softens = False
+    impacts_in_turn = False
+    energy_limiter = False
+    relaxation = 1.0  # part of an impulse from split masses that is applied
+
+    def bind(
+        self,
+        plan: ContactPlan,
+        model: Model,
+        state: State,
+        fields: Fields,
+        parts: ContactParts,
+        threshold: Any,
+        h: float,
+    ) -> None:
+        """Take the parts of a simulation with substeps of h seconds. Called once, before the fields exist."""
+        self.plan, self.model, self.state, self.n = plan, model, state, model.n
+        self.walls, self.pairs, self.sticks, self.triangles = parts
+        self.grid_parts = [part for part in (self.pairs, self.sticks) if part is not None]
+        self.sticks_and_triangles = [part for part in (self.sticks, self.triangles) if part is not None]
+        self.parts = [part for part in parts if part is not None]
+        self.threshold, self.active, self.iterations = threshold, plan.active, plan.iterations
+        # by the directions of contacts, not only their number; friction pushes sideways as well
+        self.splits_by_direction = plan.active and self.split and not model.has_friction
+        joint = plan.sticks or plan.triangles
+        self.shares_mass = plan.active and (joint or not self.in_turn)  # impulses from old velocities
+        self.corrects_positions = plan.active and (not plan.soft or joint or plan.walls)
+        self.counts_pairs = self.split or plan.walls_in_turn  # the pairs that touch each ball, whoever lists them
+        if plan.active:
+            self.rate = fields.reals(np.array([1.0 / h]))
+            self.velocity_before = fields.vectors(self.n, model.dim)
+            self._allocate_shared(fields)
+            self.allocate(fields)
+
+    def _allocate_shared(self, fields: Fields) -> None:
+        n, dim, plan = self.n, self.model.dim, self.plan
+        if plan.pairs:  # see ccd_balls
+            self.displacement = self.velocity_before  # one memory: neither lasts from the move to the solve
+            self.swept = fields.table(dict.fromkeys(("moved_fast", "balls", "sticks", "shortened"), ti.i32), 1)
+            self.longest_displacement = fields.reals(1)
+            self.time_of_impact, self.next_time_of_impact = fields.reals(n), fields.reals(n)
+        if plan.sticks:
+            smallest = float(np.min(self.model.scene.radius))
+            self.crossing_squared = fields.reals(np.array([(STICK_CROSSING * smallest) ** 2]))
+        if self.corrects_positions:
+            self.position_correction = fields.vectors(n, dim)
+        if plan.limits_energy:
+            self.energy_type = ti.f64 if fields.has_doubles else fields.real
+            self.energy_parts = -(-n // PART)
+            columns = dict.fromkeys(("lost", "linear", "square"), self.energy_type)
+            self.energy = fields.table(columns, self.energy_parts + 1)
+            self.stopped_velocity = fields.vectors(n, dim)  # where all that touched has stopped
+            if self.model.spins:
+                self.spin_before, self.stopped_spin = (fields.spins(n, dim) for _ in range(2))
+        if self.shares_mass:
+            self.effective_inverse_mass = fields.reals(n)
+        if self.counts_pairs:
+            self.pair_count = fields.integers(n)
+        if self.splits_by_direction:
+            self.normal_tensor = fields.matrices(n, dim)
+        if plan.warm_starts and plan.pairs:
+            self.warm_velocity = fields.vectors(n, dim)
+            if self.model.spins:
+                self.warm_spin = fields.spins(n, dim)
+
+    def allocate(self, fields: Fields) -> None:
+        """Declare fields of the rule's own."""
+
+    def names(self) -> list[str]:
+        """What is compiled in, for `Simulation.kernels()`."""
+        return [f"contacts.{self.name}", *(name for part in self.parts for name in part.names())] if self.active else []
+
+    def forget(self) -> None:
+        """Start from nothing: balls were put elsewhere, where the load is another one. `prime` has to follow."""
+        for part in self.grid_parts:
+            part.forget()
+        if self.walls is not None:
+            self.walls.contact.impulse.fill(0)
+            if self.model.has_friction:
+                self.walls.contact.tangential_impulse.fill(0)
+
+    def set_step(self, h: float, ratio: float) -> None:
+        """Take substeps of h seconds, `ratio` times what they were: contacts that rest accumulate as much less or more."""
+        if self.active:
+            self.rate[0] = 1.0 / h
+            self._scale(ratio)
+
+    @ti.kernel
+    def _scale(self, ratio: float):
+        if ti.static(self.plan.pairs):
+            warm_start.scale(self.pairs.link, self.pairs.capacity, ratio, self.model.has_friction)
+        if ti.static(self.plan.sticks):
+            warm_start.scale(self.sticks.contact, self.sticks.capacity, ratio, self.model.has_friction)
+        if ti.static(self.plan.walls):
+            warm_start.scale(self.walls.contact, self.n * self.walls.count, ratio, self.model.has_friction)
+
+    @ti.func
+    def clear(self, i):
+        """Before pairs are measured: nothing of the rule's own is known of ball i yet."""
+
+    @ti.func
+    def found(self, ball: ti.template()):
+        """All contacts are measured at the present positions."""
+
+    @ti.func
+    def _clear(self, i):
+        """Nothing is summed yet of what pairs do to ball i."""
+        self.clear(i)
+        if ti.static(self.counts_pairs):
+            self.pair_count[i] = 0
+        if ti.static(self.splits_by_direction):
+            self.normal_tensor[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)
+        if ti.static(self.plan.warm_starts):
+            self.warm_velocity[i] = ti.Vector.zero(float, self.model.dim)
+            if ti.static(self.model.spins):
+                self.warm_spin[i] = zero_scalar_in_2d(self.model.dim)
+
+    @ti.func
+    def prime(self, ball: ti.template()):
+        """Find the contacts after positions were set from outside."""
+        if ti.static(self.plan.colliders):
+            self.walls.colliders.rewind()
+        if ti.static(self.plan.pairs):
+            self.pairs.grid.expire()
+        self._find(ball, False)
+
+    @ti.func
+    def refresh(self, ball: ti.template()):
+        """After a move: cut ways short that lead through something, then find the contacts at the present positions."""
+        self._find(ball, True)
+
+    @ti.func
+    def _find(self, ball: ti.template(), moved: ti.template()):
+        if ti.static(self.plan.colliders):
+            self.walls.colliders.advance()
+        if ti.static(self.plan.pairs):
+            ccd_balls.shorten_ways(self, ball)
+            if ti.static(self.plan.triangles and moved):
+                ccd_triangles.limit(self.triangles, self, ball)
+            self.pairs.grid.build(ball)
+        for part in ti.static(self.grid_parts):
+            part.detect(ball)
+        if ti.static(self.plan.triangles):
+            ccd_triangles.detect(self.triangles, self, ball)
+        if ti.static(self.plan.pairs):
+            if ti.static(self.plan.warm_starts or self.counts_pairs or self.plan.impacts_in_turn):
+                for i in range(self.n):
+                    self._clear(i)
+            pair_sweeps.each_block(self, ball, pair_measures.measure_block, 0.0, None)
+        if ti.static(self.plan.walls):
+            for i in range(self.n):
+                crowded = False
+                if ti.static(self.plan.walls_in_turn):
+                    crowded = self.pair_count[i] > 0
+                self.walls.measure(ball, self, i, crowded)
+        self.found(ball)
+        if ti.static(self.shares_mass):
+            for i in range(self.n):
+                self._share_mass(ball, i)
+
+    @ti.func
+    def _share_mass(self, ball: ti.template(), i):
+        """Split the mass of ball i, by the sums of n n^T and of 1 over all that is accumulated from old velocities: in turn those
+        are only sticks and triangles, whose weights count."""
+        T, count = ti.Matrix.zero(float, self.model.dim, self.model.dim), 0.0 * self.model.inverse_mass[i]
+        if ti.static(self.plan.pairs and self.split):
+            count = self.pair_count[i]
+            if ti.static(self.splits_by_direction):
+                T = self.normal_tensor[i]
+        if ti.static(self.plan.walls and self.split):
+            t, c = self.walls.shares(ball, i)
+            T += t
+            count += c
+        if ti.static(not self.sums_plainly):
+            for part in ti.static(self.sticks_and_triangles):
+                t, c = part.shares(i)
+                T += t
+                count += c
+        share = contact_law.share(T, count, not self.model.has_friction)
+        self.effective_inverse_mass[i] = share * self.model.inverse_mass[i]
+        if ti.static(self.plan.triangles):
+            self.triangles.share_mass(T, count, i)

@@ -1,0 +1,93 @@
+"""IteratedRule: solves that start from accumulated impulses and go over all contacts several times."""
+
+from typing import Any
+
+from taichi_sim.contacts.base import ContactRule
+from taichi_sim.device.engine import ti
+from taichi_sim.kernels.contacts import energy_limiter, pair_solve
+from taichi_sim.kernels.vectors import zero_scalar_in_2d
+
+__all__ = ["IteratedRule"]
+
+
+@ti.data_oriented
+class IteratedRule(ContactRule):
+    """To be given: `iterate`, one iteration; what comes before the first and after the last one."""
+
+    velocity_when_found: Any  # where the plan is `loaded`
+    velocity_from_forces: Any
+
+    @ti.func
+    def iterate(self, ball: ti.template(), time, how: ti.template()):
+        """One iteration over all contacts, see kernels.contacts.pair_solve.Iteration."""
+
+    @ti.func
+    def before_iterations(self, ball: ti.template(), time, impacts: ti.template()):
+        """Before accumulated impulses are applied."""
+
+    @ti.func
+    def after_iterations(self, ball: ti.template(), impacts: ti.template()):
+        """Before the energy limiter."""
+
+    @ti.func
+    def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
+        """All contacts, iteration by iteration."""
+        if ti.static(self.active):
+            self.before_iterations(ball, time, impacts)
+            self.begin(ball, impacts)
+            if ti.static(impacts):
+                self.iterate(ball, time, pair_solve.FIRST)
+            else:
+                self.iterate(ball, time, pair_solve.LAST)
+            self.repeat(ball, iterations - 1, pair_solve.NEXT)
+            self.after_iterations(ball, impacts)
+            self.limit_energy(ball, iterations, impacts)
+            if ti.static(self.plan.sticks and self.plan.warm_starts):
+                self.sticks.end_contacts(ball)
+
+    @ti.func
+    def relax(self, ball: ti.template(), time):
+        """One iteration that takes back; accumulated impulses are applied already."""
+        if ti.static(self.plan.soft):
+            for i in range(self.n):
+                self.velocity_before[i] = ball[i].v
+                if ti.static(self.plan.loaded):
+                    self.velocity_from_forces[i] = ball[i].v - self.velocity_when_found[i]
+                if ti.static(self.plan.walls):
+                    self.walls.begin(ball, self, i, False, False)
+                self.exclude_pairs(ball, i)
+            self.iterate(ball, time, pair_solve.RELAX)
+
+    @ti.func
+    def repeat(self, ball: ti.template(), number: ti.template(), how: ti.template()):
+        """So many iterations."""
+        if ti.static(self.plan.serial):
+            for _ in range(number):
+                self.iterate(ball, 0.0, how)
+        else:  # at the top level of a kernel only an unrolled loop leaves the inner ones parallel
+            for _ in ti.static(range(number)):
+                self.iterate(ball, 0.0, how)
+
+    @ti.func
+    def limit_energy(self, ball: ti.template(), iterations: ti.template(), impacts: ti.template()):
+        """Let what has stopped bounce, as far as energy allows."""
+        if ti.static(self.plan.limits_energy):
+            if ti.static(impacts):
+                energy_limiter.note_stopped(self, ball)
+                self.repeat(ball, iterations, pair_solve.BOUNCE)
+            else:  # what carried an impact is no load that rests: one iteration may not undo it
+                energy_limiter.compare_with_before(self)
+            energy_limiter.limit(self, ball)
+
+    @ti.func
+    def impulses_of_sticks_and_triangles(self, ball: ti.template(), i, how: ti.template()):
+        """What an iteration gives ball i: nothing where all they accumulated was applied before the move."""
+        p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
+        if ti.static(how.starts):
+            p, t = self.gather_sticks_and_triangles(ball, i)
+        if ti.static(how.takes_back and self.plan.pairs and self.plan.warm_starts):  # no pair accumulates these
+            self.warm_velocity[i] = self.warm_velocity[i] + self.model.inverse_mass[i] * p
+            if ti.static(self.model.spins):
+                response = self.model.spin_response(i) * self.model.inverse_mass[i]
+                self.warm_spin[i] = self.warm_spin[i] + response * t
+        return p, t

@@ -1,0 +1,104 @@
+"""Surfaces: all that has infinite mass, planes and then slots for colliders, by one number."""
+
+import numpy as np
+
+from taichi_sim.contacts.collider_contacts import ColliderContacts
+from taichi_sim.contacts.colliders import Colliders
+from taichi_sim.contacts.impulse_totals import Received
+from taichi_sim.contacts.planes import Planes
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.kernels.contacts import contact_law
+from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
+from taichi_sim.scene.probes import bodies_of
+
+__all__ = ["Surfaces"]
+
+
+@ti.data_oriented
+class Surfaces:
+    """Where the surfaces are that each ball may touch: `count` of them, the `planes`, then what is in the ball's slots for
+    colliders (`collider_contacts`). colliders: None where the scene has none, then nothing of this is compiled."""
+
+    def __init__(self, model: Model, fields: Fields, colliders: Colliders | None, limits_energy: bool) -> None:
+        self.model, self.colliders = model, colliders
+        self.rounding = 4.0 * float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
+        self.planes = Planes(model, fields)
+        self.has_colliders = colliders is not None
+        self.moves, slots = False, 0
+        if colliders is not None:
+            self.collider_contacts = ColliderContacts(model, fields, colliders, self.rounding)
+            self.moves, slots = colliders.moves, self.collider_contacts.count
+        self.count = self.planes.count + slots
+        self.probed = bool(bodies_of(model.scene))
+        if self.probed:
+            self.received = Received(model, fields, limits_energy)
+
+    @ti.func
+    def tolerance(self, x, i, far):
+        """Gap [m] below which ball i at x touches; never finer than its coordinates are. far [m]: those of a collider's centre,
+        from which points are looked at."""
+        return contact_law.TOUCH_TOLERANCE * self.model.radius[i] + self.rounding * (ti.abs(x).max() + far)
+
+    @ti.func
+    def touch(self, x, i, k):
+        """The same for its contact k."""
+        far = 0.0 * self.model.radius[i]
+        if ti.static(self.has_colliders):
+            if k >= self.planes.count:
+                far = self.collider_contacts.distance_from_origin(i, k - self.planes.count)
+        return self.tolerance(x, i, far)
+
+    @ti.func
+    def law(self, i, k):
+        """Pair law of ball i and its contact k, which must be no empty slot."""
+        surface = 0
+        if k < self.planes.count:  # a table must not be read where it ends
+            surface = self.planes.wall[k].material
+        elif ti.static(self.has_colliders):
+            surface = self.colliders.shape[self.collider_contacts.collider(i, k - self.planes.count)].surface
+        return self.law_of_material(i, surface)
+
+    @ti.func
+    def law_of_material(self, i, surface):
+        """Pair law of ball i and a material."""
+        return contact_law.pair_law(self.model, self.model.surface[i], surface)
+
+    @ti.func
+    def gap(self, x, i, k):
+        """Distance from the surface of ball i to its contact k [m], negative inside; of a slot as it was found."""
+        gap = FAR_GAP + 0.0 * self.model.radius[i]
+        if k < self.planes.count:
+            gap = self.planes.gap(x, i, k)
+        elif ti.static(self.has_colliders):
+            gap = self.collider_contacts.gap(i, k - self.planes.count)
+        return gap
+
+    @ti.func
+    def normal(self, i, k):
+        """Direction from contact k to ball i."""
+        n = ti.Vector.zero(float, self.model.dim)
+        if k < self.planes.count:
+            n = self.planes.wall[k].normal
+        elif ti.static(self.has_colliders):
+            n = self.collider_contacts.normal(i, k - self.planes.count)
+        return n
+
+    @ti.func
+    def relative(self, v, i, k):
+        """Velocity of ball i, given its own, from the surface of its contact k."""
+        u = v
+        if ti.static(self.moves):
+            if k >= self.planes.count:
+                u -= self.collider_contacts.velocity(i, k - self.planes.count)
+        return u
+
+    @ti.func
+    def record(self, i, k, p):
+        """Its contact k gave ball i the impulse p, for probes."""
+        if k < self.planes.count:
+            self.received.add(i, self.received.plane[k], p)
+        elif ti.static(self.has_colliders):
+            solid = self.collider_contacts.collider(i, k - self.planes.count)
+            self.received.add(i, self.received.solid[solid], p)
