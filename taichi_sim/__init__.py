@@ -22,6 +22,7 @@ from taichi_sim.analysis.methods import Method
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError
 from taichi_sim.scene.colliders import Box, Capsule, ColliderShape, Mesh, Sphere
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.scene.spring_units import spring_from_rates
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ __all__ = [
     "Scene",
     "SceneError",
     "Simulation",
+    "Snapshot",
     "Sphere",
     "StabilityLimit",
     "UnstableError",

@@ -30,14 +30,14 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-LOW = 0.01  # of the smallest radius: bounces that end below it are not missed
-ASIDE = 0.05  # rad: directions after impacts that are off by less are not spoken of
-DEEP = 0.1  # of the radius: overlap at rest that shows
-VISIBLE = 0.005  # of the smallest radius: loss of single precision that shows
+LOW_BOUNCE = 0.01  # of the smallest radius: bounces that end below it are not missed
+SMALL_ANGLE = 0.05  # rad: directions after impacts that are off by less are not spoken of
+DEEP_OVERLAP = 0.1  # of the radius: overlap at rest that shows
+VISIBLE_LOSS = 0.005  # of the smallest radius: loss of single precision that shows
 SLACK = 0.25  # strain up to which cloth that hangs on something opens
 # of the weight above, the part along each contact with the layer below: two, three contacts at 30, 35 degrees in close packs
-PART = {2: 0.577, 3: 0.408}
-FILLED = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
+LOAD_SHARE = {2: 0.577, 3: 0.408}
+FILLED_SHARE = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
 
 
 class Setup(NamedTuple):
@@ -97,11 +97,11 @@ def _bounces(scene: Scene, h: float) -> Iterator[Finding]:
     speed = _fastest(scene)
     if e < 1.0 and speed > 0.0 and scene.pinned.any():
         early += f"; off pinned balls each is lower by {(1.0 / e**2 - 1.0) * g * h / speed:.2g} of itself"
-    wanted = np.sqrt(0.5 * LOW * radius / g)
+    wanted = np.sqrt(0.5 * LOW_BOUNCE * radius / g)
     yield Finding(
         "bounces",
         f"end below {low:.2g} m, {low / radius:.2g} of the smallest radius{early}",
-        f"take substeps of {wanted:.2g} s for bounces down to {LOW:g} of the radius" if h > wanted else "",
+        f"take substeps of {wanted:.2g} s for bounces down to {LOW_BOUNCE:g} of the radius" if h > wanted else "",
     )
 
 
@@ -117,7 +117,7 @@ def _impacts(scene: Scene, h: float) -> Iterator[Finding]:
         yield Finding(
             "impacts",
             f"of balls are noticed up to {h:.2g} s late: at {speed:.3g} m/s (start and fall) they part off by {turn:.2g} rad",
-            f"take substeps of {0.5 * ASIDE / turn * h:.2g} s, or a tolerance" if turn > ASIDE else "",
+            f"take substeps of {0.5 * SMALL_ANGLE / turn * h:.2g} s, or a tolerance" if turn > SMALL_ANGLE else "",
         )
 
 
@@ -150,15 +150,15 @@ def _overlap(scene: Scene, setup: Setup) -> Iterator[Finding]:
     radius = float(np.median(scene.radius[loose]))
     high = layers(scene, loose)
     column = np.count_nonzero(loose) < 1.5 * high  # one ball in each
-    share = 1.0 if column else PART[scene.dim]
+    share = 1.0 if column else LOAD_SHARE[scene.dim]
     load = 1.0 / setup.method.contact_solves
     depth = 2.0 * setup.give * share * load * high * g * setup.h**2
-    wanted = setup.h * np.sqrt(DEEP * radius / depth)
+    wanted = setup.h * np.sqrt(DEEP_OVERLAP * radius / depth)
     yield Finding(
         "overlap at rest",
         f"{depth:.2g} m, {depth / radius:.2g} of the radius, on average under {high:.2g} layers"
         f"{'' if column else '; ten times that where few carry many'}",
-        f"take substeps of {wanted:.2g} s" if depth > DEEP * radius else "",
+        f"take substeps of {wanted:.2g} s" if depth > DEEP_OVERLAP * radius else "",
     )
 
 
@@ -168,7 +168,7 @@ def layers(scene: Scene, loose: NDArray[np.bool_]) -> float:
     radius = scene.radius[loose]
     width = np.ptp(scene.position[loose] @ across.T, axis=0) + 2.0 * float(np.max(radius))
     size = np.pi * radius**2 if scene.dim == 2 else 4.0 / 3.0 * np.pi * radius**3
-    height = float(np.sum(size)) / (FILLED[scene.dim] * float(np.prod(width)))
+    height = float(np.sum(size)) / (FILLED_SHARE[scene.dim] * float(np.prod(width)))
     return max(1.0, height / (2.0 * float(np.median(radius))))
 
 
@@ -337,7 +337,7 @@ def single_precision(scene: Scene, setup: Setup) -> tuple[str, bool]:
     return (
         f"{far:.4g} m from the origin single precision tells positions {ulp:.2g} m apart, and is off by {error:.2g} m after a"
         f" second, {error / small:.2g} of the smallest radius{still}",
-        error > VISIBLE * small,
+        error > VISIBLE_LOSS * small,
     )
 
 

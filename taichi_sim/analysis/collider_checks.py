@@ -27,15 +27,16 @@ def check_colliders(scene: Scene, h: float) -> None:
             names = ", ".join(str(i) for i in inside[:3])
             plural = "s" if len(inside) > 1 else ""
             raise SceneError(
-                f"colliders[{k}] ({collider.name}): starts around ball{plural} {names}{more},"
-                f" up to {depth[inside].max():.4g} m deep; move it or the balls, or pin them"
+                f"colliders[{k}]",
+                says=f"the {collider.name} starts around ball{plural} {names}{more}, up to {depth[inside].max():.4g} m deep;"
+                " move it or the balls, or pin them",
             )
         if not collider.motion.moves or not free.any():
             continue
         with np.errstate(over="ignore", invalid="ignore"):
             speed, keyframe = collider.motion.fastest(collider.extent)
         if not np.isfinite(speed * h):
-            raise SceneError(f"colliders[{k}] ({collider.name}): moves faster than any number says")
+            raise SceneError(f"colliders[{k}]", says=f"the {collider.name} moves faster than any number says")
         smallest = float(scene.radius[free].min())
         if speed * h > FASTEST * smallest:
             where = f", path[{keyframe}]" if len(collider.motion.times) > 1 else ""

@@ -1,5 +1,5 @@
 """Energy and momentum of a scene in a given state, in float64 NumPy: slow, plain, and independent of the kernels; and what
-a look at its contacts says."""
+its contacts say."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -124,16 +124,16 @@ def check_tearing(scene: Scene) -> None:
     tears = np.isfinite(scene.break_strain)
     for number, gas in enumerate(scene.gases):
         if cut(gas.triangles, scene.pairs[tears], scene.n_balls).any():
-            raise SceneError(
-                f"springs.break_strain: the surface of gas {number} could tear, and a gas does not flow out"
-            )
+            says = f"the surface of gas {number} could tear, and a gas does not flow out"
+            raise SceneError("springs.break_strain", says=says)
     if tears.any() and scene.solid.any():
         both = np.flatnonzero(cut(scene.triangles[scene.solid], scene.pairs[tears], scene.n_balls))
         if len(both):
             number = int(np.flatnonzero(scene.solid)[both[0]])
             raise SceneError(
-                f"springs.break_strain: a side of triangle {number}, which collides, could tear; leave break_strain or"
-                " collides (surface_collision) out"
+                "springs.break_strain",
+                says=f"a side of triangle {number}, which collides, could tear; leave break_strain or collides"
+                " (surface_collision) out",
             )
 
 

@@ -1,6 +1,5 @@
 """Readings: what the probes of a scene say at a moment, and what a name like `load.tension` means."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.common.errors import SceneError
-from taichi_sim.scene.probes import Impulse, Look, Probe, bodies_of
+from taichi_sim.common.errors import SceneError, did_you_mean
+from taichi_sim.scene.probes import Probe, ProbeSample
 
 __all__ = ["Quantity", "Reader", "Readings", "quantity_of", "units_of"]
 
@@ -24,28 +23,28 @@ class Readings:
         self._before: tuple[float, dict[str, Floats]] | None = None
         self._now: tuple[float, dict[str, Floats]] | None = None
 
-    def begin(self, time: float, look: Look) -> None:
+    def begin(self, time: float, sample: ProbeSample) -> None:
         """Means count from here on."""
-        self._before, self._now = None, (time, self._totals(look))
+        self._before, self._now = None, (time, self._totals(sample))
 
-    def read(self, time: float, look: Look) -> dict[str, float]:
+    def read(self, time: float, sample: ProbeSample) -> dict[str, float]:
         """Each number of each probe, "load.tension"; read again at the same time, means stay those that they were. They are
         nan where no time has passed."""
         if self._now is None or time < self._now[0]:
-            self.begin(time, look)
+            self.begin(time, sample)
         elif time > self._now[0]:
             self._before = self._now
-        self._now = (time, self._totals(look))
+        self._now = (time, self._totals(sample))
         found = {}
         for probe in self.probes:
-            values = probe.read(look)
+            values = probe.read(sample)
             if probe.name in self._now[1]:
                 values |= probe.mean(self._growth(probe.name))
-            found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(look.scene.dim)})
+            found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(sample.scene.dim)})
         return found
 
-    def _totals(self, look: Look) -> dict[str, Floats]:
-        totals = {probe.name: probe.total(look) for probe in self.probes}
+    def _totals(self, sample: ProbeSample) -> dict[str, Floats]:
+        totals = {probe.name: probe.total(sample) for probe in self.probes}
         return {name: total for name, total in totals.items() if total is not None}
 
     def _growth(self, name: str) -> Floats:
@@ -64,10 +63,9 @@ class Reader:
         walls and rates are means since they were last read at an earlier time: nan where that is now."""
         late = [probe.name for probe in self.scene.probes[len(self._probed) :]]
         if late:
-            raise SceneError(
-                f"probes: {', '.join(late)} came after the simulation was made, and nothing was measured for it"
-            )
-        return self._readings.read(self.time, self._look()) if self._probed else {}
+            says = f"{', '.join(late)} came after the simulation was made, and nothing was measured for it"
+            raise SceneError("probes", says=says)
+        return self._readings.read(self.time, self._sample()) if self._probed else {}
 
     def probe(self: Any, name: str) -> Any:
         """One number, `load.tension`, or `load` where it has no other: a float; a vector, `tip`: (dim,). Reads them all. Raises
@@ -75,25 +73,17 @@ class Reader:
         found = quantity_of(self.scene, name).value(self.probes())
         return float(found[0]) if len(found) == 1 else found
 
-    def _begin_readings(self: Any, impulses: Floats | None = None) -> None:
-        """Means count from now on; impulses: those so far."""
+    def _begin_readings(self: Any) -> None:
+        """Means count from now on."""
         self._readings = Readings(self._probed)
-        bodies = list(dict.fromkeys(probe.body for probe in self._probed if isinstance(probe, Impulse)))
-        if bodies and not self._still:
-            self._parts.set_impulses(np.zeros((len(bodies), self.scene.dim)) if impulses is None else impulses)
         if self._probed:
-            self._readings.begin(self.time, self._look())
+            self._readings.begin(self.time, self._sample())
 
-    def _look(self: Any) -> Look:
-        x, v, low = self.position, self.velocity, self.rounded_off
+    def _sample(self: Any) -> ProbeSample:
+        x, v, low = self.position, self.velocity, self._state.rounded_off
         if low is not None:  # what a stiff spring carries lies in digits that single precision rounds off
             x, v = x + low[0], v + low[1]
-        return Look(self.scene, x, v, self.torn, self.energy, self.impulses)
-
-    @property
-    def impulses(self: Any) -> Floats:
-        """(b, dim) N s that the b walls and colliders with a probe of force or impulse have received, in the order of those."""
-        return np.zeros((len(bodies_of(self.scene)), self.scene.dim)) if self._still else self._parts.impulses()
+        return ProbeSample(self.scene, x, v, self.torn, self.energy, self._parts.impulses())
 
 
 # One of them by its name -------------------------------------------------------------------------------------------
@@ -124,21 +114,19 @@ def quantity_of(scene: Any, name: str) -> Quantity:
     probes = {probe.name: probe for probe in scene.probes}
     first, _, number = name.partition(".")
     if first not in probes:
-        close = difflib.get_close_matches(first, list(probes), n=1)
-        there = (
-            f"did you mean {close[0]!r}?" if close else f"there are {', '.join(probes)}" if probes else "it has none"
-        )
-        raise SceneError(f"{name!r} is not a probe of this scene; {there}")
+        raise SceneError((), name, says=f"is not a probe of this scene; {did_you_mean(first, probes)}")
     probe = probes[first]
     known = probe.numbers(scene.dim)
     if name.endswith("."):
-        raise SceneError(f"{name!r}: the name of a number is missing behind the dot")
+        raise SceneError((), name, says="lacks the name of a number behind the dot")
     if not number and probe.vector:
         return Quantity(name, tuple(f"{first}.{axis}" for axis in known[:-1]), probe.unit(""), probe.start, False)
     if not number and len(known) == 1:
         number = known[0]
     if number not in known:
-        wrong = f"the {probe.kind} {first!r} has no number {number!r}" if number else f"{first!r} has several numbers"
-        raise SceneError(f"{name!r}: {wrong}; name one of {', '.join(f'{first}.{word}' for word in known)}")
+        there = f"name one of {', '.join(f'{first}.{word}' for word in known)}"
+        if not number:
+            raise SceneError((), name, says=f"has several numbers; {there}")
+        raise SceneError((name,), says=f"the {probe.kind} {first!r} has no number {number!r}; {there}")
     energy = probe.kind == "energy"
     return Quantity(f"{first}.{number}", (f"{first}.{number}",), probe.unit(number), probe.start, energy)

@@ -44,7 +44,7 @@ def stability(scene: Scene, method: Method, position: Floats | None = None, cust
     pushed = pushing_gas(scene) if method.single_pass and _solves_gas(scene, method) else np.inf
     if pushed < limit.of_elements(rates):
         return Stability(
-            pushed, pushed, None, None, "gas: each step leaves the springs of its skin a part of what it pushes"
+            pushed, pushed, None, None, "gas: each step leaves the springs of its surface a part of what it pushes"
         )
     if not limit.by_springs and not any(rates):
         return _unlimited(f"{method} is stable at any step; only its error grows")

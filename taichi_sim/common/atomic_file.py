@@ -66,12 +66,12 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
 def arrays_in(path: Path, prefix: str) -> dict[str, NDArray]:
     """The arrays of an .npz whose names begin with `prefix`, without it."""
     if not path.is_file():
-        raise SceneError(f"file: {str(path)!r} is not there; it must be an existing .npz file")
+        raise SceneError("table.file", path, says="is not there; it must be an existing .npz file")
     try:
         with np.load(path, allow_pickle=False) as data:
             found = {key[len(prefix) :]: data[key] for key in data.files if key.startswith(prefix)}
     except Exception as error:  # a damaged archive raises whatever its parts raise
-        raise SceneError(f"file: {str(path)!r} cannot be read as .npz arrays: {error}") from None
+        raise SceneError("table.file", path, says=f"cannot be read as .npz arrays: {error}") from None
     if not found:
-        raise SceneError(f"file: {str(path)!r} holds no array whose name begins with {prefix!r}")
+        raise SceneError("table.file", path, says=f"holds no array whose name begins with {prefix!r}")
     return found

@@ -1,10 +1,62 @@
-"""The three errors that a user of taichi_sim can meet, and nothing else."""
+"""The three errors that a user of taichi_sim can meet, and the words that they share."""
 
-__all__ = ["BackendError", "SceneError", "UnstableError"]
+import difflib
+import os
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+__all__ = [
+    "BackendError",
+    "KeyPath",
+    "SceneError",
+    "UnstableError",
+    "about",
+    "did_you_mean",
+    "key_name",
+    "path_of",
+    "short",
+    "unknown_key",
+]
+
+KeyPath = tuple[str | int, ...]
+RENAMED = {"contact_passes": "contact_iterations", "skins": "embedded_surfaces", "add_skin": "add_embedded_surface"}
 
 
 class SceneError(ValueError):
-    """Something in the scene is wrong; the message names the field, the index, the value and what is allowed."""
+    """Something in the scene is wrong. The message is made of data, which stay attributes:
+
+    path: keys and indices of the place, ("springs", 3, "pairs", 12), given so or as text; () where a sentence stands alone.
+    value: what stands there; `...` where no value is at fault. allowed: what it must be. says: in place of that, what is
+    wrong, in words that follow the value. file, line: of the scene file or state file, or None.
+
+        SceneError("balls.mass", -1.0, "greater than 0")        balls.mass: -1.0 is not allowed; it must be greater than 0
+        SceneError("balls.mass", "x", says="is not a number")   balls.mass: 'x' is not a number
+        SceneError("wind", says="there is one already")         wind: there is one already
+        SceneError("nothing moves")                             nothing moves
+    """
+
+    def __init__(
+        self,
+        path: str | Sequence[str | int],
+        value: Any = ...,
+        allowed: str = "",
+        *,
+        says: str = "",
+        file: Any = None,
+        line: int | None = None,
+    ) -> None:
+        if value is ... and not says:
+            path, says = (), str(path)
+        super().__init__(path, value, allowed)
+        self.path, self.value, self.allowed = path_of(path), value, allowed
+        self.says = says or f"is not allowed; it must be {allowed}"
+        self.file, self.line = file, line
+
+    def __str__(self) -> str:
+        at = None if self.file is None else f"{self.file}" + (f", line {self.line}" if self.line else "")
+        sentence = self.says if self.value is ... else f"{short(self.value)} {self.says}"
+        return ": ".join(part for part in (at, key_name(self.path), sentence) if part)
 
 
 class BackendError(RuntimeError):
@@ -25,3 +77,50 @@ class UnstableError(RuntimeError):
         self.ball = ball
         self.spring = spring
         self.safe_dt = safe_dt
+
+
+@contextmanager
+def about(place: str) -> Iterator[None]:
+    """Let errors speak of `place` instead of the first name in their paths: cloth.pinned[3] in place of balls.pinned[3]."""
+    try:
+        yield
+    except SceneError as error:
+        error.path = path_of(place) + error.path[1:]
+        raise
+
+
+def path_of(place: str | Sequence[str | int]) -> KeyPath:
+    """("springs", 3, "pairs", 12) for `springs[3].pairs[12]`."""
+    if not isinstance(place, str):
+        return tuple(place)
+    parts = place.replace("[", ".").replace("]", "").split(".")
+    return tuple(int(part) if part.isdigit() else part for part in parts)
+
+
+def key_name(path: Sequence[str | int]) -> str:
+    """The reverse."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).lstrip(".")
+
+
+def short(value: object) -> str:
+    """A value as text, cut off where that is long and no path."""
+    if isinstance(value, os.PathLike):
+        return repr(os.fspath(value))
+    text = repr(value.tolist() if hasattr(value, "tolist") else value)  # NumPy's
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def unknown_key(path: str | Sequence[str | int], known: Collection[str], what: str = "a known key") -> SceneError:
+    """The error about a key that is none of those known: what it is called now, or may have meant."""
+    key = str(path_of(path)[-1])
+    if RENAMED.get(key) in known:
+        return SceneError(path, says=f"is now called {RENAMED[key]!r}")
+    return SceneError(path, says=f"is not {what}; {did_you_mean(key, known)}")
+
+
+def did_you_mean(word: str, known: Collection[str], otherwise: str = "") -> str:
+    """`did you mean 'mass'?`, or all that there is, or what is to be said otherwise."""
+    close = difflib.get_close_matches(word, known, n=1)
+    if close or otherwise:
+        return f"did you mean {close[0]!r}?" if close else otherwise
+    return f"there are {', '.join(known)}" if known else "there are none"

@@ -1,6 +1,6 @@
 """Checks of plain numbers and arrays: one sentence that names the place, the value and what is allowed."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,43 +8,49 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["flags", "indices", "many", "number", "per_item", "short", "strained", "strains", "vector", "vectors"]
+__all__ = [
+    "direction",
+    "flags",
+    "indices",
+    "many",
+    "number",
+    "one_of",
+    "per_item",
+    "strained",
+    "strains",
+    "vector",
+    "vectors",
+    "whole",
+]
+
+MOST_MAGNITUDE = (
+    1e50  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
+)
 
 
-MOST = 1e50  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
-
-
-def _place(where: str, bad: NDArray[np.bool_], values: NDArray) -> tuple[str, Any]:
-    """Name and value of the first bad item: `mass[3]` for one of many, `mass` for a lone number."""
-    if values.ndim == 0:
-        return where, values.item()
-    first = np.unravel_index(int(np.argmax(bad)), bad.shape)
-    return where + "".join(f"[{i}]" for i in first), values[first].item()
-
-
-def _array(where: str, value: ArrayLike, what: str, most: float = MOST) -> NDArray[np.float64]:
+def _array(where: str, value: ArrayLike, what: str, most: float = MOST_MAGNITUDE) -> NDArray[np.float64]:
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "iuf":
             raise ValueError
         array = array.astype(np.float64)
     except (TypeError, ValueError):
-        raise SceneError(f"{where}: {short(value)} is not {what}") from None
+        raise SceneError(where, value, says=f"is not {what}") from None
     _require(where, array, np.isfinite(array), "a finite number")
     _require(where, array, np.abs(array) <= most, f"at most {most:g} in magnitude")
     return array
 
 
-def short(value: object) -> str:
-    """A value as text, cut off where that is long."""
-    text = repr(value.tolist() if isinstance(value, np.ndarray) else value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
 def _require(where: str, array: NDArray, good: NDArray[np.bool_], allowed: str) -> None:
+    """Raise SceneError about the first bad item: `mass[3]` of many, `mass` where it is a lone number."""
     if not np.all(good):
-        place, value = _place(where, ~np.asarray(good), array)
-        raise SceneError(f"{place}: {value} is not allowed; it must be {allowed}")
+        first = np.unravel_index(int(np.argmin(good)), array.shape)
+        raise SceneError(where + "".join(f"[{i}]" for i in first), array[first], allowed)
+
+
+def _shape(where: str, array: NDArray, good: bool, allowed: str) -> None:
+    if not good:
+        raise SceneError(where, says=f"shape {array.shape} does not fit; it must be {allowed}")
 
 
 def _bounds(where: str, array: NDArray, low: float | None, high: float | None, positive: bool) -> None:
@@ -60,11 +66,27 @@ def number(
     where: str, value: Any, *, low: float | None = None, high: float | None = None, positive: bool = False
 ) -> float:
     """One finite number within its bounds, as a float. Raises SceneError."""
-    array = _array(where, value, "a number", MOST if high is None else max(MOST, high))
+    array = _array(where, value, "a number", MOST_MAGNITUDE if high is None else max(MOST_MAGNITUDE, high))
     if array.ndim != 0:
-        raise SceneError(f"{where}: {short(value)} is not one number")
+        raise SceneError(where, value, says="is not one number")
     _bounds(where, array, low, high, positive)
     return float(array)
+
+
+def whole(where: str, value: Any, low: int, high: int | None = None) -> int:
+    """One whole number within its bounds. Raises SceneError."""
+    fits = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not fits or value < low or (high is not None and value > high):
+        allowed = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise SceneError(where, value, f"a whole number {allowed}")
+    return int(value)
+
+
+def one_of(where: str, value: Any, words: Iterable[Any], more: str = "") -> None:
+    """Raise SceneError where a value is none of these; more: what else it may be."""
+    allowed = list(words)
+    if not any(value is word or (isinstance(value, str) and value == word) for word in allowed):
+        raise SceneError(where, value, f"one of {', '.join(map(repr, allowed))}{more}")
 
 
 def per_item(
@@ -78,8 +100,7 @@ def per_item(
 ) -> NDArray[np.float64]:
     """One finite number, or one per item, as an array of shape (n,). Raises SceneError."""
     array = _array(where, value, "a number or a list of numbers")
-    if array.shape not in ((), (n,)):
-        raise SceneError(f"{where}: shape {array.shape} does not fit; give one number or {n} of them")
+    _shape(where, array, array.shape in ((), (n,)), f"one number or {n} of them")
     _bounds(where, array, low, high, positive)
     return np.broadcast_to(array, (n,)).astype(np.float64)
 
@@ -104,8 +125,8 @@ def strained(strain: NDArray[np.float64], rest_length: NDArray[np.float64]) -> N
     none = np.isfinite(strain) & (rest_length == 0.0)
     if none.any():
         raise SceneError(
-            f"springs.break_strain[{int(np.argmax(none))}]: this spring has rest length 0, so it has no strain; give it a rest"
-            " length, or leave break_strain out"
+            f"springs.break_strain[{int(np.argmax(none))}]",
+            says="this spring has rest length 0, so it has no strain; give it a rest length, or leave break_strain out",
         )
 
 
@@ -114,19 +135,26 @@ def vectors(where: str, value: ArrayLike, n: int | None, dim: int) -> NDArray[np
     array = _array(where, value, f"a list of {dim}-vectors")
     if n is None and array.ndim == 1 and array.size == 0:
         array = array.reshape(0, dim)
-    if n is None and (array.ndim != 2 or array.shape[1] != dim):
-        raise SceneError(f"{where}: shape {array.shape} does not fit; it must be (n, {dim})")
-    if n is not None and array.shape not in ((dim,), (n, dim)):
-        raise SceneError(f"{where}: shape {array.shape} does not fit; it must be ({dim},) or ({n}, {dim})")
-    return array.copy() if n is None else np.broadcast_to(array, (n, dim)).copy()
+    if n is None:
+        _shape(where, array, array.ndim == 2 and array.shape[1] == dim, f"(n, {dim})")
+        return array.copy()
+    _shape(where, array, array.shape in ((dim,), (n, dim)), f"({dim},) or ({n}, {dim})")
+    return np.broadcast_to(array, (n, dim)).copy()
 
 
 def vector(where: str, value: ArrayLike, dim: int) -> NDArray[np.float64]:
     """One finite vector as an array of shape (dim,). Raises SceneError."""
     array = _array(where, value, f"a vector of {dim} numbers")
-    if array.shape != (dim,):
-        raise SceneError(f"{where}: shape {array.shape} does not fit; it must be ({dim},)")
+    _shape(where, array, array.shape == (dim,), f"({dim},)")
     return array.copy()
+
+
+def direction(where: str, value: ArrayLike, dim: int) -> NDArray[np.float64]:
+    """The same, not all 0."""
+    array = vector(where, value, dim)
+    if not array.any():
+        raise SceneError(where, array, "a vector that has a direction")
+    return array
 
 
 def many(value: Any, item_ndim: int) -> Any:
@@ -147,19 +175,19 @@ def indices(
     """Integers from 0 to limit - 1, numbers of `what`, as an array of shape (k,), or (k, width). Raises SceneError."""
     try:
         array = np.asarray(value)
-    except ValueError:
-        raise SceneError(f"{where}: {short(value)} is not a list of integers") from None
+    except ValueError:  # lists of different lengths
+        array = np.array("")
     if array.size == 0:
         return np.zeros((0,) if width is None else (0, width), dtype=np.int32)
     if array.dtype.kind not in "iu":
-        raise SceneError(f"{where}: {short(value)} is not a list of integers")
-    if array.ndim != (1 if width is None else 2) or (width is not None and array.shape[1] != width):
-        raise SceneError(f"{where}: shape {array.shape} does not fit; it must be (k{f', {width}' if width else ','})")
-    allowed = f"a {what}, from 0 to {limit - 1}" if limit else f"a {what}, but there is none"
+        raise SceneError(where, value, says="is not a list of integers")
+    fits = array.ndim == 1 if width is None else array.ndim == 2 and array.shape[1] == width
+    _shape(where, array, fits, "(k,)" if width is None else f"(k, {width})")
     bad = ((array < 0) | (array >= limit)).reshape(len(array), -1).any(axis=1)
     if bad.any():
         first = int(np.argmax(bad))
-        raise SceneError(f"{where}[{first}]: {array[first].tolist()} is not allowed; it must name {allowed}")
+        allowed = f"from 0 to {limit - 1}" if limit else "but there is none"
+        raise SceneError(f"{where}[{first}]", array[first], says=f"is not allowed; it must name a {what}, {allowed}")
     return array.astype(np.int32)
 
 
@@ -170,5 +198,5 @@ def flags(where: str, value: bool | Sequence[bool] | NDArray, n: int) -> NDArray
     except ValueError:  # rows of different lengths
         array = np.zeros(0)
     if array.dtype != np.bool_ or array.shape not in ((), (n,)):
-        raise SceneError(f"{where}: {short(value)} does not fit; give true, false or a list of {n} of them")
+        raise SceneError(where, value, says=f"does not fit; give true, false or a list of {n} of them")
     return np.broadcast_to(array, (n,)).copy()

@@ -67,9 +67,8 @@ class Fields:
         lost = ~np.isfinite(array) | ((array == 0) & (np.asarray(data) != 0))
         if lost.any():
             value = np.asarray(data)[lost].flat[0]
-            raise SceneError(
-                f'precision: the {what} {value:.4g} does not fit into single precision; use precision "f64"'
-            )
+            says = f'the {what} {value:.4g} does not fit into single precision; use precision "f64"'
+            raise SceneError("precision", says=says)
         return array
 
     def reals(self, data: int | NDArray) -> Any:

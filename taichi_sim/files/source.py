@@ -1,7 +1,6 @@
 """What a user may name as a SCENE: a TOML file, a Python file with scene() or simulation(), or a built-in demo."""
 
 import ast
-import difflib
 import importlib.util
 import sys
 import traceback
@@ -11,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import BackendError, SceneError, UnstableError, about, did_you_mean, unknown_key
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.scene import Scene
 
@@ -44,8 +43,7 @@ def resolve(name: str) -> Path:
         return short[name]
     if Path(name).suffix in (".toml", ".py"):
         raise FileNotFoundError(f"{name}: there is no such file")
-    close = difflib.get_close_matches(name, list(short), n=1)
-    hint = f"did you mean {close[0]!r}?" if close else "`taichi-sim demos` lists the demos"
+    hint = did_you_mean(name, short, "`taichi-sim demos` lists the demos")
     raise FileNotFoundError(f"{name}: is neither a file nor a built-in demo; {hint}")
 
 
@@ -61,11 +59,11 @@ def open_scene(file: Path) -> Scene | None:
     if hasattr(module, "scene"):
         made = _call(file, module, "scene")
         if not isinstance(made, Scene):
-            raise SceneError(f"{file}: scene() returned {type(made).__name__}; it must return a Scene")
+            raise SceneError((), says=f"scene() returned {type(made).__name__}; it must return a Scene", file=file)
         return made
     if hasattr(module, "simulation"):
         return None
-    raise SceneError(f"{file}: has neither scene() nor simulation(); define one of them")
+    raise SceneError((), says="has neither scene() nor simulation(); define one of them", file=file)
 
 
 def checked_output(scene: Scene) -> dict[str, Any]:
@@ -75,20 +73,20 @@ def checked_output(scene: Scene) -> dict[str, Any]:
         return {}
     from pydantic import ValidationError
 
-    from taichi_sim.files.toml_schema import Output
+    from taichi_sim.files.toml_schema import Output, what_is_allowed
 
     listed: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in output.items()}
     try:
         Output.model_validate(listed)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise SceneError(f"scene.output: {place}: {first['input']!r} is not allowed: {first['msg']}") from None
+        path = ("scene", "output", *first["loc"])
+        if first["type"] == "extra_forbidden":
+            raise unknown_key(path, Output.model_fields) from None
+        raise SceneError(path, first["input"], what_is_allowed(first)) from None
     if listed.get("camera") is not None:
-        try:
+        with about("scene.output.camera"):
             CameraPath.of(listed["camera"], scene.dim, scene.n_balls)
-        except SceneError as error:
-            raise SceneError(f"scene.output: {error}") from None
     return listed
 
 
@@ -104,7 +102,7 @@ def _module(file: Path) -> ModuleType:
         return sys.modules[name]
     specification = importlib.util.spec_from_file_location(name, file.resolve())
     if specification is None or specification.loader is None:
-        raise SceneError(f"{file}: cannot be read as Python")
+        raise SceneError((), says="cannot be read as Python", file=file)
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module  # Taichi looks up the source of kernels through it
     sys.path.insert(0, str(file.resolve().parent))
@@ -125,16 +123,13 @@ def _call(file: Path, module: ModuleType, function: str) -> Any:
 
 def _located(file: Path, error: Exception) -> Exception:
     """An error from a user's Python file as one line with the place in that file; its kind decides the exit status."""
-    from taichi_sim.common.errors import BackendError, UnstableError
-
     if isinstance(error, (BackendError, UnstableError)):
         return error
     lines = list(_lines(error, file.resolve()))
     if isinstance(error, SyntaxError) and error.lineno:
         lines.append(error.lineno)
-    place = f"{file}, line {lines[-1]}" if lines else str(file)
-    kind = "" if isinstance(error, SceneError) else f"{type(error).__name__}: "
-    return SceneError(f"{place}: {kind}{error}")
+    says = str(error) if isinstance(error, SceneError) else f"{type(error).__name__}: {error}"
+    return SceneError((), says=says, file=file, line=lines[-1] if lines else None)
 
 
 def _lines(error: Exception, file: Path) -> Iterator[int]:

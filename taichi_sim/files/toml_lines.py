@@ -3,14 +3,9 @@
 import re
 from collections.abc import Iterator, Sequence
 
-__all__ = ["key_name", "line_of"]
+__all__ = ["line_of"]
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
-
-
-def key_name(path: Sequence[str | int]) -> str:
-    """`springs[3].pairs[12]` for ("springs", 3, "pairs", 12)."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).lstrip(".")
 
 
 def line_of(text: str, path: Sequence[str | int]) -> int | None:

@@ -5,10 +5,8 @@ wheel, pile, truss, net, balloon, tower), springs, attachments, cells, bending, 
 triangles, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
 """
 
-import difflib
 import inspect
 import os
-import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,8 +19,8 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import arrays_in
-from taichi_sim.common.errors import SceneError
-from taichi_sim.files.toml_lines import key_name, line_of
+from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, unknown_key
+from taichi_sim.files.toml_lines import line_of
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.scene import Scene
@@ -37,17 +35,6 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 __all__ = ["Reader", "load_scene"]
-
-_Path = tuple[str | int, ...]
-_KEY = re.compile(r"^(?:\w+(?:\[\d+\])?\.|material '.*?': )?(?P<key>\w[\w\[\].]*): (?P<what>.*)$", re.DOTALL)
-_ALLOWED = re.compile(r"^(?:Input|List|Tuple|Value) should (?:be|have) (?:a valid |an instance of )?")
-_PLAIN = {
-    "integer": "a whole number",
-    "boolean": "true or false",
-    "string": "a text",
-    "tuple": "a list",
-    "Sequence": "a list",
-}
 
 
 def load_scene(path: str | os.PathLike[str], *, tables: Mapping[str, Callable[..., Any]] | None = None) -> Scene:
@@ -66,9 +53,9 @@ def load_scene(path: str | os.PathLike[str], *, tables: Mapping[str, Callable[..
         text = file.read_text(encoding="utf-8")
         document = tomllib.loads(text)
     except UnicodeDecodeError as error:
-        raise SceneError(f"{file}: is not a text in UTF-8: {error.reason} at byte {error.start}") from None
+        raise SceneError((), says=f"is not a text in UTF-8: {error.reason} at byte {error.start}", file=file) from None
     except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"{file}: is not valid TOML: {error}") from None
+        raise SceneError((), says=f"is not valid TOML: {error}", file=file) from None
     return Reader(file, text, document, tables).scene()
 
 
@@ -101,11 +88,7 @@ class Reader:
                         arguments["mesh"] = self.file.parent / arguments["mesh"]
                     self._name(group, add(scene, **arguments).balls)
         self._user_defined(scene)
-        for index, table in enumerate(model.springs):
-            with self._at("springs", index):
-                arguments = self._with_file(("springs", index), table, ("pairs", "stiffness"))
-                arguments["pairs"] = self._members(scene, "springs.pairs", arguments, 2)
-                scene.add_springs(**arguments)
+        self._lists(scene, model, "springs", "pairs", 2, scene.add_springs, "stiffness")
         self._elements(scene, model)
         self._walls(scene, model.walls)
         for index, table in enumerate(model.colliders):
@@ -114,11 +97,7 @@ class Reader:
                 if "mesh" in arguments:
                     arguments["mesh"] = self.file.parent / arguments["mesh"]
                 scene.add_collider(shape_of(arguments))
-        for index, table in enumerate(model.triangles):
-            with self._at("triangles", index):
-                arguments = self._with_file(("triangles", index), table, ("triangles",))
-                arguments["triangles"] = self._members(scene, "triangles.triangles", arguments, 3)
-                scene.add_triangles(**arguments)
+        self._lists(scene, model, "triangles", "triangles", 3, scene.add_triangles)
         for index, table in enumerate(model.embedded_surfaces):
             with self._at("embedded_surfaces", index):
                 arguments = self._with_file(("embedded_surfaces", index), table, ("corners", "weights", "triangles"))
@@ -133,12 +112,13 @@ class Reader:
                 if "balls" in arguments:
                     arguments["balls"] = self._chosen(scene, "probes.balls", arguments, "balls", "members")
                 elif "members" in arguments:
-                    raise SceneError("members: count within a group of balls; balls must be the name of one")
+                    raise SceneError("probes.members", says="count within a group; balls must be the name of one")
                 scene.add_probe(**arguments)
         with self._at("output", "camera"):
             self._camera(scene)
         if scene.n_balls == 0:
-            raise SceneError(f"{self.file}: holds no ball; a scene needs at least one, from [[balls]] or a shape")
+            says = "holds no ball; a scene needs at least one, from [[balls]] or a shape"
+            raise SceneError((), says=says, file=self.file)
         return scene
 
     def _balls(self, scene: Scene, tables: "Sequence[BaseModel]") -> None:
@@ -151,6 +131,14 @@ class Reader:
                 group = arguments.pop("name", None)
                 self._name(group, scene.add_balls(**arguments))
 
+    def _lists(self, scene: Scene, model: Any, name: str, key: str, width: int, add: Any, *needed: str) -> None:
+        """Tables whose `key` is a list of so many balls each, within their group."""
+        for index, table in enumerate(getattr(model, name)):
+            with self._at(name, index):
+                arguments = self._with_file((name, index), table, (key, *needed))
+                arguments[key] = self._members(scene, f"{name}.{key}", arguments, width)
+                add(**arguments)
+
     def _user_defined(self, scene: Scene) -> None:
         for name, function in self.tables.items():
             given = self.document.get(name, [])
@@ -161,12 +149,12 @@ class Reader:
                     try:
                         inspect.signature(function).bind(scene, **keys)
                     except TypeError as error:
-                        raise SceneError(str(error)) from None
+                        raise SceneError((name, index), says=str(error)) from None
                     made = function(scene, **keys)
                     if isinstance(made, Shape):
                         self._name(group, made.balls)
                     elif group is not None:
-                        raise SceneError("name: is not allowed; what this table adds is no shape")
+                        raise SceneError("table.name", says="is not allowed; what this table adds is no shape")
 
     def _elements(self, scene: Scene, model: Any) -> None:
         for index, table in enumerate(model.attachments):
@@ -175,17 +163,9 @@ class Reader:
                 for side in ("one", "other"):
                     arguments[side] = self._chosen(scene, f"attachments.{side}", arguments, side, f"{side}_members")
                 scene.attach(**arguments)
-        parts = (
-            ("cells", "corners", scene.dim + 1, scene.add_cells, ("corners", "bulk_modulus")),
-            ("bending", "corners", 4, scene.add_bending, ("corners", "weights", "stiffness")),
-            ("gases", "triangles", 3, scene.add_gas, ("triangles",)),
-        )
-        for name, key, width, add, needed in parts:
-            for index, table in enumerate(getattr(model, name)):
-                with self._at(name, index):
-                    arguments = self._with_file((name, index), table, needed)
-                    arguments[key] = self._members(scene, f"{name}.{key}", arguments, width)
-                    add(**arguments)
+        self._lists(scene, model, "cells", "corners", scene.dim + 1, scene.add_cells, "bulk_modulus")
+        self._lists(scene, model, "bending", "corners", 4, scene.add_bending, "weights", "stiffness")
+        self._lists(scene, model, "gases", "triangles", 3, scene.add_gas)
         for index, table in enumerate(model.moving_pins):
             with self._at("moving_pins", index):
                 arguments = self._with_file(("moving_pins", index), table, ("balls",))
@@ -200,16 +180,16 @@ class Reader:
         value, chosen = arguments.pop(key), arguments.pop(members, None)
         if not isinstance(value, str):
             if chosen is not None:
-                raise SceneError(f"{members}: count within a group of balls; {key} must be the name of one")
+                raise SceneError(("table", members), says=f"count within a group; {key} must be the name of one")
             return validation.indices(where, value, scene.n_balls)
-        if value not in self.groups:
-            raise SceneError(f"{key}: {value!r} is not a name in this file; {_one_of(value, list(self.groups))}")
-        balls = self.groups[value]
-        return (
-            balls
-            if chosen is None
-            else balls[validation.indices(f"{where.partition('.')[0]}.{members}", chosen, len(balls))]
-        )
+        balls = self._named(where, value)
+        return balls if chosen is None else balls[validation.indices(f"table.{members}", chosen, len(balls))]
+
+    def _named(self, where: str, name: str) -> NDArray[np.int32]:
+        """The balls of a group."""
+        if name not in self.groups:
+            raise SceneError(where, name, says=f"is not a name in this file; {did_you_mean(name, self.groups)}")
+        return self.groups[name]
 
     def _walls(self, scene: Scene, tables: "Sequence[BaseModel]") -> None:
         for index, table in enumerate(tables):
@@ -227,11 +207,7 @@ class Reader:
             return
         name = camera.get("follow")
         if isinstance(name, str):
-            if name not in self.groups:
-                raise SceneError(
-                    f"camera.follow: {name!r} is not a name in this file; {_one_of(name, list(self.groups))}"
-                )
-            camera["follow"] = self.groups[name].tolist()
+            camera["follow"] = self._named("camera.follow", name).tolist()
         CameraPath.of(camera, scene.dim, scene.n_balls)
 
     # Parts of a table ----------------------------------------------------------------------------------------------
@@ -240,7 +216,7 @@ class Reader:
         if name is None:
             return
         if name in self.groups:
-            raise SceneError(f"name: {name!r} exists already; every group of balls needs its own name")
+            raise SceneError("table.name", name, says="exists already; every group of balls needs its own name")
         self.groups[name] = balls
 
     def _members(self, scene: Scene, where: str, arguments: dict[str, Any], width: int) -> NDArray[np.int32]:
@@ -254,13 +230,9 @@ class Reader:
     def _group(self, scene: Scene, arguments: dict[str, Any]) -> NDArray[np.int32]:
         """The balls that a table counts within: its group's, or all."""
         group = arguments.pop("balls", None)
-        if group is None:
-            return np.arange(scene.n_balls, dtype=np.int32)
-        if group in self.groups:
-            return self.groups[group]
-        raise SceneError(f"balls: {group!r} is not a name in this file; {_one_of(group, list(self.groups))}")
+        return np.arange(scene.n_balls, dtype=np.int32) if group is None else self._named("table.balls", group)
 
-    def _with_file(self, place: _Path, table: "BaseModel", needed: Sequence[str]) -> dict[str, Any]:
+    def _with_file(self, place: KeyPath, table: "BaseModel", needed: Sequence[str]) -> dict[str, Any]:
         """The keys of a table, together with the arrays from the .npz that its `file` names."""
         arguments = _given(table)
         name, prefix = arguments.pop("file", None), arguments.pop("prefix", "")
@@ -270,109 +242,61 @@ class Reader:
             known = [key for key in type(table).model_fields if key not in own]
             for key, array in arrays_in(self.file.parent / name, prefix).items():
                 if key not in known:
-                    raise SceneError(f"file: {name!r} holds the array {prefix + key!r}; {_one_of(key, known)}")
+                    says = f"holds the array {prefix + key!r}; {did_you_mean(key, known)}"
+                    raise SceneError("table.file", name, says=says)
                 if key in arguments:
-                    raise SceneError(f"{key}: stands in the table and in {name!r}; give it once")
+                    raise SceneError(("table", key), says=f"stands in the table and in {name!r}; give it once")
                 arguments[key] = array
         for key in needed:
             if arguments.get(key) is None:
-                raise SceneError(f"{key}: is missing; give it here or in a `file`")
+                raise SceneError(("table", key), says="is missing; give it here or in a `file`")
         return arguments
 
     # Errors --------------------------------------------------------------------------------------------------------
 
     @contextmanager
     def _at(self, *place: str | int) -> Iterator[None]:
-        """Give an error from within the block its file, line and path."""
+        """Give an error from within the block its file, line and path: that of the key in the table at `place`."""
         try:
             yield
         except SceneError as error:
-            found = _KEY.match(str(error))
-            key, what = found.group("key", "what") if found else ("", str(error))
-            names = tuple(int(n) if n.isdigit() else n for n in re.findall(r"\w+", key))
-            own = (
-                () if names in (place[:1], place) else names
-            )  # a shape's error about itself: `cloth: needs a scene in 3D`
-            raise self._error(_fitting(self.document, place + own), what) from error
+            raise self._located(error, _fitting(self.document, place + _within_table(error.path, place))) from None
 
-    def _error(self, path: _Path, what: str) -> SceneError:
-        line = line_of(self.text, path)
-        place = str(self.file) if line is None else f"{self.file}, line {line}"
-        return SceneError(f"{place}: {key_name(path)}: {what}" if path else f"{place}: {what}")
+    def _located(self, error: SceneError, path: KeyPath) -> SceneError:
+        error.path, error.file, error.line = path, self.file, line_of(self.text, path)
+        return error
 
     def _validated(self) -> "BaseModel":
         from pydantic import ValidationError
 
-        from taichi_sim.files.toml_schema import Document
+        from taichi_sim.files.toml_schema import Document, keys_at, what_is_allowed
 
         try:
             return Document.model_validate(
                 _frozen({name: table for name, table in self.document.items() if name not in self.tables})
             )
         except ValidationError as error:
-            problems = error.errors(include_url=False)
-        unknown = next((p for p in problems if p["type"] == "extra_forbidden"), None)
+            problems: list[Any] = error.errors(include_url=False)
+        unknown = next((p["loc"] for p in problems if p["type"] == "extra_forbidden"), None)
         if unknown is not None:
-            raise self._error(unknown["loc"], _unknown(unknown["loc"]))
+            raise self._located(unknown_key(unknown, keys_at(unknown)), unknown)
         first = problems[0]
-        path = _known(self.document, first["loc"])
+        path, value = _known(self.document, first["loc"])
         if first["type"] == "missing":
             missing = (*path, *first["loc"][len(path) : len(path) + 1])
-            raise self._error(missing, f"is missing; {_wanted(missing)}")
-        here = [p for p in problems if _known(self.document, p["loc"]) == path]
-        same = [("a list, each " if _of_items(p["loc"], path) else "") + _allowed(p["msg"]) for p in here]
-        raise self._error(path, self._refusal(path, same))
-
-    def _refusal(self, path: _Path, allowed: list[str]) -> str:
-        value: Any = self.document
-        for part in path:
-            value = value[part]
+            wanted = (
+                "the first line of a scene file is `format = 1`" if missing == ("format",) else "this table needs it"
+            )
+            raise self._located(SceneError(missing, says=f"is missing; {wanted}"), missing)
         if len(path) == 1 and isinstance(value, dict):
-            return f"is written as one table; there may be several of them: write [[{path[0]}]]"
-        shown = repr(value) if len(repr(value)) <= 60 else repr(value)[:57] + "..."
-        return f"{shown} is not allowed; it must be {' or '.join(dict.fromkeys(allowed))}"
-
-
-# Words -------------------------------------------------------------------------------------------------------------
-
-
-def _allowed(message: str) -> str:
-    """What is allowed, from a message of pydantic: `Input should be a valid number` -> `a number`."""
-    words = _ALLOWED.sub("", message).split(" after validation")[0]
-    if words in _PLAIN:
-        return _PLAIN[words]
-    return f"a {words}" if words in ("number", "dictionary") else words
-
-
-def _of_items(location: Sequence[str | int], path: _Path) -> bool:
-    """Whether an error of pydantic at `path` is about the items of a list that the value might be."""
-    return any(isinstance(part, int) for part in location[len(path) :])
-
-
-def _wanted(path: _Path) -> str:
-    return "the first line of a scene file is `format = 1`" if path == ("format",) else "this table needs it"
-
-
-def _unknown(path: _Path) -> str:
-    """An unknown key's message: the closest of the keys that its table knows."""
-    from taichi_sim.files.toml_schema import TABLES, Document, Output, Simulation, Wind
-
-    key = str(path[-1])
-    table = (
-        {"simulation": Simulation, "output": Output, "wind": Wind, **TABLES}.get(str(path[0]))
-        if len(path) > 1
-        else Document
-    )
-    known = list(table.model_fields) if table is not None else []  # type: ignore[attr-defined]
-    return f"is not a known key; {_one_of(key, known)}"
-
-
-def _one_of(word: str, known: Sequence[str]) -> str:
-    """`did you mean 'mass'?`, or all that there is."""
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
-    if close:
-        return f"did you mean {close[0]!r}?"
-    return f"there are {', '.join(known)}" if known else "there are none"
+            says = f"is written as one table; there may be several of them: write [[{path[0]}]]"
+            raise self._located(SceneError(path, says=says), path)
+        allowed = []
+        for problem in problems:
+            if _known(self.document, problem["loc"])[0] == path:  # one for each type that the key may have
+                of_items = any(isinstance(part, int) for part in problem["loc"][len(path) :])
+                allowed.append(("a list, each " if of_items else "") + what_is_allowed(problem))
+        raise self._located(SceneError(path, value, " or ".join(dict.fromkeys(allowed))), path)
 
 
 # Data --------------------------------------------------------------------------------------------------------------
@@ -385,7 +309,8 @@ def _given(table: Any) -> dict[str, Any]:
         try:
             np.shape(value if name != "path" else ())  # keyframes are no vectors
         except ValueError:
-            raise SceneError(f"{name}: its lists differ in length; give every vector as many numbers") from None
+            says = "its lists differ in length; give every vector as many numbers"
+            raise SceneError(("table", name), says=says) from None
     return given
 
 
@@ -402,21 +327,30 @@ def _frozen(value: Any) -> Any:
     return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
 
 
-def _known(document: Any, path: Sequence[str | int]) -> _Path:
-    """The leading part of a path that exists in the document: pydantic's own goes on into the members of a union."""
+def _known(document: Any, path: Sequence[str | int]) -> tuple[KeyPath, Any]:
+    """The leading part of a path that exists in the document, and what is there: pydantic's own path goes on into the members
+    of a union."""
     for depth, part in enumerate(path):
         fits = isinstance(document, dict) and part in document
         fits = fits or (isinstance(document, list) and isinstance(part, int) and part < len(document))
         if not fits:
-            return tuple(path[:depth])
+            return tuple(path[:depth]), document
         document = document[part]
-    return tuple(path)
+    return tuple(path), document
 
 
-def _fitting(document: Any, path: _Path) -> _Path:
+def _within_table(path: KeyPath, place: KeyPath) -> KeyPath:
+    """What follows the name that a function gives to what it checks, and its number there: `size` of `colliders[2].size`, (2,) of
+    no table."""
+    if not place or (len(path) == 1 and path[0] != place[0]):
+        return path
+    return path[2:] if len(path) > 1 and isinstance(path[1], int) else path[1:]
+
+
+def _fitting(document: Any, path: KeyPath) -> KeyPath:
     """The path without an index 0 that the document does not have: one vector was checked as a list of one."""
     for depth, part in enumerate(path):
         shorter = path[:depth] + path[depth + 1 :]
-        if part == 0 and len(_known(document, path)) < len(path) and _known(document, shorter) == shorter:
+        if part == 0 and _known(document, path)[0] != path and _known(document, shorter)[0] == shorter:
             return shorter
     return path

@@ -5,7 +5,7 @@ of that function, read from its signature: a new argument there is a new key her
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -27,7 +27,7 @@ from taichi_sim.analysis.methods import BUILT_IN_METHODS, VERLET
 from taichi_sim.scene import colliders
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["SHAPES", "TABLES", "Document", "Output", "Simulation", "Wind"]
+__all__ = ["SHAPES", "TABLES", "Document", "Output", "Simulation", "Wind", "keys_at", "what_is_allowed"]
 
 MOST_BODIES = 1_000_000
 
@@ -177,3 +177,41 @@ _document: dict[str, Any] = {
     **{name: (tuple[model, ...], ()) for name, model in TABLES.items()},  # type: ignore[valid-type]
 }
 Document: type[BaseModel] = create_model("Document", __base__=Strict, **_document)
+
+
+# Errors ------------------------------------------------------------------------------------------------------------
+
+ALLOWED = {  # by the types of pydantic's errors, filled in from their context
+    "greater_than": "greater than {gt}",
+    "greater_than_equal": "greater than or equal to {ge}",
+    "less_than": "less than {lt}",
+    "less_than_equal": "less than or equal to {le}",
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a text",
+    "tuple_type": "a list",
+    "is_instance_of": "a list",
+    "sequence_str": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "too_short": "a list of {min_length} or more",
+    "too_long": "a list of {max_length} at most",
+    "literal_error": "{expected}",
+}
+
+
+def what_is_allowed(problem: Mapping[str, Any]) -> str:
+    """What a value must be, of one of the errors of pydantic's ValidationError."""
+    words = ALLOWED.get(problem["type"])
+    context = {k: int(v) if isinstance(v, float) and v.is_integer() else v for k, v in problem.get("ctx", {}).items()}
+    return str(problem["msg"]) if words is None else words.format(**context)
+
+
+def keys_at(path: Sequence[str | int]) -> list[str]:
+    """The keys that the table has in which the last name of a path stands."""
+    tables: dict[str, Any] = {"simulation": Simulation, "output": Output, "wind": Wind, **TABLES}
+    model = tables.get(str(path[0])) if len(path) > 1 else Document
+    return [] if model is None else list(model.model_fields)

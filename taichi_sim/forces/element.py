@@ -57,7 +57,7 @@ class Element(Corners):
         balls = np.asarray(self.balls)
         if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(CORNER_NAMES):
             raise SceneError(
-                f"{where}: shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(CORNER_NAMES)}"
+                where, says=f"shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(CORNER_NAMES)}"
             )
         return validation.indices(where, balls, scene.n_balls, balls.shape[1])
 

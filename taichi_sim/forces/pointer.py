@@ -67,7 +67,7 @@ class Pointer:
         scene = self._there()
         index = int(validation.indices("ball", [ball], scene.n_balls)[0])
         if scene.pinned[index]:
-            raise SceneError(f"ball: {index} is pinned; only balls that move can be dragged")
+            raise SceneError("ball", index, says="is pinned; only balls that move can be dragged")
         goal = validation.vector("target", target, scene.dim)
         x = self._state.position
         self.ball, self._balls = index, self._around(index, x)

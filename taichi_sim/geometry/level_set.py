@@ -28,17 +28,17 @@ def level_set(
     a, b = validation.vector("level_set.low", low, 3), validation.vector("level_set.high", high, 3)
     step = validation.number("level_set.spacing", spacing, positive=True)
     if np.any(b - a < 2 * step):
-        raise SceneError(f"level_set.high: {b.tolist()} is not allowed; it must be above low by two spacings at least")
+        raise SceneError("level_set.high", b, "above low by two spacings at least")
     axes = [np.linspace(x, y, max(3, round((y - x) / step) + 1)) for x, y in zip(a, b)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     value = np.asarray(function(lattice), dtype=np.float64)
     inside = value < 0
     if not inside.any():
-        raise SceneError("level_set.function: is nowhere negative in the box; there is no surface")
+        raise SceneError("level_set.function", says="is nowhere negative in the box; there is no surface")
     rim = np.ones(inside.shape, dtype=bool)
     rim[1:-1, 1:-1, 1:-1] = False
     if inside[rim].any():
-        raise SceneError("level_set.low: the surface leaves the box; make low less or high more")
+        raise SceneError("level_set.low", says="the surface leaves the box; make low less or high more")
     corners = [tuple(slice(k >> s & 1, (k >> s & 1) - 1 or None) for s in (2, 1, 0)) for k in range(8)]
     mixed = np.sum([inside[c] for c in corners], axis=0) % 8 > 0
     total, weight = np.zeros((*mixed.shape, 3)), np.zeros((*mixed.shape, 1))

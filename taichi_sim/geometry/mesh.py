@@ -33,24 +33,23 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     """
     file = Path(path)
     if file.suffix.lower() not in SUFFIXES:
-        raise SceneError(f"mesh: {str(path)!r} is not allowed; it must be a file that ends in {' '.join(SUFFIXES)}")
+        raise SceneError("mesh", file, f"a file that ends in {' '.join(SUFFIXES)}")
     if not file.is_file():
-        raise SceneError(f"mesh: {str(path)!r} is not there; it must be an existing {file.suffix} file")
+        raise SceneError("mesh", file, says=f"is not there; it must be an existing {file.suffix} file")
     loaded = _load(file)
     vertices = np.asarray(getattr(loaded, "vertices", ()), dtype=np.float64)
     faces = np.asarray(getattr(loaded, "faces", ()), dtype=np.int64)
     if faces.size == 0 or vertices.size == 0:
-        raise SceneError(f"mesh: {str(path)!r} has no faces; a surface needs at least one triangle")
+        raise SceneError("mesh", file, says="has no faces; a surface needs at least one triangle")
     finite = np.isfinite(vertices).all(axis=1)
     if not finite.all():
         bad = int(np.argmin(finite))
-        place = vertices[bad].tolist()
         raise SceneError(
-            f"mesh: {str(path)!r}, vertex {bad} (from 0): {place} is not allowed; it must be finite numbers"
+            "mesh", file, says=f"has vertex {bad} (from 0) at {vertices[bad].tolist()}, which is not finite"
         )
     surface = _weld(vertices, faces)
     if not len(surface.triangles):
-        raise SceneError(f"mesh: {str(path)!r} has no face with an area; a surface needs at least one triangle")
+        raise SceneError("mesh", file, says="has no face with an area; a surface needs at least one triangle")
     return surface
 
 
@@ -58,14 +57,13 @@ def _load(file: Path) -> Any:
     try:
         import trimesh
     except ImportError:
-        raise SceneError('mesh: reading meshes needs one more package: pip install "taichi-sim[mesh]"') from None
+        raise SceneError("mesh", says='reading meshes needs one more package: pip install "taichi-sim[mesh]"') from None
     try:
         return trimesh.load_mesh(file, process=False, skip_materials=True)
     except Exception as error:  # a parser for foreign files may raise anything
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise SceneError(
-            f"mesh: {str(file)!r} cannot be read as {file.suffix[1:].upper()} with faces: {reason}"
-        ) from error
+        says = f"cannot be read as {file.suffix[1:].upper()} with faces: {reason}"
+        raise SceneError("mesh", file, says=says) from error
 
 
 def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
@@ -80,11 +78,9 @@ def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
 def by_hand(where: str, mesh: Any) -> Surface:
     """A mesh that was given as two arrays, checked. Raises SceneError, which begins with `where`."""
     if not isinstance(mesh, (list, tuple)) or len(mesh) != 2:
-        raise SceneError(
-            f"{where}: {validation.short(mesh)} is not allowed; it must be a file {' '.join(SUFFIXES)} or (vertices, triangles)"
-        )
-    vertices = validation.vectors(f"{where}: vertices", mesh[0], None, 3)
-    return Surface(vertices, validation.indices(f"{where}: triangles", mesh[1], len(vertices), 3, "vertex"))
+        raise SceneError(where, mesh, f"a file {' '.join(SUFFIXES)} or (vertices, triangles)")
+    vertices = validation.vectors(f"{where}.vertices", mesh[0], None, 3)
+    return Surface(vertices, validation.indices(f"{where}.triangles", mesh[1], len(vertices), 3, "vertex"))
 
 
 def sides(triangles: NDArray) -> NDArray:

@@ -2,20 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, unknown_key
 
 __all__ = ["CameraPath", "eased"]
 
 Vector = tuple[float, ...]
-FLAT = ("centre", "width", "follow")  # what a camera of a scene in 2D has
-KEY = ("time", "eye", "target", "fov")  # what a keyframe has
+KEYS_IN_2D = ("centre", "width", "follow")
+KEYFRAME = ("time", "eye", "target", "fov")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +44,12 @@ class CameraPath:
     @classmethod
     def of(cls, given: Mapping[str, Any], dim: int, n_balls: int) -> "CameraPath":
         """From the keys of [output.camera]. Raises SceneError that names the key, the value and what is allowed."""
-        known = FLAT if dim == 2 else [f.name for f in fields(cls) if f.name not in FLAT[:2]]
+        known = KEYS_IN_2D if dim == 2 else [f.name for f in fields(cls) if f.name not in KEYS_IN_2D[:2]]
         if not isinstance(given, Mapping):
-            raise SceneError(f"camera: {given!r} is not allowed; it must be a table of {', '.join(known)}")
+            raise SceneError("camera", given, f"a table of {', '.join(known)}")
         for key in given:
             if key not in known:
-                near = get_close_matches(str(key), known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"in {dim}D there are {', '.join(known)}"
-                raise SceneError(f"camera.{key}: is not a known key; {hint}")
+                raise unknown_key(("camera", key), known, f"a key of a camera in {dim}D")
         values = {key: _value(key, value, dim, n_balls) for key, value in given.items()}
         for key, others in (
             ("path", ("eye", "target", "azimuth", "elevation", "distance", "orbit", "follow", "fov")),
@@ -60,9 +57,9 @@ class CameraPath:
         ):
             for other in others:
                 if key in values and other in values:
-                    raise SceneError(f"camera.{other}: does not go together with {key}; leave one of them out")
+                    raise SceneError(f"camera.{other}", says=f"does not go together with {key}; leave one of them out")
         if "eye" in values and values["eye"] == values.get("target"):
-            raise SceneError(f"camera.target: {list(values['target'])} is not allowed; it must differ from eye")
+            raise SceneError("camera.target", list(values["target"]), "another point than eye")
         return cls(**values)
 
     def place(self, time: float) -> tuple[NDArray[np.float64], NDArray[np.float64], float | None]:
@@ -94,10 +91,8 @@ def eased(times: NDArray, values: NDArray, time: float) -> NDArray[np.float64]:
 def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
     where = f"camera.{key}"
     if key in ("eye", "target", "up", "centre"):
-        vector = tuple(validation.vector(where, value, dim).tolist())
-        if key == "up" and not any(vector):
-            raise SceneError(f"{where}: {list(vector)} is not allowed; it must have a direction")
-        return vector
+        checked = validation.direction if key == "up" else validation.vector
+        return tuple(checked(where, value, dim).tolist())
     if key == "fov":
         return validation.number(where, value, low=1, high=170)
     if key == "elevation":
@@ -109,38 +104,36 @@ def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
     if key == "follow":
         balls = validation.indices(where, np.atleast_1d(np.asarray(value)), n_balls)
         if not len(balls):
-            raise SceneError(f"{where}: {value!r} is not allowed; it must name at least one ball")
+            raise SceneError(where, value, "one ball or more")
         return balls
     return _keyframes(where, value)
 
 
 def _keyframes(where: str, value: Any) -> tuple[dict[str, Any], ...]:
     if not isinstance(value, (list, tuple)) or len(value) < 2:
-        raise SceneError(f"{where}: {value!r} is not allowed; it must be two keyframes or more")
+        raise SceneError(where, value, "two keyframes or more")
     frames: list[dict[str, Any]] = []
     for k, key in enumerate(value):
         place = f"{where}[{k}]"
         if not isinstance(key, Mapping):
-            raise SceneError(
-                f"{place}: {key!r} is not allowed; a keyframe has time, eye, target and, if all have it, fov"
-            )
+            raise SceneError(place, key, "a table of time, eye, target and, if all have it, fov")
         for name in key:
-            if name not in KEY:
-                raise SceneError(f"{place}.{name}: is not a known key; a keyframe has {', '.join(KEY)}")
-        for name in KEY[:3]:
+            if name not in KEYFRAME:
+                raise unknown_key(f"{place}.{name}", KEYFRAME)
+        for name in KEYFRAME[:3]:
             if name not in key:
-                raise SceneError(f"{place}.{name}: is missing; each keyframe needs it")
+                raise SceneError(f"{place}.{name}", says="is missing; each keyframe needs it")
         frame: dict[str, Any] = {"time": validation.number(f"{place}.time", key["time"])}
         frame |= {
             name: tuple(validation.vector(f"{place}.{name}", key[name], 3).tolist()) for name in ("eye", "target")
         }
         if frame["eye"] == frame["target"]:
-            raise SceneError(f"{place}.target: {list(frame['target'])} is not allowed; it must differ from eye")
+            raise SceneError(f"{place}.target", list(frame["target"]), "another point than eye")
         if "fov" in key:
             frame["fov"] = validation.number(f"{place}.fov", key["fov"], low=1, high=170)
         if frames and frame["time"] <= frames[-1]["time"]:
-            raise SceneError(f"{place}.time: {frame['time']:g} is not allowed; it must be later than the one before")
+            raise SceneError(f"{place}.time", frame["time"], "later than the one before")
         if frames and ("fov" in frame) != ("fov" in frames[0]):
-            raise SceneError(f"{place}.fov: give one to all keyframes or to none")
+            raise SceneError(f"{place}.fov", says="give one to all keyframes or to none")
         frames.append(frame)
     return tuple(frames)

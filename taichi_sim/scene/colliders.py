@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, about, unknown_key
 from taichi_sim.geometry.mesh import Surface, area_distance, by_hand, holes, mesh_distance, read_surface, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 from taichi_sim.scene.keyframes import Motion, keyframe, turn_matrix
@@ -103,8 +103,9 @@ class Collider:
         instead = self.shape.saved_as()
         if not isinstance(instead, tuple(SHAPES.values())):
             raise SceneError(
-                f"{where} ({self.name}): a file cannot hold a shape of your own; let its saved_as() return the ts.Sphere, ts.Box,"
-                " ts.Capsule or ts.Mesh that is to be saved in its place"
+                where,
+                says=f"a file cannot hold {self.name}, a shape of your own; let its saved_as() return the ts.Sphere, ts.Box,"
+                " ts.Capsule or ts.Mesh that is to be saved in its place",
             )
         return replace(build(instead, len(self.half), where, self.material), group=self.group, mask=self.mask)
 
@@ -232,16 +233,15 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     if isinstance(shape, ColliderShape):
         name = type(shape).__name__
     if name is None:
-        raise SceneError(
-            f"{where}: {shape!r} is not allowed; it must be one of ts.Sphere, ts.Box, ts.Capsule, ts.Mesh, or a ts.ColliderShape"
-        )
+        raise SceneError(where, shape, "one of ts.Sphere, ts.Box, ts.Capsule, ts.Mesh, or a ts.ColliderShape")
     given = {f.name: getattr(shape, f.name) for f in fields(shape)}
     half, radius, hollow, resolution = np.zeros(dim), 0.0, 0.0, 0
     surface = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32))
     turn = None
     if isinstance(shape, Mesh):
         kind, centre = MESH, np.zeros(3)
-        surface, resolution = _surface(shape, dim, where), _resolution(shape.resolution, where)
+        surface = _surface(shape, dim, where)
+        resolution = validation.whole(f"{where}.resolution", shape.resolution, 4, MOST_CELLS)
         if shape.position is not None:
             centre = validation.vector(f"{where}.position", shape.position, 3)
         given["mesh"] = surface  # scaled already
@@ -255,17 +255,13 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     if isinstance(shape, (Sphere, Box, ColliderShape)):
         centre = validation.vector(f"{where}.center", shape.center, dim)
     if isinstance(shape, Box):
-        kind, half = BOX, 0.5 * validation.vector(f"{where}.size", shape.size, dim)
-        if not np.all(half > 0):
-            axis = int(np.argmin(half > 0))
-            raise SceneError(f"{where}.size[{axis}]: {2 * half[axis]:g} is not allowed; it must be greater than 0")
+        size = validation.vector(f"{where}.size", shape.size, dim)
+        kind, half = BOX, 0.5 * validation.per_item(f"{where}.size", size, dim, positive=True)
     if isinstance(shape, Capsule):
         start, end = (validation.vector(f"{where}.{key}", given[key], dim) for key in ("start", "end"))
         centre, length = 0.5 * (start + end), float(np.linalg.norm(end - start))
         if length == 0.0:
-            raise SceneError(
-                f"{where}.end: {end.tolist()} is not allowed; it must differ from start (or take a Sphere)"
-            )
+            raise SceneError(f"{where}.end", end, "another point than start (or take a Sphere)")
         half[0], turn = 0.5 * length, _onto((end - start) / length)
     motion = Motion.of(where, dim, centre, given)
     if turn is not None:
@@ -282,15 +278,7 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
 
 def _turned(motion: Motion, turn: Floats) -> Motion:
     """The motion of a shape whose local frame is turned before: a capsule lies along its local x axis."""
-    return Motion(
-        motion.times,
-        motion.positions,
-        motion.rotations @ turn,
-        motion.turns,
-        motion.velocity,
-        motion.pivot,
-        motion.repeat,
-    )
+    return replace(motion, rotations=motion.rotations @ turn)
 
 
 def _onto(axis: Floats) -> Floats:
@@ -307,14 +295,12 @@ def _onto(axis: Floats) -> Floats:
 def _surface(shape: Mesh, dim: int, where: str) -> Surface:
     """The triangles of a mesh collider, scaled, closed and facing outward."""
     if dim != 3:
-        raise SceneError(f"{where}: a mesh needs a scene in 3D")
+        raise SceneError(where, says="a mesh needs a scene in 3D")
     scale = validation.number(f"{where}.scale", shape.scale, positive=True)
     if isinstance(shape.mesh, (str, PathLike)):
         name = repr(str(shape.mesh))
-        try:
+        with about(f"{where}.mesh"):
             surface = read_surface(shape.mesh)
-        except SceneError as problem:
-            raise SceneError(f"{where}.{problem}") from None
     else:
         surface = by_hand(f"{where}.mesh", shape.mesh)
         name = "the mesh"
@@ -330,12 +316,13 @@ def _closed(surface: Surface, where: str, name: str) -> Surface:
         if len(open_edges):
             at = f"; the first lies at {(surface.vertices[open_edges[0]].mean(axis=0)).round(6).tolist()}"
         raise SceneError(
-            f"{where}: {name} is not closed: {len(open_edges)} edges do not lie between exactly two triangles that"
-            f" face the same way{at}; a collider needs an inside"
+            where,
+            says=f"{name} is not closed: {len(open_edges)} edges do not lie between exactly two triangles that"
+            f" face the same way{at}; a collider needs an inside",
         )
     inside = volume(surface)
     if abs(inside) <= FLATTEST * float(np.max(np.ptp(surface.vertices, axis=0))) ** 3:
-        raise SceneError(f"{where}: {name} is flat: it encloses {inside:.2g} m^3; a collider needs an inside")
+        raise SceneError(where, says=f"{name} is flat: it encloses {inside:.2g} m^3; a collider needs an inside")
     triangles = surface.triangles[:, ::-1] if inside < 0.0 else surface.triangles
     return Surface(surface.vertices, np.ascontiguousarray(triangles))
 
@@ -344,26 +331,18 @@ def _drawn(shape: ColliderShape, dim: int, where: str) -> Surface:
     """What the renderer shows of a shape of the user's own, checked, with its distance function."""
     name, distance = type(shape).__name__, getattr(shape, "distance", None)
     if not getattr(distance, "_is_taichi_function", False):
-        raise SceneError(f"{where}: {name} needs a function distance(self, p) with @ti.func above it")
+        raise SceneError(where, says=f"{name} needs a function distance(self, p) with @ti.func above it")
     if type(shape).surface is ColliderShape.surface:
-        raise SceneError(f"{where}: {name} needs a function surface(self) that returns (vertices, triangles)")
+        raise SceneError(where, says=f"{name} needs a function surface(self) that returns (vertices, triangles)")
     vertices, triangles = shape.surface()
     where = f"{where}.surface()"
-    points = validation.vectors(f"{where}: vertices", vertices, None, dim)
-    corners = validation.indices(f"{where}: triangles", triangles, len(points), 3, "vertex")
+    points = validation.vectors(f"{where}.vertices", vertices, None, dim)
+    corners = validation.indices(f"{where}.triangles", triangles, len(points), 3, "vertex")
     if dim == 3:
         return _closed(Surface(points, corners), where, "what it draws")
     if not len(corners):
-        raise SceneError(f"{where}: there are no triangles; they fill the shape")
+        raise SceneError(where, says="there are no triangles; they fill the shape")
     return Surface(points, corners)
-
-
-def _resolution(value: Any, where: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 4 <= value <= MOST_CELLS:
-        raise SceneError(
-            f"{where}.resolution: {value!r} is not allowed; it must be a whole number from 4 to {MOST_CELLS}"
-        )
-    return int(value)
 
 
 def _left_out(shape: Any, key: str, value: Any) -> bool:
@@ -393,8 +372,8 @@ def shape_of(given: Mapping[str, Any]) -> Any:
     known = {f.name: f for f in fields(kind)}
     for key in arguments:
         if key not in known:
-            raise SceneError(f"{key}: is not a key of a {name}; it has {', '.join(known)}")
+            raise unknown_key(("colliders", key), known, f"a key of a {name}")
     for key, entry in known.items():
         if entry.default is MISSING and key not in arguments:
-            raise SceneError(f"{key}: is missing; a {name} needs it")
+            raise SceneError(("colliders", key), says=f"is missing; a {name} needs it")
     return kind(**arguments)

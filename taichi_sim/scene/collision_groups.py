@@ -9,7 +9,7 @@ from taichi_sim.common.errors import SceneError
 
 __all__ = ["EVERY", "ONLY", "Groups", "bits_of", "meet"]
 
-MOST = 32
+MOST_GROUPS = 32
 ONLY = 1  # bits of what is in the first group, "default", alone
 EVERY = -1  # mask of what collides with all groups
 
@@ -26,10 +26,10 @@ class Groups:
             return EVERY
         listed = [names] if isinstance(names, str) else names
         if not isinstance(listed, (list, tuple)) or not all(isinstance(name, str) and name for name in listed):
-            raise SceneError(f"{where}: {names!r} is not allowed; it must be a name, or a list of names")
+            raise SceneError(where, names, "a name, or a list of names")
         new = [name for name in dict.fromkeys(listed) if name not in self.names]
-        if len(self.names) + len(new) > MOST:
-            raise SceneError(f"{where}: {new[0]!r} is one group too many; there can be {MOST}")
+        if len(self.names) + len(new) > MOST_GROUPS:
+            raise SceneError(where, new[0], says=f"is one group too many; there can be {MOST_GROUPS}")
         self.names += new
         return int(np.uint32(sum(1 << self.names.index(name) for name in dict.fromkeys(listed))).astype(np.int32))
 
@@ -46,7 +46,8 @@ class Groups:
             unknown = [] if bits == EVERY else self.listed(bits & ~used)
             if unknown:
                 known = ", ".join(repr(name) for name in self.listed(used))
-                raise SceneError(f"{owner}.collides_with: {unknown[0]!r} is no group of this scene; there are {known}")
+                says = f"is no group of this scene; there are {known}"
+                raise SceneError(f"{owner}.collides_with", unknown[0], says=says)
 
 
 def bits_of(column: NDArray[np.int32]) -> list[int]:

@@ -19,7 +19,7 @@ __all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
 AIR = 1.2  # kg/m^3
 PLATE = 1.28  # drag of a flat plate across the flow
 SKIN_FRICTION = 0.05  # the same along it
-FLAT = 1e-9  # of the cube of its longest edge: a cell of less volume is flat
+FLAT_CELL = 1e-9  # of the cube of its longest edge: a cell of less volume is flat
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,24 +118,25 @@ class Elements(Probed):
         twice = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
         if twice.any():
             k = int(np.argmax(twice))
-            raise SceneError(f"cells.corners[{k}]: {ij[k].tolist()} names a ball twice; give {self.dim + 1} different")
+            raise SceneError(f"cells.corners[{k}]", ij[k], says=f"names a ball twice; give {self.dim + 1} different")
         modulus = validation.per_item("cells.bulk_modulus", bulk_modulus, c, low=0)
         present = cell_volumes(self.position, ij)
         if rest_volume is None:
             edge = np.abs(self.position[ij] - self.position[ij[:, :1]]).max(axis=(1, 2), initial=0.0)
-            flat = np.abs(present) <= FLAT * edge**self.dim
+            flat = np.abs(present) <= FLAT_CELL * edge**self.dim
             if flat.any():
                 k = int(np.argmax(flat))
-                raise SceneError(
-                    f"cells.corners[{k}]: {ij[k].tolist()} is flat now; give a rest_volume, or corners that span a volume"
-                )
+                says = "is flat now; give a rest_volume, or corners that span a volume"
+                raise SceneError(f"cells.corners[{k}]", ij[k], says=says)
             ij[present < 0] = ij[present < 0][:, [1, 0, *range(2, self.dim + 1)]]
             rest = np.abs(present)
         else:
             rest = validation.per_item("cells.rest_volume", rest_volume, c, positive=True)
         shared = validation.per_item("cells.together", -1 if together is None else together, c, low=-1)
-        if np.any(shared != np.round(shared)):
-            raise SceneError(f"cells.together[{int(np.argmax(shared != np.round(shared)))}]: must be a whole number")
+        broken = shared != np.round(shared)
+        if broken.any():
+            k = int(np.argmax(broken))
+            raise SceneError(f"cells.together[{k}]", shared[k], "a whole number")
         before = int(self.cells_together.max(initial=-1)) + 1
         shared = np.where(shared < 0, -1, shared + before).astype(np.int32)
         first = self._cells.rows
@@ -157,11 +158,12 @@ class Elements(Probed):
         ij = validation.indices("bending.corners", validation.many(corners, 1), self.n_balls, width=4)
         w = validation.vectors("bending.weights", validation.many(weights, 1), None, 4)
         if w.shape != ij.shape:
-            raise SceneError(f"bending.weights: shape {w.shape} does not fit; it must be {ij.shape}, as corners")
+            says = f"shape {w.shape} does not fit; it must be {ij.shape}, as corners"
+            raise SceneError("bending.weights", says=says)
         off = np.abs(w.sum(axis=1)) > 1e-9 * np.abs(w).max(axis=1, initial=1e-300)
         if off.any():
             k = int(np.argmax(off))
-            raise SceneError(f"bending.weights[{k}]: {w[k].tolist()} is not allowed; the sum of the four must be 0")
+            raise SceneError(f"bending.weights[{k}]", w[k], "four numbers whose sum is 0")
         strength = validation.per_item("bending.stiffness", stiffness, len(ij), low=0)
         loss = validation.per_item("bending.damping", damping, len(ij), low=0)
         self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss)
@@ -185,9 +187,9 @@ class Elements(Probed):
             gust_length: of the longest of them [m].
         """
         if self.dim != 3:
-            raise SceneError("wind: acts on triangles, which a scene with dim = 3 has; this one has dim = 2")
+            raise SceneError("wind", says="acts on triangles, which a scene with dim = 3 has; this one has dim = 2")
         if self.wind is not None:
-            raise SceneError("wind: there is one already; a scene has one at most")
+            raise SceneError("wind", says="there is one already; a scene has one at most")
         self.wind = Wind(
             tuple(validation.vector("wind.velocity", velocity, 3).tolist()),
             validation.number("wind.density", density, low=0),
@@ -206,22 +208,23 @@ class Elements(Probed):
                 101325 Pa hardly lets the volume change, and wants short steps.
         """
         if self.dim != 3:
-            raise SceneError("gas: fills closed surfaces of triangles, in a scene with dim = 3; this one has dim = 2")
-        t = validation.indices("gas.triangles", triangles, self.n_balls, width=3)
+            says = "fills closed surfaces of triangles, in a scene with dim = 3; this one has dim = 2"
+            raise SceneError("gases", says=says)
+        t = validation.indices("gases.triangles", triangles, self.n_balls, width=3)
         edges = sides(t).astype(np.int64)
         forth, back = edges @ [self.n_balls, 1], edges @ [1, self.n_balls]
         open_ = ~np.isin(forth, back)
         if not len(t) or open_.any():
             where = f": the edge from ball {edges[open_][0, 0]} to {edges[open_][0, 1]} has one" if len(t) else ""
-            raise SceneError(
-                f"gas.triangles: must close a volume, with two triangles, turned alike, at every edge{where}"
-            )
+            says = f"must close a volume, with two triangles, turned alike, at every edge{where}"
+            raise SceneError("gases.triangles", says=says)
         a, b, c = (self.position[t[:, k]] - self.position[t[0, 0]] for k in range(3))
         volume = float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
         if volume <= 0.0:
-            raise SceneError(f"gas.triangles: enclose {volume:.4g} m^3; give them counter-clockwise seen from outside")
-        p = validation.number("gas.pressure", pressure, low=0)
-        self.gases.append(Gas(t, p, validation.number("gas.outside", outside, low=0), volume))
+            says = f"enclose {volume:.4g} m^3; give them counter-clockwise seen from outside"
+            raise SceneError("gases.triangles", says=says)
+        p = validation.number("gases.pressure", pressure, low=0)
+        self.gases.append(Gas(t, p, validation.number("gases.outside", outside, low=0), volume))
 
     def add_moving_pins(
         self: Any,
@@ -246,12 +249,13 @@ class Elements(Probed):
         where = f"moving_pins[{len(self.moving_pins)}]"
         index = validation.indices(f"{where}.balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
         if not len(index):
-            raise SceneError(f"{where}.balls: is empty; name at least one ball")
+            raise SceneError(f"{where}.balls", says="is empty; name at least one ball")
         taken = np.concatenate([np.zeros(0, dtype=np.int32), *(pins.balls for pins in self.moving_pins)])
         both = index[np.isin(index, taken)]
         if len(both) or len(np.unique(index)) < len(index):
             k = int(both[0]) if len(both) else int(np.sort(index)[:-1][np.diff(np.sort(index)) == 0][0])
-            raise SceneError(f"{where}.balls: ball {k} is named twice; a ball can be led along one path only")
+            says = f"ball {k} is named twice; a ball can be led along one path only"
+            raise SceneError(f"{where}.balls", says=says)
         given = {
             "velocity": None
             if velocity is None
@@ -267,7 +271,8 @@ class Elements(Probed):
             path = [{**key, "position": centre + key["position"]} for key in self._displacements(where, path)]
         motion = Motion.of(where, self.dim, centre, {**given, "rotation": None, "path": path})
         if not motion.moves:
-            raise SceneError(f"{where}: does not move; give a velocity, an angular_velocity or a path, or use `pinned`")
+            says = "does not move; give a velocity, an angular_velocity or a path, or use `pinned`"
+            raise SceneError(where, says=says)
         self.pinned[index] = True
         self.velocity[index] = 0.0
         self.moving_pins.append(MovingPins(index, motion, {k: v for k, v in given.items() if v is not None}))
@@ -283,9 +288,8 @@ class Elements(Probed):
             if k == 0 and (
                 np.any(by != 0) or (key.get("rotation") is not None and np.any(np.asarray(key["rotation"]) != 0))
             ):
-                raise SceneError(
-                    f"{where}.path[0]: begins at {by.tolist()} from where the balls are, and they would jump; it must begin at 0"
-                )
+                says = f"begins at {by.tolist()} from where the balls are, and they would jump; it must begin at 0"
+                raise SceneError(f"{where}.path[0]", says=says)
             turn = key.get("rotation")
             if turn is None and turns and k == 0:  # so that the next one is seen to turn from there
                 turn = 0.0 if self.dim == 2 else [0.0, 0.0, 0.0]
@@ -310,9 +314,8 @@ class Elements(Probed):
         a = validation.indices("attachments.one", np.atleast_1d(np.asarray(one)), self.n_balls)
         b = validation.indices("attachments.other", np.atleast_1d(np.asarray(other)), self.n_balls)
         if len(a) != len(b):
-            raise SceneError(
-                f"attachments.other: names {len(b)} balls and attachments.one {len(a)}; each needs its partner"
-            )
+            says = f"names {len(b)} balls and attachments.one {len(a)}; each needs its partner"
+            raise SceneError("attachments.other", says=says)
         return self.add_springs(
             np.stack([a, b], axis=1),
             stiffness=stiffness,

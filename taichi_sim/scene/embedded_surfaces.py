@@ -1,4 +1,4 @@
-"""Skins: surfaces to look at whose vertices follow balls, finer than the springs and tetrahedra that are simulated."""
+"""Embedded surfaces: pictures show them; their vertices follow balls, finer than the springs and tetrahedra simulated."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from taichi_sim.common.errors import SceneError
 
 __all__ = ["EmbeddedSurface", "build_surface", "surfaces_from", "surfaces_to"]
 
-SUM = 1e-6  # how far the weights of a vertex may sum up to something else than 1
+SUM_TOLERANCE = 1e-6  # how far the weights of a vertex may sum up to something else than 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +20,7 @@ class EmbeddedSurface:
 
     corners: NDArray[np.int32]  # (s, k) balls
     weights: NDArray[np.float64]  # (s, k), 1 in sum for each vertex
-    triangles: NDArray[np.int32]  # (t, 3) vertices of this skin, counter-clockwise from outside
+    triangles: NDArray[np.int32]  # (t, 3) its vertices, counter-clockwise from outside
     covers: NDArray[np.int32]  # (b,) balls that it is drawn in place of, besides those that its vertices follow
     colour: tuple[float, ...] | None = None  # sRGB, 0 to 1; None: that of the balls
 
@@ -41,25 +41,23 @@ def build_surface(
     covers: ArrayLike | None,
     colour: tuple[float, ...] | None,
 ) -> EmbeddedSurface:
-    """A checked skin on n_balls balls. Raises SceneError that names the argument of `where`."""
+    """A checked surface on n_balls balls. Raises SceneError that names the argument of `where`."""
     try:
         shape = np.shape(corners)
     except ValueError:  # rows of different lengths
         shape = ()
     if len(shape) != 2 or 0 in shape:
-        raise SceneError(
-            f"{where}.corners: shape {shape} does not fit; it must be (s, k), k balls for each of s vertices"
-        )
+        says = f"shape {shape} does not fit; it must be (s, k), k balls for each of s vertices"
+        raise SceneError(f"{where}.corners", says=says)
     balls = validation.indices(f"{where}.corners", corners, n_balls, width=shape[1])
     shares = validation.vectors(f"{where}.weights", weights, None, shape[1])
     if len(shares) != len(balls):
-        raise SceneError(
-            f"{where}.weights: {len(shares)} rows do not fit; there must be {len(balls)}, as many as corners"
-        )
-    wrong = np.abs(shares.sum(axis=1) - 1.0) > SUM
+        says = f"{len(shares)} rows do not fit; there must be {len(balls)}, as many as corners"
+        raise SceneError(f"{where}.weights", says=says)
+    wrong = np.abs(shares.sum(axis=1) - 1.0) > SUM_TOLERANCE
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise SceneError(f"{where}.weights[{row}]: {shares[row].tolist()} is not allowed; it must sum up to 1")
+        raise SceneError(f"{where}.weights[{row}]", shares[row], "numbers that sum up to 1")
     faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the surface")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
     return EmbeddedSurface(balls, shares, faces, hidden, colour)
@@ -68,11 +66,11 @@ def build_surface(
 def surfaces_to(surfaces: Sequence[EmbeddedSurface]) -> dict[str, NDArray]:
     """All columns of surfaces under "embedded_surfaces.0.corners" and the like."""
     columns = {}
-    for k, skin in enumerate(surfaces):
+    for k, surface in enumerate(surfaces):
         for name in ("corners", "weights", "triangles", "covers"):
-            columns[f"embedded_surfaces.{k}.{name}"] = getattr(skin, name)
+            columns[f"embedded_surfaces.{k}.{name}"] = getattr(surface, name)
         columns[f"embedded_surfaces.{k}.colour"] = np.array(
-            () if skin.colour is None else skin.colour, dtype=np.float64
+            () if surface.colour is None else surface.colour, dtype=np.float64
         )
     return columns
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, path_of, unknown_key
 
 __all__ = ["TICKS", "Motion", "keyframe", "moments", "turn_matrix", "turn_vector"]
 
@@ -103,18 +103,20 @@ class Motion:
             turn = np.array([validation.number(name, value)]) if dim == 2 else validation.vector(name, value, 3)
         pivot = position if given["pivot"] is None else validation.vector(f"{where}.pivot", given["pivot"], dim)
         if not isinstance(given["repeat"], bool):
-            raise SceneError(f"{where}.repeat: {given['repeat']!r} is not allowed; it must be true or false")
+            raise SceneError(f"{where}.repeat", given["repeat"], "true or false")
         path = given["path"]
         if path is not None and not isinstance(path, (list, tuple)):
-            raise SceneError(f"{where}.path: {path!r} is not allowed; it must be a list of keyframes")
+            raise SceneError(f"{where}.path", path, "a list of keyframes")
         if path is None or len(path) == 0:
             if given["repeat"]:
-                raise SceneError(f"{where}.repeat: there is no path to repeat; give `path`, or leave `repeat` out")
+                raise SceneError(
+                    f"{where}.repeat", says="there is no path to repeat; give `path`, or leave `repeat` out"
+                )
             one = np.zeros(1), position[None], rotation[None], turn[None]
             return cls(*one, velocity, pivot, False)
         for name in ("velocity", "angular_velocity", "pivot"):
             if given[name] is not None:
-                raise SceneError(f"{where}.{name}: is given together with a path; give one of them")
+                raise SceneError(f"{where}.{name}", says="is given together with a path; give one of them")
         return cls._along(where, dim, position, rotation, path, given["repeat"])
 
     @classmethod
@@ -130,7 +132,7 @@ class Motion:
             time = validation.number(f"{place}.time", key["time"])
             if times and time <= times[-1]:
                 raise SceneError(
-                    f"{place}.time: {time:g} s is not allowed after {times[-1]:g} s: it would jump; times must rise"
+                    f"{place}.time", time, f"later than {times[-1]:g} s, or it would jump; times must rise"
                 )
             times.append(time)
             own = key.get("position")
@@ -142,8 +144,7 @@ class Motion:
                 rotation if turned is None else rotation_matrix(f"{place}.rotation", turned, dim, whole=True)
             )
         if len(times) == 1:
-            raise SceneError(f"{where}.path: has one keyframe; it needs two or more, or leave it out")
-        angles = [r if isinstance(r, float) else 0.0 for r in rotations] if dim == 2 else []
+            raise SceneError(f"{where}.path", says="has one keyframe; it needs two or more, or leave it out")
         if dim == 2:
             first = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
             angles = [r if isinstance(r, float) else first for r in rotations]
@@ -156,9 +157,8 @@ class Motion:
         if repeat:
             size = 1.0 + float(np.abs(x).max())
             if np.abs(x[-1] - x[0]).max() > SAME * size or np.abs(matrices[-1] - matrices[0]).max() > SAME:
-                raise SceneError(
-                    f"{where}.path[{len(t) - 1}]: a path that repeats must end where it begins, or it would jump"
-                )
+                says = "a path that repeats must end where it begins, or it would jump"
+                raise SceneError(f"{where}.path[{len(t) - 1}]", says=says)
         turns = np.concatenate([turned_by / np.diff(t)[:, None], np.zeros((1, turned_by.shape[1]))])
         return cls(t, x, matrices, turns, np.zeros(dim), x[0], repeat)
 
@@ -176,12 +176,12 @@ def keyframe(where: str, given: Any) -> Mapping[str, Any]:
     if isinstance(given, Mapping):
         unknown = [key for key in given if key not in KEYS]
         if unknown:
-            raise SceneError(f"{where}.{unknown[0]}: is not a known key; there are {', '.join(KEYS)}")
+            raise unknown_key((*path_of(where), unknown[0]), KEYS)
         if "time" not in given:
-            raise SceneError(f"{where}.time: is missing; every keyframe needs it")
+            raise SceneError(f"{where}.time", says="is missing; every keyframe needs it")
         return given
     if not isinstance(given, (list, tuple)) or not 2 <= len(given) <= 3:
-        raise SceneError(f"{where}: {given!r} is not a keyframe; it must have time, position and perhaps rotation")
+        raise SceneError(where, given, says="is not a keyframe; it must have time, position and perhaps rotation")
     return dict(zip(KEYS, given))
 
 
@@ -195,8 +195,10 @@ def _check_turn(place: str, before: Any, turned: Any) -> None:
     ).max()
     if by >= 180.0:
         raise SceneError(
-            f"{place}.rotation: {list(turned)} turns by {by:g} degrees since the keyframe before, and a turn in 3D takes the"
-            " shorter way around; put keyframes between, less than half a turn apart, or use angular_velocity"
+            f"{place}.rotation",
+            turned,
+            says=f"turns by {by:g} degrees since the keyframe before, and a turn in 3D takes the shorter way around; put"
+            " keyframes between, less than half a turn apart, or use angular_velocity",
         )
 
 
@@ -214,9 +216,7 @@ def rotation_matrix(where: str, rotation: Any, dim: int, whole: bool = False) ->
     if matrix.ndim == 2:
         good = matrix.shape == (dim, dim) and bool(np.isfinite(matrix).all())
         if not good or np.abs(matrix @ matrix.T - np.eye(dim)).max() > ROUNDED or np.linalg.det(matrix) < 0:
-            raise SceneError(
-                f"{where}: {matrix.tolist()} is no rotation; its rows must be unit vectors at right angles"
-            )
+            raise SceneError(where, matrix, says="is no rotation; its rows must be unit vectors at right angles")
         u, _, v = np.linalg.svd(matrix)
         result: Floats = matrix if np.abs(matrix @ matrix.T - np.eye(dim)).max() < 1e-15 else u @ v
         return float(np.arctan2(result[1, 0], result[0, 0])) if whole and dim == 2 else result

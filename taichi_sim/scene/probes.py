@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["KINDS", "Look", "Probe", "Probed", "add", "bodies_of"]
+__all__ = ["KINDS", "Probe", "ProbeSample", "Probed", "add", "bodies_of"]
 
 Floats = NDArray[np.float64]
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class ProbeSample:
     """The moment that probes read. torn: (m,) springs, or None. impulses: (b, dim) N s since the start, on `bodies_of`."""
 
     scene: Any
@@ -68,11 +68,11 @@ class Probe:
         """Of a number; empty where it is a plain one."""
         return next(iter(self.units.values())) if self.vector else self.units[number]
 
-    def read(self, look: Look) -> dict[str, float]:
+    def read(self, sample: ProbeSample) -> dict[str, float]:
         """The numbers that belong to the moment."""
         raise NotImplementedError
 
-    def total(self, look: Look) -> Floats | None:
+    def total(self, sample: ProbeSample) -> Floats | None:
         """What has grown since the start, where the probe gives means of its growth."""
         return None
 
@@ -98,12 +98,12 @@ class Position(Probe):
         if one == "at":
             away = scene.position - validation.vector("probes.at", asked["at"], scene.dim)
             if not scene.n_balls:
-                raise SceneError("probes.at: the scene has no ball yet; add the probe after the balls")
+                raise SceneError("probes.at", says="the scene has no ball yet; add the probe after the balls")
             return cls(name, {"balls": np.array([np.argmin(np.sum(away**2, axis=1))], dtype=np.int32)})
         return cls(name, {"balls": _balls(scene, asked["balls"])})
 
-    def read(self, look: Look) -> dict[str, float]:
-        return _vector(look.x[self.given["balls"]].mean(axis=0))
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        return _vector(sample.x[self.given["balls"]].mean(axis=0))
 
 
 class Length(Probe):
@@ -115,15 +115,15 @@ class Length(Probe):
     def make(cls, scene: Any, name: str, asked: Mapping[str, Any]) -> Probe:
         one = _only_one(cls.kind, asked)
         if not scene.n_springs:
-            raise SceneError(f"probes.{one}: the scene has no spring yet; add the probe after the springs")
+            raise SceneError(f"probes.{one}", says="the scene has no spring yet; add the probe after the springs")
         if one == "at":
             away = scene.position[scene.pairs].mean(axis=1) - validation.vector("probes.at", asked["at"], scene.dim)
             return cls(name, {"spring": int(np.argmin(np.sum(away**2, axis=1)))})
-        return cls(name, {"spring": _number("spring", asked["spring"], scene.n_springs)})
+        return cls(name, {"spring": validation.whole("probes.spring", asked["spring"], 0, scene.n_springs - 1)})
 
-    def read(self, look: Look) -> dict[str, float]:
-        i, j = look.scene.pairs[self.given["spring"]]
-        return {"length": float(np.linalg.norm(look.x[j] - look.x[i]))}
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        i, j = sample.scene.pairs[self.given["spring"]]
+        return {"length": float(np.linalg.norm(sample.x[j] - sample.x[i]))}
 
 
 class Tension(Length):
@@ -131,14 +131,14 @@ class Tension(Length):
 
     kind, units, start = "tension", {"tension": "N"}, False
 
-    def read(self, look: Look) -> dict[str, float]:
-        scene, k = look.scene, self.given["spring"]
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        scene, k = sample.scene, self.given["spring"]
         i, j = scene.pairs[k]
-        r = look.x[j] - look.x[i]
+        r = sample.x[j] - sample.x[i]
         length = float(np.linalg.norm(r))
-        if look.torn is not None and look.torn[k]:
+        if sample.torn is not None and sample.torn[k]:
             return {"tension": 0.0}
-        rate = float((look.v[j] - look.v[i]) @ r) / length if length > 0 else 0.0
+        rate = float((sample.v[j] - sample.v[i]) @ r) / length if length > 0 else 0.0
         return {"tension": float(scene.stiffness[k] * (length - scene.rest_length[k]) + scene.damping[k] * rate)}
 
 
@@ -155,20 +155,20 @@ class Strain(Probe):
             return cls(name, {"springs": _several("spring", asked["springs"], scene.n_springs)})
         inside = np.isin(scene.pairs, _balls(scene, asked["balls"])).all(axis=1)
         if not inside.any():
-            raise SceneError("probes.balls: no spring joins two of them; there is no strain to measure")
+            raise SceneError("probes.balls", says="no spring joins two of them; there is no strain to measure")
         return cls(name, {"springs": np.flatnonzero(inside).astype(np.int32)})
 
-    def read(self, look: Look) -> dict[str, float]:
-        scene = look.scene
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        scene = sample.scene
         counts = scene.rest_length > 0
-        if look.torn is not None:
-            counts &= ~look.torn
+        if sample.torn is not None:
+            counts &= ~sample.torn
         chosen = self.given.get("springs", np.arange(scene.n_springs))
         chosen = chosen[counts[chosen]]
         if not len(chosen):
             return dict.fromkeys(self.units, np.nan)
         i, j = scene.pairs[chosen].T
-        strain = np.linalg.norm(look.x[j] - look.x[i], axis=1) / scene.rest_length[chosen] - 1.0
+        strain = np.linalg.norm(sample.x[j] - sample.x[i], axis=1) / scene.rest_length[chosen] - 1.0
         return {"max": float(strain.max()), "min": float(strain.min()), "mean": float(strain.mean())}
 
 
@@ -177,8 +177,8 @@ class Energy(Probe):
 
     kind, units = "energy", dict.fromkeys(("kinetic", "spring", "gravity", "total"), "J")
 
-    def read(self, look: Look) -> dict[str, float]:
-        return dict(zip(self.units, map(float, look.energy())))
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        return dict(zip(self.units, map(float, sample.energy())))
 
 
 class Impulse(Probe):
@@ -191,16 +191,16 @@ class Impulse(Probe):
         one = _only_one(cls.kind, asked)
         many = {"wall": scene.walls, "collider": scene.colliders}[one]
         if not many:
-            raise SceneError(f"probes.{one}: the scene has no {one} yet; add the probe after it")
-        return cls(name, {one: _number(one, asked[one], len(many))})
+            raise SceneError(f"probes.{one}", says=f"the scene has no {one} yet; add the probe after it")
+        return cls(name, {one: validation.whole(f"probes.{one}", asked[one], 0, len(many) - 1)})
 
     @property
     def body(self) -> tuple[str, int]:
         """wall or collider, and its number."""
         return next(iter(self.given.items()))
 
-    def read(self, look: Look) -> dict[str, float]:
-        return _vector(look.impulses[bodies_of(look.scene).index(self.body)])
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        return _vector(sample.impulses[bodies_of(sample.scene).index(self.body)])
 
 
 class Force(Impulse):
@@ -208,11 +208,11 @@ class Force(Impulse):
 
     kind, units = "force", {"": "N"}
 
-    def read(self, look: Look) -> dict[str, float]:
+    def read(self, sample: ProbeSample) -> dict[str, float]:
         return {}
 
-    def total(self, look: Look) -> Floats:
-        return look.impulses[bodies_of(look.scene).index(self.body)]
+    def total(self, sample: ProbeSample) -> Floats:
+        return sample.impulses[bodies_of(sample.scene).index(self.body)]
 
     def mean(self, growth: Floats) -> dict[str, float]:
         return _vector(growth)
@@ -228,11 +228,9 @@ class Flux(Probe):
     @classmethod
     def make(cls, scene: Any, name: str, asked: Mapping[str, Any]) -> Probe:
         if "normal" not in asked:
-            raise SceneError("probes.normal: is missing; a flux needs the direction in which it counts")
-        normal = validation.vector("probes.normal", asked["normal"], scene.dim)
+            raise SceneError("probes.normal", says="is missing; a flux needs the direction in which it counts")
+        normal = validation.direction("probes.normal", asked["normal"], scene.dim)
         length = float(np.linalg.norm(normal))
-        if length == 0.0:
-            raise SceneError(f"probes.normal: {normal.tolist()} is not allowed; it must have a direction")
         given: dict[str, Any] = {
             "normal": normal.tolist() if abs(length - 1.0) < 4e-16 else (normal / length).tolist(),
             "offset": validation.number("probes.offset", asked.get("offset", 0.0)),
@@ -241,20 +239,19 @@ class Flux(Probe):
             given["balls"] = _balls(scene, asked["balls"])
             numbers, times = np.unique(given["balls"], return_counts=True)
             if times.max() > 1:  # it would be counted so often
-                raise SceneError(
-                    f"probes.balls: ball {numbers[times.argmax()]} is named {times.max()} times; name each once"
-                )
+                says = f"ball {numbers[times.argmax()]} is named {times.max()} times; name each once"
+                raise SceneError("probes.balls", says=says)
         return cls(name, given)
 
-    def total(self, look: Look) -> Floats:
+    def total(self, sample: ProbeSample) -> Floats:
         chosen = self.given.get("balls", slice(None))
-        normal, mass = np.array(self.given["normal"]), look.scene.mass[chosen]
-        before, now = (x[chosen] @ normal > self.given["offset"] for x in (look.scene.position, look.x))
+        normal, mass = np.array(self.given["normal"]), sample.scene.mass[chosen]
+        before, now = (x[chosen] @ normal > self.given["offset"] for x in (sample.scene.position, sample.x))
         through = now.astype(float) - before
         return np.array([through.sum(), through @ mass])
 
-    def read(self, look: Look) -> dict[str, float]:
-        return dict(zip(("count", "mass"), self.total(look).tolist()))
+    def read(self, sample: ProbeSample) -> dict[str, float]:
+        return dict(zip(("count", "mass"), self.total(sample).tolist()))
 
     def mean(self, growth: Floats) -> dict[str, float]:
         return dict(zip(("count_rate", "mass_rate"), growth.tolist()))
@@ -268,16 +265,15 @@ KINDS: dict[str, type[Probe]] = {
 def add(scene: Any, name: str, kind: str, asked: Mapping[str, Any]) -> Probe:
     """A probe with the arguments that were given. Raises SceneError that names the argument and what is allowed."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
-        raise SceneError(f"probes.name: {name!r} is not allowed; it must be a word of letters, digits, _ and -")
+        raise SceneError("probes.name", name, "a word of letters, digits, _ and -")
     if any(probe.name == name for probe in scene.probes):
-        raise SceneError(f"probes.name: {name!r} exists already; every probe needs its own name")
-    if not isinstance(kind, str) or kind not in KINDS:
-        raise SceneError(f"probes.kind: {kind!r} is not allowed; it must be one of {', '.join(map(repr, KINDS))}")
+        raise SceneError("probes.name", name, says="exists already; every probe needs its own name")
+    validation.one_of("probes.kind", kind, KINDS)
     made = KINDS[kind]
     for key in asked:
         if key not in made.takes:
             allowed = f"it takes {' or '.join(made.takes)}" if made.takes else "it takes nothing more"
-            raise SceneError(f"probes.{key}: is not for the kind {kind!r}; {allowed}")
+            raise SceneError(f"probes.{key}", says=f"is not for the kind {kind!r}; {allowed}")
     return made.make(scene, name, asked)
 
 
@@ -285,9 +281,9 @@ def _only_one(kind: str, asked: Mapping[str, Any]) -> str:
     """The one argument of those that stand for each other."""
     takes = KINDS[kind].takes
     if not asked:
-        raise SceneError(f"probes.kind: the kind {kind!r} needs {' or '.join(takes)}")
+        raise SceneError("probes.kind", says=f"the kind {kind!r} needs {' or '.join(takes)}")
     if len(asked) > 1:
-        raise SceneError(f"probes.{list(asked)[1]}: {' and '.join(asked)} are given; give one of them")
+        raise SceneError(f"probes.{list(asked)[1]}", says=f"{' and '.join(asked)} are given; give one of them")
     return next(iter(asked))
 
 
@@ -300,15 +296,8 @@ def _several(what: str, value: ArrayLike, n: int) -> NDArray[np.int32]:
     where = f"probes.{what}s"
     found = validation.indices(where, [value] if isinstance(value, (int, np.integer)) else value, n, what=what)  # type: ignore
     if not len(found):
-        raise SceneError(f"{where}: is empty; name at least one {what}")
+        raise SceneError(where, says=f"is empty; name at least one {what}")
     return found
-
-
-def _number(key: str, value: Any, n: int) -> int:
-    """A whole number below n."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value < n:
-        raise SceneError(f"probes.{key}: {value!r} is not allowed; it must be a whole number from 0 to {n - 1}")
-    return int(value)
 
 
 def bodies_of(scene: Any) -> list[tuple[str, int]]:

@@ -40,7 +40,7 @@ class Scene(Elements):
 
     def __init__(self, dim: int = 2, gravity: ArrayLike | None = None) -> None:
         if isinstance(dim, bool) or dim not in (2, 3):
-            raise SceneError(f"dim: {dim!r} is not allowed; it must be 2 or 3")
+            raise SceneError("dim", dim, "2 or 3")
         self.dim = int(dim)
         dim = self.dim
         self.gravity = np.zeros(dim) if gravity is None else validation.vector("gravity", gravity, self.dim)
@@ -120,16 +120,15 @@ class Scene(Elements):
     ) -> str:
         """Add a material and return its name. restitution 0..1, friction >= 0 (Coulomb), viscous_friction >= 0 [1/s]."""
         if not isinstance(name, str) or not name:
-            raise SceneError(f"material: {name!r} is not allowed as a name; it must be a text")
+            raise SceneError("materials.name", name, "a text")
         if any(m.name == name for m in self.materials[1:]):
-            raise SceneError(f"material: {name!r} exists already")
-        where = f"material {name!r}: "
+            raise SceneError("materials.name", name, says="exists already")
         new = Material(
             name,
-            validation.number(where + "restitution", restitution, low=0, high=1),
-            validation.number(where + "friction", friction, low=0),
-            validation.number(where + "viscous_friction", viscous_friction, low=0),
-            None if colour is None else _colour(where + "colour", colour),
+            validation.number("materials.restitution", restitution, low=0, high=1),
+            validation.number("materials.friction", friction, low=0),
+            validation.number("materials.viscous_friction", viscous_friction, low=0),
+            None if colour is None else _colour("materials.colour", colour),
         )
         if name == "default":
             self.materials[0] = new
@@ -167,8 +166,7 @@ class Scene(Elements):
         """
         x = validation.vectors("balls.position", validation.many(position, 1), None, self.dim)
         n = len(x)
-        if isinstance(body, bool) or not isinstance(body, (int, np.integer)) or not 0 <= body < 2**31:
-            raise SceneError(f"balls.body: {body!r} is not allowed; it must be a whole number, 0 or more")
+        body = validation.whole("balls.body", body, 0, 2**31 - 1)
         held = self._pins(pinned, n)
         rest = isinstance(velocity, (int, float)) and velocity == 0
         v = np.zeros_like(x) if rest else validation.vectors("balls.velocity", velocity, n, self.dim)
@@ -214,7 +212,7 @@ class Scene(Elements):
         itself = ij[:, 0] == ij[:, 1]
         if itself.any():
             k = int(np.argmax(itself))
-            raise SceneError(f"springs.pairs[{k}]: {ij[k].tolist()} joins a ball to itself; give two different balls")
+            raise SceneError(f"springs.pairs[{k}]", ij[k], says="joins a ball to itself; give two different balls")
         if rest_length is None:
             x = self.position
             rest = np.linalg.norm(x[ij[:, 1]] - x[ij[:, 0]], axis=1)
@@ -230,7 +228,8 @@ class Scene(Elements):
         }
         both = columns["collides"] & np.isfinite(columns["break_strain"])
         if both.any():
-            raise SceneError(f"springs.break_strain[{int(np.argmax(both))}]: a stick, which collides, cannot tear")
+            k = int(np.argmax(both))
+            raise SceneError(f"springs.break_strain[{k}]", says="a stick, which collides, cannot tear")
         validation.strained(columns["break_strain"], columns["rest_length"])
         first = self.n_springs
         self._springs.append(m, **columns)
@@ -248,18 +247,15 @@ class Scene(Elements):
 
         group, collides_with: as for balls.
         """
-        n = validation.vector("wall.normal", normal, self.dim)
-        largest = float(np.max(np.abs(n)))
-        if largest == 0.0:
-            raise SceneError(f"wall.normal: {n.tolist()} is not allowed; it must have a direction")
-        n = n / largest  # so that squares of huge or tiny numbers stay finite
+        n = validation.direction("walls.normal", normal, self.dim)
+        n = n / float(np.max(np.abs(n)))  # so that squares of huge or tiny numbers stay finite
         length = float(np.linalg.norm(n))
         self.walls.append(
             Wall(
                 tuple((n / length).tolist()),
-                validation.number("wall.offset", offset),
-                self._material("wall.material", material),
-                *self._groups("wall", group, collides_with),
+                validation.number("walls.offset", offset),
+                self._material("walls.material", material),
+                *self._groups("walls", group, collides_with),
             )
         )
 
@@ -280,12 +276,13 @@ class Scene(Elements):
 
         collides: True, in 3D, makes a surface, as thick as its balls, that no ball and no other such triangle goes through.
         """
-        t = validation.indices("triangles", triangles, self.n_balls, width=3)
+        t = validation.indices("triangles.triangles", triangles, self.n_balls, width=3)
         solid = validation.flags("triangles.collides", collides, len(t))
         if solid.any() and self.dim != 3:
-            raise SceneError("triangles.collides: needs a scene with dim = 3; in 2D use springs that collide")
+            raise SceneError("triangles.collides", says="needs a scene with dim = 3; in 2D use springs that collide")
         for k in np.flatnonzero(solid & np.any(t == np.roll(t, 1, axis=1), axis=1)):
-            raise SceneError(f"triangles[{k}]: {t[k].tolist()} may not collide; it must be three different balls")
+            says = "may not collide; it must be three different balls"
+            raise SceneError(f"triangles.triangles[{k}]", t[k], says=says)
         self._triangles.append(len(t), triangles=t, collides=solid)
 
     def add_embedded_surface(
@@ -301,7 +298,7 @@ class Scene(Elements):
 
         Args:
             corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares, 1 in sum for each vertex.
-            triangles: (t, 3) vertices of the skin, counter-clockwise seen from outside.
+            triangles: (t, 3) vertices of the surface, counter-clockwise seen from outside.
             covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1; None: that of the balls.
         """
         where = f"embedded_surfaces[{len(self.embedded_surfaces)}]"
@@ -362,14 +359,14 @@ class Scene(Elements):
             if material.name == name:
                 return index
         known = ", ".join(repr(m.name) for m in self.materials)
-        raise SceneError(f"{where}: {name!r} is not a material of this scene; there are {known}")
+        raise SceneError(where, name, says=f"is not a material of this scene; there are {known}")
 
     def _groups(
         self, where: str, group: str | Sequence[str], collides_with: str | Sequence[str] | None
     ) -> tuple[int, int]:
         member = self.groups.bits(f"{where}.group", group if group is not None else [])
         if member == 0:
-            raise SceneError(f"{where}.group: {group!r} is not allowed; it must be a name, or a list of names")
+            raise SceneError(f"{where}.group", group, "a name, or a list of names")
         return member, self.groups.bits(f"{where}.collides_with", collides_with)
 
     @staticmethod
@@ -377,9 +374,8 @@ class Scene(Elements):
         try:
             array = np.asarray(pinned)
         except ValueError:  # rows of different lengths
-            raise SceneError(
-                f"balls.pinned: {pinned!r} is not a bool, a bool per ball, or a list of positions"
-            ) from None
+            says = "is not a bool, a bool per ball, or a list of positions"
+            raise SceneError("balls.pinned", pinned, says=says) from None
         if array.dtype == np.bool_:
             return validation.flags("balls.pinned", array, n)
         held = np.zeros(n, dtype=bool)

@@ -24,7 +24,7 @@ def spring_from_rates(K: float, C: float = 0.0, mass_a: float = 1.0, mass_b: flo
     """
     inverse = _inverse("mass_a", mass_a) + _inverse("mass_b", mass_b)
     if inverse == 0.0:
-        raise SceneError("spring_from_rates.mass_b: inf is not allowed where mass_a is inf, too; one end must move")
+        raise SceneError("spring_from_rates.mass_b", mass_b, "finite where mass_a is not; one end must move")
     stiffness = validation.number("spring_from_rates.K", K, low=0) / inverse
     return {"stiffness": stiffness, "damping": validation.number("spring_from_rates.C", C, low=0) / inverse}
 

@@ -77,7 +77,7 @@ def _document(scene: Any, store: _Arrays) -> dict[str, Any]:
     if len(scene.triangles):
         columns = {"triangles": scene.triangles, "collides": _one(scene.solid)}
         tables["triangles"] = [store.table("triangles_", columns)]
-    tables["embedded_surfaces"] = [_skin(skin, store, k) for k, skin in enumerate(scene.embedded_surfaces)]
+    tables["embedded_surfaces"] = [_surface(surface, store, k) for k, surface in enumerate(scene.embedded_surfaces)]
     tables["probes"] = [
         store.table(f"probes_{k}_", probe.arrays(), name=probe.name, kind=probe.kind, **probe.plain())
         for k, probe in enumerate(scene.probes)
@@ -117,11 +117,13 @@ def _collider(given: dict[str, Any], store: _Arrays, number: int) -> dict[str, A
     )
 
 
-def _skin(skin: EmbeddedSurface, store: _Arrays, number: int) -> dict[str, Any]:
-    columns = {name: getattr(skin, name) for name in ("corners", "weights", "triangles")}
-    if len(skin.covers):
-        columns["covers"] = skin.covers
-    return store.table(f"skins_{number}_", columns, **({} if skin.colour is None else {"colour": list(skin.colour)}))
+def _surface(surface: EmbeddedSurface, store: _Arrays, number: int) -> dict[str, Any]:
+    columns = {name: getattr(surface, name) for name in ("corners", "weights", "triangles")}
+    if len(surface.covers):
+        columns["covers"] = surface.covers
+    return store.table(
+        f"embedded_surfaces_{number}_", columns, **({} if surface.colour is None else {"colour": list(surface.colour)})
+    )
 
 
 def _groups(scene: Any, group: int, mask: int) -> dict[str, Any]:

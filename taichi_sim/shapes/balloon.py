@@ -10,14 +10,14 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface, surface_area
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
-from taichi_sim.shapes.base import Part, Shape, Springs, affordable, at_least_0, build, count, or_default
+from taichi_sim.shapes.base import Part, Shape, Springs, affordable, at_least_0, build, or_default
 
 __all__ = ["balloon"]
 
 RUBBER_DENSITY = 0.2  # kg/m^2
 RUBBER_STIFFNESS = 100.0  # N/m
 STRAIN = 0.1  # of the skin, by default
-MOST = 0.5  # part of the present length by which the skin may be stretched
+MOST_STRETCH = 0.5  # part of the present length by which the skin may be stretched
 
 
 def balloon(
@@ -48,19 +48,20 @@ def balloon(
         ball_radius: of each ball [m]; 0.4 of the mean edge by default.
     """
     if scene.dim != 3:
-        raise SceneError("balloon: needs a scene with dim = 3")
+        raise SceneError("balloon", says="needs a scene with dim = 3")
     middle = validation.vectors("balloon.centre", centre, 1, 3)[0]
     reach = validation.number("balloon.radius", radius, positive=True)
-    cuts = count("balloon.subdivisions", subdivisions, 0)
+    cuts = validation.whole("balloon.subdivisions", subdivisions, 0)
     balls = 10 * 4**cuts + 2
     affordable("balloon.subdivisions", subdivisions, balls, 3 * balls)
     stretch = validation.number("balloon.stretch_stiffness", stretch_stiffness, positive=True)
     holds = 8 * stretch / (3 * reach)  # Pa, for each part by which the skin is stretched
     inner = at_least_0("balloon.pressure", pressure, holds * STRAIN / (1 + STRAIN))
-    if inner > MOST * holds:
+    if inner > MOST_STRETCH * holds:
         raise SceneError(
-            f"balloon.pressure: {inner:g} is not allowed; the skin holds {MOST * holds:.4g} Pa at most, then twice as long as at"
-            " rest; give a larger stretch_stiffness"
+            "balloon.pressure",
+            inner,
+            f"at most {MOST_STRETCH * holds:.4g} Pa, where its skin is twice as long as at rest; give a larger stretch_stiffness",
         )
     surface = _sphere(cuts)
     surface = Surface(surface.vertices * reach, surface.triangles)

@@ -1,8 +1,6 @@
 """What the shapes are made of: checked sizes, lattices, placing, a stiffness that is stable, and the handle."""
 
-import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any
@@ -11,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.memory import available
 from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.scene import Scene
@@ -24,14 +22,12 @@ __all__ = [
     "affordable",
     "at_least_0",
     "build",
-    "count",
     "counts",
     "exclusive",
     "given_surface",
     "lattice_pairs",
     "lengths",
     "moved",
-    "named",
     "or_default",
     "stable_stiffness",
     "surface_part",
@@ -96,28 +92,12 @@ def surface_part(shape: str, surface_collision: Any) -> float:
     return SURFACE_PART if validation.flags(f"{shape}.surface_collision", surface_collision, 1)[0] else 1.0
 
 
-@contextmanager
-def named(shape: str) -> Iterator[None]:
-    """Let the scene's errors speak of the shape's arguments: `cloth.pinned[3]` in place of `balls.pinned[3]`."""
-    try:
-        yield
-    except SceneError as error:
-        raise SceneError(re.sub(r"^(balls|springs|mesh|jelly)(?=[.:])", shape, str(error))) from error
-
-
 def counts(where: str, value: Any, n: int, low: int) -> tuple[int, ...]:
     """n whole numbers of at least `low`. Raises SceneError."""
     array = np.asarray(value)
     if array.dtype.kind not in "iu" or array.shape != (n,) or (array < low).any():
-        raise SceneError(f"{where}: {value!r} is not allowed; it must be {n} whole numbers of at least {low}")
+        raise SceneError(where, value, f"{n} whole numbers of at least {low}")
     return tuple(int(k) for k in array)
-
-
-def count(where: str, value: Any, low: int) -> int:
-    """A whole number of at least `low`. Raises SceneError."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < low:
-        raise SceneError(f"{where}: {value!r} is not allowed; it must be a whole number of at least {low}")
-    return int(value)
 
 
 def or_default(where: str, value: float | None, default: float) -> float:
@@ -133,7 +113,7 @@ def at_least_0(where: str, value: float | None, default: Any = None) -> Any:
 def lengths(where: str, value: Sequence[float], n: int) -> NDArray[np.float64]:
     """n positive lengths. Raises SceneError."""
     if np.shape(value) != (n,):
-        raise SceneError(f"{where}: {value!r} is not allowed; it must be {n} lengths")
+        raise SceneError(where, value, f"{n} lengths")
     return validation.per_item(where, value, n, positive=True)
 
 
@@ -141,17 +121,17 @@ def exclusive(shape: str, one: dict[str, Any], other: dict[str, Any]) -> None:
     """Raise SceneError where an argument of each is given: they say the same in two ways."""
     first, second = ([name for name, value in group.items() if value is not None] for group in (one, other))
     if first and second:
-        raise SceneError(f"{shape}.{first[0]}: does not go with {second[0]}; give one or the other")
+        raise SceneError(f"{shape}.{first[0]}", says=f"does not go with {second[0]}; give one or the other")
 
 
 def given_surface(shape: str, mesh: Any) -> meshes.Surface:
     """The surface that an argument `mesh` names, or is. Raises SceneError."""
     if isinstance(mesh, (str, PathLike)):
-        with named(f"{shape}.mesh"):
+        with about(f"{shape}.mesh"):
             return meshes.read_surface(mesh)
     surface = meshes.by_hand(f"{shape}.mesh", mesh)
     if not len(surface.triangles):
-        raise SceneError(f"{shape}.mesh: has no triangle")
+        raise SceneError(f"{shape}.mesh", says="has no triangle")
     return surface
 
 
@@ -161,8 +141,10 @@ def affordable(where: str, value: Any, balls: int, springs: int, cells: int = 0,
     free = available()
     if need > free:
         raise SceneError(
-            f"{where}: {value!r} is not allowed; {balls:.3g} balls and {springs:.3g} springs need about {need / 1e9:.3g} GB"
-            f" of memory, and {free / 1e9:.3g} GB are free; make it coarser"
+            where,
+            value,
+            says=f"is not allowed; {balls:.3g} balls and {springs:.3g} springs need about {need / 1e9:.3g} GB of memory, and"
+            f" {free / 1e9:.3g} GB are free; make it coarser",
         )
 
 
@@ -261,7 +243,7 @@ def build(
     if stretched is not None:
         rest = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1) / (1 + stretched)
     critical = 2 * np.sqrt(strength * reduced)
-    with named(shape):
+    with about(shape):
         balls = scene.add_balls(
             points,
             radius=part.radius,

@@ -93,7 +93,7 @@ def cloth(
         surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
     """
     if scene.dim != 3:
-        raise SceneError("cloth: a cloth needs a scene with dim = 3; in 2D use rope or jelly")
+        raise SceneError("cloth", says="a cloth needs a scene with dim = 3; in 2D use rope or jelly")
     woven = {
         "mass_per_area": mass_per_area,
         "stretch_stiffness": stretch_stiffness,
@@ -108,7 +108,7 @@ def cloth(
         grid = _grid(size, resolution, any(value is not None for value in woven.values()))
         surface, spacing, area = grid[0], 0.45 * float(grid[2].min()), float(grid[3].prod())
     elif size is not None or resolution is not None:
-        raise SceneError("cloth.mesh: takes the place of size and resolution; give one or the other")
+        raise SceneError("cloth.mesh", says="takes the place of size and resolution; give one or the other")
     else:
         grid, surface = None, given_surface("cloth", mesh)
         if wrong := meshes.flaws(surface, closed=False):
@@ -150,7 +150,9 @@ def cloth(
 def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) -> cloth_material.Fabric:
     stretch = or_default("cloth.stretch_stiffness", woven["stretch_stiffness"], STRETCH_STIFFNESS)
     if of_mesh and woven["shear_stiffness"] is not None:
-        raise SceneError("cloth.shear_stiffness: a mesh has none of its own, but a third of the stretch stiffness")
+        raise SceneError(
+            "cloth.shear_stiffness", says="a mesh has none of its own, but a third of the stretch stiffness"
+        )
     return cloth_material.Fabric(
         or_default("cloth.mass_per_area", woven["mass_per_area"], default_mass),
         stretch,

@@ -14,7 +14,7 @@ from taichi_sim.geometry.mesh import Surface, hinges, unique_edges
 
 __all__ = ["Bends", "Fabric", "Parts", "of_mesh", "of_sheet", "tension_shares"]
 
-FLAT = 1e-4  # rad: a hinge folded less is flat
+FLAT_HINGE = 1e-4  # rad: a hinge folded less is flat
 
 
 class Fabric(NamedTuple):
@@ -88,11 +88,9 @@ def _sheet_springs(number: tuple[int, int], spacing: NDArray, fabric: Fabric) ->
     for axis, along, across in ((0, a, b), (1, b, a)):
         k = across / along * (fabric.stretch - fabric.shear * (along / across) ** 2)
         if k < 0:
-            raise SceneError(
-                f"cloth.shear_stiffness: {fabric.shear:g} is not allowed; it must be at most"
-                f" {fabric.stretch * (across / along) ** 2:.4g}, the stretch stiffness times the square of the ratio of the"
-                " sides of a mesh of the grid"
-            )
+            most = f"{fabric.stretch * (across / along) ** 2:.4g}"
+            allowed = f"at most {most}, the stretch stiffness times the square of the ratio of the sides of a mesh of the grid"
+            raise SceneError("cloth.shear_stiffness", fabric.shear, allowed)
         part = _borders(number)[1 - axis]
         grid = index if axis == 0 else index.T
         pairs = np.stack([grid[:-1].ravel(), grid[1:].ravel()], axis=1)
@@ -141,7 +139,8 @@ def _areas(surface: Surface) -> NDArray[np.float64]:
     thin = np.flatnonzero(normal <= 1e-6 * longest)
     if len(thin):
         names = ", ".join(str(t) for t in thin[:3]) + (f" and {len(thin) - 3} more" if len(thin) > 3 else "")
-        raise SceneError(f"cloth.mesh: triangles {names} (from 0) have no area; take them out, or merge their corners")
+        says = f"triangles {names} (from 0) have no area; take them out, or merge their corners"
+        raise SceneError("cloth.mesh", says=says)
     return 0.5 * normal
 
 
@@ -194,7 +193,7 @@ def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArr
     double = np.linalg.norm(normals[0], axis=1), np.linalg.norm(normals[1], axis=1)
     strength = 2 * fabric.rigidity / (double[0] + double[1])
     sine = np.linalg.norm(np.cross(*normals), axis=1) / (double[0] * double[1])
-    flat = (sine < FLAT) & (np.einsum("hi,hi->h", *normals) > 0)
+    flat = (sine < FLAT_HINGE) & (np.einsum("hi,hi->h", *normals) > 0)
     corners = np.concatenate([edge, opposite], axis=1)
     bends = Bends(corners[flat].astype(np.int64), weights[flat], strength[flat])
     reach = double[0] * double[1] / length**2 * sine  # of the distance across, times that, for each radian

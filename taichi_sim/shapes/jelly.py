@@ -39,10 +39,10 @@ __all__ = ["jelly"]
 JELLY_DENSITY = {2: 100.0, 3: 1000.0}  # kg/m^2 (a slab of 0.1 m) and kg/m^3: water
 WOBBLE = 40 * 10.0  # m/s^2: waves run at the root of that times the height
 MESH_RATIO = 0.4  # Poisson's, of a filled mesh
-FLAT = 1e-6  # of its longest side: a mesh that is thinner is no body
-BOXES = 16  # along the longest side of a mesh
+FLAT_MESH = 1e-6  # of its longest side: a mesh that is thinner is no body
+DEFAULT_BOXES = 16  # along the longest side of a mesh
 FILLS = ("voxels", "tetrahedra")
-THIN = 0.25  # radius of a filled mesh's balls, of its spacing
+BALL_SHARE = 0.25  # radius of a filled mesh's balls, of its spacing
 
 
 def jelly(
@@ -100,19 +100,18 @@ def jelly(
     exclusive("jelly", elastic, {"stiffness": stiffness})
     exclusive("jelly", {"density": density}, {"mass": mass})
     factor = validation.number("jelly.scale", scale, positive=True)
-    if fill not in FILLS:
-        raise SceneError(f"jelly.fill: {fill!r} is not allowed; it must be one of {', '.join(map(repr, FILLS))}")
+    validation.one_of("jelly.fill", fill, FILLS)
     drag = at_least_0("jelly.damping", damping)
     thinner = surface_part("jelly", surface_collision)
     if surface_collision and scene.dim == 2:
-        raise SceneError("jelly.surface_collision: needs a scene with dim = 3")
+        raise SceneError("jelly.surface_collision", says="needs a scene with dim = 3")
     if mesh is None:
         if spacing is not None:
-            raise SceneError("jelly.spacing: is for a mesh; a block has a resolution")
+            raise SceneError("jelly.spacing", says="is for a mesh; a block has a resolution")
         block = _block(scene.dim, size, resolution)
         if all(value is None for value in elastic.values()):
             points, kinds, soft, triangles, finest = _springs(block, factor, mass)
-            total = or_default("jelly.mass", mass, _density(scene.dim) * float(np.prod(block[0] * factor)))
+            total = or_default("jelly.mass", mass, JELLY_DENSITY[scene.dim] * float(np.prod(block[0] * factor)))
             strength = at_least_0("jelly.stiffness", stiffness, soft)
             points = moved("jelly", points, position, rotation, factor)
             ball_radius = or_default("jelly.radius", radius, thinner * finest)
@@ -123,25 +122,24 @@ def jelly(
         default_radius *= thinner
     else:
         if scene.dim != 3:
-            raise SceneError("jelly.mesh: fills closed surfaces, in a scene with dim = 3")
+            raise SceneError("jelly.mesh", says="fills closed surfaces, in a scene with dim = 3")
         for name, value in (("size", size), ("resolution", resolution), ("stiffness", stiffness)):
             if value is not None:
-                raise SceneError(f"jelly.{name}: is for a block; a mesh takes spacing, scale and young_modulus")
+                raise SceneError(f"jelly.{name}", says="is for a block; a mesh takes spacing, scale and young_modulus")
         surface = given_surface("jelly", mesh)
         surface = meshes.Surface(surface.vertices * factor, surface.triangles)
         extent = np.ptp(surface.vertices, axis=0)
-        step = or_default("jelly.spacing", spacing, float(extent.max()) / BOXES)
+        step = or_default("jelly.spacing", spacing, float(extent.max()) / DEFAULT_BOXES)
         enclosed = abs(meshes.volume(surface))
-        if extent.min() <= FLAT * extent.max():
-            raise SceneError(
-                f"jelly.mesh: is flat, {extent.tolist()} m along the axes; it encloses nothing that could be filled"
-            )
+        if extent.min() <= FLAT_MESH * extent.max():
+            says = f"is flat, {extent.tolist()} m along the axes; it encloses nothing that could be filled"
+            raise SceneError("jelly.mesh", says=says)
         if step > float(extent.max()):
-            raise SceneError(f"jelly.spacing: {step:.4g} is not allowed; the mesh is {float(extent.max()):.4g} m long")
+            raise SceneError("jelly.spacing", step, f"at most {float(extent.max()):.4g}, the length of the mesh [m]")
         body, skin = (_voxels if fill == "voxels" else _tetrahedra)(surface, step)
-        default_radius = THIN * step
+        default_radius = BALL_SHARE * step
         volume = enclosed if not len(meshes.holes(surface.triangles)) else float(body.volume.sum())
-    total = mass if mass is not None else volume * or_default("jelly.density", density, _density(scene.dim))
+    total = mass if mass is not None else volume * or_default("jelly.density", density, JELLY_DENSITY[scene.dim])
     total = or_default("jelly.mass", total, 1.0)
     masses = body.volume * (total / float(body.volume.sum()))
     least = 1 / (scene.dim + 1)
@@ -162,10 +160,6 @@ def jelly(
     return shape
 
 
-def _density(dim: int) -> float:
-    return JELLY_DENSITY[dim]
-
-
 # Blocks ------------------------------------------------------------------------------------------------------------
 
 
@@ -184,7 +178,7 @@ def _springs(block: tuple, factor: float, mass: float | None) -> tuple:
     dim = len(number)
     spacing = extent / (np.array(number) - 1)
     points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * spacing
-    total = or_default("jelly.mass", mass, _density(dim) * float(np.prod(extent * factor)))
+    total = or_default("jelly.mass", mass, JELLY_DENSITY[dim] * float(np.prod(extent * factor)))
     kinds, along = _lattice(number)
     cell = float(np.prod(spacing * factor)) ** (2 / dim)  # m^2
     soft = WOBBLE * float(extent[1]) * factor * total / len(points) / (along * cell)  # c^2 = along k a^2 / m
@@ -244,9 +238,7 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid,
     low = low - 0.5 * (number * step - extent)
     filled = jelly_material.connected(jelly_material.inside(surface, low, step, shape))
     if not filled.any():
-        raise SceneError(
-            f"jelly.spacing: {step:.4g} is not allowed; no box of that size fits into the mesh; give a smaller one"
-        )
+        raise SceneError("jelly.spacing", step, "less; no box of that size fits into the mesh")
     wrong = meshes.flaws(surface)
     if wrong:
         part = float(filled.sum()) * step**3
@@ -264,10 +256,8 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid,
 def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid, tuple[NDArray, NDArray]]:
     wrong = meshes.flaws(surface)
     if wrong:
-        raise SceneError(
-            f'jelly.mesh: cannot be filled with tetrahedra: {"; ".join(wrong)}. Mend it, or use fill = "voxels", which takes any'
-            " mesh"
-        )
+        says = f'cannot be filled with tetrahedra: {"; ".join(wrong)}. Mend it, or use fill = "voxels", which takes any mesh'
+        raise SceneError("jelly.mesh", says=says)
     if meshes.volume(surface) < 0:
         surface = meshes.Surface(surface.vertices, surface.triangles[:, ::-1])
     balls = int(abs(meshes.volume(surface)) / step**3)

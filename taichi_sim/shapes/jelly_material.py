@@ -67,10 +67,8 @@ def moduli(where: str, dim: int, young_modulus: float, poisson_ratio: float) -> 
     least, most = 1 / (dim + 1), 1 / (dim - 1)
     nu = validation.number(f"{where}.poisson_ratio", poisson_ratio)
     if not least - 1e-9 <= nu < most:
-        raise SceneError(
-            f"{where}.poisson_ratio: {poisson_ratio:g} is not allowed; it must be at least {least:.4g}, that of springs alone,"
-            f" and less than {most:g}"
-        )
+        allowed = f"at least {least:.4g}, that of springs alone, and less than {most:g}"
+        raise SceneError(f"{where}.poisson_ratio", poisson_ratio, allowed)
     mu = young_modulus / (2 * (1 + nu))
     return mu, max(0.0, mu * (2 * nu / (1 - (dim - 1) * nu) - 1))
 
@@ -161,8 +159,9 @@ def _strengths(where: str, a: NDArray[np.float64]) -> dict[tuple[int, ...], floa
         k = (3.0 - along[i]) * volume / square[i]
         if k < 0:
             raise SceneError(
-                f"{where}.resolution: gives boxes of {' x '.join(f'{side:.3g}' for side in a)} m, too unlike in their sides for"
-                " an elastic lattice; choose one with sides about equal"
+                f"{where}.resolution",
+                says=f"gives boxes of {' x '.join(f'{side:.3g}' for side in a)} m, too unlike in their sides for an elastic"
+                " lattice; choose one with sides about equal",
             )
         result[tuple(int(axis == i) for axis in range(dim))] = float(k)
     return result
@@ -249,9 +248,8 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
     try:
         import pytetwild
     except ImportError:
-        raise SceneError(
-            f'{where}.fill: tetrahedra need one more package: pip install "taichi-sim[mesh]"; or use fill = "voxels"'
-        ) from None
+        says = 'tetrahedra need one more package: pip install "taichi-sim[mesh]"; or use fill = "voxels"'
+        raise SceneError(f"{where}.fill", says=says) from None
     size, low = float(np.ptp(surface.vertices, axis=0).max()), surface.vertices.min(axis=0)
     unit = (surface.vertices - low) / size  # what is very small ends it without a word
     edge = edge / size
@@ -262,10 +260,11 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
                 unit, surface.triangles, edge_length_abs=edge, epsilon=ENVELOPE * edge / across
             )
     except Exception as error:  # foreign code may raise anything
-        raise SceneError(f'{where}.mesh: cannot be filled with tetrahedra: {error}; use fill = "voxels"') from error
+        says = f'cannot be filled with tetrahedra: {error}; use fill = "voxels"'
+        raise SceneError(f"{where}.mesh", says=says) from error
     points, cells = np.asarray(points, dtype=np.float64) * size + low, np.asarray(cells, dtype=np.int64)
     if not len(cells):
-        raise SceneError(f'{where}.mesh: no tetrahedron fits into it; use fill = "voxels", or a smaller spacing')
+        raise SceneError(f"{where}.mesh", says='no tetrahedron fits into it; use fill = "voxels", or a smaller spacing')
     used, new = np.unique(cells, return_inverse=True)
     points, compact = points[used], new.reshape(-1, 4).astype(np.int32)
     turned = cell_volumes(points, compact) < 0

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from taichi_sim.common import validation
+from taichi_sim.common.errors import about
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import (
     Part,
@@ -13,11 +14,9 @@ from taichi_sim.shapes.base import (
     affordable,
     at_least_0,
     build,
-    count,
     counts,
     lengths,
     moved,
-    named,
     or_default,
 )
 from taichi_sim.shapes.jelly import jelly
@@ -54,7 +53,7 @@ def pile(
     step = or_default("pile.spacing", spacing, 2.2 * size)
     shake = validation.number("pile.jitter", jitter, low=0, high=1) * size
     points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * step
-    points = points + np.random.default_rng(count("pile.seed", seed, 0)).uniform(-shake, shake, points.shape)
+    points = points + np.random.default_rng(validation.whole("pile.seed", seed, 0)).uniform(-shake, shake, points.shape)
     points = moved("pile", points, position, rotation, 1.0)
     total = or_default("pile.mass", mass, 1.0) * len(points)
     part = Part(total, size, pinned, material, colour, self_collision=True)
@@ -85,7 +84,7 @@ def tower(
         radius: of each ball [m]; 0.45 of the smallest spacing by default.
     """
     dim = scene.dim
-    number = count("tower.levels", levels, 1)
+    number = validation.whole("tower.levels", levels, 1)
     extent = lengths("tower.size", (0.4,) * dim if size is None else size, dim)
     many = counts("tower.resolution", (4,) * dim if resolution is None else resolution, dim, 2)
     reach = or_default("tower.radius", radius, 0.45 * float((extent / (np.array(many) - 1)).min()))
@@ -94,7 +93,7 @@ def tower(
     affordable("tower.levels", levels, number * int(np.prod(many)), 13 * number * int(np.prod(many)))
     blocks = []
     for level in range(number):
-        with named("tower"):
+        with about("tower"):
             block = jelly(
                 scene,
                 extent,  # type: ignore[arg-type]

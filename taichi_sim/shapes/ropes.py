@@ -14,7 +14,6 @@ from taichi_sim.shapes.base import (
     Springs,
     at_least_0,
     build,
-    count,
     lattice_pairs,
     moved,
     or_default,
@@ -51,10 +50,10 @@ def rope(
     """
     a = validation.vectors("rope.start", start, 1, scene.dim)[0]
     b = validation.vectors("rope.end", end, 1, scene.dim)[0]
-    number = (count("rope.n", n, 2),)
+    number = (validation.whole("rope.n", n, 2),)
     length = float(np.linalg.norm(b - a))
     if length == 0:
-        raise SceneError(f"rope.end: {list(end)!r} is not allowed; it must differ from start")
+        raise SceneError("rope.end", b, "another point than start")
     points = a + np.linspace(0.0, 1.0, number[0])[:, None] * (b - a)
     bend = validation.number("rope.bending_stiffness", bending_stiffness, low=0)
     kinds = [Springs(lattice_pairs(number, (1,)), 1.0)]
@@ -98,7 +97,7 @@ def wheel(
         ball_radius: of each ball [m]; 0.3 of the distance along the rim by default.
     """
     reach = validation.number("wheel.radius", radius, positive=True)
-    number = count("wheel.spokes", spokes, 3)
+    number = validation.whole("wheel.spokes", spokes, 3)
     middle = validation.vectors("wheel.centre", centre, 1, scene.dim)[0]
     angle = 2 * np.pi * np.arange(number) / number
     points = np.zeros((number + 1, scene.dim))

@@ -16,7 +16,6 @@ from taichi_sim.shapes.base import (
     affordable,
     at_least_0,
     build,
-    count,
     counts,
     lattice_pairs,
     lengths,
@@ -61,7 +60,7 @@ def truss(
     """
     dim = scene.dim
     extent = lengths("truss.size", size, dim)
-    number = (count("truss.cells", cells, 1) + 1, *(2,) * (dim - 1))
+    number = (validation.whole("truss.cells", cells, 1) + 1, *(2,) * (dim - 1))
     affordable("truss.cells", cells, number[0] * 2 ** (dim - 1), number[0] * 18)
     factor = validation.number("truss.scale", scale, positive=True)
     spacing = extent / (np.array(number) - 1)
@@ -113,9 +112,9 @@ def net(
         radius: of each ball [m]; 0.3 of the shorter distance along the ropes by default.
     """
     if scene.dim != 3:
-        raise SceneError("net: needs a scene with dim = 3; in 2D use rope or truss")
+        raise SceneError("net", says="needs a scene with dim = 3; in 2D use rope or truss")
     extent = lengths("net.size", (1.0, 1.0) if size is None else size, 2)
-    number, cut = counts("net.meshes", meshes, 2, 1), count("net.pieces", pieces, 1)
+    number, cut = counts("net.meshes", meshes, 2, 1), validation.whole("net.pieces", pieces, 1)
     affordable("net.meshes", meshes, 2 * number[0] * number[1] * cut, 2 * number[0] * number[1] * cut)
     factor = validation.number("net.scale", scale, positive=True)
     lines = [cut * n + 1 for n in number]

@@ -21,6 +21,7 @@ start, or where the state was last set from outside, or, with user-defined force
 tolerance cannot be kept: that is said once, and the run goes on with fewer substeps.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -328,21 +329,21 @@ class AdaptiveStepper(Stepper):
                 return True
         return False
 
-    # To a file and back ----------------------------------------------------------------------------------------------
+    # To a snapshot and back ----------------------------------------------------------------------------------------
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    def _stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """Where both solutions are, where they began, and a method's own memory in them."""
+        if not self.scene.n_balls:
+            return {}, {}
         self.prime()
-        mark = [*self._mark[:-1], list(self._mark[-1])]
-        return {"mark": mark} | {name: getattr(self, name) for name in KEPT}, self._second.arrays(
-            self.remembers, self.began
-        )
+        own = {"mark": [*self._mark[:-1], list(self._mark[-1])]} | {name: getattr(self, name) for name in KEPT}
+        return own, self._second.arrays(self.remembers, self.began)
 
-    def set_state(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    def _set_stepping(self, stepping: Mapping[str, Any], memory: Mapping[str, NDArray]) -> None:
         """The same."""
         self.prime()
-        if set(state) == {"mark", *KEPT} and self._second.write(arrays):
+        if set(stepping) == {"mark", *KEPT} and self._second.write(memory):
             for name in KEPT:
-                setattr(self, name, state[name])
-            *mark, last = state["mark"]
+                setattr(self, name, stepping[name])
+            *mark, last = stepping["mark"]
             self._mark = (*mark, StateSample(*last))

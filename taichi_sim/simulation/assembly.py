@@ -36,6 +36,7 @@ from taichi_sim.kernels.contacts.pairs import ENDLESS
 from taichi_sim.scene.keyframes import TICKS
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.drivers import Drivers
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateProbe
@@ -44,11 +45,11 @@ from taichi_sim.simulation.step_doubling import SecondSolution
 __all__ = ["Assembly", "compensates"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
-FINE = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
+FINEST_ROUNDING = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
 MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
 PAIR_BYTES = 64  # about what a listed pair takes
-SPARE = 1.5  # room made, in units of what was found too much
+SPARE_CAPACITY = 1.5  # made, in units of what was found too much
 
 
 class ContactCapacity(NamedTuple):
@@ -59,7 +60,7 @@ class ContactCapacity(NamedTuple):
     triangles: int = 0
 
 
-USUAL = ContactCapacity()
+NO_CAPACITY_KNOWN = ContactCapacity()
 
 
 class Assembly:
@@ -72,11 +73,11 @@ class Assembly:
         backend: Backend,
         h: float,
         forces: Sequence[Any],
-        room: ContactCapacity = USUAL,
+        capacity: ContactCapacity = NO_CAPACITY_KNOWN,
     ) -> None:
         self.arguments = (scene, settings, backend, h, forces)
         self.backend, self.h = backend, h
-        self.room = room
+        self.capacity = capacity
         cpu = backend.arch == "cpu"
         if settings.driver == "fused" and not cpu:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
@@ -164,9 +165,9 @@ class Assembly:
         if plan.pairs:
             most = self._spare_bytes() // PAIR_BYTES
             grid = Grid(model, fields, plan.skin, LISTED_GAP if plan.soft else 0.0, most)
-            pairs = Pairs(model, fields, grid, plan, self.room.pairs)
-            sticks = Sticks(model, fields, pairs, self.room.sticks) if plan.sticks else None
-            triangles = TriangleContacts(model, fields, pairs, self.room.triangles) if plan.triangles else None
+            pairs = Pairs(model, fields, grid, plan, self.capacity.pairs)
+            sticks = Sticks(model, fields, pairs, self.capacity.sticks) if plan.sticks else None
+            triangles = TriangleContacts(model, fields, pairs, self.capacity.triangles) if plan.triangles else None
         self.colliders = Colliders(model, fields, self._grids) if plan.colliders else None
         if plan.walls:
             walls = Walls(model, self.state, fields, plan, self.threshold, self.colliders)
@@ -255,14 +256,37 @@ class Assembly:
     def impulses(self) -> NDArray[np.float64]:
         """(b, dim) N s that walls and colliders have received since the start, those of `probes.bodies_of`."""
         scene, walls = self.arguments[0], self.contacts.walls
-        if walls is None or not walls.probed:
+        if walls is None or not walls.probed or not scene.n_balls:
             return np.zeros((len(bodies_of(scene)), scene.dim))
         return walls.received.value()
 
-    def set_impulses(self, total: NDArray[np.float64]) -> None:
-        """Go on from there."""
-        if self.contacts.walls is not None and self.contacts.walls.probed:
-            self.contacts.walls.received.set(total)
+    def snapshot(self) -> Snapshot:
+        """The state of all parts."""
+        state = self.state
+        low = state.rounded_off or (None, None)
+        return Snapshot(
+            position=state.position,
+            velocity=state.velocity,
+            low_position=low[0],
+            low_velocity=low[1],
+            surface_speed=state.surface_speed,
+            torn=None if self.tearing is None else self.tearing.springs_torn,
+            impulses=self.impulses(),
+        )
+
+    def resume(self, from_: Snapshot) -> None:
+        """Put the state back; `prime` is due."""
+        n, walls = len(from_.position), self.contacts.walls
+        x, v = from_.low_position, from_.low_velocity
+        self.state.write(from_.position, from_.velocity, None if x is None or v is None else (x, v))
+        speed = from_.surface_speed
+        self.state.write_spin(np.zeros((n, 1 if self.model.dim == 2 else 3)) if speed is None else speed)
+        if self.tearing is not None:
+            torn = from_.torn
+            self.tearing.tear(np.zeros(self.tearing.m, dtype=bool) if torn is None else torn)
+        if walls is not None and walls.probed:
+            given = from_.impulses
+            walls.received.set(np.zeros_like(walls.received.total) if given is None else given)
 
     def searches(self) -> int:
         """How often neighbours were looked for."""
@@ -277,7 +301,7 @@ class Assembly:
             if part is not None and (entries := int(part.overflow[0])) > part.capacity:
                 part.overflow[0] = 0
                 found[name] = entries
-        return self.room._replace(**found) if found else None
+        return self.capacity._replace(**found) if found else None
 
     def with_capacity(self, needed: ContactCapacity) -> "Assembly":
         """The same parts, compiled anew, with lists for what is needed and half as much again. This one is freed.
@@ -285,7 +309,7 @@ class Assembly:
         Positions, velocities and spin go over; impulses that contacts hold do not. Raises SceneError, and changes nothing,
         where that takes more than MEMORY_SHARE of the free memory, or more entries than numbers of 32 bits count.
         """
-        room = {}
+        enough = {}
         for name in ContactCapacity._fields:
             part, entries = getattr(self.contacts, name), getattr(needed, name)
             if part is not None and entries > part.capacity:
@@ -297,24 +321,17 @@ class Assembly:
                         f"contacts: {part.what} need {entries} entries, but there is memory for {limit}"
                         f" ({limit * part.bytes_each / 2**30:.3g} GiB): too many balls lie in each other"
                     )
-                entries = min(limit, int(SPARE * entries))
-            room[name] = entries
-        state = self.state
-        x, v, low, turn = state.position, state.velocity, state.rounded_off, state.surface_speed
-        torn = None if self.tearing is None else self.tearing.springs_torn
-        given = self.impulses()
+                entries = min(limit, int(SPARE_CAPACITY * entries))
+            enough[name] = entries
+        snapshot = self.snapshot()
         if self.second_solution is None:  # else both are there for a moment
             self.free()
-        larger = Assembly(*self.arguments, room=ContactCapacity(**room))
+        larger = Assembly(*self.arguments, capacity=ContactCapacity(**enough))
         if self.second_solution is not None and larger.second_solution is not None:
             larger.second_solution.take(self.second_solution)
             self.free()
         larger.set_step(self.h)
-        larger.state.write(x, v, low)
-        larger.state.write_spin(turn)
-        larger.set_impulses(given)
-        if torn is not None and larger.tearing is not None:
-            larger.tearing.tear(torn)
+        larger.resume(snapshot)
         return larger
 
     def _endless(self) -> str:
@@ -352,7 +369,9 @@ def _rounds(scene: Scene, backend: Backend) -> bool:
     """Whether sums of many small steps lose digits that show: in single precision, or far from the origin."""
     if backend.precision == "f32" or not scene.n_balls:
         return backend.precision == "f32"
-    return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINE * float(np.min(scene.radius))
+    return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINEST_ROUNDING * float(
+        np.min(scene.radius)
+    )
 
 
 def turning(scene: Scene, settings: Settings) -> NDArray[np.bool_]:

@@ -29,7 +29,7 @@ __all__ = ["LARGEST_PART", "EnergyMonitor", "Growth", "size"]
 MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
 LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it there is none
-WORK = 100.0  # times what a driven scene had before: worth a look at the bound
+WORK_GROWTH = 100.0  # times what a driven scene had before: the bound is asked then
 DIGITS = 64.0  # units of rounding that sums and positions may differ by
 
 
@@ -72,7 +72,7 @@ class EnergyMonitor:
         self.least, self.most, self.last = sample.total, sample.motion, sample
 
     def judge(self, sample: Any) -> Growth | None:
-        """The growth that a look shows, or None: then it is noted."""
+        """The growth that a sample shows, or None: then it is noted."""
         growth = self._growth(sample)
         if growth is None:
             self.least, self.most, self.last = min(self.least, sample.total), max(self.most, sample.motion), sample
@@ -80,7 +80,7 @@ class EnergyMonitor:
 
     def _growth(self, sample: Any) -> Growth | None:
         if not self.closed:
-            grown = 0.0 < WORK * self.most < sample.motion
+            grown = 0.0 < WORK_GROWTH * self.most < sample.motion
             return Growth(self.most, sample.motion, False) if grown else None
         gain = sample.total - self.least - self.slack - self._rounding(sample)
         if gain > 0.0 and sample.motion > self.limit * (sample.motion - gain):

@@ -3,7 +3,6 @@
 import math
 from copy import copy
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from taichi_sim.analysis.accuracy import layers
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import Stability
 from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError, unknown_key
 from taichi_sim.device import backend
 from taichi_sim.scene.scene import Scene, max_restitution
 
@@ -37,8 +37,9 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "spin": ("auto", True, False),
 }
 LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
-# s, the longest step between two looks at the error; it divides frames of 24, 30 and 60 a second
+# s, the longest step between two estimates of the error; it divides frames of 24, 30 and 60 a second
 STRIDE = 1.0 / 240.0
+MOST_PARTS_GIVEN = 2**31 - 1  # substeps, or iterations
 MOST_PARTS = 256  # of such a step, where springs need short ones
 SHORTEST_DT, LONGEST_DT = 1e-12, 1e6  # s
 MOST_THREADS = 4096
@@ -48,11 +49,11 @@ SAFETY = 0.9  # of the stability bound
 UNDAMPED = 0.4
 SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
 MOST_SUBSTEPS = 8
-MANY = 1000  # balls, fewer of which can afford two passes
-SURFACE_PASSES = (
-    10  # what folds lies in several layers, each ball in many contacts; finding these takes far longer than a pass
+MANY_BALLS = 1000  # fewer can afford two iterations
+SURFACE_ITERATIONS = (
+    10  # folds lie in layers, each ball in many contacts; finding these takes far longer than an iteration
 )
-UNEQUAL = 10.0  # ratio of masses from which one Gauss-Seidel pass is not enough
+UNEQUAL_MASSES = 10.0  # ratio of masses from which one Gauss-Seidel iteration is not enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,37 +78,30 @@ class Settings:
         """Arguments, else scene.settings, else defaults. Raises ValueError that names the argument and what is allowed."""
         for name in (*scene.settings, *given):
             if name not in DEFAULTS:
-                near = get_close_matches(name, DEFAULTS, n=1)
-                hint = f"; did you mean {near[0]!r}?" if near else ""
-                raise ValueError(f"{name}: no such argument; there are {', '.join([*DEFAULTS, 'forces'])}{hint}")
+                raise unknown_key(name, [*DEFAULTS, "forces"], "an argument of Simulation")
         for source in (scene.settings, given):
             if source.get("tolerance") is not None:
                 for name in ("dt", "substeps"):
                     if source.get(name, "auto") != "auto":
-                        raise ValueError(
-                            f"tolerance: chooses the step, but {name} = {source[name]!r} is given too; leave one out"
-                        )
+                        says = f"chooses the step, but {name} = {source[name]!r} is given too; leave one out"
+                        raise SceneError("tolerance", says=says)
         values = {**DEFAULTS, **_over(scene.settings, given)}
         for name, allowed in WORDS.items():
-            if not any(values[name] is word or values[name] == word for word in allowed):
-                words = ", ".join(str(word) for word in allowed)
-                raise ValueError(f"{name}: {values[name]!r} is not allowed; it must be one of {words}")
+            validation.one_of(name, values[name], allowed)
         _check_backend(values)
         _check_contacts(values["contacts"])
         values["integrator"] = _integrator(values["integrator"])
         for name in ("contact_iterations", "substeps"):
             if values[name] != "auto":
-                values[name] = _whole(name, values[name])
+                values[name] = validation.whole(name, values[name], 1, MOST_PARTS_GIVEN)
         if values["dt"] != "auto":
             values["dt"] = validation.number("dt", values["dt"], high=math.inf, positive=True)
             if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
-                raise ValueError(
-                    f"dt: {values['dt']:g} is not allowed; it must be from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds"
-                )
+                raise SceneError("dt", values["dt"], f"from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds")
         if values["tolerance"] is not None:
             values["tolerance"] = validation.number("tolerance", values["tolerance"], positive=True)
             if values["tolerance"] >= 1.0:
-                raise ValueError(f"tolerance: {values['tolerance']:g} is not allowed; it must be less than 1")
+                raise SceneError("tolerance", values["tolerance"], "less than 1")
         return cls(**values)
 
     def iterations(self, scene: Scene, in_turn: bool) -> int:
@@ -118,10 +112,10 @@ class Settings:
         takes energy for good."""
         if self.contact_iterations != "auto":
             return int(self.contact_iterations)
-        surfaces = SURFACE_PASSES if scene.solid.any() else 0
+        surfaces = SURFACE_ITERATIONS if scene.solid.any() else 0
         if in_turn:
             mass = scene.mass[~scene.pinned]
-            few = 1 if len(mass) > MANY and mass.max() <= UNEQUAL * mass.min() else 2
+            few = 1 if len(mass) > MANY_BALLS and mass.max() <= UNEQUAL_MASSES * mass.min() else 2
             few = max(few, surfaces)
             rows = scene.solid.any() or scene.collides.any()  # else impacts are resolved one by one
             return few + (round(4 * max(0.0, 2.0 * max_restitution(scene) - 1.0)) if rows else 0)
@@ -135,14 +129,17 @@ class Settings:
             return dt, self._substeps(scene, dt)
         method = self.integrator.method
         if method.limit is None:
-            given = 'dt: "auto"' if self.tolerance is None else "tolerance: it"
-            raise ValueError(
-                f"{given} needs a step that is known to be safe, and the integrator {method} declares no stability limit; give dt"
-                f" in seconds, or declare one in the integrator's class: method = Method({method.name!r},"
-                " limit=StabilityLimit(undamped=..., damped=...))"
+            name = "dt" if self.tolerance is None else "tolerance"
+            raise SceneError(
+                name,
+                getattr(self, name),
+                says=f"needs a step that is known to be safe, and the integrator {method} declares no stability limit; give dt in"
+                f" seconds, or declare one in the integrator's class: method = Method({method.name!r},"
+                " limit=StabilityLimit(undamped=..., damped=...))",
             )
         if safe.dt_any_shape == 0.0:
-            raise ValueError(f'dt: "auto" finds no safe step: {safe.reason}; give a number, or take another integrator')
+            says = f"finds no safe step: {safe.reason}; give a number, or take another integrator"
+            raise SceneError("dt", "auto", says=says)
         longest = part_of_bound(scene, method) * safe.dt_any_shape
         if self.tolerance is not None:
             dt = float(np.minimum(STRIDE, MOST_PARTS * longest))
@@ -181,26 +178,20 @@ def _over(settings: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
 
 def _check_backend(values: dict[str, Any]) -> None:
     for name, allowed in (("arch", backend.ARCHES), ("precision", backend.PRECISIONS)):
-        if values[name] is not None and values[name] not in allowed:
-            raise ValueError(f"{name}: {values[name]!r} is not allowed; it must be one of {', '.join(allowed)}")
+        if values[name] is not None:
+            validation.one_of(name, values[name], allowed)
     if values["threads"] is not None:
-        _whole("threads", values["threads"], MOST_THREADS)
-
-
-def _whole(name: str, value: Any, most: int = 2**31 - 1) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 1 <= value <= most:
-        raise ValueError(f"{name}: {value!r} is not allowed; it must be a whole number from 1 to {most}")
-    return int(value)
+        validation.whole("threads", values["threads"], 1, MOST_THREADS)
 
 
 def _check_contacts(value: Any) -> None:
-    if value == "auto":
+    if isinstance(value, str) and value == "auto":
         return
     from taichi_sim.contacts import CONTACT_RULES, ContactRule  # brings Taichi: only when a simulation is made
 
     if not isinstance(value, ContactRule) and not (isinstance(value, str) and value in CONTACT_RULES):
-        words = ", ".join(["auto", *(name for name in CONTACT_RULES if name != "off"), "off"])
-        raise ValueError(f"contacts: {value!r} is not allowed; it must be one of {words}, or a ContactRule")
+        words = ["auto", *(name for name in CONTACT_RULES if name != "off"), "off"]
+        validation.one_of("contacts", value, words, ", or a ContactRule")
 
 
 def _integrator(value: Any) -> Any:
@@ -211,5 +202,4 @@ def _integrator(value: Any) -> Any:
     for kind in BUILT_IN:
         if kind.method.name == value:
             return kind()
-    names = ", ".join(kind.method.name for kind in BUILT_IN)
-    raise ValueError(f"integrator: {value!r} is not allowed; it must be one of {names}, or an Integrator")
+    validation.one_of("integrator", value, [kind.method.name for kind in BUILT_IN], ", or an Integrator")

@@ -21,6 +21,7 @@ from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.probe_readings import Reader
 from taichi_sim.analysis.stability import Stability, stability
 from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import checked_forces
@@ -29,6 +30,7 @@ from taichi_sim.integrators import BUILT_IN
 from taichi_sim.integrators.base import SolverStatistics
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import Assembly, compensates
 from taichi_sim.simulation.settings import Settings
@@ -37,7 +39,6 @@ from taichi_sim.simulation.stepper import Stepper
 __all__ = ["Simulation"]
 
 MOST_FRAMES = 10_000_000
-Low = tuple[NDArray, NDArray] | None
 
 
 class Simulation(Reader):
@@ -83,16 +84,8 @@ class Simulation(Reader):
         own = type(s.integrator) not in BUILT_IN or bool(vars(s.integrator)) or not isinstance(s.contacts, str)
         self.has_custom_parts = bool(forces) or own
         diagnostics.check_tearing(scene)
-        if s.tolerance is not None and np.isfinite(scene.break_strain).any():
-            raise ValueError("tolerance: cannot be kept where springs tear; give dt, or leave break_strain out")
         if s.tolerance is not None:
-            check_digits(
-                scene, s.tolerance, self.backend.precision, self.dt, substeps, compensates(scene, self.backend)
-            )
-        if s.tolerance is not None and bodies_of(scene):
-            raise ValueError(
-                "tolerance: cannot be kept together with probes of force or impulse; give dt, or leave them out"
-            )
+            self._check_tolerance(s.tolerance, substeps)
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else AdaptiveStepper
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
@@ -101,6 +94,16 @@ class Simulation(Reader):
         self._closed, self._probed = False, tuple(scene.probes)
         self._still = scene.n_balls == 0
         self._begin_readings()
+
+    def _check_tolerance(self, tolerance: float, substeps: int) -> None:
+        """Raise SceneError where it cannot be kept."""
+        scene, backend = self.scene, self.backend
+        if np.isfinite(scene.break_strain).any():
+            raise SceneError("tolerance", says="cannot be kept where springs tear; give dt, or leave break_strain out")
+        check_digits(scene, tolerance, backend.precision, self.dt, substeps, compensates(scene, backend))
+        if bodies_of(scene):
+            says = "cannot be kept together with probes of force or impulse; give dt, or leave them out"
+            raise SceneError("tolerance", says=says)
 
     def _warn(self, h: float) -> None:
         safe = self._stability.dt_any_shape
@@ -131,12 +134,11 @@ class Simulation(Reader):
     def step(self, n: int = 1) -> None:
         """Advance by n steps of dt. step(0) only compiles; on several threads the step itself compiles with the first. Raises
         UnstableError, leaving the last good state."""
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 0:
-            raise ValueError(f"step: {n!r} is not allowed; it must be a whole number, 0 or more")
+        steps = validation.whole("step", n, 0)
         if self._still:
-            self._stepper.steps += int(n)
+            self._stepper.steps += steps
         elif self._state is not None:  # not closed
-            self._stepper.step(int(n))
+            self._stepper.step(steps)
 
     def run(self, duration: float) -> None:
         """Advance by round(duration / dt) steps; duration in seconds."""
@@ -180,7 +182,7 @@ class Simulation(Reader):
         return self._state.velocity
 
     def _spin(self) -> NDArray[np.float64]:
-        return self.surface_speed / self.scene.radius[:, None]
+        return self._state.surface_speed / self.scene.radius[:, None]
 
     @property
     def angular_velocity(self) -> NDArray[np.float64]:
@@ -202,7 +204,7 @@ class Simulation(Reader):
 
     def contacts(self) -> Contacts:
         """Number and depth of the contacts, what the solver left of approach speeds, and what it did; all 0 where contacts
-        are off, but for the largest speed. Costs a look at all contacts, and at the first call a kernel to compile. Warns, once,
+        are off, but for the largest speed. Costs a search of all contacts, and a kernel at the first call. Warns, once,
         where steps have brought balls deep into something."""
         fastest = diagnostics.largest_speed(self.velocity)
         if self._still or not self._parts.contacts.active:
@@ -218,7 +220,7 @@ class Simulation(Reader):
         return self.contacts().penetration
 
     def crossings(self) -> int:
-        """How often an edge of the triangles pierces one of them, all of the scene's taken together; 0 in 2D. A look in NumPy."""
+        """How often an edge of the triangles pierces one of them, all of the scene's taken together; 0 in 2D. In NumPy."""
         return len(crossings(self.position, self.scene.triangles)) if self.scene.dim == 3 else 0
 
     def frame(self) -> Frame:
@@ -328,56 +330,19 @@ class Simulation(Reader):
         v[self.scene.pinned] = 0.0
         self._write(self.position, v)
 
-    @property
-    def rounded_off(self) -> Low:
-        """What single precision rounded off of position and velocity, both (n, dim), or None where it is not kept."""
-        return self._state.rounded_off
+    def snapshot(self) -> Snapshot:
+        """All that it goes on from, at the present time."""
+        assert self._parts is not None  # not closed
+        return self._stepper.snapshot()
 
-    @property
-    def surface_speed(self) -> NDArray[np.float64]:
-        """Radius times angular velocity [m/s], (n, 1) in 2D, (n, 3) in 3D, a copy; 0 where balls do not spin."""
-        return self._state.surface_speed
+    def resume(self, snapshot: Snapshot) -> None:
+        """Go on from a snapshot of this scene. Raises SceneError for what does not fit."""
+        self._stepper.resume(snapshot.checked(self.scene))
+        self._begin_readings()
 
-    def resume(
-        self,
-        position: ArrayLike,
-        velocity: ArrayLike,
-        time: float,
-        low: Low = None,
-        surface_speed: NDArray | None = None,
-        torn: NDArray | None = None,
-        impulses: NDArray | None = None,
-    ) -> None:
-        """Continue from a state (n, dim) [m], (n, dim) [m/s] that was reached at `time` [s]: what a saved run restarts with.
-
-        low: what was `rounded_off`. surface_speed: (n, 1 or 3) [m/s], where balls spin. torn: (m,) springs; none by default.
-        impulses: what was `impulses`; 0 by default.
-        The impulses that contacts held are found anew in the first steps: a pile that rests goes on resting, but not with the
-        same bits.
-        """
-        n, dim = self.scene.n_balls, self.scene.dim
-        self._stepper.set_time(time)
-        if n:
-            x, v = validation.vectors("position", position, n, dim), validation.vectors("velocity", velocity, n, dim)
-            self._write(x, v, low, moved=True)
-            if self._parts.tearing is not None:
-                self._parts.tearing.tear(np.zeros(self.scene.n_springs, dtype=bool) if torn is None else torn)
-            if surface_speed is not None:
-                self._state.write_spin(surface_speed)
-        self._begin_readings(impulses)
-
-    def stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
-        """What a saved run needs besides its state to go on with the same steps."""
-        return self._stepper.state()
-
-    def set_stepping(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
-        """Go on as `stepping` said, after `resume`."""
+    def _write(self, x: NDArray, v: NDArray, *, moved: bool = False) -> None:
         if not self._still:
-            self._stepper.set_state(state, arrays)
-
-    def _write(self, x: NDArray, v: NDArray, low: Low = None, *, moved: bool = False) -> None:
-        if not self._still:
-            self._state.write(x, v, low)
+            self._state.write(x, v)
             if moved:
                 self._parts.contacts.forget()
             self._stepper.primed = False

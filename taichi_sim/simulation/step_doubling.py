@@ -1,5 +1,6 @@
 """SecondSolution: a second solution of the same scene, with other steps, stored beside the first, to measure the error by."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -215,7 +216,7 @@ class SecondSolution:
                 )
         return found
 
-    def write(self, arrays: dict[str, np.ndarray]) -> bool:
+    def write(self, arrays: Mapping[str, np.ndarray]) -> bool:
         """Put all back as `arrays` gave it; whether all but memories was there."""
         names = self._names()
         if any(name not in arrays for name in names if not name.startswith("memory")):

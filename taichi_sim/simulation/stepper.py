@@ -1,7 +1,9 @@
-"""Stepper: from step to step, with a look at the result after each chunk. A run that leaves what is safe is warned of, or, where
+"""Stepper: from step to step, with a sample of the state after each chunk. A run that leaves what is safe is warned of, or, where
 the step was left to the program, taken back and repeated with shorter substeps."""
 
 import warnings
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from taichi_sim.analysis.stability import Stability, present_limit
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.assembly import Assembly
 from taichi_sim.simulation.energy_monitor import LARGEST_PART, EnergyMonitor, Growth, size
 from taichi_sim.simulation.settings import Settings
@@ -19,12 +22,14 @@ from taichi_sim.simulation.state_probe import StateSample
 
 __all__ = ["Stepper"]
 
-CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two looks
-WORK = 1 << 21  # balls and springs gone through between two looks in small scenes: a look costs about a hundredth
-LOOKS = 16  # chunks between two looks at the bound for the present shape, in scenes of at most MANY balls and springs
-MANY = 20_000
-HALVINGS = 6  # of the substep, before a run is given up
-SAME = 2.0  # times the energy by another step: work that was done
+CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two samples
+WORK = 1 << 21  # balls and springs gone through between two samples in small scenes: one costs about a hundredth
+CHUNKS_PER_BOUND = (
+    16  # from one bound for the present shape to the next, in scenes of at most MOST_BOUNDED balls and springs
+)
+MOST_BOUNDED = 20_000
+MOST_HALVINGS = 6  # of the substep, before a run is given up
+SAME_ENERGY = 2.0  # times the energy by another step: work that was done
 
 
 class Stepper:
@@ -59,7 +64,7 @@ class Stepper:
             contacts=parts.contacts.active,
             precision=parts.backend.precision,
         )
-        # beyond the bound for every shape the present one decides; where nothing is safe the user was told at the start
+        # beyond the bound for every shape the present one decides; where nothing is safe that was said at the start
         self._single = parts.backend.precision == "f32"
         self.solves = parts.integrator.solver_report() is not None
         self.strays = part > 1.0 + 1e-9
@@ -101,22 +106,21 @@ class Stepper:
         if sample.bad is not None:
             state = self.parts.state
             x, v = state.position[sample.bad].tolist(), state.velocity[sample.bad].tolist()
-            raise SceneError(
-                f"ball {sample.bad}: starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
-            )
+            says = f"ball {sample.bad} starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
+            raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.parts.state.keep()
         self.monitor.begin(sample)
         self.primed, self.moved = True, False
 
     def _prime_parts(self) -> None:
-        """Find contacts at the present positions, with as much room as they need."""
+        """Find contacts at the present positions, with as much capacity as they need."""
         self.parts.prime(self.h, self.time)
         while (needed := self.parts.lacking()) is not None:
             self.parts = self.parts.with_capacity(needed)
             self.parts.prime(self.h, self.time)
 
     def advance(self, steps: int) -> None:
-        """A chunk of steps, and a look at the result."""
+        """A chunk of steps, and a sample of the result."""
         sample = self._run(steps)
         growth = None if sample.bad is not None else self.monitor.judge(sample)
         if sample.bad is not None or growth is not None:
@@ -129,7 +133,7 @@ class Stepper:
         self._accept(steps)
 
     def _run(self, steps: int) -> StateSample:
-        """Run the parts. Where contacts did not fit, the steps are repeated from the last good state with more room."""
+        """Run the parts. Where contacts did not fit, the steps are repeated from the last good state with more capacity."""
         self.parts.run(steps * self.substeps, self.h, self.time)
         while (needed := self.parts.lacking()) is not None:
             self.parts.state.restore()
@@ -142,9 +146,13 @@ class Stepper:
     def _accept(self, steps: int) -> None:
         self.steps += steps
         self.parts.state.keep()
-        self._look_at_solver()
-        if self.strays and self._chunks % LOOKS == 0 and self.scene.n_balls + self.scene.n_springs <= MANY:
-            self._look_at_bound()
+        self._check_solver()
+        if (
+            self.strays
+            and self._chunks % CHUNKS_PER_BOUND == 0
+            and self.scene.n_balls + self.scene.n_springs <= MOST_BOUNDED
+        ):
+            self._check_bound()
         self._chunks += 1
         self.moved = True
         self._unseen += steps * self.substeps
@@ -192,13 +200,13 @@ class Stepper:
         if growth is None and not self.driven and not 0.0 < self.safe.dt_any_shape < np.inf:
             return False
         before, last = self.substeps, np.inf if growth is None else growth.after
-        for _ in range(HALVINGS):
+        for _ in range(MOST_HALVINGS):
             self._back()
             self._divide(2 * self.substeps)
             self.monitor.begin(self.monitor.last)  # what was gained before the chunk is not given back by shorter steps
             sample = self._run(steps)
             again = None if sample.bad is not None else self.monitor.judge(sample)
-            worked = again is not None and not again.sure and last / SAME < again.after < last * SAME
+            worked = again is not None and not again.sure and last / SAME_ENERGY < again.after < last * SAME_ENERGY
             last = np.inf if again is None else again.after
             if worked:
                 self.monitor.begin(sample)
@@ -261,8 +269,8 @@ class Stepper:
         end = self.time + steps * self.dt
         safe = self.safe.dt_any_shape
         raise UnstableError(
-            f"energy grows {_from_to(growth)} by t = {end:.6g} s, also with substeps of {self.h / 2**HALVINGS:.6g} s, and nothing"
-            f" explains it; ball {ball} is the fastest; the last good state, t = {self.time:.6g} s, is kept",
+            f"energy grows {_from_to(growth)} by t = {end:.6g} s, also with substeps of {self.h / 2**MOST_HALVINGS:.6g} s, and"
+            f" nothing explains it; ball {ball} is the fastest; the last good state, t = {self.time:.6g} s, is kept",
             end,
             ball,
             None,
@@ -306,9 +314,9 @@ class Stepper:
         self._back()
         self._divide(before)
         self._run(steps)
-        return sample.bad is None and growth.after / SAME < sample.motion < growth.after * SAME
+        return sample.bad is None and growth.after / SAME_ENERGY < sample.motion < growth.after * SAME_ENERGY
 
-    def _look_at_solver(self) -> None:
+    def _check_solver(self) -> None:
         """Whether an implicit method has left a stage unsolved."""
         if not self.solves or "solver" in self._warned:
             return
@@ -321,7 +329,7 @@ class Stepper:
                 f" ten times its tolerance of {found.tolerance:g}: take shorter steps{single}",
             )
 
-    def _look_at_bound(self) -> None:
+    def _check_bound(self) -> None:
         """Whether the shape has stiffened so that the step is not safe, where it is not safe in every shape."""
         if self._warned & {"bound", "growth"}:
             return
@@ -341,20 +349,37 @@ class Stepper:
             self._warned.add(kind)
             warnings.warn(text, stacklevel=stacklevel)
 
-    def state(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
-        """What a saved run needs besides positions and velocities to go on with the same steps, and the method's memory."""
+    # To a snapshot and back ----------------------------------------------------------------------------------------
+
+    def snapshot(self) -> Snapshot:
+        """All that a run needs to go on with the same steps."""
+        stepping, memory = self._stepping()
+        return replace(self.parts.snapshot(), time=self.time, stepping=stepping, memory=memory)
+
+    def resume(self, snapshot: Snapshot) -> None:
+        """Go on from there."""
+        self.set_time(snapshot.time)
+        if self.scene.n_balls:
+            self.parts.resume(snapshot)
+            self.parts.contacts.forget()
+            self.primed = False
+            if snapshot.stepping:
+                self._set_stepping(snapshot.stepping, snapshot.memory)
+
+    def _stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
+        """What is the stepper's own, and the method's memory."""
         integrator = self.parts.integrator
         memory = integrator.memory() if self.primed and integrator.remembers() else []
         own = {f"memory.{k}": self.parts.state.values(field) for k, field in enumerate(memory)}
         return {"may_shorten": self.may_shorten}, own
 
-    def set_state(self, state: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    def _set_stepping(self, stepping: Mapping[str, Any], memory: Mapping[str, NDArray]) -> None:
         """The reverse."""
-        self.may_shorten = bool(state.get("may_shorten", self.may_shorten))
-        if arrays:
+        self.may_shorten = bool(stepping.get("may_shorten", self.may_shorten))
+        if memory:
             self.prime()  # lists may grow: all fields are new then
             for k, field in enumerate(self.parts.integrator.memory()):
-                self.parts.state.set_values(field, arrays[f"memory.{k}"])
+                self.parts.state.set_values(field, memory[f"memory.{k}"])
             self.parts.integrator.recall()
 
 

@@ -106,8 +106,7 @@ class _Window:
 
         self.simulation, self.renderer, self.fps, self.until, self.say = simulation, renderer, fps, until, say
         self.pointer = pointer if pointer.ready else None
-        kept = ("position", "velocity", "time", "rounded_off", "surface_speed", "torn")
-        self.start = [getattr(simulation, name) for name in kept]  # what `resume` takes
+        self.start = simulation.snapshot()
         width, height = self.size = renderer.size
         try:
             self.gui = ti.GUI(TITLE, res=self.size, fast_gui=True)
@@ -180,7 +179,7 @@ class _Window:
 
     def _reset(self) -> None:
         self._let_go()
-        self.simulation.resume(*self.start)
+        self.simulation.resume(self.start)
         self.frame, self.stale = self.simulation.frame(), True
 
     # Mouse and keys ------------------------------------------------------------------------------------------------

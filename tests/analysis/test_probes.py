@@ -8,7 +8,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs import export, open_output
-from taichi_sim.scene.probes import KINDS, Look
+from taichi_sim.scene.probes import KINDS, ProbeSample
 
 pytestmark = pytest.mark.slow_in("f32")
 
@@ -42,7 +42,7 @@ def sim():
 
 def test_the_start(sim):
     """Elastic and damping force; nothing has gone through a plane, and no time has passed for rates."""
-    sim.resume(sim.scene.position, sim.scene.velocity, 0.0)
+    sim.resume(ts.Snapshot(sim.scene.position, sim.scene.velocity))
     assert sim.probe("load") == pytest.approx(STIFFNESS * 0.1 + DAMPING * SPEED, rel=DIGITS)
     assert sim.probe("load.tension") == sim.probe("load")
     assert sim.probe("rope") == pytest.approx(1.0)
@@ -59,7 +59,7 @@ def test_the_start(sim):
 
 def test_a_weight_at_rest_pulls_with_its_weight_and_what_falls_is_counted(sim, tmp_path):
     """After t the second ball has fallen from -1 to -1 - g t^2 / 2; the planes lie at -3, and the third began below them."""
-    sim.resume(sim.scene.position, sim.scene.velocity, 0.0)
+    sim.resume(ts.Snapshot(sim.scene.position, sim.scene.velocity))
     sim.run(0.7)
     found = sim.probes()
     assert (found["down.count"], found["down.mass"]) == (1.0, 2.0)
@@ -80,7 +80,7 @@ def test_a_weight_at_rest_pulls_with_its_weight_and_what_falls_is_counted(sim, t
 
 
 def test_arrays_and_the_summary_hold_them(sim, tmp_path):
-    sim.resume(sim.scene.position, sim.scene.velocity, 0.0)
+    sim.resume(ts.Snapshot(sim.scene.position, sim.scene.velocity))
     summary = export(sim, open_output(tmp_path / "x.npz"), fps=20, duration=0.5)
     kept = np.load(tmp_path / "x.npz")
     x, v = kept["position"][:, 1, 1], kept["velocity"][:, 1, 1]
@@ -94,9 +94,9 @@ def test_arrays_and_the_summary_hold_them(sim, tmp_path):
 def test_a_torn_spring_carries_nothing():
     scene = hanging()
     torn = np.array([True])
-    look = Look(scene, scene.position, scene.velocity, torn, lambda: (0.0,) * 4, np.zeros((0, 2)))
-    assert scene.probes[0].read(look) == {"tension": 0.0}
-    assert np.isnan(scene.probes[2].read(look)["max"])
+    sample = ProbeSample(scene, scene.position, scene.velocity, torn, lambda: (0.0,) * 4, np.zeros((0, 2)))
+    assert scene.probes[0].read(sample) == {"tension": 0.0}
+    assert np.isnan(scene.probes[2].read(sample)["max"])
 
 
 def test_saved_scenes_keep_them(tmp_path):

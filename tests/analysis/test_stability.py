@@ -182,8 +182,8 @@ def test_another_step_gives_the_bits_of_a_simulation_made_with_it():
         assert (sim.dt, sim.time) == (1e-2, pytest.approx(7e-3))
         sim.step(1)
         assert sim.time == pytest.approx(1.7e-2)
-        sim.resume(scene.position, scene.velocity, 0.0)
-        made.resume(scene.position, scene.velocity, 0.0)
+        sim.resume(ts.Snapshot(scene.position, scene.velocity))
+        made.resume(ts.Snapshot(scene.position, scene.velocity))
         for one in (sim, made):
             one.step(40)
         assert sim.contacts().number > 0

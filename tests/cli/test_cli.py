@@ -209,7 +209,7 @@ REFUSED = [
     (("run", "empty.py"), "empty.py: has neither scene() nor simulation()"),
     (("run", "wrong.py"), "wrong.py, line 4: balls.radius: -1"),
     (("run", "broken.py"), "broken.py, line 2: SyntaxError"),
-    (("run", "style.py"), "scene.output: fps: 'fast' is not allowed"),
+    (("run", "style.py"), "scene.output.fps: 'fast' is not allowed; it must be a number"),
     (
         ("run", "ball.toml", "-o", "x.mp4", "--fps", "0.1", "--duration", "1"),
         "fps times duration is less than one frame",
@@ -252,13 +252,16 @@ REFUSED = [
     (("tune", "ball.toml", "--limit", "0"), "--limit: 0.0 is not allowed; it must be a number greater than 0"),
 ]
 FROM_TAICHI = [
-    (("run", "ball.toml", "-o", "x.mp4", "--arch", "gpu"), "arch: 'gpu' is not allowed; it must be one of auto, cpu"),
+    (
+        ("run", "ball.toml", "-o", "x.mp4", "--arch", "gpu"),
+        "arch: 'gpu' is not allowed; it must be one of 'auto', 'cpu'",
+    ),
     (("run", "ball.toml", "-o", "x.mp4", "--integrator", "magic"), "integrator: 'magic' is not allowed"),
     (("run", "ball.toml", "-o", "y/", "--precision", "f16"), "precision: 'f16' is not allowed"),
     (("run", "ball.toml", "-o", "x.npz", "--threads", "0"), "threads: 0 is not allowed"),
     (("run", "ball.toml", "-o", "x.npz", "--threads", "99999999999"), "threads: 99999999999 is not allowed"),
     (("report", "ball.toml", "--threads", "0"), "threads: 0 is not allowed"),
-    (("tune", "ball.toml", "--arch", "gpu"), "arch: 'gpu' is not allowed; it must be one of auto, cpu"),
+    (("tune", "ball.toml", "--arch", "gpu"), "arch: 'gpu' is not allowed; it must be one of 'auto', 'cpu'"),
 ]
 
 

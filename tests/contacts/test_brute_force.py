@@ -90,7 +90,7 @@ def test_a_thousand_scenes(dim, driver, kind):
             radius = sizes(rng, ratios[size]).astype(np.float64 if F64 else np.float32)
             width = float(np.mean(radius**dim) * N) ** (1.0 / dim) * 10.0 ** rng.uniform(-0.3, 0.3)
             sim._parts.model.radius.from_numpy(radius)
-            sim.resume(scatter(rng, CROWDS[crowd], dim, width), np.zeros((N, dim)), 0.0)
+            sim.resume(ts.Snapshot(scatter(rng, CROWDS[crowd], dim, width), np.zeros((N, dim))))
             sim.step(0)
             met[crowd, size] += agrees(sim, radius)
             hashed += int(np.min(grid.dense.to_numpy()[: grid.levels]) == 0)

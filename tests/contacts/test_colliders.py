@@ -33,7 +33,7 @@ def laboratory(request):
         start[shot, 1] += 40.0
         v = lab.scene.velocity.copy()
         v[shot] = 0.0
-        sim.resume(start, v, 0.0)
+        sim.resume(ts.Snapshot(start, v))
         x, v = [start], [v]
         overlap = []
         for _ in range(STEPS):
@@ -242,7 +242,7 @@ def test_a_lone_ball_in_a_drum_soon_rolls_without_slipping():
     with simulate(scene, dt=H) as sim:
         for _ in range(5):
             sim.run(0.1)
-            x, v, turn = sim.position[0], sim.velocity[0], sim.surface_speed[0, 0]
+            x, v, turn = sim.position[0], sim.velocity[0], sim.snapshot().surface_speed[0, 0]
             n = -x / np.linalg.norm(x)
             along = np.array([n[1], -n[0]])
             assert v @ along + turn == pytest.approx(0.5, rel=1e-3)

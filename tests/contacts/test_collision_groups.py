@@ -93,7 +93,7 @@ def test_names_are_checked():
             ts.SceneError, match=r"balls.group: .* is not allowed; it must be a name, or a list of names"
         ):
             scene.add_balls([[0.0, 0.0]], radius=0.1, group=wrong)
-    with pytest.raises(ts.SceneError, match=r"wall.collides_with: 3 is not allowed"):
+    with pytest.raises(ts.SceneError, match=r"walls.collides_with: 3 is not allowed"):
         scene.add_wall((0, 1), collides_with=3)
     scene = ts.Scene()
     for k in range(31):

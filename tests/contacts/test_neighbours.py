@@ -127,22 +127,22 @@ def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
     settings = {"dt": H, "spin": True, "contact_iterations": 1}
     with simulate(scene, **settings) as sim:
         first = sim._parts
-        sim.resume(x, -2.0 * x, 0.0, None, spin)
+        sim.resume(ts.Snapshot(x, -2.0 * x, surface_speed=spin))
         steps = 0
         while sim._parts is first:
             sim.step(20)
             steps += 20
         assert 20 < steps < 300
         assert first.fields._tree is None  # the old memory is free
-        after = sim.position, sim.surface_speed
+        after = sim.position, sim.snapshot().surface_speed
     monkeypatch.undo()
     with simulate(scene, **settings) as sim:
         first = sim._parts
-        sim.resume(x, -2.0 * x, 0.0, None, spin)
+        sim.resume(ts.Snapshot(x, -2.0 * x, surface_speed=spin))
         sim.step(steps)
         assert sim._parts is first
         assert np.allclose(sim.position, after[0], rtol=0.0, atol=1e-13 if F64 else 1e-6)
-        assert np.array_equal(sim.surface_speed, after[1])
+        assert np.array_equal(sim.snapshot().surface_speed, after[1])
 
 
 def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):

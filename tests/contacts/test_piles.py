@@ -1,5 +1,7 @@
 """Piles of spinning balls, and the two solvers against each other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from physics_support import EPS, F64, VARIANTS, each_dim, simulate, vector
@@ -119,9 +121,10 @@ def test_a_pile_comes_to_rest(dim):
         assert x[:, 1].mean() < 0.95 * top
         assert np.min(x[:, [0, -1]]) > 0.99 * R
         ends = []  # put back, it knows nothing of the load that contacts carried since
-        x, v, turn, low = sim.position, sim.velocity, sim.surface_speed, sim.rounded_off
+        now = sim.snapshot()
+        start = replace(now, velocity=now.velocity - 1.0, time=0.0, stepping={}, memory={})
         for _ in range(2):
-            sim.resume(x, v - 1.0, 0.0, low, turn)
+            sim.resume(start)
             sim.step(20)
             ends.append(sim.position)
         assert np.array_equal(*ends)
@@ -163,7 +166,7 @@ def test_what_an_elastic_pack_is_thrown_back_with_does_not_depend_on_the_step():
             for seed in range(12):
                 x = elastic_pack().position
                 x = x + 1e-6 * R * np.random.default_rng(seed).normal(size=x.shape)
-                sim.resume(x, np.zeros_like(x), 0.0, None, np.zeros((len(x), 1)))
+                sim.resume(ts.Snapshot(x, np.zeros_like(x)))
                 p = []
                 for _ in range(30):
                     sim.step(round(0.01 / dt))

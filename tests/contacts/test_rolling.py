@@ -57,7 +57,7 @@ def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
     with simulate(dumbbell(ground, dim), contacts=contacts, dt=H) as sim:
         sim.step(STEPS)
         v = sim.velocity[-3:, 0]
-        turned = np.abs(sim.surface_speed).max(axis=1)
+        turned = np.abs(sim.snapshot().surface_speed).max(axis=1)
     assert v[:2] == pytest.approx(V - MU * G * STEPS * H, rel=0.01)
     rolls = V * {2: 2 / 3, 3: 5 / 7}[dim]
     assert v[2] == pytest.approx(rolls, rel=0.01)
@@ -81,7 +81,7 @@ def test_a_loose_ball_rolls_on_one_that_does_not(dim, contacts):
     scene.add_springs([(held, far)], stiffness=1e-9)
     with simulate(scene, contacts=contacts, dt=1e-4, contact_iterations=4) as sim:
         sim.step(20)
-        v, turn = sim.velocity, sim.surface_speed
+        v, turn = sim.velocity, sim.snapshot().surface_speed
     turning = {2: 2.0, 3: 2.5}[dim]
     p = 0.6 / ((1 + turning) / m + 1 / M)  # which stops the slip of .6 m/s
     assert v[loose, 1] == pytest.approx(0.6 - p / m, rel=5e-3)

@@ -67,7 +67,7 @@ def test_tetrahedra_and_balls_thrown_about():
             v = rng.normal(size=x.shape) * rng.choice([0.0, 1.0, 20.0])
             for balls in bodies:
                 v[balls] = rng.normal(size=3) * rng.choice([0.0, 10.0, 60.0])
-            sim.resume(x, v, 0.0)
+            sim.resume(ts.Snapshot(x, v))
             way = rng.normal(size=x.shape) * rng.choice([0.0, 3e-3, 0.05, 0.2])
             way *= rng.random((len(x), 1)) < rng.choice([0.05, 0.3, 1.0])
             throw.by(way + 0.05 * (0.7 - x) * (rng.random() < 0.3))  # now and then all back to the middle
@@ -153,7 +153,7 @@ def test_large_thin_sheets_thrown_onto_each_other():
             axes = np.moveaxis(np.array([[c, o, s], [o, o, o], [-s, o, c]]), 2, 0)
             x = np.einsum("lij,kj->lki", axes, square) + 1e-5 * rng.normal(size=(layers, 4, 3))
             x[:, :, 1] += 5e-3 * np.arange(layers)[:, None]
-            sim.resume(x.reshape(-1, 3), np.zeros((4 * layers, 3)), 0.0)
+            sim.resume(ts.Snapshot(x.reshape(-1, 3), np.zeros((4 * layers, 3))))
             assert sim.crossings() == 0
             for _ in range(8):
                 way = rng.normal(size=(4 * layers, 3)) * rng.choice([1e-4, 1e-3, 1e-2, 0.05])

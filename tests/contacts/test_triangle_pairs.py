@@ -82,7 +82,7 @@ def test_pairs_and_one_iteration_as_by_brute_force(soup_run):
     contacts = iterations = 0
     for _ in range(24):
         x, v = draw(rng, scene)
-        sim.resume(x, v, 0.0)
+        sim.resume(ts.Snapshot(x, v))
         sim.contacts()  # finds them
         listed = ref.pairs(x, v, scene.radius, scene.triangles, scene.pairs, H, scene.position)
         listed = {key(p.edge, p.balls): p for p in listed if w[list(p.balls)].any()}
@@ -169,14 +169,16 @@ def test_a_pass_keeps_momentum_and_never_adds_energy(cluster_run):
         return values.reshape(PLACES, EACH, *values.shape[1:]).sum(axis=1)
 
     def energy():
-        return total(0.5 * free * (np.sum(sim.velocity**2, axis=1) + 0.4 * np.sum(sim.surface_speed**2, axis=1)))
+        return total(
+            0.5 * free * (np.sum(sim.velocity**2, axis=1) + 0.4 * np.sum(sim.snapshot().surface_speed ** 2, axis=1))
+        )
 
     met = 0
     for _ in range(40):
         x = at + rng.uniform(0.0, 0.15, at.shape)
         v = (rng.normal(size=at.shape) - 20.0 * (x - at - 0.075)) * ~scene.pinned[:, None]
         turn = rng.normal(size=at.shape) * ~scene.pinned[:, None] if spins else None
-        sim.resume(x, v, 0.0, surface_speed=turn)
+        sim.resume(ts.Snapshot(x, v, surface_speed=turn))
         before, v = energy(), sim.velocity
         p = total(free[:, None] * v)
         sim.step()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from taichi_sim import Scene, SceneError, shapes
-from taichi_sim.files.toml_lines import key_name, line_of
+from taichi_sim.common.errors import key_name
+from taichi_sim.files.toml_lines import line_of
 from taichi_sim.files.toml_reader import load_scene
 
 pytestmark = pytest.mark.once
@@ -233,6 +234,7 @@ BAD = [
     ("dt = 0.001", "dt = nan", 5, "simulation.dt: nan is not allowed; it must be a finite number"),
     ("dt = 0.001", "dt = 'fast'", 5, "simulation.dt: 'fast' is not allowed; it must be a number or 'auto'"),
     ("dt = 0.001", "step = 1", 5, "simulation.step: is not a known key"),
+    ("dt = 0.001", "contact_passes = 4", 5, "simulation.contact_passes: is now called 'contact_iterations'"),
     ("dt = 0.001", "threads = 0", 5, "simulation.threads: 0"),
     ("dt = 0.001", "arch = 'gpu'", 5, "simulation.arch: 'gpu' is not allowed; it must be 'auto', 'cpu', 'cuda'"),
     ("dt = 0.001", "precision = 'f16'", 5, "simulation.precision: 'f16' is not allowed; it must be 'f32' or 'f64'"),
@@ -275,6 +277,7 @@ BAD = [
     ("normal = [0.0, 1.0]", "normal = [nan, 0.0]", 25, "walls[0].normal[0]: nan is not allowed"),
     ("normal = [0.0, 1.0]", "", 24, "walls[0].normal: is missing"),
     ("[[walls]]", "[[wals]]", 24, "wals: is not a known key; did you mean 'walls'?"),
+    ("[[walls]]", "[[skins]]", 24, "skins: is now called 'embedded_surfaces'"),
     ("[[walls]]", "[[colliders]]", 25, "colliders[0].normal: is not a known key"),
     ("[[walls]]", "[walls]", 24, "walls: is written as one table; there may be several of them: write [[walls]]"),
     ("fps = 30", "fps = -30", 27, "output.fps: -30 is not allowed; it must be greater than 0"),

@@ -316,7 +316,7 @@ def test_a_balloon_keeps_pressure_times_volume():
     assert scene.gases[0].volume == pytest.approx(1.0)
     with simulate(scene, integrator="symplectic_euler", dt=H, contacts="off") as sim:
         for factor in (0.9, 1.0, 1.2):
-            sim.resume(cube * factor, np.zeros_like(cube), 0.0)
+            sim.resume(ts.Snapshot(cube * factor, np.zeros_like(cube)))
             sim.step()
             for axis in range(3):
                 side = cube[:, axis] == 1.0

@@ -167,7 +167,7 @@ def test_a_state_without_torn_springs_is_whole():
     with simulate(strip(), dt=1e-3, contacts="off") as sim:
         sim.run(1.0)
         assert sim.torn.any()
-        sim.resume(sim.scene.position, sim.scene.velocity, 0.0)
+        sim.resume(ts.Snapshot(sim.scene.position, sim.scene.velocity))
         assert not sim.torn.any()
         sim.step(150)
         assert sim.position[1, 0] == pytest.approx(strip_middle(), rel=1e-5)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taichi_sim import Pointer, Scene, SceneError, Simulation, shapes
+from taichi_sim import Pointer, Scene, SceneError, Simulation, Snapshot, shapes
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.forces.pointer import DRAGGED_PART, MOST_RATE_STEP
@@ -36,7 +36,7 @@ def played():
 def dragged(played):
     sim, pointer = played
     pointer.release()
-    sim.resume(sim.scene.position, sim.scene.velocity, 0.0)
+    sim.resume(Snapshot(sim.scene.position, sim.scene.velocity))
     return sim, pointer
 
 
@@ -102,7 +102,7 @@ def test_a_ball_let_go_flies_as_one_that_was_never_dragged(dragged, precision):
     with Simulation(three(), integrator="symplectic_euler", dt=DT, contacts="off") as free:
         free.step(100)
         assert touched == pytest.approx(free.position, abs=close(precision))
-    sim.resume(sim.scene.position, sim.scene.velocity, 0.0)
+    sim.resume(Snapshot(sim.scene.position, sim.scene.velocity))
     sim.step(100)
     assert np.array_equal(sim.position, touched)
 

@@ -180,8 +180,9 @@ def _run(scene: ts.Scene, settings: dict[str, Any], duration: float, samples: in
                     k = mark - done if how != "grouped" else int(rng.integers(1, min(7, mark - done) + 1))
                     sim.step(int(k))
                     done += k
-                spin = np.asarray(sim.surface_speed) / scene.radius[:, None]
-                seen.append((sim.time, sim.position, sim.velocity, spin, sim.impulses))
+                now = sim.snapshot()
+                spin = np.asarray(now.surface_speed) / scene.radius[:, None]
+                seen.append((now.time, now.position, now.velocity, spin, now.impulses))
         except UnstableError as error:
             failed = str(error)
         found = sim.error()

@@ -108,8 +108,8 @@ BAD = [
     (ts.Sphere((0, 0), 0.0), "colliders[0].radius: 0.0 is not allowed; it must be greater than 0"),
     (ts.Sphere((0, 0), 1.0, hollow=-1.0), "colliders[0].hollow: -1.0 is not allowed; it must be at least 0"),
     (ts.Sphere((0, 0, 0), 1.0), "colliders[0].center: shape (3,) does not fit"),
-    (ts.Box((0, 0), (1, 0)), "colliders[0].size[1]: 0 is not allowed; it must be greater than 0"),
-    (ts.Capsule((1, 0), (1, 0), 0.1), "colliders[0].end: [1.0, 0.0] is not allowed; it must differ from start"),
+    (ts.Box((0, 0), (1, 0)), "colliders[0].size[1]: 0.0 is not allowed; it must be greater than 0"),
+    (ts.Capsule((1, 0), (1, 0), 0.1), "colliders[0].end: [1.0, 0.0] is not allowed; it must be another point than start"),
     (ts.Box(**FLAT, material="ice"), "colliders[0].material: 'ice' is not a material of this scene"),
     (ts.Box(**FLAT, rotation=((1, 1), (0, 1))), "colliders[0].rotation: [[1.0, 1.0], [0.0, 1.0]] is no rotation"),
     (ts.Box(**FLAT, rotation=((1, 0), (0, -1))), "is no rotation"),
@@ -117,7 +117,7 @@ BAD = [
     (ts.Box(**FLAT, velocity=(1,)), "colliders[0].velocity: shape (1,) does not fit"),
     (ts.Box(**FLAT, repeat=True), "colliders[0].repeat: there is no path to repeat"),
     (ts.Box(**FLAT, path=[(0, (0, 0))]), "colliders[0].path: has one keyframe"),
-    (ts.Box(**FLAT, path=[(0, (0, 0)), (0, (1, 0))]), "path[1].time: 0 s is not allowed after 0 s: it would jump"),
+    (ts.Box(**FLAT, path=[(0, (0, 0)), (0, (1, 0))]), "path[1].time: 0.0 is not allowed; it must be later than 0 s"),
     (ts.Box(**FLAT, path=[(0, (0, 0)), (1, (1, 0))], repeat=True), "path[1]: a path that repeats must end where it begins"),
     (ts.Box(**FLAT, path=[(0, (0, 0)), (1, (1, 0))], velocity=(1, 0)), "velocity: is given together with a path"),
     (ts.Box(**FLAT, path=[(0, (0, 0)), {"tim": 1}]), "colliders[0].path[1].tim: is not a known key"),
@@ -128,7 +128,7 @@ BAD = [
 BAD_3D = [
     (ts.Mesh((CUBE[0], CUBE[1][1:])), "colliders[0].mesh: the mesh is not closed: 3 edges"),
     (ts.Mesh((CUBE[0] * [1, 1, 0], CUBE[1])), "colliders[0].mesh: the mesh is flat: it encloses 0 m^3"),
-    (ts.Mesh((CUBE[0], CUBE[1] + 1)), "colliders[0].mesh: triangles"),
+    (ts.Mesh((CUBE[0], CUBE[1] + 1)), "colliders[0].mesh.triangles"),
     (ts.Mesh("none.obj"), "is not there"),
     (ts.Mesh(CUBE, scale=0.0), "colliders[0].scale: 0.0 is not allowed"),
     (ts.Mesh(CUBE, resolution=1), "colliders[0].resolution: 1 is not allowed; it must be a whole number from 4 to 512"),
@@ -150,7 +150,7 @@ def test_a_collider_around_balls_and_one_that_jumps_are_named():
     scene.add_collider(ts.Box((5, 0), (1, 1)))
     scene.add_collider(ts.Sphere((0, 0), 1.0))
     scene.add_balls([[0.0, 0.0], [0.2, 0.0], [1.05, 0.0]], radius=0.1, pinned=[1])
-    with pytest.raises(ts.SceneError, match=r"^colliders\[1\] \(sphere\): starts around ball 0, up to 1\.1 m deep"):
+    with pytest.raises(ts.SceneError, match=r"^colliders\[1\]: the sphere starts around ball 0, up to 1\.1 m deep"):
         ts.Simulation(scene, dt=1e-3)
     scene = ts.Scene(dim=2)
     scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0, (0, 0)), (1, (1, 0)), (1.001, (2, 0))]))
@@ -225,10 +225,10 @@ BAD_FILES = [
     ("radius = 1.0", "", 8, "colliders[0].radius: is missing; a sphere needs it"),
     ("radius = 1.0", "radius = 0.0", 11, "colliders[0].radius: 0.0 is not allowed; it must be greater than 0"),
     ("radius = 1.0", "radios = 1.0", 11, "colliders[0].radios: is not a known key; did you mean 'radius'?"),
-    ("hollow = 0.1", "size = [1.0, 1.0]", 12, "colliders[0].size: is not a key of a sphere; it has"),
+    ("hollow = 0.1", "size = [1.0, 1.0]", 12, "colliders[0].size: is not a key of a sphere; "),
     ('"sphere"', '"ball"', 9, "colliders[0].shape: 'ball' is not allowed; it must be 'sphere', 'box', 'capsule' or 'mesh'"),
     ('material = "rubber"', 'material = "ice"', 13, "colliders[0].material: 'ice' is not a material"),
-    ("time = 0.7", "time = 0.0", 21, "colliders[1].path[1].time: 0 s is not allowed after 0 s"),
+    ("time = 0.7", "time = 0.0", 21, "colliders[1].path[1].time: 0.0 is not allowed; it must be later than 0 s"),
     ("rotation = 30.0", "rotation = [30.0, 1.0]", 19, "colliders[1].rotation: "),
 ]  # fmt: skip
 

@@ -61,6 +61,8 @@ def test_bad_arguments(settings, named):
 def test_unknown_argument_names_the_nearest():
     with pytest.raises(ValueError, match="did you mean 'precision'"):
         ts.Simulation(falling(), precison="f32")
+    with pytest.raises(ValueError, match="contact_passes: is now called 'contact_iterations'"):
+        ts.Simulation(falling(), contact_passes=4)
 
 
 def test_another_precision_in_the_same_process():
@@ -122,7 +124,7 @@ def test_a_start_outside_the_world(state):
     with simulate(falling(), dt=H) as sim:
         sim.set_position([state[0]])
         sim.set_velocity([state[1]])
-        with pytest.raises(ts.SceneError, match="ball 0: starts at"):
+        with pytest.raises(ts.SceneError, match="ball 0 starts at"):
             sim.step()
 
 

@@ -158,8 +158,8 @@ def _expected(scene, x, v):
 
 def _whole_velocity(sim):
     """With what single precision rounds off: the split between the two parts may change where their sum does not."""
-    low = sim.rounded_off
-    return sim.velocity if low is None else sim.velocity + low[1]
+    now = sim.snapshot()
+    return now.velocity if now.low_velocity is None else now.velocity + now.low_velocity
 
 
 def test_random_scenes_against_brute_force(searching):

@@ -71,7 +71,11 @@ def test_a_look_counts_spin(dim):
     scene.add_balls([vector(dim, 0, 3)], radius=0.5, mass=2.0, velocity=[vector(dim, 1)])
     scene.add_wall(vector(dim, 0, 1), 0.0)
     with simulate(scene, spin=True) as sim:
-        sim.resume(scene.position, scene.velocity, 0.0, None, np.array([[2.0] + [0.0] * (0 if dim == 2 else 2)]))
+        sim.resume(
+            ts.Snapshot(
+                scene.position, scene.velocity, surface_speed=np.array([[2.0] + [0.0] * (0 if dim == 2 else 2)])
+            )
+        )
         want = 1.0 + 0.5 * 2.0 * 2.0**2 * (0.5 if dim == 2 else 0.4)
         assert sim._parts.state_probe.sample().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(want)
 
@@ -93,7 +97,7 @@ def test_energy_from_nowhere_is_warned_of_once():
 def test_a_shape_that_stiffens_is_warned_of(monkeypatch):
     """The step is below the bound of the first shape, above that for every shape, and the ball then swings aside."""
     scene = net()
-    monkeypatch.setattr(stepper, "LOOKS", 1)
+    monkeypatch.setattr(stepper, "CHUNKS_PER_BOUND", 1)
     stretched = scene.position.copy()
     stretched[1:] *= 10.0  # springs that are long are stiff in all directions
     first, later = (present_limit(scene, VERLET, x)[0] for x in (scene.position, stretched))

@@ -72,7 +72,7 @@ def compiled_fall():
 @pytest.fixture
 def fall(compiled_fall):
     """A ball that falls, at its start."""
-    compiled_fall.resume(compiled_fall.scene.position, compiled_fall.scene.velocity, 0.0)
+    compiled_fall.resume(ts.Snapshot(compiled_fall.scene.position, compiled_fall.scene.velocity))
     return compiled_fall
 
 

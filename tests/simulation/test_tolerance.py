@@ -107,7 +107,7 @@ def test_balls_that_glance_end_where_they_should():
     with simulate(scene, tolerance=tolerance) as sim:
         for offset, speed in ((0.205, 3.1), (0.195, 1.7), (0.15, 4.3), (0.11, 2.3), (0.0, 6.1), (0.18, 1.2)):
             x, v = np.array([[0.0, 0.0], [0.6, offset]]), np.array([[speed, 0.0], [0.1, 0.0]])
-            sim.resume(x, v, 0.0)
+            sim.resume(ts.Snapshot(x, v))
             sim.run(T)
             found = sim.error()
             off = np.linalg.norm(sim.position - met(scene, x, v, T), axis=1).max() / found.size

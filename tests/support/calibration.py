@@ -228,7 +228,7 @@ def _run(sim: ts.Simulation, x: NDArray, v: NDArray, kind: Any, settings: Settin
     parts = sim._stepper.parts
     parts.set_step(sim.dt / substeps, anew=True)
     sim._stepper = kind(sim.scene, settings, parts, sim.dt, substeps, sim._stability, False)
-    sim.resume(x, v, 0.0, None, np.zeros((len(x), 1 if sim.scene.dim == 2 else 3)))
+    sim.resume(ts.Snapshot(x, v))
     sim.run(DURATION)
     return sim.position
 

@@ -69,7 +69,7 @@ class Clusters:
     def energy(self, sim: ts.Simulation) -> np.ndarray:
         """Kinetic energy (PLACES,) [J], spin included."""
         m = np.where(self.scene.pinned, 0.0, self.scene.mass)
-        v, surface = np.sum(sim.velocity**2, axis=1), np.sum(sim.surface_speed**2, axis=1)
+        v, surface = np.sum(sim.velocity**2, axis=1), np.sum(sim.snapshot().surface_speed ** 2, axis=1)
         return np.bincount(self.place, 0.5 * m * (v + (0.5 if self.dim == 2 else 0.4) * surface), PLACES)
 
     def gains(self, sim: ts.Simulation, batches: int) -> np.ndarray:
@@ -77,7 +77,7 @@ class Clusters:
         out = []
         for _ in range(batches):
             x, v, surface = self.draw()
-            sim.resume(x, v, 0.0, surface_speed=surface)
+            sim.resume(ts.Snapshot(x, v, surface_speed=surface))
             before = self.energy(sim)
             sim.step()
             change = self.energy(sim) - before

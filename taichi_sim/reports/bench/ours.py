@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.reports.bench.cases import Balls, Cloth
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.simulation import Simulation
 
 
@@ -23,8 +24,7 @@ class Ours:
 
     def start(self, case: Any) -> None:
         """Begin anew from the positions and velocities of a scene or a case, compiled and primed."""
-        still = np.zeros_like(self.simulation.surface_speed)
-        self.simulation.resume(case.position, case.velocity, 0.0, None, still)
+        self.simulation.resume(Snapshot(case.position, case.velocity))
         self.simulation.step(0)
 
     def step(self, steps: int) -> None:

@@ -21,6 +21,7 @@ from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 
 Floats = NDArray[np.float64]
 SHORT = 0.25  # s; a shorter run is made again until all together take so long
@@ -188,7 +189,7 @@ class Track:
     def _begin(self, trial: Trial) -> None:
         """Back to the start."""
         start = self.scene.position if trial.start is None else trial.start
-        self.sim.resume(start, self.scene.velocity, 0.0, None, np.zeros_like(self.sim.surface_speed))
+        self.sim.resume(Snapshot(start, self.scene.velocity))
         self.sim.step(0)
 
     def _measure(self, trial: Trial, outcome: Outcome) -> Outcome:

@@ -1,0 +1,72 @@
+"""Snapshot: where a simulation is, all that it goes on from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.probes import bodies_of
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["Snapshot"]
+
+Floats = NDArray[np.float64]
+MEMORY = "stepping."  # before the names of memories in a file
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The state of a simulation, see `Simulation.snapshot` and `Simulation.resume`; by hand, positions and velocities do.
+
+    Arrays are in the order of the scene. What contacts hold from the last step is no part of it: they find it anew within a few
+    steps, so that a pile that rests goes on resting, but not with the same bits.
+    """
+
+    position: Floats  # (n, dim) m
+    velocity: Floats  # (n, dim) m/s
+    time: float = 0.0  # s
+    low_position: Floats | None = None  # (n, dim) m, what single precision rounded off; None: 0
+    low_velocity: Floats | None = None  # (n, dim) m/s, likewise
+    surface_speed: Floats | None = None  # radius times spin, (n, 1) m/s, in 3D (n, 3); None: 0
+    torn: NDArray[np.bool_] | None = None  # (m,) springs; None: none
+    impulses: Floats | None = None  # (b, dim) N s since the start, on `probes.bodies_of`; None: 0
+    stepping: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # plain values of the stepper; empty: they stay as they are
+    memory: Mapping[str, Floats] = field(default_factory=dict)  # (n, dim) each, what the method and error control keep
+
+    def checked(self, scene: Scene) -> "Snapshot":
+        """The same, in float64. Raises SceneError that names what does not fit the scene."""
+        n, dim = scene.n_balls, scene.dim
+        shapes = dict.fromkeys(("position", "velocity", "low_position", "low_velocity"), (n, dim))
+        shapes |= {"surface_speed": (n, 1 if dim == 2 else 3), "impulses": (len(bodies_of(scene)), dim)}
+        if (self.low_position is None) != (self.low_velocity is None):
+            raise SceneError("low_position", says="goes together with low_velocity; give both or none")
+        given = {name: getattr(self, name) for name in shapes if getattr(self, name) is not None}
+        vectors: dict[str, Any] = {
+            name: validation.vectors(name, value, *shapes[name]) for name, value in given.items()
+        }
+        return replace(
+            self,
+            **vectors,
+            time=validation.number("time", self.time, low=0),
+            torn=None if self.torn is None else validation.flags("torn", self.torn, scene.n_springs),
+            memory={name: validation.vectors(name, array, n, dim) for name, array in self.memory.items()},
+        )
+
+    def arrays(self) -> dict[str, NDArray]:
+        """All arrays that there are, by their names in a file."""
+        own = {one.name: getattr(self, one.name) for one in fields(self)}
+        own |= {MEMORY + name: array for name, array in self.memory.items()}
+        return {name: value for name, value in own.items() if isinstance(value, np.ndarray)}
+
+    @classmethod
+    def of_file(cls, arrays: Mapping[str, NDArray], time: float, stepping: Mapping[str, Any]) -> "Snapshot":
+        """What `arrays` gave, among other arrays, with the plain values."""
+        own = {one.name: arrays[one.name] for one in fields(cls) if one.name in arrays}
+        memory = {name.removeprefix(MEMORY): array for name, array in arrays.items() if name.startswith(MEMORY)}
+        return cls(**own, time=time, stepping=stepping, memory=memory)

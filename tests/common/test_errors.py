@@ -1,0 +1,51 @@
+"""Errors are data: what was wrong can be asked, and the message is made of it."""
+
+import pickle
+
+import pytest
+
+import taichi_sim as ts
+from taichi_sim.common.errors import about, path_of, unknown_key
+
+pytestmark = pytest.mark.once
+
+
+def test_the_message_is_made_of_the_data():
+    error = ts.SceneError("springs[3].pairs[12]", [0, 7], "two balls")
+    assert error.path == ("springs", 3, "pairs", 12) == path_of(error.path)
+    assert (error.value, error.allowed, error.file, error.line) == ([0, 7], "two balls", None, None)
+    assert str(error) == "springs[3].pairs[12]: [0, 7] is not allowed; it must be two balls"
+    error.file, error.line = "a.toml", 4
+    assert str(error) == "a.toml, line 4: springs[3].pairs[12]: [0, 7] is not allowed; it must be two balls"
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+    assert str(ts.SceneError("balls.mass", "x", says="is not a number")) == "balls.mass: 'x' is not a number"
+    assert str(ts.SceneError("wind", says="there is one already")) == "wind: there is one already"
+    assert str(ts.SceneError("nothing moves")) == "nothing moves"
+
+
+def test_an_error_speaks_of_the_arguments_of_a_shape():
+    with pytest.raises(ts.SceneError) as caught, about("cloth"):
+        ts.Scene().add_balls([0.0, 0.0], radius=-1.0)
+    assert (caught.value.path, caught.value.value) == (("cloth", "radius"), -1.0)
+
+
+def test_a_scene_file_adds_where(tmp_path):
+    (tmp_path / "a.toml").write_text("format = 1\n[[balls]]\nposition = [[0, 0]]\nradius = [-1.0]\n")
+    with pytest.raises(ts.SceneError) as caught:
+        ts.load_scene(tmp_path / "a.toml")
+    error = caught.value
+    assert (error.path, error.line, error.value) == (("balls", 0, "radius", 0), 4, -1.0)
+    assert error.file == tmp_path / "a.toml"
+    assert error.allowed == "greater than 0"
+
+
+@pytest.mark.parametrize(
+    ("key", "says"),
+    [
+        ("skins", "is now called 'embedded_surfaces'"),
+        ("embeded_surfaces", "is not a known key; did you mean 'embedded_surfaces'?"),
+        ("x", "is not a known key; there are embedded_surfaces, walls"),
+    ],
+)
+def test_unknown_keys(key, says):
+    assert str(unknown_key(key, ["embedded_surfaces", "walls"])) == f"{key}: {says}"
