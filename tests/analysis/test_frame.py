@@ -17,6 +17,7 @@ def scene():
     return scene
 
 
+@pytest.mark.slow
 def test_energy_and_strain_belong_to_the_moment():
     with ts.Simulation(scene(), dt=1e-3) as sim:
         sim.step(50)

@@ -24,6 +24,7 @@ def springs(far):
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(F64, reason="single precision loses it")
 @pytest.mark.parametrize("compensated", [True, False])
 def test_single_precision_loses_what_is_said_at_a_kilometre(monkeypatch, compensated):

@@ -81,6 +81,7 @@ def test_a_zero_length_spring_has_every_direction():
 
 if F64:
 
+    @pytest.mark.slow_where(dim=2)
     @pytest.mark.parametrize("dim", [2, 3])
     @pytest.mark.parametrize("method", EXPLICIT)
     @pytest.mark.parametrize("damped", [True, False], ids=["damped", "undamped"])

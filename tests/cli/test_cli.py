@@ -157,6 +157,7 @@ def test_a_python_scene(folder):
     assert np.load(folder / "x.npz")["position"][0, 0, 1] == 2.0
 
 
+@pytest.mark.slow
 def test_a_python_simulation(folder):
     (folder / "s.py").write_text(
         "import taichi_sim as ts\n\ndef simulation():\n    scene = ts.Scene(dim=2)\n"
@@ -176,6 +177,7 @@ def test_check_says_what_is_safe(folder):
     assert "spring 0" in done.stdout
 
 
+@pytest.mark.slow
 def test_check_says_that_a_tolerance_chooses_the_step(folder):
     done = command(folder, "check", "stiff.toml", "--tolerance", "1e-3")
     assert done.returncode == 0, done.stderr

@@ -54,6 +54,7 @@ def test_a_heavy_ball_rests_on_a_loose_stick(heavy, settings):
     sim.close()
 
 
+@pytest.mark.slow
 def test_a_stick_rests_on_a_stick():
     scene = bridge(1.0, at=())
     scene.add_balls([[-0.2, R + 0.02], [0.25, R + 0.02]], radius=0.02, mass=1.0)
@@ -65,6 +66,7 @@ def test_a_stick_rests_on_a_stick():
     sim.close()
 
 
+@pytest.mark.slow_where(restitution=0.0)
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 def test_what_falls_on_a_stick_gains_nothing(restitution):
     scene = bridge(40.0, restitution, drop=1.5, at=(-0.12, 0.1))
@@ -89,6 +91,7 @@ def test_what_falls_on_a_stick_gains_nothing(restitution):
     sim.close()
 
 
+@pytest.mark.slow
 def test_momentum_of_a_stick_that_is_hit():
     scene = bridge(30.0, 0.3, drop=2.0)
     scene.pinned[:] = False
@@ -102,6 +105,7 @@ def test_momentum_of_a_stick_that_is_hit():
     sim.close()
 
 
+@pytest.mark.slow
 def test_steps_in_other_groups_have_the_same_bits():
     seen = []
     for group in (1, 7, 70):

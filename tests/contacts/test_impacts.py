@@ -157,6 +157,7 @@ def test_springs_in_an_elastic_crowd_take_nothing_from_it(method, ratio):
         assert abs(sim.energy().total - before) < 5e-3 * kinetic
 
 
+@pytest.mark.slow
 def test_lossless_balls_that_overlap_at_rest_come_apart():
     """Side by side on the floor, where nothing presses them together and nothing ever will."""
     scene, radius = ts.Scene(dim=2, gravity=(0.0, -G)), 0.06
@@ -170,6 +171,7 @@ def test_lossless_balls_that_overlap_at_rest_come_apart():
         assert sim.energy().total == pytest.approx(before, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_light_balls_between_walls_and_heavy_ones_keep_their_energy():
     """Without gravity, masses 1 to 2000: what a corner and a heavy ball close in bounces in turn, and is not stopped there."""
     scene = crowd(3, 24, 0.12, 0.0, 12.0, seed=3)
@@ -183,6 +185,7 @@ def test_light_balls_between_walls_and_heavy_ones_keep_their_energy():
 # Light under heavy ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_nothing_comes_back_where_nothing_bounces():
     """e = 0: a heavy ball falls on a light one on the floor, or on two: no rebound above .02 of its speed, no gain."""
     scene, radius, speed = ts.Scene(dim=2, gravity=(0.0, -G)), 0.06, 2.5

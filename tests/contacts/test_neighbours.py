@@ -29,7 +29,7 @@ def brute_force(x, radius):
     return {(i, j) for i, j in zip(*np.nonzero(d < radius[:, None] + radius[None])) if i < j}
 
 
-@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow
 @pytest.mark.parametrize("far", [0.0, 1e3, 1e5], ids=["together", "apart", "far_apart"])
 @each_dim
 def test_rows_side_by_side_or_spread(dim, far):

@@ -10,6 +10,8 @@ from physics_support import F64, simulate
 import taichi_sim as ts
 from taichi_sim.render import Renderer
 
+pytestmark = pytest.mark.slow_in("f64")
+
 G, R, HEIGHT, RADIUS = 9.81, 0.05, 0.6, 1.0
 SLOPE = np.array([RADIUS, -HEIGHT]) / np.hypot(RADIUS, HEIGHT)  # outward and down
 NORMAL = np.array([HEIGHT, RADIUS]) / np.hypot(RADIUS, HEIGHT)

@@ -56,8 +56,7 @@ def test_a_sliding_ball_ends_rolling(dim, method):
         assert abs(sim.energy().kinetic - want) < 1e-6 * want
 
 
-@pytest.mark.slow_where(dim=2)
-@pytest.mark.slow_where(contacts="jacobi")
+@pytest.mark.slow
 @each_solver
 @each_dim
 def test_friction_with_spin_keeps_angular_momentum(dim, contacts):
@@ -82,6 +81,7 @@ def test_friction_with_spin_keeps_angular_momentum(dim, contacts):
         assert np.max(np.abs(change)) < 64 * EPS * size
 
 
+@pytest.mark.slow
 def test_both_solvers_converge_to_the_same_velocities():
     """Rigid contacts without friction have one solution: many passes of either find it."""
     rng = np.random.default_rng(7)
@@ -140,7 +140,7 @@ def elastic_pack():
     return scene
 
 
-@pytest.mark.slow_where(contacts="jacobi")
+@pytest.mark.slow
 @each_solver
 def test_an_elastic_pack_that_hits_the_floor_gains_no_energy(contacts):
     """Where balls touch several others at once, a solve that has not converged, or Newton's restitution with friction, would
@@ -156,6 +156,7 @@ def test_an_elastic_pack_that_hits_the_floor_gains_no_energy(contacts):
         assert max(p[hit:]) > 0.2 * p[hit]  # at the floor: stopped, or thrown back
 
 
+@pytest.mark.slow
 def test_what_an_elastic_pack_is_thrown_back_with_does_not_depend_on_the_step():
     """Of the 140 N s that it falls with, the mean over starts that differ in the seventh digit: one alone is chance (a standard
     deviation of 2 to 3 N s), more so at exact contact."""

@@ -40,6 +40,7 @@ def dumbbell(ground: str, dim: int) -> ts.Scene:
 
 
 @pytest.mark.slow_where(dim=3)
+@pytest.mark.slow_where(ground="stick")
 @pytest.mark.parametrize(
     ("ground", "dim", "contacts"),
     [
@@ -66,6 +67,7 @@ def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
 
 
 @pytest.mark.slow_where(dim=2)
+@pytest.mark.slow_where(contacts=["jacobi", "sum"])
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi", "sum"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_loose_ball_rolls_on_one_that_does_not(dim, contacts):

@@ -103,6 +103,7 @@ def test_a_stack_set_up_by_hand(stack):
     assert said.largest_speed == pytest.approx(0.4, abs=rounding)
 
 
+@pytest.mark.slow
 def test_a_stack_that_has_come_to_rest(stack):
     stack.set_position([[0.3, (2 * k + 1) * R] for k in range(5)])
     stack.set_velocity(np.zeros((5, 2)))

@@ -81,6 +81,7 @@ def test_ten_thousand_bullets(dim, contacts):
     check_bullets(dim, 3334, seed=2, variant=("ordered", "parallel"), contacts=contacts)
 
 
+@pytest.mark.slow
 def test_a_swung_stick_takes_balls_at_rest_along():
     """Its ends move three radii of the small balls a step; the balls themselves are slow."""
     scene = ts.Scene(dim=2)
@@ -93,7 +94,7 @@ def test_a_swung_stick_takes_balls_at_rest_along():
         assert np.min(x[small, 1] - x[ends, 1].mean()) > 0.0
 
 
-@pytest.mark.slow_where(variant=VARIANTS[0])
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", [VARIANTS[0], VARIANTS[1]], ids="-".join)
 def test_a_ball_before_the_wall_is_hit_and_not_run_through_twice(variant):
     """A bullet that would reach the wall behind a ball and come back through it within one step."""

@@ -96,6 +96,7 @@ def test_pins_that_start_all_at_once_meet_balls_that_are_in_no_surface():
         assert x[pins, 1].max() > 0.1  # and they moved
 
 
+@pytest.mark.slow
 def test_what_follows_something_that_is_cut_short():
     """A triangle is thrown onto a second one, in whose way nothing was, and which must stop; a ball follows that at its speed."""
     scene, throw = ts.Scene(dim=3), Throw()

@@ -42,7 +42,7 @@ def test_restored_run_continues_with_the_same_bits(tmp_path):
             assert np.array_equal(again.velocity, sim.velocity)
 
 
-@pytest.mark.slow_where(method="tr_bdf2")
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["verlet", "tr_bdf2"])
 def test_what_a_method_remembers_is_saved(tmp_path, method):
     """Accelerations at predicted velocities, slopes; TR-BDF2 solves its first stage from another guess."""
@@ -87,6 +87,7 @@ def test_a_crowd_is_restored_whose_lists_have_grown(tmp_path):
             assert np.array_equal(again._parts.integrator.pull.to_numpy(), sim._parts.integrator.pull.to_numpy())
 
 
+@pytest.mark.slow
 def test_an_argument_can_be_replaced(tmp_path):
     with ts.Simulation(small_scene(), dt=2e-3) as sim:
         sim.step(100)
@@ -155,6 +156,7 @@ def test_a_folder_is_refused(tmp_path):
         ts.Simulation.restore(tmp_path)
 
 
+@pytest.mark.slow
 def test_another_step_keeps_the_clock(tmp_path):
     with ts.Simulation(small_scene(), dt=1e-3) as sim:
         sim.step(300)

@@ -203,6 +203,7 @@ def test_the_wind_on_light_cloth_does_not_depend_on_the_step():
     assert sag[0][1] == pytest.approx(sag[1][1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_both_drivers_give_the_same_bits():
     ends = []
     for driver in ("fused", "parallel"):
@@ -249,6 +250,7 @@ def test_order_of_verlet_with_elements():
     assert np.all(np.abs(slopes - 2.0) < 0.15), slopes
 
 
+@pytest.mark.slow_where(dim=2)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_cell_turned_inside_out_comes_back(dim):
     scene = ts.Scene(dim=dim)

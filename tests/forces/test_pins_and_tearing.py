@@ -71,7 +71,7 @@ def test_a_run_is_restored_on_its_path(tmp_path):
         np.testing.assert_array_equal(again.position, end)
 
 
-@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_moving_pin_pushes_what_it_meets(dim):
     """An elastic blow of a ball that nothing stops: the other leaves at twice its speed."""

@@ -167,7 +167,7 @@ def sheet(**balls: object) -> Scene:
     return scene
 
 
-@pytest.mark.slow_where(method="implicit_euler")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "mass"), [("verlet", 1e-3), ("verlet", 1e4), ("xpbd", 1.0), ("implicit_euler", 1e4)]
 )

@@ -159,6 +159,7 @@ def thrown_net(strength):
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strength", [1.0, 60.0])
 def test_momentum_and_bits_in_both_drivers(strength):
     scene = thrown_net(strength)
@@ -272,6 +273,7 @@ def test_order_2_behind_a_pin_that_turns_corners_f64(method, damping):
 # Saved and restored ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_wind_and_bending_did_is_saved_beside_strong_damping(tmp_path):
     scene = ts.Scene(dim=3, gravity=vector(3, 0.0, -10.0))
     x = [(0.2 * i, 0.0, 0.2 * j) for j in range(3) for i in range(3)]

@@ -105,6 +105,7 @@ def test_free_fall(method):
         assert np.allclose(sim.position, [[1.0, 2.0 - 5.0 - late]], atol=1e-12 if F64 else 1e-6)
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @each_stiff
 def test_momentum(method):
     scene = random_net(3, 5)
@@ -136,6 +137,7 @@ def closing_speed(scene, x, v):
     return float(np.sqrt(np.mean((np.sum((v[j] - v[i]) * r, axis=1) / np.linalg.norm(r, axis=1)) ** 2)))
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.slow_where(power=[2, 4])
 @pytest.mark.parametrize("power", [2, 4, 6])
 @each_stiff
@@ -159,6 +161,7 @@ def test_any_stiffness(method, power):
         assert np.allclose(sim.momentum(), momentum, atol=(1e-9 if F64 else 1e-4) * size)
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.slow_where(power=[2, 4])
 @pytest.mark.parametrize("power", [2, 4, 6])
 @each_stiff
@@ -194,7 +197,7 @@ def test_heavy_end(method):
         assert abs(-sim.position[-1, 1] - 0.1 * n - stretch) < 0.01 * stretch
 
 
-@pytest.mark.slow_where(method=["xpbd", "implicit_euler"])
+@pytest.mark.slow
 @each_stiff
 def test_both_drivers_give_the_same_bits(method):
     """A net of four blocks."""
@@ -211,7 +214,7 @@ def test_both_drivers_give_the_same_bits(method):
     assert np.max(np.abs(found[0][1])) > 0.1
 
 
-@pytest.mark.slow_where(method="tr_bdf2")
+@pytest.mark.slow
 @each_stiff
 def test_atomic_sums_agree(method):
     scene = random_net(2, 9)
@@ -225,6 +228,7 @@ def test_atomic_sums_agree(method):
     assert error(found[1], found[0]) < bound
 
 
+@pytest.mark.slow_where(method=["tr_bdf2", "xpbd"])
 @each_stiff
 def test_a_jelly_lands_and_rests(method):
     scene = ts.Scene(dim=2, gravity=(0, -10))
@@ -241,6 +245,7 @@ def test_a_jelly_lands_and_rests(method):
         assert sim.energy().total < start
 
 
+@pytest.mark.slow_where(method=["tr_bdf2", "xpbd"])
 @each_stiff
 def test_zero_length(method):
     """Coincident balls on a spring with a length: finite, apart along an axis, the centre of mass fixed."""
@@ -340,6 +345,7 @@ def test_halves_of_patches_differ_by_one_ball_at_most():
     assert spread < 0.7 * np.sqrt(x.var(axis=0).sum())  # neighbours
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 def test_free_fall_is_solved_at_once(method):
     """The guess has all of gravity in it; what is left is measured by what acted, not by itself."""
@@ -354,6 +360,7 @@ def test_free_fall_is_solved_at_once(method):
         np.testing.assert_allclose(sim.velocity[:, 1], -2.0, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_nothing_that_acts_is_no_miss():
     scene = ts.Scene(dim=2)
     scene.add_balls(np.stack([0.1 * np.arange(40), np.zeros(40)], axis=1), radius=0.01, mass=0.1)
@@ -363,6 +370,7 @@ def test_nothing_that_acts_is_no_miss():
         assert sim.solver().misses == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1e7, 1e10] if F64 else [1e7])
 def test_a_very_stiff_rope_swings(k):
     """Blocks of springs in a line are nearly singular: in single precision they are summed and inverted in double."""

@@ -51,6 +51,7 @@ class Kept(ts.Output):
         self.calls.append("discard")
 
 
+@pytest.mark.slow
 def test_it_says_which_frames_it_wants_and_is_finished():
     output = Kept()
     with ts.Simulation(falling(), dt=1e-3, arch="cpu") as simulation:

@@ -103,6 +103,7 @@ def same(a, b):
     assert a[0].colour == b[0].colour
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("colour", "covers"), [(None, None), (RED, [4])])
 def test_kept_in_scene_and_state_files(tmp_path, colour, covers):
     scene = tetrahedron(colour, covers)

@@ -75,6 +75,7 @@ def test_wrong_options(tmp_path, quantity, tolerance, message):
         command.read(str(tmp_path / "s.toml"), quantity=quantity, tolerance=tolerance)
 
 
+@pytest.mark.slow
 def test_tune_finds_the_tension_to_one_percent(tmp_path):
     """From the file to settings whose error against the closed solution is below 1 % of the largest tension."""
     loaded().save(tmp_path / "s.toml")

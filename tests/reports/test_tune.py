@@ -175,6 +175,7 @@ def test_demos_and_python_are_not_written(tmp_path):
         command.require_own_file(str(tmp_path / "s.py"), tmp_path / "s.py")
 
 
+@pytest.mark.slow
 def test_the_settings_that_were_written_meet_the_tolerance(tmp_path, monkeypatch):
     """From the file to the file, with processes; the scene then runs as it is told."""
     file = tmp_path / "pair.toml"

@@ -44,6 +44,7 @@ def test_blocks_have_the_same_bits_in_both_drivers(monkeypatch):
     assert one == two
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dim", "contacts"),
     [
@@ -78,8 +79,7 @@ def test_one_and_two_threads_have_the_same_bits():
     assert run(2) == one
 
 
-@pytest.mark.slow_where(dim=2)
-@pytest.mark.slow_where(method="symplectic_euler")
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["verlet", "symplectic_euler"])
 @each_dim
 def test_all_orders_of_springs_agree(dim, method, monkeypatch):
@@ -101,6 +101,7 @@ def test_all_orders_of_springs_agree(dim, method, monkeypatch):
         assert found < exact(steps), f"{order}: {found:.2e}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.slow), 3], ids=["2d", "3d"])
 def test_atomic_agrees_with_ordered_in_a_pile(dim):
     """Before collisions multiply the rounding: 20 steps."""

@@ -209,6 +209,7 @@ def test_solver_of_implicit_methods_is_public():
         assert sim.solver() is None
 
 
+@pytest.mark.slow
 def test_xpbd_says_what_sinks():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     b = scene.add_balls([[0, 0], [0, -0.1], [0, -0.2]], radius=0.01, mass=[1.0, 1.0, 1e4], pinned=[0])
@@ -222,6 +223,7 @@ def test_xpbd_says_what_sinks():
         ts.Simulation(scene, arch="cpu", precision=PRECISION, integrator="xpbd", dt=1e-4).close()
 
 
+@pytest.mark.slow
 def test_stretch_that_single_precision_does_not_show():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     b = scene.add_balls([[100, 0], [100, -1]], radius=0.1, pinned=[0])
@@ -263,6 +265,7 @@ def two_slow_balls(speed):
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{}, {"dt": 1e-3}], ids=["auto", "1 ms"])
 def test_work_of_ones_own_force_is_no_growth(settings):
     """From almost nothing a hundred million times the energy: halved steps give the same."""
@@ -274,6 +277,7 @@ def test_work_of_ones_own_force_is_no_growth(settings):
             np.testing.assert_allclose(sim.velocity[:, 0], 10.001, rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "c"), [("verlet", 110.0), ("implicit_euler", 210.0)])
 def test_drag_that_blows_up_is_warned_of(method, c):
     scene = two_slow_balls(1.0)
@@ -292,6 +296,7 @@ def test_drag_that_blows_up_gets_shorter_steps():
         assert np.abs(sim.velocity).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_free_net_keeps_its_momentum_in_an_implicit_method():
     """Impulses of its springs are a million times larger and cancel: what rounding leaves of them is no momentum."""
     rng, n = np.random.default_rng(7), 20

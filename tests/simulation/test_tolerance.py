@@ -26,6 +26,7 @@ def exact_end(seconds=T):
     return 1.0 + 0.1 * np.cos(200.0 * seconds)
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.parametrize("method", ["verlet", "rk4", "tr_bdf2"])
 def test_the_error_is_what_was_asked_for(method):
     """Never above, and not far below, where stability leaves a choice; the estimate tells it within a factor of 8."""
@@ -55,6 +56,7 @@ def swinging():
 TOLERANCE = 1e-4
 
 
+@pytest.mark.slow
 def test_both_drivers_save_and_resume_give_the_same_bits(swinging, tmp_path):
     ends = []
     for driver in ("fused", "parallel"):
@@ -144,6 +146,7 @@ def test_calibration(name):
         assert row.said
 
 
+@pytest.mark.slow
 def test_contacts_that_act_together_are_no_promise():
     """A ball by itself is one; three that lie on each other are not, and that is said once, in the summary, too."""
     scene = ts.Scene(dim=2, gravity=(0, -10))

@@ -82,6 +82,7 @@ def test_row_3_impulse_is_shared_by_inverse_mass(dim):
     assert np.max(np.abs(held - np.array([-n, 0 * n]))) < NEAR
 
 
+@pytest.mark.slow
 @each_dim
 def test_row_4_stick_keeps_momentum_and_energy(dim):
     """e = 1, unit masses: the article keeps 33, 39 and 56 % of the kinetic energy and changes the momentum by j / 3."""

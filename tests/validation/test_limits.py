@@ -82,6 +82,7 @@ def limits(method, zetas=ZETAS, least=LEAST, most=MOST, longer=1):
     return np.where(first == 0, 0.0, np.where(first > sections, np.inf, middle))
 
 
+@pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler"])
 @pytest.mark.parametrize("method", EXACT)
 def test_limits_of_one_oscillator(method):
     """Within 1 %."""
@@ -189,6 +190,7 @@ CLOTHS = [
 ]
 
 
+@pytest.mark.slow_where(method="symplectic_euler")
 @pytest.mark.parametrize(("method", "side", "damped"), CLOTHS)
 def test_advised_step_of_a_hanging_cloth(method, side, damped):
     """It holds, and at most a quarter more does."""
@@ -216,6 +218,7 @@ def networks(dim, method, damped):
     return scene
 
 
+@pytest.mark.slow_where(method="symplectic_euler", dim=2)
 @pytest.mark.slow_where(method="rk4")
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize(

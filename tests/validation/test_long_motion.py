@@ -105,6 +105,7 @@ def test_damped_chain_comes_to_its_stretch(dim):
 # Damped oscillator against the continuum ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_where(method="explicit_euler")
 @pytest.mark.parametrize("method", METHODS)
 @each_dim
 def test_damped_oscillators_against_the_continuum(dim, method):
@@ -127,6 +128,7 @@ def test_damped_oscillators_against_the_continuum(dim, method):
 # Momentum -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler"])
 @pytest.mark.parametrize("method", METHODS)
 @each_extreme
 @each_dim

@@ -15,56 +15,56 @@ import taichi_sim as ts
 pytestmark = pytest.mark.skipif(not F64, reason="relations are held in double precision")
 FROM_ANYWHERE = ("mirror", "elsewhere", "in_other_masses", "renumbered", "momentum_is_kept")  # in one simulation
 
+SLOW, LONG = pytest.mark.slow, pytest.mark.long
 LEDGERS = ("momentum_with_the_colliders", "energy_with_the_work", "in_a_moving_frame", "mirror")
 
 
-def _holds(family, seed, scenes, relations=None, long=False):
-    marks = [pytest.mark.long] if long else []
-    return pytest.param(family, seed, scenes, relations, id=f"{family}-{seed}", marks=marks)
+def _holds(family, seed, scenes, relations=None, mark=None):
+    return pytest.param(family, seed, scenes, relations, id=f"{family}-{seed}", marks=[mark] if mark else [])
 
 
-def _fails(family, seed, scenes, reason, relations=None, long=False):
-    case = _holds(family, seed, scenes, relations, long)
+def _fails(family, seed, scenes, reason, relations=None, mark=None):
+    case = _holds(family, seed, scenes, relations, mark)
     return pytest.param(*case.values, id=case.id, marks=[*case.marks, pytest.mark.xfail(strict=True, reason=reason)])
 
 
 @pytest.mark.parametrize(
     ("family", "seed", "scenes", "relations"),
     [
-        _holds("few_balls", 7, 8, (*FROM_ANYWHERE, "energy_never_grows"), long=True),
-        _holds("chain", 4, 10),
+        _holds("few_balls", 7, 8, (*FROM_ANYWHERE, "energy_never_grows"), mark=LONG),
+        _holds("chain", 4, 10, mark=SLOW),
         _holds("chain", 2, 10),
         _holds("sled", 2, 12),
-        _holds("column", 0, 20),
+        _holds("column", 0, 20, mark=SLOW),
         _holds("balloon", 1, 4),
         _holds("pendulum", 0, 12),
         _holds("folded_sheet", 0, 8),
-        _holds("hollow_box", 6, 60),
-        _holds("held_by_a_stick", 2, 30),
+        _holds("hollow_box", 6, 60, mark=SLOW),
+        _holds("held_by_a_stick", 2, 30, mark=SLOW),
         _holds("thrown", 1, 4),
-        _holds("on_a_stick", 1, 3),
-        _holds("driven", 1, 6, LEDGERS),
-        _holds("thrown", 0, 4, long=True),
-        _holds("on_a_stick", 0, 5, long=True),
-        _holds("on_pinned_cloth", 1, 4, long=True),
-        _holds("heap", 1, 5, long=True),
-        _holds("driven", 0, 6, long=True),
-        _holds("mixed", 1, 1, long=True),
-        _holds("net", 2, 8, ("methods_agree", "one_thread_is_two", "single_is_near_double"), long=True),
-        _holds("neighbours", 3, 10, long=True),
-        _holds("balloon", 4, 4, long=True),
-        _holds("jelly_stays", 1, 6, long=True),
-        _holds("cluster", 1, 20, long=True),
-        _holds("elastic_row", 1, 20, long=True),
-        _holds("jelly_slides", 2, 8, long=True),
-        _holds("sled", 5, 4, long=True),
-        _holds("sled", 7, 8, long=True),
-        _holds("unequal_crowd", 0, 4, long=True),
-        _holds("elastic_crowd", 1, 4, long=True),
-        _holds("heavy_crowd", 1, 4, long=True),
-        _holds("slow_balls", 1, 10, long=True),
-        _holds("glancing", 0, 6, long=True),
-        _holds("led_chain", 0, 10, ("order_is_kept",), long=True),
+        _holds("on_a_stick", 1, 3, mark=SLOW),
+        _holds("driven", 1, 6, LEDGERS, SLOW),
+        _holds("thrown", 0, 4, mark=LONG),
+        _holds("on_a_stick", 0, 5, mark=LONG),
+        _holds("on_pinned_cloth", 1, 4, mark=LONG),
+        _holds("heap", 1, 5, mark=LONG),
+        _holds("driven", 0, 6, mark=LONG),
+        _holds("mixed", 1, 1, mark=LONG),
+        _holds("net", 2, 8, ("methods_agree", "one_thread_is_two", "single_is_near_double"), mark=LONG),
+        _holds("neighbours", 3, 10, mark=LONG),
+        _holds("balloon", 4, 4, mark=LONG),
+        _holds("jelly_stays", 1, 6, mark=LONG),
+        _holds("cluster", 1, 20, mark=LONG),
+        _holds("elastic_row", 1, 20, mark=LONG),
+        _holds("jelly_slides", 2, 8, mark=LONG),
+        _holds("sled", 5, 4, mark=LONG),
+        _holds("sled", 7, 8, mark=LONG),
+        _holds("unequal_crowd", 0, 4, mark=LONG),
+        _holds("elastic_crowd", 1, 4, mark=LONG),
+        _holds("heavy_crowd", 1, 4, mark=LONG),
+        _holds("slow_balls", 1, 10, mark=LONG),
+        _holds("glancing", 0, 6, mark=LONG),
+        _holds("led_chain", 0, 10, ("order_is_kept",), mark=LONG),
     ],
 )
 def test_relations(family, seed, scenes, relations):
