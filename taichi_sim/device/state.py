@@ -28,19 +28,19 @@ class State:
         self.n, self.dim = model.n, model.dim
         phase = phase_type(model.dim, fields.real)
         self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
-        kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
-        self._kept = [(self.ball, kept)]
+        self.kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
+        self._kept = [(self.ball, self.kept)]
         self.compensated = compensated
         self.followers: list[Any] = []  # parts that keep and restore with the state
         self.serial = False  # whether copies go on one thread, for which a launch that wakes none is ten times shorter
         if compensated:
-            self.low = fields.table(phase, self.n)
-            self._kept.append((self.low, fields.table(phase, self.n)))
+            self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
+            self._kept.append((self.low, self.kept_low))
         self.spins = model.spins
         self.still = ~model.spinning if model.some_spin else None  # balls that never spin
         if self.spins:
-            self.spin = fields.spins(self.n, model.dim)
-            self._kept.append((self.spin, fields.spins(self.n, model.dim)))
+            self.spin, self.kept_spin = fields.spins(self.n, model.dim), fields.spins(self.n, model.dim)
+            self._kept.append((self.spin, self.kept_spin))
 
     @ti.func
     def shift(self, i, dx):

@@ -163,7 +163,7 @@ def test_a_file_holds_what_the_shape_says(tmp_path):
     scene = scene_of(3)
     scene.add_balls([[0.0, 3.0, 0.0]], radius=R)
     scene.add_collider(Cone((0, 0, 0), RADIUS, HEIGHT))
-    with pytest.raises(ts.SceneError, match=r"colliders\[0\].*Cone.*a file cannot hold"):
+    with pytest.raises(ts.SceneError, match=r"colliders\[0\]: a file cannot hold Cone"):
         scene.save(tmp_path / "cone.toml")
 
 

@@ -336,7 +336,7 @@ def test_a_balloon_keeps_pressure_times_volume():
         (lambda s: s.add_bending([[0, 1, 2, 3]], weights=[1, 1, 1, 1], stiffness=1.0), r"bending.weights\[0\].*sum"),
         (lambda s: s.add_wind((0, 0)), r"wind.velocity"),
         (lambda s: s.add_wind((0, 0, 1), gust=2.0), r"wind.gust: 2.0.*from 0 to 1"),
-        (lambda s: s.add_gas([[0, 1, 2]], pressure=1.0), r"gas.triangles.*edge from ball 0 to 1"),
+        (lambda s: s.add_gas([[0, 1, 2]], pressure=1.0), r"gases.triangles.*edge from ball 0 to 1"),
         (lambda s: s.attach([0, 1], [2], stiffness=1.0), r"attachments.other: names 1 balls and attachments.one 2"),
         (lambda s: s.add_springs([[0, 1]], stiffness=1.0, break_strain=0.0), r"springs.break_strain: 0.0"),
         (

@@ -188,7 +188,7 @@ def test_what_is_refused():
     scene = pair()
     for bad, words in (
         ({"tolerance": 0.0}, "tolerance: 0"),
-        ({"tolerance": 2.0}, "tolerance: 2 is not allowed; it must be less than 1"),
+        ({"tolerance": 2.0}, r"tolerance: 2\.0 is not allowed; it must be less than 1"),
         ({"tolerance": "fine"}, "tolerance"),
         ({"tolerance": 1e-3, "dt": 1e-3}, r"tolerance: chooses the step, but dt = 0\.001 is given too"),
         ({"tolerance": 1e-3, "substeps": 2}, "but substeps = 2 is given too"),
