@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import taichi as ti
 
 import taichi_sim as ts
 import taichi_sim.forces.element
@@ -132,7 +133,8 @@ def test_a_rule_may_not_hide_a_field():
     class Hiding(ts.ContactRule):
         name = "hiding"
 
-        def solve(self, ball, time, iterations, impacts):
+        @ti.func
+        def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
             pass
 
         def rate(self):

@@ -55,14 +55,14 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
         j += press * remaining
     if ti.static(walls.model.has_friction):
         t = v - u * n
-        share = 0.0 * u + 1.0
+        sideways = 0.0 * u + 1.0
         if ti.static(walls.model.spins):
             t -= lever(walls.state.spin[i], n)
-            share = walls.model.sideways(i)
+            sideways = walls.model.sideways(i)
         speed = t.norm()
         if speed > 0.0:
-            slip = ti.select(-u > threshold, decayed(law.viscous_friction * h), 0.0 * u)
-            change = ti.min(share * speed, slip * share * speed + law.friction * j) / speed * t
+            viscous = ti.select(-u > threshold, decayed(law.viscous_friction * h), 0.0 * u)
+            change = ti.min(sideways * speed, viscous * sideways * speed + law.friction * j) / speed * t
             after -= change
             if ti.static(walls.model.spins):
                 walls.state.spin[i] = walls.state.spin[i] + walls.model.spin_response(i) * cross(n, change)

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from taichi_sim.common import validation
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["NO_RATES", "Rates", "declared_rates", "element_rates", "largest_rate", "pushing_gas"]
@@ -80,22 +81,24 @@ def declared_rates(scene: Scene, forces: Sequence[Any]) -> Rates:
     for name in ("stiffness_rate", "damping_rate"):
         sums.append(0.0)
         for force in forces:
-            rate = float(getattr(force, name)(scene)) if hasattr(force, name) else 0.0
-            if not 0.0 <= rate < np.inf:
+            rate = getattr(force, name)(scene) if hasattr(force, name) else 0.0
+            if np.ndim(rate) or not isinstance(rate, (int, float, np.number)) or not 0.0 <= rate < np.inf:
                 raise ValueError(
-                    f"forces: {type(force).__name__}.{name} gave {rate:g}; it must be 0 or more, and finite"
+                    f"forces: {type(force).__name__}.{name} gave {rate!r}; it must be one number, 0 or more, and finite"
                 )
-            sums[-1] += rate
+            sums[-1] += float(rate)
     return Rates(*sums)
 
 
-def largest_rate(scene: Scene, corners: NDArray, gradient: Floats, strength: Floats) -> float:
+def largest_rate(scene: Scene, balls: ArrayLike, gradient: Floats, strength: Floats) -> float:
     """lambda_max of M^-1 K [1/s^2] of elements that store strength |sum_k g_k x_k|^2 / 2, or strength (sum_k g_k . x_k)^2 / 2:
-    corners (e, k) balls; gradient (e, k) or (k,), or (e, k, dim) where it has a direction; strength one or (e,)."""
-    corners = np.asarray(corners)
+    balls (e, k), the corners; gradient (e, k) or (k,), or (e, k, dim) where it has a direction; strength one or (e,)."""
+    corners = np.asarray(balls)
+    corners = validation.indices("balls", corners, scene.n_balls, corners.shape[1] if corners.ndim == 2 else 1)
+    strengths = validation.per_item("strength", strength, len(corners), low=0)
     g = np.asarray(gradient, dtype=np.float64)
     g = g if g.ndim == 3 else np.broadcast_to(g, corners.shape)[:, :, None]
-    kind = _Kind(corners, g, np.broadcast_to(np.asarray(strength, dtype=np.float64), len(corners)))
+    kind = _Kind(corners, g, strengths)
     return _largest([kind], np.where(scene.pinned, 0.0, 1.0 / np.sqrt(scene.mass)), scene.dim)
 
 

@@ -83,7 +83,7 @@ class Reader:
         x, v, low = self.position, self.velocity, self._state.rounded_off
         if low is not None:  # what a stiff spring carries lies in digits that single precision rounds off
             x, v = x + low[0], v + low[1]
-        return ProbeSample(self.scene, x, v, self.torn, self.energy, self._parts.impulses())
+        return ProbeSample(self.scene, x, v, self.torn, self.energy, self.parts.impulses())
 
 
 # One of them by its name -------------------------------------------------------------------------------------------

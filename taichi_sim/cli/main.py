@@ -274,7 +274,14 @@ class _Job:
                 raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
         if given:
             backend.start(**given)
-        return open_simulation(self.file)
+        made = open_simulation(self.file)
+        from taichi_sim.simulation.simulation import Simulation
+
+        if not isinstance(made, Simulation):
+            raise ValueError(
+                f"{self.file}: simulation() returned {type(made).__name__}; it must return a ts.Simulation"
+            )
+        return made
 
 
 def _quiet(line: str) -> None:

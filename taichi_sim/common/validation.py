@@ -1,5 +1,6 @@
 """Checks of plain numbers and arrays: one sentence that names the place, the value and what is allowed."""
 
+import inspect
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -200,3 +201,18 @@ def flags(where: str, value: bool | Sequence[bool] | NDArray, n: int) -> NDArray
     if array.dtype != np.bool_ or array.shape not in ((), (n,)):
         raise SceneError(where, value, says=f"does not fit; give true, false or a list of {n} of them")
     return np.broadcast_to(array, (n,)).copy()
+
+
+def taichi_function(where: str, owner: Any, name: str, parameters: str) -> None:
+    """Raise SceneError unless a user's object has a Taichi function of that name with these parameters."""
+    kind = type(owner).__name__
+    if isinstance(owner, type):
+        raise SceneError(where, says=f"{owner.__name__} is a class; give an object, {owner.__name__}(...)")
+    function = getattr(owner, name, None)
+    if not callable(function):
+        raise SceneError(where, says=f"{kind} has no function {name}({parameters})")
+    taken = list(inspect.signature(function).parameters)
+    if len(taken) != len(parameters.split(",")):
+        raise SceneError(where, says=f"{kind}.{name} takes ({', '.join(taken)}); it must take ({parameters})")
+    if not getattr(function, "_is_taichi_function", False):
+        raise SceneError(where, says=f"{kind}.{name} is not a Taichi function; write @ti.func above it")

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from taichi_sim.common import validation
 from taichi_sim.contacts.found_contacts import FoundContacts
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.device.engine import ti
@@ -44,10 +45,21 @@ class ContactRule(FoundContacts):
     What a rule can do is said by class attributes, see FoundContacts; `self.rate[0]` is 1 / h [1/s].
     """
 
+    def __init_subclass__(cls, **given: Any) -> None:
+        """A rule without a name is called as its class is: "off" would switch it off."""
+        super().__init_subclass__(**given)
+        cls.name = vars(cls).get("name", cls.__name__)
+        if cls.name == ContactRule.name:
+            raise TypeError(
+                f"contacts: {cls.__name__} cannot have the name {cls.name!r}; it means that none are solved"
+            )
+
     def bind(self, plan: ContactPlan, *parts: Any) -> None:
         """Take the parts of a simulation. Called once, before the fields exist."""
         if plan.active and type(self).solve is ContactRule.solve:
             raise TypeError(f"contacts: {type(self).__name__} has no solve(self, ball, time, iterations, impacts)")
+        if plan.active:
+            validation.taichi_function("contacts", self, "solve", "ball, time, iterations, impacts")
         super().bind(plan, *parts)
         own = vars(type(self))
         for name in vars(self).keys() & own.keys():

@@ -1,4 +1,5 @@
-"""ColliderContacts: the colliders that each ball is at, in a few slots per ball."""
+"""ColliderContacts: the colliders that each ball is at, in a few slots per ball. Walls solves them, friction and all, as it does
+planes."""
 
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.device.engine import ti

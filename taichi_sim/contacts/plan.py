@@ -63,12 +63,14 @@ def plan_contacts(
     reasons: list[str] = []
     chosen: dict[str, Any] = {}
 
-    def decide(name: str, choice: Any, reason: str) -> bool:
-        reasons.append(f"{name}: {'yes' if choice else 'no'} ({reason})")
+    def decide(name: str, choice: Any, needs: str) -> bool:
+        reasons.append(f"{name}: {'yes' if choice else 'no'} (needs {needs})")
         chosen[name] = bool(choice)
         return bool(choice)
 
-    on = decide("contacts", rule.name != "off" and np.any(~scene.pinned), "unless off, where some ball is not pinned")
+    on = decide(
+        "contacts", rule.name != "off" and np.any(~scene.pinned), "another rule than off, and a ball that is not pinned"
+    )
     sticks = decide(
         "sticks",
         on and scene.collides.any() and scene.n_balls > 2,
@@ -83,47 +85,61 @@ def plan_contacts(
     pairs = decide(
         "pairs",
         on and (joints or may_collide(scene)),
-        "two balls that may touch; sticks and triangles look for theirs too",
+        "two balls that may touch, or sticks or triangles, which look for theirs too",
     )
-    walls = decide("walls", on and (scene.walls or scene.colliders), "the scene has walls or colliders")
-    decide("colliders", on and scene.colliders, "the scene has some")
+    walls = decide("walls", on and (scene.walls or scene.colliders), "walls or colliders")
+    decide("colliders", on and scene.colliders, "colliders")
     decide(
-        "skin", not (joints or custom_method), "sticks, triangles and custom methods need a grid made anew in each step"
+        "skin",
+        not (joints or custom_method),
+        "no sticks, triangles or custom method: they take a grid made anew in each step",
     )
     gravity = bool(np.any(scene.gravity != 0))
     pulls = bool(np.any(scene.stiffness > 0) or np.any(scene.damping > 0)) or extra_forces
     warm_starts = decide(
         "warm_starts",
         rule.warm_starts and (gravity or pulls or scene.moving_pins),
-        "something may press balls together for long",
+        "gravity, springs, forces or driven pins: what may press balls together for long",
     )
     soft = decide(
         "soft",
         rule.softens and gravity and pairs and relaxes,
-        "what rests under gravity, with a method that takes back what pushing out adds; a rigid contact is exact for two balls",
+        "gravity, pairs, and a method that takes back what pushing out adds; a rigid contact is exact for two balls",
     )
     impacts_in_turn = decide(
         "impacts_in_turn",
         rule.impacts_in_turn and pairs and not joints,
-        "exact for pairs; not for contacts of three balls and more",
+        "a rule that does so, pairs, and neither sticks nor triangles: it is exact for pairs alone",
     )
     restitution = any(material.restitution > 0 for material in used_materials(scene))
-    bounces = decide("bounces", impacts_in_turn and restitution, "some material has restitution")
-    decide("foresees", impacts_in_turn and soft and not bounces, "what bounces has to touch first")
-    decide("loaded", bounces and (pulls or gravity), "forces may press single balls together")
+    bounces = decide("bounces", impacts_in_turn and restitution, "impacts in turn, and a material with restitution")
+    decide(
+        "foresees",
+        impacts_in_turn and soft and not bounces,
+        "impacts in turn, soft contacts, and no restitution: what bounces has to touch first",
+    )
+    decide(
+        "loaded",
+        bounces and (pulls or gravity),
+        "bounces, and gravity, springs or forces, which may press single balls together",
+    )
     mass = scene.mass[~scene.pinned]
     decide(
         "line_search",
         impacts_in_turn and len(mass) > 0 and mass.max() > UNEQUAL_MASSES * mass.min(),
-        f"masses differ more than {UNEQUAL_MASSES:g} times",
+        f"impacts in turn, and masses that differ more than {UNEQUAL_MASSES:g} times",
     )
-    decide("walls_in_turn", walls and (soft or impacts_in_turn), "crowded balls are pushed into walls within a step")
+    decide(
+        "walls_in_turn",
+        walls and (soft or impacts_in_turn),
+        "walls, and soft contacts or impacts in turn: balls that touch others are pushed into walls within a step",
+    )
     driven = scene.moving_pins or any(collider.motion.moves for collider in scene.colliders)  # they may do work
     gains = joints if rule.in_turn else warm_starts  # split masses gain nothing from nothing, nor pairs in turn
     decide(
         "limits_energy",
         rule.energy_limiter and pairs and not driven and gains and max_restitution(scene) > MOST_BOUNCE,
-        "a crowd that bounces well and could gain energy, to which nothing driven gives any",
+        "a rule that does so, pairs that bounce well and could gain energy, and nothing driven, which may give them some",
     )
     del chosen["contacts"]
     chosen["skin"] = SKIN if chosen["skin"] else 0.0

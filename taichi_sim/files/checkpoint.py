@@ -18,7 +18,7 @@ from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["restore_state", "save_state"]
 
-FORMAT = 1
+FORMAT = 2
 MESH = ("vertices", "triangles")
 
 
@@ -72,16 +72,18 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         raise SceneError((), says="there is no such file", file=path) from None
     except (BadZipFile, ValueError, EOFError, OSError):
         raise SceneError((), says="is not a state that Simulation.save wrote", file=path) from None
-    found = None
     try:
         about = json.loads(str(arrays["about"]))
         found = about["format"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise SceneError((), says=f"is not a state that Simulation.save wrote ({error})", file=path) from None
+    if found != FORMAT:
+        raise SceneError("format", found, f"{FORMAT}, the one that this version reads and writes", file=path)
+    try:
         scene = _scene(about, arrays)
         snapshot = Snapshot.of_file(arrays, about["time"], about.get("stepping", {})).checked(scene)
         settings = dict(about["settings"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        if found not in (None, FORMAT):
-            raise SceneError("format", found, f"{FORMAT}, the one that this version reads", file=path) from None
         raise SceneError((), says=f"is not a state that Simulation.save wrote ({error})", file=path) from None
     simulation = kind(scene, **{**settings, **overrides})
     if {"dt", "tolerance", "substeps", "integrator"} & set(overrides):

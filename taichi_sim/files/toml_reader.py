@@ -65,7 +65,14 @@ class Reader:
     def __init__(
         self, file: Path, text: str, document: dict[str, Any], tables: Mapping[str, Callable[..., Any]] | None = None
     ) -> None:
+        from taichi_sim.files.toml_schema import Document
+
         self.file, self.text, self.document, self.tables = file, text, document, tables or {}
+        known = {"format", "dim", "gravity", "simulation", "output", *Document.model_fields}
+        for name, function in self.tables.items():
+            if name in known or not callable(function):
+                why = "is a table that scene files have already" if name in known else f"{function!r} is no function"
+                raise ValueError(f"tables: {name}: {why}")
         self.groups: dict[str, NDArray[np.int32]] = {}
 
     def scene(self) -> Scene:
@@ -144,13 +151,20 @@ class Reader:
             given = self.document.get(name, [])
             for index, table in enumerate(given if isinstance(given, list) else [given]):
                 with self._at(name, index):
-                    keys = dict(table) if isinstance(table, dict) else {name: table}
+                    if not isinstance(table, dict):
+                        raise SceneError((name, index), table, f"a table, [[{name}]]")
+                    keys = dict(table)
                     group = keys.pop("name", None)
                     try:
                         inspect.signature(function).bind(scene, **keys)
                     except TypeError as error:
                         raise SceneError((name, index), says=str(error)) from None
-                    made = function(scene, **keys)
+                    try:
+                        made = function(scene, **keys)
+                    except SceneError:
+                        raise
+                    except (TypeError, ValueError) as error:
+                        raise SceneError((name, index), says=str(error)) from error
                     if isinstance(made, Shape):
                         self._name(group, made.balls)
                     elif group is not None:

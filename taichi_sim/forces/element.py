@@ -54,18 +54,35 @@ class Element(Corners):
     def corners(self, scene: Scene) -> NDArray[np.int32]:
         """`balls`, checked."""
         where = f"{type(self).__name__}.balls"
-        balls = np.asarray(self.balls)
+        try:
+            balls = np.asarray(getattr(self, "balls", None))
+        except ValueError:  # rows of different lengths
+            balls = np.zeros(0)
         if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(CORNER_NAMES):
             raise SceneError(
                 where, says=f"shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(CORNER_NAMES)}"
             )
         return validation.indices(where, balls, scene.n_balls, balls.shape[1])
 
+    def check(self, scene: Scene) -> None:
+        """Raises SceneError for balls or columns that do not fit."""
+        self._checked_columns(len(self.corners(scene)))
+
+    def _checked_columns(self, count: int) -> dict[str, NDArray]:
+        """`columns`, one number for each of so many elements."""
+        where = f"{type(self).__name__}.columns"
+        if not isinstance(self.columns, Mapping):
+            raise SceneError(where, self.columns, "a dict of names, with one number each or one per element")
+        for name in self.columns:
+            if name in ("corner", *CORNER_NAMES):
+                raise SceneError(f"{where}.{name}", says="is the name of a corner; call the column otherwise")
+        return {name: validation.per_item(f"{where}.{name}", value, count) for name, value in self.columns.items()}
+
     def allocate(self, model: Model, state: State, fields: Fields) -> None:
         """List for each ball the elements that it is a corner of."""
         balls = self.corners(model.scene)
         count, k = balls.shape
-        data = {name: np.tile(np.broadcast_to(value, count), k) for name, value in self.columns.items()}
+        data = {name: np.tile(value, k) for name, value in self._checked_columns(count).items()}
         types = {"corner": ti.i32, **dict.fromkeys(data, fields.real)}
         data["corner"] = np.repeat(np.arange(k), count)
         self.gather(model, fields, np.tile(balls, (k, 1)), balls.T.ravel(), types, data)

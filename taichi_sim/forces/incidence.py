@@ -32,7 +32,7 @@ class Corners:
         """Declare the fields.
 
         own: (r,) the ball of each row; others: (r, k) the further balls of its element, as members "a", "b", ...; columns, data:
-        what else a row is_whole, name to Taichi type and (r,) values.
+        what else a row has, name to Taichi type and (r,) values.
         """
         order = np.argsort(own, kind="stable")
         start = np.zeros(model.n + 1, dtype=np.int32)

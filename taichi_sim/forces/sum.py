@@ -26,10 +26,10 @@ h c / m < 1.
 """
 
 from collections.abc import Sequence
-from inspect import signature
 from typing import Any
 
 from taichi_sim.analysis.element_rates import declared_rates
+from taichi_sim.common import validation
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
@@ -151,21 +151,11 @@ def checked_forces(scene: Scene, forces: Sequence[Any]) -> Sequence[Any]:
     if not isinstance(forces, (list, tuple)):
         raise ValueError(f"forces: {forces!r} is not allowed; it must be a list of forces")
     for force in forces:
-        function = getattr(force, "accumulate", None)
-        if not callable(function):
-            raise ValueError(f"forces: {force!r} has no function accumulate(model, ball, impulse, h, time)")
-        taken, name = list(signature(function).parameters), type(force).__name__
         if isinstance(force, Element):
-            force.corners(scene)
-            function = getattr(force, "force", None)
-            if not callable(function) or len(signature(function).parameters) != 3:
-                raise ValueError(f"forces: {name} is an Element without a function force(ball, row, time)")
-        elif len(taken) != 5:
-            raise ValueError(
-                f"forces: {name}.accumulate takes ({', '.join(taken)}); it must take (model, ball, impulse, h, time)"
-            )
-        if not getattr(function, "_is_taichi_function", False):
-            raise ValueError(f"forces: {name}.{function.__name__} is not a Taichi function; write @ti.func above it")
+            force.check(scene)
+            validation.taichi_function("forces", force, "force", "ball, row, time")
+        else:
+            validation.taichi_function("forces", force, "accumulate", "model, ball, impulse, h, time")
     return forces
 
 

@@ -5,11 +5,13 @@ A user-defined one subclasses Integrator and needs a `method` and a `substep`. T
     @ti.data_oriented
     class KickDrift(ts.Integrator):
         method = ts.Method("kick_drift", order=1, symplectic=True, limit=ts.StabilityLimit(undamped=2.0, damped=2.0))
+        relaxes = True  # the substep ends with `relax`, so that contacts may be soft
 
         @ti.func
         def substep(self, h, time):
             self.forces.total(self.ball, h, time)
             self.contacts.advance(self.ball, self, h, h)
+            self.contacts.relax(self.ball, 0.0)
 
         @ti.func
         def before_move(self, i, h):

@@ -19,7 +19,9 @@ __all__ = ["Verlet"]
 
 @ti.data_oriented
 class Verlet(Integrator):
-    """Order 2. Undamped: K(h/2) A(h) K(h/2), K the kick, A the drift; stable for omega h < 2.
+    """Order 2. Undamped: K(h/2) A(h) K(h/2), K the kick, A the drift; stable for omega h < 2. With contacts a substep is half a
+    kick by the forces at hand, a solve of contacts, the move (which stops at what is met and finds contacts anew), forces, the
+    other half of the kick, and a short solve for what rests.
 
     Weak damping, see `damping.predicts_damping`, acts with all other forces at the velocities v + h a, a from the step before:
     one pass over the springs, order 2. Eliminating v, x(t+h) - 2 x + x(t-h) = h^2 a with the second backward difference of x as
@@ -215,7 +217,7 @@ class Verlet(Integrator):
 
     @ti.func
     def _undamped(self, h, time):
-        """Without damping, and forces that depend on velocities."""
+        """With neither damping nor user-defined forces."""
         self.contacts.advance(self.ball, self, h, 0.5 * h)
         self.forces.elastic(self.ball, h, time + h)
         for i in range(self.model.n):

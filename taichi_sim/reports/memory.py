@@ -7,7 +7,7 @@ from taichi_sim.simulation.simulation import Simulation
 
 def breakdown(simulation: Simulation) -> dict[str, int]:
     """Bytes of each field, the largest first, by the name of the object that made it and its own, like "Pairs.link"."""
-    parts = simulation._parts
+    parts = simulation.parts
     found: dict[str, int] = {}
     seen: set[int] = set()
 

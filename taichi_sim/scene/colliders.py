@@ -184,7 +184,7 @@ class ColliderShape(_Placed):
     """Base of user-defined collider shapes. center (dim,) [m]: where the origin of its own frame is. It has
 
     `distance(p)`: a Taichi function, the signed distance [m] of the point p (dim,) [m] of its own frame from its surface,
-    negative inside; nowhere more than the true one, for balls on their way are led by it.
+    negative inside; true within a ball's radius, and nowhere more than that, for balls on their way are led by it.
     `surface()`: vertices (v, dim) [m] and triangles (t, 3), to draw it and to see that no ball starts inside: in 3D its closed
     surface, in 2D triangles that fill it. They reach as far as the shape does.
 
@@ -198,8 +198,11 @@ class ColliderShape(_Placed):
 
             @ti.func
             def distance(self, p):
-                along = (ti.sqrt(p[0] ** 2 + p[2] ** 2) - self.radius) * self.height + p[1] * self.radius
-                return ti.max(-p[1], along / (self.radius**2 + self.height**2) ** 0.5)
+                r, h, out = self.radius, self.height, ti.sqrt(p[0] ** 2 + p[2] ** 2)
+                up = ti.math.clamp(((r - out) * r + p[1] * h) / (r * r + h * h), 0.0, 1.0)  # nearest on its side, from the rim
+                side, base = ti.Vector([out - r * (1.0 - up), p[1] - h * up]), ti.Vector([ti.max(out - r, 0.0), p[1]])
+                inside = p[1] > 0.0 and (out - r) * h + p[1] * r < 0.0
+                return ti.select(inside, -1.0, 1.0) * ti.min(side.norm(), base.norm())
 
             def surface(self):
                 k, angle = np.arange(48), np.linspace(0, 2 * np.pi, 48, endpoint=False)

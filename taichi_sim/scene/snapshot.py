@@ -44,18 +44,22 @@ class Snapshot:
         n, dim = scene.n_balls, scene.dim
         shapes = dict.fromkeys(("position", "velocity", "low_position", "low_velocity"), (n, dim))
         shapes |= {"surface_speed": (n, 1 if dim == 2 else 3), "impulses": (len(bodies_of(scene)), dim)}
+        for name in ("stepping", "memory"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise SceneError(name, getattr(self, name), "a mapping, as Simulation.snapshot makes it")
         if (self.low_position is None) != (self.low_velocity is None):
             raise SceneError("low_position", says="goes together with low_velocity; give both or none")
-        given = {name: getattr(self, name) for name in shapes if getattr(self, name) is not None}
-        vectors: dict[str, Any] = {
-            name: validation.vectors(name, value, *shapes[name]) for name, value in given.items()
+        optional = [name for name in shapes if name not in ("position", "velocity")]
+        given = {
+            name: getattr(self, name) for name in shapes if name not in optional or getattr(self, name) is not None
         }
+        vectors: dict[str, Any] = {name: _exactly(name, value, shapes[name]) for name, value in given.items()}
         return replace(
             self,
             **vectors,
             time=validation.number("time", self.time, low=0),
             torn=None if self.torn is None else validation.flags("torn", self.torn, scene.n_springs),
-            memory={name: validation.vectors(name, array, n, dim) for name, array in self.memory.items()},
+            memory={name: _exactly(name, array, (n, dim)) for name, array in self.memory.items()},
         )
 
     def arrays(self) -> dict[str, NDArray]:
@@ -70,3 +74,11 @@ class Snapshot:
         own = {one.name: arrays[one.name] for one in fields(cls) if one.name in arrays}
         memory = {name.removeprefix(MEMORY): array for name, array in arrays.items() if name.startswith(MEMORY)}
         return cls(**own, time=time, stepping=stepping, memory=memory)
+
+
+def _exactly(name: str, value: Any, shape: tuple[int, int]) -> Floats:
+    """Vectors of just this shape: one for all would put all balls in one place."""
+    array = np.asarray(value)
+    if array.shape != shape:
+        raise SceneError(name, says=f"shape {array.shape} does not fit; it must be {shape}")
+    return validation.vectors(name, array, *shape)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.accuracy import layers
+from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import Stability
 from taichi_sim.common import validation
@@ -198,6 +199,15 @@ def _integrator(value: Any) -> Any:
     from taichi_sim.integrators import BUILT_IN, Integrator  # brings Taichi: only when a simulation is made
 
     if isinstance(value, Integrator):
+        if not isinstance(value.method, Method):
+            raise SceneError(
+                "integrator", says=f"{type(value).__name__}.method must be a ts.Method, not {value.method!r}"
+            )
+        if not isinstance(value.method.limit, (StabilityLimit, type(None))):
+            raise SceneError(
+                "integrator", says=f"the limit of {type(value).__name__}.method must be a ts.StabilityLimit"
+            )
+        validation.taichi_function("integrator", value, "substep", "h, time")
         return copy(value)  # one object may serve several simulations
     for kind in BUILT_IN:
         if kind.method.name == value:

@@ -120,14 +120,16 @@ class Simulation(Reader):
         return self._stepper.substeps
 
     @property
-    def _parts(self) -> Assembly:
+    def parts(self) -> Assembly:
+        """What was put together for this scene: model, state, forces, contacts, plan, integrator. To look inside, as tests do: it
+        may differ in the next version. `print(sim.parts.plan)` says what contacts it has, and why."""
         if self._closed:  # its memory is gone: touching it would end the process
             raise RuntimeError("this simulation is closed; make a new one")
         return self._stepper.parts
 
     @property
     def _state(self) -> State:
-        return self._parts.state
+        return self.parts.state
 
     # Moving on -----------------------------------------------------------------------------------------------------
 
@@ -207,10 +209,10 @@ class Simulation(Reader):
         are off, but for the largest speed. Costs a search of all contacts, and a kernel at the first call. Warns, once,
         where steps have brought balls deep into something."""
         fastest = diagnostics.largest_speed(self.velocity)
-        if self._still or not self._parts.contacts.active:
+        if self._still or not self.parts.contacts.active:
             return diagnostics.contacts(None, 0, self.substeps, fastest, 0)
         self._stepper.prime()
-        parts = self._parts  # after priming, for which lists may have grown
+        parts = self.parts  # after priming, for which lists may have grown
         return diagnostics.contacts(
             self._stepper.contact_statistics(), parts.contacts.iterations, self.substeps, fastest, parts.searches()
         )
@@ -250,7 +252,7 @@ class Simulation(Reader):
     @property
     def torn(self) -> NDArray[np.bool_] | None:
         """(m,) springs that have torn, a copy; None where none can."""
-        tearing = None if self._still else self._parts.tearing
+        tearing = None if self._still else self.parts.tearing
         return None if tearing is None else tearing.springs_torn
 
     def _whole(self, torn: NDArray[np.bool_] | None) -> tuple[Any, NDArray]:
@@ -274,7 +276,7 @@ class Simulation(Reader):
 
     def solver(self) -> SolverStatistics | None:
         """How well an implicit method solved its stages so far; None for methods that solve nothing."""
-        return self._parts.integrator.solver_report() if self._state is not None else None
+        return self.parts.integrator.solver_report() if self._state is not None else None
 
     def stability(self) -> Stability:
         """The largest safe step, in every shape and in the present one, and what limits it."""
@@ -285,11 +287,11 @@ class Simulation(Reader):
     @property
     def setup(self) -> Setup:
         """How the scene is run, as `taichi_sim.analysis.accuracy.findings` wants it."""
-        return self._parts.setup
+        return self.parts.setup
 
     def kernels(self) -> list[str]:
         """The parts that were compiled for this scene; what it lacks is not among them."""
-        return self._parts.names()
+        return self.parts.names()
 
     # Changing it ---------------------------------------------------------------------------------------------------
 
@@ -297,7 +299,7 @@ class Simulation(Reader):
         """Go on with steps of dt seconds, or as "auto" finds; nothing is compiled anew. Raises ValueError; warns as at first."""
         if self.settings.tolerance is not None:
             raise ValueError("dt: the tolerance chooses the step of this simulation; make another one")
-        parts, time = self._parts, self.time
+        parts, time = self.parts, self.time
         settings = replace(
             self.settings, dt=dt if dt == "auto" else validation.number("dt", dt, high=math.inf, positive=True)
         )
@@ -332,11 +334,14 @@ class Simulation(Reader):
 
     def snapshot(self) -> Snapshot:
         """All that it goes on from, at the present time."""
-        assert self._parts is not None  # not closed
+        assert self.parts is not None  # not closed
         return self._stepper.snapshot()
 
     def resume(self, snapshot: Snapshot) -> None:
         """Go on from a snapshot of this scene. Raises SceneError for what does not fit."""
+        if not isinstance(snapshot, Snapshot):
+            raise SceneError("snapshot", snapshot, "a ts.Snapshot")
+        assert self.parts is not None  # not closed
         self._stepper.resume(snapshot.checked(self.scene))
         self._begin_readings()
 
@@ -344,7 +349,7 @@ class Simulation(Reader):
         if not self._still:
             self._state.write(x, v)
             if moved:
-                self._parts.contacts.forget()
+                self.parts.contacts.forget()
             self._stepper.primed = False
 
     def save(self, path: str | PathLike[str]) -> None:
@@ -363,7 +368,7 @@ class Simulation(Reader):
     def close(self) -> None:
         """Free all fields. The simulation cannot be used after that; closing twice does nothing."""
         if not self._closed:
-            self._parts.free()
+            self.parts.free()
             self._closed = True
 
     def __enter__(self) -> "Simulation":

@@ -354,7 +354,12 @@ class Stepper:
     def snapshot(self) -> Snapshot:
         """All that a run needs to go on with the same steps."""
         stepping, memory = self._stepping()
+        stepping = {"of": self._kind(), **stepping}
         return replace(self.parts.snapshot(), time=self.time, stepping=stepping, memory=memory)
+
+    def _kind(self) -> str:
+        """Whose stepping values and memory a snapshot holds: no other method, or way of choosing steps, can use them."""
+        return f"{type(self).__name__}.{self.method}"
 
     def resume(self, snapshot: Snapshot) -> None:
         """Go on from there."""
@@ -363,8 +368,9 @@ class Stepper:
             self.parts.resume(snapshot)
             self.parts.contacts.forget()
             self.primed = False
-            if snapshot.stepping:
-                self._set_stepping(snapshot.stepping, snapshot.memory)
+            if snapshot.stepping.get("of") == self._kind():
+                own = {name: value for name, value in snapshot.stepping.items() if name != "of"}
+                self._set_stepping(own, snapshot.memory)
 
     def _stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
         """What is the stepper's own, and the method's memory."""

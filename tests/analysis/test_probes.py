@@ -308,7 +308,7 @@ def test_nothing_is_compiled_where_no_probe_asks():
     scene = boxed(0.5)
     scene.probes.clear()
     with ts.Simulation(scene, dt=1e-3) as sim:
-        assert not sim._parts.contacts.walls.probed
+        assert not sim.parts.contacts.walls.probed
         assert sim.probes() == {}
 
 

@@ -27,7 +27,7 @@ CASES = [
 
 def listed(sim):
     """All touching pairs (i, j), i < j, as often as lists name them."""
-    pairs, n = sim._parts.contacts.pairs, sim.scene.n_balls
+    pairs, n = sim.parts.contacts.pairs, sim.scene.n_balls
     first, number, other = (f.to_numpy() for f in (pairs.first, pairs.touching, pairs.link.other))
     first, number = first[:n], number[:n]
     i = np.repeat(np.arange(n), number)
@@ -82,14 +82,14 @@ def test_a_thousand_scenes(dim, driver, kind):
     settings = {"dt": H, "integrator": "symplectic_euler", "contact_iterations": 1, "contacts": "jacobi"}
     met, hashed = np.zeros((len(CROWDS), len(ratios)), dtype=int), 0
     with simulate(scene, ("ordered", driver), **settings) as sim:
-        grid = sim._parts.contacts.pairs.grid
+        grid = sim.parts.contacts.pairs.grid
         assert grid.levels == (8 if kind == "levels" else 1)
         for seed in range(SCENES):
             rng = np.random.default_rng([seed, dim])
             crowd, size = seed % len(CROWDS), seed // len(CROWDS) % len(ratios)
             radius = sizes(rng, ratios[size]).astype(np.float64 if F64 else np.float32)
             width = float(np.mean(radius**dim) * N) ** (1.0 / dim) * 10.0 ** rng.uniform(-0.3, 0.3)
-            sim._parts.model.radius.from_numpy(radius)
+            sim.parts.model.radius.from_numpy(radius)
             sim.resume(ts.Snapshot(scatter(rng, CROWDS[crowd], dim, width), np.zeros((N, dim))))
             sim.step(0)
             met[crowd, size] += agrees(sim, radius)
@@ -118,7 +118,7 @@ def test_sparse_worlds_are_swept_in_blocks():
         scene.add_balls(x, radius=0.03, velocity=3.0 * v)
         with simulate(scene, ("ordered", driver), dt=H, contacts="gauss_seidel") as sim:
             sim.step(60)
-            pairs = sim._parts.contacts.pairs
+            pairs = sim.parts.contacts.pairs
             assert int(pairs.grid.dense[0]) == 0
             assert int(pairs.blocks[0]) > 4
             seen.append(sim.position)
@@ -135,8 +135,8 @@ def test_sticks_among_balls_of_all_sizes(dim):
     scene.add_springs(ends.reshape(-1, 2), stiffness=1.0, collides=True)
     n, met = scene.n_balls, 0
     with simulate(scene, dt=H) as sim:
-        assert sim._parts.contacts.pairs.grid.levels > 4
-        sticks = sim._parts.contacts.sticks
+        assert sim.parts.contacts.pairs.grid.levels > 4
+        sticks = sim.parts.contacts.sticks
         for seed in range(40):
             rng = np.random.default_rng([seed, dim])
             x = rng.uniform(-1.0, 1.0, (n, dim)) * [1.0, 0.2, 0.05][:dim] + (seed % 4) * 30.0 * rng.integers(

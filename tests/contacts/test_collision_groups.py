@@ -52,7 +52,7 @@ def test_balls_walls_and_sticks_meet_only_what_they_collide_with():
     first_near = scene.n_balls - len(near)
     with simulate(scene, dt=1e-3, contacts="jacobi", contact_iterations=1, integrator="symplectic_euler") as sim:
         sim.penetration()
-        parts, x = sim._parts.contacts, sim.position
+        parts, x = sim.parts.contacts, sim.position
         lists = parts.pairs
         first, number, other = (f.to_numpy() for f in (lists.first, lists.touching, lists.link.other))
         found = {(min(i, int(j)), max(i, int(j))) for i in range(60) for j in other[first[i] : first[i] + number[i]]}

@@ -18,7 +18,7 @@ H = 1e-3
 
 def touching(sim):
     """All pairs (i, j), i < j, that the lists name as touching."""
-    lists, n = sim._parts.contacts.pairs, sim.scene.n_balls
+    lists, n = sim.parts.contacts.pairs, sim.scene.n_balls
     first, number, other = (f.to_numpy() for f in (lists.first, lists.touching, lists.link.other))
     listed = [(i, int(j)) for i in range(n) for j in other[first[i] : first[i] + number[i]]]
     return [(min(both), max(both)) for both in listed]
@@ -43,7 +43,7 @@ def test_rows_side_by_side_or_spread(dim, far):
     scene.add_balls(x, radius=rng.uniform(0.02, 0.2, n))
     with simulate(scene, VARIANTS[1], dt=H) as sim:
         sim.step(0)
-        found, dense = touching(sim), int(sim._parts.contacts.pairs.grid.dense[0])
+        found, dense = touching(sim), int(sim.parts.contacts.pairs.grid.dense[0])
         x = sim.position
     assert dense == (1 if far == 0.0 and dim == 2 else 0)
     assert len(found) == len(set(found))
@@ -61,7 +61,7 @@ def test_a_crowded_cell_is_sorted_whatever_the_threads_did(monkeypatch):
     scene.add_balls([[100.0, 0.0]], radius=0.2, pinned=True)
     with simulate(scene, VARIANTS[1], dt=H) as sim:
         sim.step(0)
-        grid = sim._parts.contacts.pairs.grid
+        grid = sim.parts.contacts.pairs.grid
         start, order = grid.start.to_numpy()[: grid.size + 1], grid.sorted.to_numpy()[: n + 1]
     assert np.array_equal(np.sort(order), np.arange(n + 1))
     falls = np.flatnonzero(np.diff(order) < 0) + 1  # only where a new bucket begins
@@ -111,7 +111,7 @@ def test_few_large_balls_do_not_fill_the_lists_of_small_ones():
     scene.add_balls(np.stack([i, j], axis=1) * 3.0 + 100.0, radius=1.0)
     with simulate(scene, dt=H) as sim:
         sim.step(2)
-        assert sim._parts.contacts.pairs.number.to_numpy()[:5000].max() == 0
+        assert sim.parts.contacts.pairs.number.to_numpy()[:5000].max() == 0
 
 
 def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
@@ -126,10 +126,10 @@ def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
     spin = np.random.default_rng(0).standard_normal((100, 1))
     settings = {"dt": H, "spin": True, "contact_iterations": 1}
     with simulate(scene, **settings) as sim:
-        first = sim._parts
+        first = sim.parts
         sim.resume(ts.Snapshot(x, -2.0 * x, surface_speed=spin))
         steps = 0
-        while sim._parts is first:
+        while sim.parts is first:
             sim.step(20)
             steps += 20
         assert 20 < steps < 300
@@ -137,10 +137,10 @@ def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
         after = sim.position, sim.snapshot().surface_speed
     monkeypatch.undo()
     with simulate(scene, **settings) as sim:
-        first = sim._parts
+        first = sim.parts
         sim.resume(ts.Snapshot(x, -2.0 * x, surface_speed=spin))
         sim.step(steps)
-        assert sim._parts is first
+        assert sim.parts is first
         assert np.allclose(sim.position, after[0], rtol=0.0, atol=1e-13 if F64 else 1e-6)
         assert np.array_equal(sim.snapshot().surface_speed, after[1])
 
@@ -151,7 +151,7 @@ def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):
     scene.add_balls(np.arange(2000)[:, None] * [1.0, 0.0], radius=0.1)
     crowd = 1e-5 * scene.position
     with simulate(scene, dt=H) as sim:
-        grid = sim._parts.contacts.pairs.grid
+        grid = sim.parts.contacts.pairs.grid
         enough = grid.pair_limit[0]
         with monkeypatch.context() as patch:
             patch.setattr(memory, "available", lambda: 1 << 20)
@@ -168,7 +168,7 @@ def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):
                 assert np.allclose(sim.position, crowd)
         grid.pair_limit[0] = enough
         assert sim.penetration() == pytest.approx(0.2 - 1e-5, rel=1e-5)
-        found = sim._parts.contacts.pairs
+        found = sim.parts.contacts.pairs
         assert int(np.sum(found.number.to_numpy()[:2000])) == 1999 * 1000
         assert found.grid is not grid
 
@@ -183,7 +183,7 @@ def test_rows_of_sticks_grow(monkeypatch):
     scene.add_springs(ends.reshape(-1, 2), stiffness=1.0, collides=True)
     with simulate(scene, dt=H) as sim:
         assert sim.penetration() == pytest.approx(0.03, rel=1e-6)
-        part = sim._parts.contacts.sticks
+        part = sim.parts.contacts.sticks
         assert int(part.used[0]) == 2000
         assert 2000 <= part.capacity < 4000
 

@@ -20,6 +20,15 @@ CLOSE = 1e-6 if F64 else 1e-3
 SIZE = (120, 90)
 
 
+@ti.func
+def beside_a_slope(out, up, r, h):
+    """Signed distance of a point, so far out and up, from a triangle with the corners (-r, 0), (r, 0), (0, h)."""
+    along = ti.math.clamp(((r - out) * r + up * h) / (r * r + h * h), 0.0, 1.0)
+    side, base = ti.Vector([out - r * (1.0 - along), up - h * along]), ti.Vector([ti.max(out - r, 0.0), up])
+    inside = up > 0.0 and (out - r) * h + up * r < 0.0
+    return ti.select(inside, -1.0, 1.0) * ti.min(side.norm(), base.norm())
+
+
 @ti.data_oriented
 class Cone(ts.ColliderShape):
     """The example of ColliderShape."""
@@ -30,8 +39,7 @@ class Cone(ts.ColliderShape):
 
     @ti.func
     def distance(self, p):
-        along = (ti.sqrt(p[0] ** 2 + p[2] ** 2) - self.radius) * self.height + p[1] * self.radius
-        return ti.max(-p[1], along / (self.radius**2 + self.height**2) ** 0.5)
+        return beside_a_slope(ti.sqrt(p[0] ** 2 + p[2] ** 2), p[1], self.radius, self.height)
 
     def surface(self):
         k, angle = np.arange(48), np.linspace(0, 2 * np.pi, 48, endpoint=False)
@@ -51,8 +59,7 @@ class Roof(ts.ColliderShape):
 
     @ti.func
     def distance(self, p):
-        along = (ti.abs(p[0]) - self.radius) * self.height + p[1] * self.radius
-        return ti.max(-p[1], along / (self.radius**2 + self.height**2) ** 0.5)
+        return beside_a_slope(ti.abs(p[0]), p[1], self.radius, self.height)
 
     def surface(self):
         return [[-self.radius, 0], [self.radius, 0], [0, self.height]], [[0, 1, 2]]
@@ -122,6 +129,18 @@ def test_a_ball_that_falls_on_a_cone_is_thrown_back_by_the_law(cone):
     assert np.ptp(energy) < CLOSE * 10
     across = v[bounced, 2] - v[bounced, 2, 1] * np.array([0, 1, 0])
     assert np.abs(across - (after - after[1] * np.array([0, 1, 0]))).max() < 10 * CLOSE
+
+
+@pytest.mark.slow
+def test_a_ball_on_the_tip_rests_where_it_touches():
+    """A distance that is only that of the sides' lines is too small there: it would hold the ball a quarter of its radius up."""
+    scene = scene_of(2)
+    scene.add_balls([[0.0, 1.0 + R + 0.02]], radius=R, material="smooth")
+    scene.add_collider(Roof((0.0, 0.0), 0.6, 1.0, material="smooth"))
+    with simulate(scene, dt=1e-3) as sim:
+        sim.step(200)
+        assert abs(sim.position[0, 1] - (1.0 + R)) < 1e-3 * R
+        assert np.abs(sim.velocity).max() < 1e-3
 
 
 def test_it_is_drawn(cone):

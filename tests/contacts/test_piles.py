@@ -207,7 +207,7 @@ def test_settings_of_the_solver():
     ):
         with simulate(scene, dt=1e-3, **settings) as sim:
             assert f"contacts.{rule}" in sim.kernels()
-            assert sim._parts.state.spins == spins
+            assert sim.parts.state.spins == spins
     with simulate(smooth, VARIANTS[2], dt=1e-3) as sim:
         assert "contacts.jacobi" in sim.kernels()
     with pytest.raises(ValueError, match=r"contacts: 'gauss_seidel' .* accumulate: 'atomic'"):
@@ -226,4 +226,4 @@ def test_settings_of_the_solver():
         scene = box_of_balls(2, count, count)
         scene.add_balls([[0.0, 1.0]], radius=R, mass=mass)
         with simulate(scene, dt=1e-3) as sim:
-            assert sim._parts.contacts.iterations == passes
+            assert sim.parts.contacts.iterations == passes

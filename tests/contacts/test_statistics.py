@@ -60,7 +60,7 @@ def test_random_scenes_equal_brute_force(dim, variant):
     scene = crowd(dim)
     rng = np.random.default_rng(8)
     with simulate(scene, variant, dt=1e-3) as sim:
-        assert sum(breakdown(sim).values()) == sim._parts.fields.bytes  # no field without a name
+        assert sum(breakdown(sim).values()) == sim.parts.fields.bytes  # no field without a name
         for _ in range(12):
             said, want = sim.contacts(), by_brute_force(scene, sim.position, sim.velocity)
             assert said.number == want[0] > 20

@@ -43,7 +43,7 @@ def soup():
 
 def listed_pairs(sim):
     """The listed pairs as (balls, weights, normal, distance, thickness or -1)."""
-    triangles = sim._parts.contacts.triangles
+    triangles = sim.parts.contacts.triangles
     used, table = int(triangles.used[0]), triangles.contact
     member, weight = (f.to_numpy()[: 4 * used].reshape(-1, 4) for f in (triangles.member, triangles.weight))
     columns = (table.normal.to_numpy(), table.distance.to_numpy(), table.thickness.to_numpy())
@@ -86,7 +86,7 @@ def test_pairs_and_one_iteration_as_by_brute_force(soup_run):
         sim.contacts()  # finds them
         listed = ref.pairs(x, v, scene.radius, scene.triangles, scene.pairs, H, scene.position)
         listed = {key(p.edge, p.balls): p for p in listed if w[list(p.balls)].any()}
-        kinds = sim._parts.contacts.triangles.contact.kind.to_numpy()
+        kinds = sim.parts.contacts.triangles.contact.kind.to_numpy()
         found = {}
         for c, (balls, *row) in enumerate(listed_pairs(sim)):
             assert key(kinds[c] > 0, balls) not in found, "a pair is listed twice"
@@ -162,7 +162,7 @@ def test_a_pass_keeps_momentum_and_never_adds_energy(cluster_run):
     sim, at = cluster_run
     scene, rng = sim.scene, np.random.default_rng(2)
     free = np.where(scene.pinned, 0.0, scene.mass)
-    spins = bool(sim._parts.model.spins)
+    spins = bool(sim.parts.model.spins)
     loose = ~np.any(scene.pinned.reshape(PLACES, EACH), axis=1)
 
     def total(values):

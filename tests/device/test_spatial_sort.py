@@ -100,6 +100,6 @@ def test_own_forces_see_the_scenes_own_order(always):
     scene = ts.Scene(dim=2)
     scene.add_balls([[5.0, 0.0], [0.0, 0.0]], radius=0.1)
     with simulate(scene, forces=[Nothing()], dt=H) as sim:
-        assert sim._parts.state.order is None
+        assert sim.parts.state.order is None
     with simulate(scene, dt=H) as sim:
-        assert sim._parts.state.order.tolist() == [1, 0]
+        assert sim.parts.state.order.tolist() == [1, 0]

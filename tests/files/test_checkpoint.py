@@ -77,14 +77,14 @@ def test_a_crowd_is_restored_whose_lists_have_grown(tmp_path):
     scene.add_springs([(i, i + 1) for i in range(1599)], stiffness=100.0, damping=0.001, rest_length=0.1)
     assert predicts_damping(scene)
     with ts.Simulation(scene, dt=1e-4) as sim:
-        had = sim._parts.contacts.pairs.capacity
+        had = sim.parts.contacts.pairs.capacity
         sim.step(1)
-        assert sim._parts.contacts.pairs.capacity > had  # the case is what it says
+        assert sim.parts.contacts.pairs.capacity > had  # the case is what it says
         sim.save(tmp_path / "state.npz")
         with ts.Simulation.restore(tmp_path / "state.npz") as again:
-            for pull in (again._parts.integrator.pull, sim._parts.integrator.pull):
+            for pull in (again.parts.integrator.pull, sim.parts.integrator.pull):
                 assert np.any(pull.to_numpy() != 0.0)
-            assert np.array_equal(again._parts.integrator.pull.to_numpy(), sim._parts.integrator.pull.to_numpy())
+            assert np.array_equal(again.parts.integrator.pull.to_numpy(), sim.parts.integrator.pull.to_numpy())
 
 
 @pytest.mark.slow

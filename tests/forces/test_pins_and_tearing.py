@@ -177,7 +177,7 @@ def test_what_was_taken_back_is_whole_again():
     """The watch halves a step at which energy grew: what tore in the chunk that is repeated has not torn."""
     with simulate(strip(), dt=1e-3, contacts="off") as sim:
         sim.step(100)
-        parts = sim._parts
+        parts = sim.parts
         parts.state.keep()
         parts.run(700, 1e-3, sim.time)
         assert parts.tearing.springs_torn.any()
@@ -224,7 +224,7 @@ def test_what_a_torn_spring_held_together_lets_go(driver):
         assert sim.energy().spring < 1e-3  # 1 J and more, where bending elements reach across
         middle = sim.velocity[4:8, 0]
         assert np.abs(middle - [-1.0, -1.0, 1.0, 1.0]).max() < 0.2
-        parts = sim._parts
+        parts = sim.parts
         assert all(force.gone.to_numpy().any() for force in parts.forces.elements)
         parts.tearing.tear(np.zeros(scene.n_springs, dtype=bool))
         assert not any(force.gone.to_numpy().any() for force in parts.forces.elements)

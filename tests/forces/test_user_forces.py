@@ -173,7 +173,7 @@ def test_what_is_not_an_element_is_named():
         balls = np.array([[0, 1]])
 
     for force, words in (
-        (Empty(), r"Empty is an Element without a function force\(ball, row, time\)"),
+        (Empty(), r"Empty has no function force\(ball, row, time\)"),
         (Rod([[0, 1, 9]], 1.0), r"Rod.balls\[0\]: \[0, 1, 9\] is not allowed"),
         (Rod([0, 1, 2], 1.0), r"Rod.balls: shape \(3,\) does not fit"),
     ):

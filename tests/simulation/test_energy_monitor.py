@@ -55,14 +55,14 @@ def test_a_look_is_what_numpy_sums(driver):
     b = scene.add_balls(x, radius=0.01, mass=2.0, velocity=v, pinned=[5])
     scene.add_springs(np.stack([b[:-1], b[1:]], axis=1), stiffness=30.0, rest_length=1.0)
     with simulate(scene, ("ordered", driver), dt=1e-3, contacts="off") as sim:
-        want, seen = sim.energy(), sim._parts.state_probe.sample()
+        want, seen = sim.energy(), sim.parts.state_probe.sample()
         assert seen.bad is None
         assert seen[2:5] == pytest.approx(want[:3], rel=1e-12 if F64 else 1e-5)
         assert seen.speed == pytest.approx(np.linalg.norm(sim.velocity, axis=1).max(), rel=1e-6)
         v = sim.velocity
         v[1234, 1] = np.float32(1e15)
         sim.set_velocity(v)
-        assert sim._parts.state_probe.sample().bad == 1234
+        assert sim.parts.state_probe.sample().bad == 1234
 
 
 @each_dim
@@ -77,7 +77,7 @@ def test_a_look_counts_spin(dim):
             )
         )
         want = 1.0 + 0.5 * 2.0 * 2.0**2 * (0.5 if dim == 2 else 0.4)
-        assert sim._parts.state_probe.sample().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(want)
+        assert sim.parts.state_probe.sample().kinetic == pytest.approx(sim.energy().kinetic) == pytest.approx(want)
 
 
 def test_energy_from_nowhere_is_warned_of_once():
@@ -117,7 +117,7 @@ def test_automatic_steps_are_taken_back_and_shortened():
         own = sim._stepper
         lie = 2.2 * sim.stability().dt_present / sim.dt
         sim.dt = own.dt = sim.dt * lie
-        sim._parts.set_step(own.h)
+        sim.parts.set_step(own.h)
         start = sim.energy().total
         with pytest.warns(
             UserWarning, match=r"taken back to t = .* s and repeated with substeps of .* which are kept"
@@ -201,7 +201,7 @@ def test_solver_of_implicit_methods_is_public():
         assert found.passes > found.stages
         assert found.misses == 0
         assert 0.0 < found.worst <= 10 * found.tolerance
-        sim._parts.integrator.solver.number.misses[0] = 3.0
+        sim.parts.integrator.solver.number.misses[0] = 3.0
         with pytest.warns(UserWarning, match="of the impulses of a stage unsolved"):
             sim.step(2)
         run_quietly(sim, 0.02)  # once

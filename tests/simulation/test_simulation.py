@@ -384,7 +384,7 @@ def test_a_springs_only_scene_has_only_springs(driver):
         assert "springs" in names
         for absent in ("grid", "pairs", "contacts", "walls", "sticks", "gravity", "damping"):
             assert absent not in names, names
-        contacts, model = sim._parts.contacts, sim._parts.model
+        contacts, model = sim.parts.contacts, sim.parts.model
         assert (contacts.walls, contacts.pairs, contacts.sticks) == (None, None, None)
         for absent in ("lightness", "push", "offset"):
             assert not hasattr(contacts, absent)

@@ -19,7 +19,7 @@ G, R, H = 10.0, 0.05, 1e-3
 
 def contact_forces(sim: ts.Simulation) -> dict[tuple[int, int], float]:
     """Normal force [N] by pair of balls, and by (-1, ball) on the floor: the impulses held, one solve for each half step."""
-    contacts, n = sim._parts.contacts, sim.scene.n_balls
+    contacts, n = sim.parts.contacts, sim.scene.n_balls
     pairs, h = contacts.pairs, 0.5 * sim.dt / sim.substeps
     first, touching, other, impulse = (
         f.to_numpy() for f in (pairs.first, pairs.touching, pairs.link.other, pairs.link.impulse)

@@ -67,7 +67,7 @@ class ContactPass(Ours):
 
     def __init__(self, pack: Balls, rule: str) -> None:
         super().__init__(ball_scene(pack), contacts=rule, contact_iterations=1, dt=1e-6, driver="parallel")
-        parts = self.simulation._parts
+        parts = self.simulation.parts
         self.contacts, self.ball = parts.contacts, parts.state.ball
 
     @ti.kernel
