@@ -49,11 +49,12 @@ class Snapshot:
                 raise SceneError(name, getattr(self, name), "a mapping, as Simulation.snapshot makes it")
         if (self.low_position is None) != (self.low_velocity is None):
             raise SceneError("low_position", says="goes together with low_velocity; give both or none")
-        optional = [name for name in shapes if name not in ("position", "velocity")]
-        given = {
-            name: getattr(self, name) for name in shapes if name not in optional or getattr(self, name) is not None
+        given = {name: getattr(self, name) for name in shapes}
+        vectors: dict[str, Any] = {
+            name: _exactly(name, value, shapes[name])
+            for name, value in given.items()
+            if value is not None or name in ("position", "velocity")
         }
-        vectors: dict[str, Any] = {name: _exactly(name, value, shapes[name]) for name, value in given.items()}
         return replace(
             self,
             **vectors,
@@ -78,7 +79,7 @@ class Snapshot:
 
 def _exactly(name: str, value: Any, shape: tuple[int, int]) -> Floats:
     """Vectors of just this shape: one for all would put all balls in one place."""
-    array = np.asarray(value)
+    array = validation.vectors(name, value, None, shape[1])
     if array.shape != shape:
         raise SceneError(name, says=f"shape {array.shape} does not fit; it must be {shape}")
-    return validation.vectors(name, array, *shape)
+    return array
