@@ -57,7 +57,7 @@ def key(edge, balls):
     return tuple(sorted(sides)) if edge else sides
 
 
-@pytest.fixture(scope="module", params=["fused", pytest.param("parallel", marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=["fused", pytest.param("parallel", marks=pytest.mark.long)])
 def soup_run(request):
     scene = soup()
     settings = {"dt": H, "integrator": "symplectic_euler", "contacts": "jacobi", "contact_iterations": 1}
@@ -144,7 +144,7 @@ def clusters(friction):
     return scene, np.repeat(at, EACH, axis=0)
 
 
-SMOOTH = pytest.param(False, id="smooth-gauss_seidel", marks=pytest.mark.slow)
+SMOOTH = pytest.param(False, id="smooth-gauss_seidel", marks=pytest.mark.long)
 
 
 @pytest.fixture(scope="module", params=[pytest.param(True, id="rough-jacobi"), SMOOTH])

@@ -102,7 +102,7 @@ def test_all_orders_of_springs_agree(dim, method, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.slow), 3], ids=["2d", "3d"])
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.long), 3], ids=["2d", "3d"])
 def test_atomic_agrees_with_ordered_in_a_pile(dim):
     """Before collisions multiply the rounding: 20 steps."""
     scene = physics_bits.pile(dim)

@@ -1,6 +1,7 @@
 """What a user of Simulation sees: time and frames, warnings and errors, changes between steps, own forces and methods."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -390,3 +391,38 @@ def test_a_springs_only_scene_has_only_springs(driver):
             assert not hasattr(contacts, absent)
         for absent in ("radius", "surface", "laws"):
             assert not hasattr(model, absent)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"position": [0.0, 0.0]}, r"position: shape \(2,\) does not fit"),  # not one place for all balls
+        ({"position": [[0.0, 0.0]] * 2}, r"position: shape \(2, 2\) does not fit; it must be \(3, 2\)"),
+        ({"velocity": None}, "velocity: None is not a list of 2-vectors"),
+        ({"velocity": [[1.0, 2.0], [3.0]]}, "velocity: .* is not a list of 2-vectors"),
+        ({"stepping": 3}, "stepping: 3 is not allowed; it must be a mapping"),
+        ({"memory": {"memory.0": [0.0, 0.0]}}, "does not fit"),
+    ],
+)
+def test_a_snapshot_that_does_not_fit_changes_nothing(changed, words):
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], radius=0.1, velocity=[1.0, 0.0])
+    with simulate(scene, contacts="off", dt=1e-3) as sim:
+        start = sim.snapshot()
+        sim.step(5)
+        x, time = sim.position, sim.time
+        with pytest.raises(ts.SceneError, match=words):
+            sim.resume(replace(start, **changed))
+        assert np.array_equal(sim.position, x)
+        assert sim.time == time
+        sim.resume(start)
+        assert sim.time == 0.0
+
+
+def test_a_closed_simulation_takes_no_snapshot():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 0.0]], radius=0.1)
+    with simulate(scene, contacts="off", dt=1e-3) as sim:
+        start = sim.snapshot()
+    with pytest.raises(RuntimeError, match="is closed"):
+        sim.resume(start)

@@ -25,10 +25,16 @@ QUICK_CONTACTS = {
     (3, "rk4", VARIANTS[0]),
     (3, "verlet", VARIANTS[3]),
 }
+
+
+def _how_slow(case):
+    if case in QUICK_CONTACTS:
+        return []
+    return [pytest.mark.slow if case[2] in EXTREMES else pytest.mark.long]
+
+
 CONTACT_CASES = [
-    pytest.param(
-        (d, m, v), id=f"{d}d-{m}-{'-'.join(v)}", marks=[] if (d, m, v) in QUICK_CONTACTS else [pytest.mark.slow]
-    )
+    pytest.param((d, m, v), id=f"{d}d-{m}-{'-'.join(v)}", marks=_how_slow((d, m, v)))
     for d in DIMS
     for m in METHODS
     for v in (VARIANTS if m == "verlet" else EXTREMES[:1])
