@@ -25,7 +25,7 @@ DOORS = {  # the part of each example without which it does nothing, and what st
     "A force": ("-= h", "-= 0.0"),
     "An element": ("return -row", "return 0.0 * row"),
     "An integrator": ("self.state.kick(i, self.forces.change(i, h))", "pass"),
-    "A collider shape": ("return ti.max(", "return 1.0 + ti.max(0.0, "),
+    "A collider shape": ("* ti.min(side.norm()", "* 0.0 + 1.0 + ti.max(side.norm()"),
     "A contact rule": ("self.exchange(", "print("),
     "A shape": ("+ radius * np.stack", "+ 0.0 * np.stack"),
     "An output": ("*frame.position[:, 1], ", ""),
