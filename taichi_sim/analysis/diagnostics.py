@@ -98,7 +98,7 @@ def _custom(scene: Scene, force: Any, x: Floats, v: Floats, torn: NDArray) -> fl
     """Energy [J] of a user-defined force: the sum over its elements that are whole, or of the force as it is."""
     if hasattr(force, "energies"):
         whole = ~cut(np.asarray(force.balls), torn, scene.n_balls)
-        return float(np.sum(force.energies(x)[whole]))
+        return float(np.sum(np.asarray(force.energies(x))[whole]))
     return float(force.energy(x, v)) if hasattr(force, "energy") else 0.0
 
 

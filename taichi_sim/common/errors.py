@@ -72,11 +72,14 @@ class UnstableError(RuntimeError):
     """
 
     def __init__(self, message: str, time: float, ball: int, spring: int | None, safe_dt: float | None) -> None:
-        super().__init__(message)
+        super().__init__(message, time, ball, spring, safe_dt)  # all of them, or it could not be sent between processes
         self.time = time
         self.ball = ball
         self.spring = spring
         self.safe_dt = safe_dt
+
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 @contextmanager

@@ -1,6 +1,8 @@
 """Checks of plain numbers and arrays: one sentence that names the place, the value and what is allowed."""
 
+import ast
 import inspect
+import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -10,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common.errors import SceneError
 
 __all__ = [
+    "as_array",
+    "attributes_read",
     "direction",
     "flags",
     "indices",
@@ -27,6 +31,16 @@ __all__ = [
 MOST_MAGNITUDE = (
     1e50  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
 )
+
+
+def as_array(value: Any) -> NDArray[Any]:
+    """As NumPy makes it; rows of different lengths, of which it makes none, as an array of objects without a shape."""
+    try:
+        return np.asarray(value)
+    except ValueError:
+        array = np.empty((), dtype=object)
+        array[()] = value
+        return array
 
 
 def _array(where: str, value: ArrayLike, what: str, most: float = MOST_MAGNITUDE) -> NDArray[np.float64]:
@@ -110,10 +124,7 @@ def strains(where: str, value: ArrayLike | None, n: int) -> NDArray[np.float64]:
     """Positive strains, one or one per item, infinite or None where nothing breaks, as an array of shape (n,). SceneError."""
     if value is None:
         return np.full(n, np.inf)
-    try:
-        given = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        given = np.zeros((0, 0))
+    given = as_array(value)
     if given.dtype.kind != "f":
         return per_item(where, value, n, positive=True)
     never = np.isposinf(given)
@@ -174,11 +185,8 @@ def indices(
     where: str, value: ArrayLike, limit: int, width: int | None = None, what: str = "ball"
 ) -> NDArray[np.int32]:
     """Integers from 0 to limit - 1, numbers of `what`, as an array of shape (k,), or (k, width). Raises SceneError."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # lists of different lengths
-        array = np.array("")
-    if array.size == 0:
+    array = as_array(value)
+    if array.size == 0 and array.dtype != object:
         return np.zeros((0,) if width is None else (0, width), dtype=np.int32)
     if array.dtype.kind not in "iu":
         raise SceneError(where, value, says="is not a list of integers")
@@ -194,10 +202,7 @@ def indices(
 
 def flags(where: str, value: bool | Sequence[bool] | NDArray, n: int) -> NDArray[np.bool_]:
     """A bool, or one per item, as an array of shape (n,). Raises SceneError."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        array = np.zeros(0)
+    array = as_array(value)
     if array.dtype != np.bool_ or array.shape not in ((), (n,)):
         raise SceneError(where, value, says=f"does not fit; give true, false or a list of {n} of them")
     return np.broadcast_to(array, (n,)).copy()
@@ -216,3 +221,17 @@ def taichi_function(where: str, owner: Any, name: str, parameters: str) -> None:
         raise SceneError(where, says=f"{kind}.{name} takes ({', '.join(taken)}); it must take ({parameters})")
     if not getattr(function, "_is_taichi_function", False):
         raise SceneError(where, says=f"{kind}.{name} is not a Taichi function; write @ti.func above it")
+
+
+def attributes_read(function: Any, parameter: int) -> set[str]:
+    """Attributes that a method reads of one of its parameters, self not counted; none where its source is not at hand."""
+    try:
+        tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    except (OSError, TypeError):
+        return set()
+    name = tree.body[0].args.args[parameter + 1].arg  # type: ignore[attr-defined]
+    return {
+        node.attr
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == name
+    }

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,6 +82,7 @@ class Reader:
         model: Any = self._validated()
         with self._at():
             scene = Scene(model.dim, model.gravity)
+            scene.locate = partial(located, self.file, self.text)
             scene.settings, scene.output = _given(model.simulation), _given(model.output)
         for index, table in enumerate(model.materials):
             with self._at("materials", index):
@@ -277,8 +279,8 @@ class Reader:
             raise self._located(error, _fitting(self.document, place + _within_table(error.path, place))) from None
 
     def _located(self, error: SceneError, path: KeyPath) -> SceneError:
-        error.path, error.file, error.line = path, self.file, line_of(self.text, path)
-        return error
+        error.path = path
+        return located(self.file, self.text, error)
 
     def _validated(self) -> "BaseModel":
         from pydantic import ValidationError
@@ -311,6 +313,12 @@ class Reader:
                 of_items = any(isinstance(part, int) for part in problem["loc"][len(path) :])
                 allowed.append(("a list, each " if of_items else "") + what_is_allowed(problem))
         raise self._located(SceneError(path, value, " or ".join(dict.fromkeys(allowed))), path)
+
+
+def located(file: Path, text: str, error: SceneError) -> SceneError:
+    """The error, with the file and the line of its path there."""
+    error.file, error.line = file, line_of(text, error.path)
+    return error
 
 
 # Data --------------------------------------------------------------------------------------------------------------

@@ -54,10 +54,7 @@ class Element(Corners):
     def corners(self, scene: Scene) -> NDArray[np.int32]:
         """`balls`, checked."""
         where = f"{type(self).__name__}.balls"
-        try:
-            balls = np.asarray(getattr(self, "balls", None))
-        except ValueError:  # rows of different lengths
-            balls = np.zeros(0)
+        balls = validation.as_array(getattr(self, "balls", None))
         if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(CORNER_NAMES):
             raise SceneError(
                 where, says=f"shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(CORNER_NAMES)}"
@@ -66,7 +63,11 @@ class Element(Corners):
 
     def check(self, scene: Scene) -> None:
         """Raises SceneError for balls or columns that do not fit."""
-        self._checked_columns(len(self.corners(scene)))
+        balls = self.corners(scene)
+        known = ["corner", *CORNER_NAMES[: balls.shape[1]], *self._checked_columns(len(balls))]
+        for name in sorted(validation.attributes_read(type(self).force, 1) - set(known)):
+            says = f"is read by force, but it is no column and no corner of its {balls.shape[1]}; there are {', '.join(known)}"
+            raise SceneError(f"{type(self).__name__}.columns.{name}", says=says)
 
     def _checked_columns(self, count: int) -> dict[str, NDArray]:
         """`columns`, one number for each of so many elements."""

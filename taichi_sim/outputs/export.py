@@ -12,6 +12,8 @@ import numpy as np
 from taichi_sim.analysis.frame import Contacts, Frame
 from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output
 
@@ -100,6 +102,13 @@ class Summary:
         return lines
 
 
+def _check_output(output: Any) -> None:
+    if not isinstance(output, Output):
+        raise SceneError("output", output, "a ts.Output, as ts.open_output(path) gives for a file, or None")
+    if type(output).write is Output.write:
+        raise SceneError("output", says=f"{type(output).__name__} has no function write(index, frame, image)")
+
+
 class _Clock:
     """Adds the time since the last call to one of the summary's fields."""
 
@@ -132,6 +141,9 @@ def export(
         progress: a bar on standard error with the time left and the speed against real time.
     The output is finished here, also when the simulation becomes unstable, and discarded on any other error.
     """
+    if output is not None:
+        _check_output(output)
+    fps, duration = validation.number("fps", fps, positive=True), validation.number("duration", duration, low=0)
     summary = Summary()
     clock = _Clock(summary)
     style = style or {}

@@ -235,6 +235,8 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     name = next((name for name, kind in SHAPES.items() if type(shape) is kind), None)
     if isinstance(shape, ColliderShape):
         name = type(shape).__name__
+    if isinstance(shape, type):
+        raise SceneError(where, says=f"{shape.__name__} is a class; give an object, {shape.__name__}(...)")
     if name is None:
         raise SceneError(where, shape, "one of ts.Sphere, ts.Box, ts.Capsule, ts.Mesh, or a ts.ColliderShape")
     given = {f.name: getattr(shape, f.name) for f in fields(shape)}
@@ -332,13 +334,14 @@ def _closed(surface: Surface, where: str, name: str) -> Surface:
 
 def _drawn(shape: ColliderShape, dim: int, where: str) -> Surface:
     """What the renderer shows of a shape of the user's own, checked, with its distance function."""
-    name, distance = type(shape).__name__, getattr(shape, "distance", None)
-    if not getattr(distance, "_is_taichi_function", False):
-        raise SceneError(where, says=f"{name} needs a function distance(self, p) with @ti.func above it")
+    name = type(shape).__name__
+    validation.taichi_function(where, shape, "distance", "p")
     if type(shape).surface is ColliderShape.surface:
         raise SceneError(where, says=f"{name} needs a function surface(self) that returns (vertices, triangles)")
-    vertices, triangles = shape.surface()
-    where = f"{where}.surface()"
+    where, drawn = f"{where}.surface()", shape.surface()
+    if not isinstance(drawn, (tuple, list)) or len(drawn) != 2:
+        raise SceneError(where, drawn, "a pair (vertices, triangles)")
+    vertices, triangles = drawn
     points = validation.vectors(f"{where}.vertices", vertices, None, dim)
     corners = validation.indices(f"{where}.triangles", triangles, len(points), 3, "vertex")
     if dim == 3:

@@ -20,6 +20,11 @@ class Table:
             self._parts[name].append(column)
         self.rows += n
 
+    def cut(self, n: int) -> None:
+        """Keep the first n rows."""
+        self._parts = {name: [self[name][:n]] for name in self.names}
+        self.rows = n
+
     def __getitem__(self, name: str) -> NDArray:
         parts = self._parts[name]
         if len(parts) > 1:

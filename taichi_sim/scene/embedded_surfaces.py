@@ -42,10 +42,7 @@ def build_surface(
     colour: tuple[float, ...] | None,
 ) -> EmbeddedSurface:
     """A checked surface on n_balls balls. Raises SceneError that names the argument of `where`."""
-    try:
-        shape = np.shape(corners)
-    except ValueError:  # rows of different lengths
-        shape = ()
+    shape = validation.as_array(corners).shape
     if len(shape) != 2 or 0 in shape:
         says = f"shape {shape} does not fit; it must be (s, k), k balls for each of s vertices"
         raise SceneError(f"{where}.corners", says=says)

@@ -1,6 +1,7 @@
 """Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from os import PathLike
 from typing import Any
@@ -51,6 +52,7 @@ class Scene(Elements):
         self.groups = Groups()
         self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
         self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
+        self.locate: Callable[[SceneError], SceneError] | None = None  # where in its file an error's path stands
         self._balls = Table(
             position=np.zeros((0, dim)),
             velocity=np.zeros((0, dim)),
@@ -327,6 +329,23 @@ class Scene(Elements):
         self.groups.check(groups, masks)
         return any(bits != EVERY for _, bits in masks)
 
+    @contextmanager
+    def all_or_nothing(self) -> Iterator[None]:
+        """What the block adds to this scene is taken back where it raises: for shapes, which add several things."""
+        tables = [(table, table.rows) for table in self._tables().values()]
+        lists: list[Any] = [self.materials, self.walls, self.colliders, self.embedded_surfaces, self.gases]
+        lists += [self.moving_pins, self.probes, self.groups.names]
+        lengths, bodies = [len(one) for one in lists], self._bodies
+        try:
+            yield
+        except BaseException:
+            for table, rows in tables:
+                table.cut(rows)
+            for one, length in zip(lists, lengths):
+                del one[length:]
+            self._bodies = bodies
+            raise
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene as TOML; large arrays go to an .npz beside it."""
         save_scene(self, path)
@@ -371,11 +390,9 @@ class Scene(Elements):
 
     @staticmethod
     def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:
-        try:
-            array = np.asarray(pinned)
-        except ValueError:  # rows of different lengths
-            says = "is not a bool, a bool per ball, or a list of positions"
-            raise SceneError("balls.pinned", pinned, says=says) from None
+        array = validation.as_array(pinned)
+        if array.dtype == object:
+            raise SceneError("balls.pinned", pinned, says="is not a bool, a bool per ball, or a list of positions")
         if array.dtype == np.bool_:
             return validation.flags("balls.pinned", array, n)
         held = np.zeros(n, dtype=bool)

@@ -94,7 +94,7 @@ def surface_part(shape: str, surface_collision: Any) -> float:
 
 def counts(where: str, value: Any, n: int, low: int) -> tuple[int, ...]:
     """n whole numbers of at least `low`. Raises SceneError."""
-    array = np.asarray(value)
+    array = validation.as_array(value)
     if array.dtype.kind not in "iu" or array.shape != (n,) or (array < low).any():
         raise SceneError(where, value, f"{n} whole numbers of at least {low}")
     return tuple(int(k) for k in array)
@@ -112,7 +112,7 @@ def at_least_0(where: str, value: float | None, default: Any = None) -> Any:
 
 def lengths(where: str, value: Sequence[float], n: int) -> NDArray[np.float64]:
     """n positive lengths. Raises SceneError."""
-    if np.shape(value) != (n,):
+    if validation.as_array(value).shape != (n,):
         raise SceneError(where, value, f"{n} lengths")
     return validation.per_item(where, value, n, positive=True)
 
@@ -243,7 +243,7 @@ def build(
     if stretched is not None:
         rest = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1) / (1 + stretched)
     critical = 2 * np.sqrt(strength * reduced)
-    with about(shape):
+    with scene.all_or_nothing(), about(shape):
         balls = scene.add_balls(
             points,
             radius=part.radius,

@@ -88,12 +88,12 @@ def tower(
     extent = lengths("tower.size", (0.4,) * dim if size is None else size, dim)
     many = counts("tower.resolution", (4,) * dim if resolution is None else resolution, dim, 2)
     reach = or_default("tower.radius", radius, 0.45 * float((extent / (np.array(many) - 1)).min()))
-    step = float(extent[1]) + 2 * reach + at_least_0("tower.gap", gap)
+    step = float(extent[1]) + 2 * reach + at_least_0("tower.gap", gap, 0.0)
     low = np.zeros(dim) if position is None else validation.vectors("tower.position", position, 1, dim)[0]
     affordable("tower.levels", levels, number * int(np.prod(many)), 13 * number * int(np.prod(many)))
     blocks = []
-    for level in range(number):
-        with about("tower"):
+    with scene.all_or_nothing(), about("tower"):
+        for level in range(number):
             block = jelly(
                 scene,
                 extent,  # type: ignore[arg-type]
@@ -107,7 +107,7 @@ def tower(
                 position=low + level * step * np.eye(dim)[1],  # type: ignore[arg-type]
                 colour=colour,
             )
-        blocks.append(block)
+            blocks.append(block)
     return Shape(
         *(np.concatenate([getattr(b, name) for b in blocks]) for name in ("balls", "springs", "triangles", "cells"))
     )

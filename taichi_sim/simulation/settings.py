@@ -83,7 +83,7 @@ class Settings:
         for source in (scene.settings, given):
             if source.get("tolerance") is not None:
                 for name in ("dt", "substeps"):
-                    if source.get(name, "auto") != "auto":
+                    if not _auto(source.get(name, "auto")):
                         says = f"chooses the step, but {name} = {source[name]!r} is given too; leave one out"
                         raise SceneError("tolerance", says=says)
         values = {**DEFAULTS, **_over(scene.settings, given)}
@@ -93,9 +93,9 @@ class Settings:
         _check_contacts(values["contacts"])
         values["integrator"] = _integrator(values["integrator"])
         for name in ("contact_iterations", "substeps"):
-            if values[name] != "auto":
+            if not _auto(values[name]):
                 values[name] = validation.whole(name, values[name], 1, MOST_PARTS_GIVEN)
-        if values["dt"] != "auto":
+        if not _auto(values["dt"]):
             values["dt"] = validation.number("dt", values["dt"], high=math.inf, positive=True)
             if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
                 raise SceneError("dt", values["dt"], f"from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds")
@@ -167,12 +167,16 @@ def part_of_bound(scene: Scene, method: Method) -> float:
     return UNDAMPED if method.symplectic and not np.all(scene.damping > 0) else SAFETY
 
 
+def _auto(value: Any) -> bool:
+    return isinstance(value, str) and value == "auto"
+
+
 def _over(settings: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
     """Arguments over the scene's own; a tolerance takes the place of a step, and a step that of a tolerance."""
     left = dict(settings)
     if given.get("tolerance") is not None:
         left.update(dt="auto", substeps="auto")
-    elif given.get("dt", "auto") != "auto":
+    elif not _auto(given.get("dt", "auto")):
         left["tolerance"] = None
     return left | given
 

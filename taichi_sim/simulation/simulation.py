@@ -2,7 +2,8 @@
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from os import PathLike
 from typing import Any
@@ -68,13 +69,18 @@ class Simulation(Reader):
     """
 
     def __init__(self, scene: Scene, *, forces: Sequence[Any] = (), **settings: Any) -> None:
+        if not isinstance(scene, Scene):
+            says = "is no Scene; ts.load_scene reads one from a file"
+            raise SceneError("scene", scene, says=says)
         self.scene = scene
-        self.settings = Settings.resolve(scene, settings)
+        with _from_file(scene, settings):
+            self.settings = Settings.resolve(scene, settings)
         scene.has_groups()  # a mistyped name is an error, whatever collides
         self.force_rates = declared_rates(scene, checked_forces(scene, forces))
         self._forces = tuple(forces)
         self._stability = stability(scene, self.settings.integrator.method, None, self.force_rates)
-        self.dt, substeps = self.settings.time_step(scene, self._stability)
+        with _from_file(scene, settings):
+            self.dt, substeps = self.settings.time_step(scene, self._stability)
         h = self.dt / substeps
         self._warn(h)
         if self.settings.contacts != "off":
@@ -376,3 +382,17 @@ class Simulation(Reader):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@contextmanager
+def _from_file(scene: Scene, given: Collection[str]) -> Iterator[None]:
+    """Let an error about a setting that is none of the given ones name its place in the scene file, where it came from one."""
+    try:
+        yield
+    except SceneError as error:
+        name = error.path[0] if error.path else None
+        if name in scene.settings and name not in given:
+            error.path = ("simulation", *error.path)
+            if scene.locate is not None:
+                scene.locate(error)
+        raise
