@@ -23,7 +23,7 @@ def _is_slow(item):
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(config, items):
     for item in items:
-        if any(PRECISION in mark.args for mark in item.iter_markers("slow_in")):
+        if any(PRECISION in mark.args for mark in item.iter_markers("long_in")):
             item.add_marker(pytest.mark.long)
         if item.get_closest_marker("long") or _is_slow(item):
             item.add_marker(pytest.mark.slow)

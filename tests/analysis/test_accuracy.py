@@ -13,7 +13,7 @@ from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 G, R = 10.0, 0.05
 LONG = pytest.mark.long
@@ -57,6 +57,7 @@ def test_bounces_end_as_low_and_as_early_as_said(e):
     assert 0.4 * early < end - still < early + h
 
 
+@pytest.mark.slow
 def test_bounces_off_a_pinned_ball_are_as_high_as_said():
     """Forty heights, so that balls are met at any part of a step."""
     h, es = 4e-3, (0.8, 0.9, 1.0)

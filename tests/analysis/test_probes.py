@@ -10,7 +10,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs import export, open_output
 from taichi_sim.scene.probes import KINDS, ProbeSample
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 G = 10.0  # m/s^2
 MASS, STIFFNESS, DAMPING, SPEED = 2.0, 1e3, 40.0, 0.5

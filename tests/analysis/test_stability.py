@@ -10,7 +10,7 @@ from taichi_sim.analysis.spring_bounds import largest_eigenvalue, present_eigenv
 from taichi_sim.analysis.stability import stability
 from taichi_sim.reports import check
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 EXPLICIT = ("symplectic_euler", "verlet", "rk4")
 

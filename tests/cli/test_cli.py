@@ -187,6 +187,7 @@ def test_check_says_that_a_tolerance_chooses_the_step(folder):
 # What goes wrong ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_unstable_keeps_the_frames_and_warns_before(folder):
     done = command(folder, "run", "stiff.toml", "-o", "x.npz", "--duration", "20")
     assert done.returncode == 3

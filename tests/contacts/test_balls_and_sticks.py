@@ -22,7 +22,7 @@ from physics_support import (
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 H, G, R = 1e-3, 10.0, 0.05
 STILL = EPS * G * H  # m/s: one kick of gravity, to its rounding
@@ -176,6 +176,7 @@ def crowd_scene(dim, mu):
 @pytest.mark.slow_where(mu=0.0)
 @pytest.mark.parametrize(("method", "mu"), [("verlet", 0.0), ("verlet", 0.5), ("symplectic_euler", 0.0)])
 @each_dim
+@pytest.mark.slow_where(dim=2)
 def test_a_dense_crowd_never_gains_energy(dim, method, mu):
     """No step adds kinetic energy, whatever the restitution, with friction and without; momentum is kept (section 6)."""
     scene, crowds = crowd_scene(dim, mu)
@@ -199,6 +200,7 @@ def test_a_dense_crowd_never_gains_energy(dim, method, mu):
 
 @pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler", "rk4"])
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.slow
 def test_an_elastic_gas_in_a_box_keeps_its_energy(method):
     """64 discs that fill 0.4 of a box, a ninth of a radius a step: half of the energy went when passes were too few."""
     scene = ts.Scene(dim=2)
@@ -220,6 +222,7 @@ def test_an_elastic_gas_in_a_box_keeps_its_energy(method):
 @pytest.mark.slow_where(variant=EXTREMES[1])
 @each_extreme
 @each_dim
+@pytest.mark.slow
 def test_stack_of_10(dim, variant):
     """Stands 3 s: overlaps below the slop and 1 % of the radius, still, and the floor's ball feels the whole weight."""
     scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))

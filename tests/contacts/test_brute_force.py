@@ -8,7 +8,7 @@ from physics_support import F64, simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 N, SCENES = 96, 250  # balls; scenes for each dimension and driver
 LARGEST = 0.5  # m
@@ -73,6 +73,7 @@ def sizes(rng, ratio):
 
 
 @pytest.mark.parametrize(("dim", "driver", "kind"), CASES)
+@pytest.mark.slow_where(dim=2)
 def test_a_thousand_scenes(dim, driver, kind):
     """One compiled scene takes the positions and radii of all, is moved by set_position, by steps within the skin and beyond."""
     scene = ts.Scene(dim=dim)

@@ -13,7 +13,7 @@ from physics_support import DIMS, EPS, F64, METHODS, simulate, vector
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 STILL = EPS * G * H  # m/s: one kick of gravity, to its rounding
 BULLET_STEPS, STEPS = 16, 1400
@@ -61,6 +61,7 @@ def path(run, name):
     return run.x[:, ball] - c, run.v[:, ball]
 
 
+@pytest.mark.slow
 def test_no_bullet_ends_a_step_in_a_collider_or_beyond_it(laboratory):
     """10 radii a step at every shape, from outside and within; each hits something on its way."""
     lab = laboratory.lab

@@ -6,7 +6,7 @@ from physics_support import simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 NAMES = ("default", "net", "fish", "water", "rock")
 

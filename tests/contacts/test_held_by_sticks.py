@@ -6,7 +6,7 @@ from physics_support import F64
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 R = 0.04
 
@@ -47,6 +47,7 @@ def run(scene, seconds, look, **settings):
     [(600.0, {}), (50.0, {"integrator": "symplectic_euler"}), (50.0, {"contacts": "jacobi"})],
     ids=["verlet", "symplectic", "jacobi"],
 )
+@pytest.mark.slow_where(heavy=50.0)
 def test_a_heavy_ball_rests_on_a_loose_stick(heavy, settings):
     sim, worst = run(bridge(heavy), 0.4, depth, **settings)
     assert worst < 0.02
@@ -68,6 +69,7 @@ def test_a_stick_rests_on_a_stick():
 
 @pytest.mark.slow_where(restitution=0.0)
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.slow
 def test_what_falls_on_a_stick_gains_nothing(restitution):
     scene = bridge(40.0, restitution, drop=1.5, at=(-0.12, 0.1))
 

@@ -7,7 +7,7 @@ from physics_support import F64, simulate, vector
 import taichi_sim as ts
 from taichi_sim.shapes import jelly
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 G = 10.0
 
@@ -127,6 +127,7 @@ def energy(scene, sim):
         pytest.param(3, 200, 0.2, 1.0, 1.0, "verlet", marks=pytest.mark.long),
     ],
 )
+@pytest.mark.slow
 def test_elastic_crowds_keep_their_energy(dim, n, filled, gravity, speed, method):
     """99.5 % of what moves, in 2 s, whatever gravity."""
     scene = crowd(dim, n, filled, gravity, speed, seed=7)
@@ -144,6 +145,7 @@ def test_elastic_crowds_keep_their_energy(dim, n, filled, gravity, speed, method
         *(pytest.param(m, 6.0, marks=pytest.mark.long) for m in ("symplectic_euler", "rk4")),
     ],
 )
+@pytest.mark.slow
 def test_springs_in_an_elastic_crowd_take_nothing_from_it(method, ratio):
     """Some balls on springs, masses up to `ratio` apart: whichever way a spring pulls at an impact, what is thrown back is the
     velocity at that instant."""
@@ -268,6 +270,7 @@ def test_crowds_of_unequal_balls_do_not_fall_through_each_other(e, mu):
 # Thresholds belong to the scene -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_without_gravity_everything_bounces():
     """A ball at 3 mm/s comes back from a wall, and from a ball, at e times its speed: nothing makes it rest."""
     scene, radius = ts.Scene(dim=2), 0.01

@@ -11,7 +11,7 @@ import taichi_sim as ts
 from taichi_sim.common import memory
 from taichi_sim.contacts import pairs, sticks
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 H = 1e-3
 
@@ -71,6 +71,7 @@ def test_a_crowded_cell_is_sorted_whatever_the_threads_did(monkeypatch):
 
 @pytest.mark.slow_where(dim=2)
 @each_dim
+@pytest.mark.slow
 def test_penetration_is_that_of_the_deepest_contact(dim):
     scene = ts.Scene(dim=dim)
     x = np.zeros((5, dim))
@@ -103,6 +104,7 @@ def test_a_short_lever_does_not_throw_a_stick(dim):
             assert np.max(np.abs(sim.position)) < 1.5
 
 
+@pytest.mark.slow
 def test_few_large_balls_do_not_fill_the_lists_of_small_ones():
     """Half of the balls a thousand times larger than the others, and far away: nothing is within reach of anything."""
     scene = ts.Scene(dim=2)
@@ -114,6 +116,7 @@ def test_few_large_balls_do_not_fill_the_lists_of_small_ones():
         assert sim.parts.contacts.pairs.number.to_numpy()[:5000].max() == 0
 
 
+@pytest.mark.slow
 def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
     """A patch of discs that closes up, with hardly any room at first: what found too little is repeated, spin and all."""
     i, j = np.divmod(np.arange(100), 10)

@@ -10,7 +10,7 @@ from physics_support import F64, simulate
 import taichi_sim as ts
 from taichi_sim.render import Renderer
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 G, R, HEIGHT, RADIUS = 9.81, 0.05, 0.6, 1.0
 SLOPE = np.array([RADIUS, -HEIGHT]) / np.hypot(RADIUS, HEIGHT)  # outward and down

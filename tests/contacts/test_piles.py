@@ -9,7 +9,7 @@ from physics_support import EPS, F64, VARIANTS, each_dim, simulate, vector
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 G, R = 10.0, 0.05
 SOLVERS = ("gauss_seidel", "jacobi")

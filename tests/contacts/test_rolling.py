@@ -6,7 +6,7 @@ from physics_support import simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 V, MU, G, R = 1.6, 0.25, 10.0, 0.05
 STEPS, H = 300, 1e-3  # it has slipped for .3 s, and slides yet
@@ -53,6 +53,7 @@ def dumbbell(ground: str, dim: int) -> ts.Scene:
         ("stick", 2, "jacobi"),
     ],
 )
+@pytest.mark.slow
 def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
     """The feet lose mu g t, and only the loose ball turns: it rolls on at 2/3 (a disc) or 5/7 of its speed."""
     with simulate(dumbbell(ground, dim), contacts=contacts, dt=H) as sim:

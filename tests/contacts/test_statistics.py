@@ -9,7 +9,7 @@ import taichi_sim as ts
 from taichi_sim.outputs import export, open_output
 from taichi_sim.reports.memory import breakdown
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 G, R = 10.0, 0.05
 CLOSE = 1e-11 if F64 else 2e-5
@@ -56,6 +56,7 @@ def by_brute_force(scene, x, v):
 @pytest.mark.slow_where(variant=VARIANTS[1])
 @pytest.mark.parametrize("variant", VARIANTS[:2], ids="-".join)
 @each_dim
+@pytest.mark.slow
 def test_random_scenes_equal_brute_force(dim, variant):
     scene = crowd(dim)
     rng = np.random.default_rng(8)

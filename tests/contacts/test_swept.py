@@ -6,7 +6,7 @@ from physics_support import VARIANTS, each_dim, simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 R, H = 0.05, 1e-3
 SPEED = 10 * R / H
@@ -70,6 +70,7 @@ def check_bullets(dim, n, seed, variant=VARIANTS[0], **settings):
 
 @pytest.mark.slow_where(dim=2)
 @each_dim
+@pytest.mark.slow
 def test_bullets_of_ten_radii_a_step_hit(dim):
     check_bullets(dim, 60, seed=1)
 

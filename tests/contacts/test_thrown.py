@@ -7,7 +7,7 @@ from physics_support import F64, simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 H = 1e-3
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])  # of a tetrahedron

@@ -14,7 +14,7 @@ from taichi_sim.kernels.contacts.triangle_pairs import SHORTEST_LEVER
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 H = 1e-3
 ROUNDING = 1e-12 if F64 else 2e-5

@@ -22,7 +22,7 @@ from physics_support import (
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 H, G, R = 1e-3, 10.0, 0.05
 STILL = EPS * G * H  # m/s: one kick of gravity, to its rounding

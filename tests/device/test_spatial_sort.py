@@ -9,7 +9,7 @@ from physics_support import F64, each_dim, error, simulate
 import taichi_sim as ts
 from taichi_sim.device import spatial_sort
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 H = 1e-3
 

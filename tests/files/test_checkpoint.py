@@ -8,7 +8,7 @@ import pytest
 import taichi_sim as ts
 from taichi_sim.analysis.damping import predicts_damping
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 
 def small_scene():

@@ -12,7 +12,7 @@ from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.forces.wind import GUST_WAVES, SIDEWAYS_GUSTS, axes
 from taichi_sim.scene.elements import cell_volumes
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 H = 1e-3  # s
 
@@ -180,6 +180,7 @@ def test_a_strong_wind_takes_at_most_half_of_what_it_slows_in_a_step():
         assert np.all(sim.velocity[:, 2] > 49.0)
 
 
+@pytest.mark.slow
 def test_the_wind_on_light_cloth_does_not_depend_on_the_step():
     """A sail of 0.2 g/m^2, held at its border: it carries density / 2 drag A u^2, whatever it weighs."""
     scene, n = ts.Scene(dim=3), 4

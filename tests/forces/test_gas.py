@@ -10,7 +10,7 @@ from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators.implicit_euler import ImplicitEuler
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 STIFF = ("implicit_euler", "xpbd")
 
@@ -22,6 +22,7 @@ def balloon(subdivisions: int, radius: float, **settings) -> ts.Scene:
 
 
 @pytest.mark.parametrize("method", STIFF)
+@pytest.mark.slow_where(method="implicit_euler")
 def test_a_turning_balloon_keeps_its_angular_momentum(method):
     """But for what the method itself takes: turning at W, implicit Euler leaves 1 / (1 + h^2 W^2) of it in a step. Gas that acts
     at old places took 1 / (1 + 3 h^2 p R / (M R^2 / (4 pi R^2))), nine tenths of it in half a second."""
@@ -52,6 +53,7 @@ def test_a_balloon_held_at_its_side_falls_as_by_verlet(method):
     assert lowest[method] == pytest.approx(lowest["verlet"], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_step_of_implicit_euler_solves_its_equations_with_gas():
     """m (v' - v) = h F(x'), springs and gas at the new places, h far beyond what explicit gas would bear; two gases in one."""
     scene = balloon(0, 0.2, pressure=300.0, mass=0.002)

@@ -9,7 +9,7 @@ from physics_support import EPS, PRECISION, simulate, vector
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 EACH_DRIVER = pytest.mark.parametrize("driver", ["fused", "parallel"])
 PATH = [(0.0, (0.0, 0.0)), (0.1, (0.2, 0.1)), (0.3, (0.2, -0.3), 90.0)]
@@ -173,6 +173,7 @@ def test_a_state_without_torn_springs_is_whole():
         assert sim.position[1, 0] == pytest.approx(strip_middle(), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_what_was_taken_back_is_whole_again():
     """The watch halves a step at which energy grew: what tore in the chunk that is repeated has not torn."""
     with simulate(strip(), dt=1e-3, contacts="off") as sim:
@@ -209,6 +210,7 @@ def test_triangles_with_a_torn_side_are_gone():
 
 
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
+@pytest.mark.slow_where(driver="parallel")
 def test_what_a_torn_spring_held_together_lets_go(driver):
     """A strip with bending and wind, torn across: the halves part as if nothing joined them, and whole again after a restore."""
     scene = ts.Scene(dim=3)

@@ -9,7 +9,7 @@ from taichi_sim.analysis.stability import stability
 from taichi_sim.forces.pointer import DRAGGED_PART, MOST_RATE_STEP
 from taichi_sim.simulation.assembly import ContactCapacity
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 DT = 1e-3
 HELD, FREE, PINNED = 1, 0, 2

@@ -14,7 +14,7 @@ from taichi_sim.analysis.slow_modes import slow_decays
 from taichi_sim.analysis.stability import stability
 from taichi_sim.reports import check
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 LINKS, GAP, LIGHT, HEAVY = 12, 0.25, 0.07, 75.0  # of a chain: springs, m, kg, times that at its end
 

@@ -10,7 +10,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.methods import BUILT_IN_METHODS
 from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler, coarse_preconditioner
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 STIFF = ("xpbd", "implicit_euler", "tr_bdf2")
 KINDS = {"xpbd": XPBD, "implicit_euler": ImplicitEuler, "tr_bdf2": TRBDF2}
@@ -65,6 +65,7 @@ def test_methods_that_no_spring_limits():
 @pytest.mark.slow_where(dim=2)
 @each_dim
 @each_stiff
+@pytest.mark.slow_where(method="tr_bdf2")
 def test_agrees_with_dense_matrices(method, dim):
     for seed in range(2):
         scene = random_net(dim, seed)

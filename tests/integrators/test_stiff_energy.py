@@ -6,7 +6,7 @@ from physics_support import F64, simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 
 def hanging(pendulum: float, rope: float) -> ts.Scene:

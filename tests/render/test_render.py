@@ -137,6 +137,7 @@ def test_the_camera_finds_the_scene_and_ignores_one_ball_far_away():
 
 
 @pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.slow_where(dim=3)
 def test_odd_frames_are_drawn(dim):
     ground = np.eye(dim + 1)[1:2] * 1.0
     rods = np.array([[0, 1], [2, 2], [1, 2]], dtype=np.int32)
@@ -329,6 +330,7 @@ def test_what_tears_is_drawn_without_new_fields(dim):
         assert np.array_equal(renderer.render(frame(2, 1)), torn)
 
 
+@pytest.mark.slow
 def test_a_small_picture_has_the_light_of_a_large_one():
     """A wavy sheet does not lie in its own shadow where pixels are larger than its folds are deep."""
     n = 81

@@ -99,6 +99,7 @@ def test_what_is_drawn_of_a_finer_surface(embedded, times):
     assert content.binding.apply(x) == pytest.approx(base, abs=1e-13)
 
 
+@pytest.mark.slow
 def test_a_finer_surface_in_a_picture():
     """A coarse ring of cloth, seen from its side, gets a smoother outline; a still picture repeats."""
     scene = Scene(dim=3)

@@ -43,6 +43,7 @@ def made_up(monkeypatch):
 # What was measured -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_reference_is_the_closed_solution(made):
     _, findings, _ = made
     reference = findings.reference
@@ -354,6 +355,7 @@ def odd(tmp_path_factory):
     return folder, found
 
 
+@pytest.mark.slow
 def test_nothing_moves(odd):
     folder, found = odd
     assert found["pinned"].rows == []

@@ -8,7 +8,7 @@ import taichi_sim as ts
 from taichi_sim.geometry.mesh import Surface, holes, mesh_distance, volume
 from taichi_sim.scene.keyframes import turn_matrix, turn_vector
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 CUBE = (
     np.array([[k >> a & 1 for a in range(3)] for k in range(8)]) - 0.5,

@@ -7,7 +7,7 @@ from physics_support import F64, PRECISION, simulate
 import taichi_sim as ts
 from taichi_sim.device import backend
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 H = 1e-3
 OTHER = "f32" if F64 else "f64"
@@ -155,6 +155,7 @@ def test_more_frames_than_anyone_can_use():
         next(iter(sim.frames(fps=1e9, duration=1e12)))
 
 
+@pytest.mark.slow
 def test_each_part_appears_with_what_needs_it():
     def parts(scene, **settings):
         with simulate(scene, dt=1e-3, **settings) as sim:

@@ -15,7 +15,7 @@ import taichi_sim as ts
 from taichi_sim.contacts.jacobi import RELAXATION
 from taichi_sim.simulation import assembly
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 H = 1e-3
 
@@ -23,6 +23,7 @@ H = 1e-3
 @pytest.mark.slow_where(dim=2)
 @pytest.mark.parametrize("method", ["verlet", "rk4"])
 @each_dim
+@pytest.mark.slow_where(method="verlet")
 def test_cloth_has_the_same_bits_in_both_drivers_and_every_run(dim, method):
     scene = physics_bits.cloth(dim)
     settings = {"accumulate": "ordered", "integrator": method, "contacts": "off"}
@@ -67,6 +68,7 @@ def test_sticks_have_the_same_bits_in_both_drivers():
     assert one.bits == two.bits, f"{np.max(np.abs(one.last.x - two.last.x)):.2e} m apart"
 
 
+@pytest.mark.slow
 def test_one_and_two_threads_have_the_same_bits():
     def run(threads):
         command = [sys.executable, str(Path(physics_bits.__file__)), PRECISION, str(threads)]
@@ -163,6 +165,7 @@ def _whole_velocity(sim):
     return now.velocity if now.low_velocity is None else now.velocity + now.low_velocity
 
 
+@pytest.mark.slow
 def test_random_scenes_against_brute_force(searching):
     """One pass from rest impulses is the reference's; a pair missed, or found twice, would show at once.
 

@@ -15,7 +15,7 @@ from taichi_sim.simulation import stepper
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
 from taichi_sim.simulation.state_probe import StateSample
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 
 def stiffening(amplitude=1.0):
@@ -153,7 +153,7 @@ def test_work_is_no_fault():
         assert sim.energy().total > 1e6 * before
 
 
-@pytest.mark.slow_where(method=["symplectic_euler", "rk4", "xpbd"])
+@pytest.mark.slow_where(method=["symplectic_euler", "rk4", "xpbd", "implicit_euler"])
 @pytest.mark.parametrize("method", ["verlet", "symplectic_euler", "rk4", "xpbd", "implicit_euler", "tr_bdf2"])
 def test_healthy_motion_is_not_warned_of(method):
     """Swinging nets, landing, and balls that overlap at the start, all at automatic steps."""

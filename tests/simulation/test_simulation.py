@@ -10,7 +10,7 @@ from physics_support import EPS, PRECISION, each_dim, error, exact, simulate, ve
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f64")
+pytestmark = pytest.mark.long_in("f64")
 
 H = 1e-3
 
@@ -224,6 +224,7 @@ def test_unstable_without_springs_has_no_safe_dt():
 
 @pytest.mark.slow_where(dim=2)
 @each_dim
+@pytest.mark.slow
 def test_impulse_position_velocity(dim):
     scene = ts.Scene(dim=dim)
     scene.add_balls(np.arange(3)[:, None] * vector(dim, 1.0), radius=0.1, mass=[1.0, 2.0, 4.0], pinned=[2])
@@ -350,8 +351,8 @@ class Drift(ts.Integrator):
             self.ball[i].x += h * self.ball[i].v
 
 
-@pytest.mark.slow_where(dim=2, driver="parallel")
-@pytest.mark.slow_where(dim=3, driver="fused")
+@pytest.mark.slow_where(dim=3)
+@pytest.mark.slow_where(driver="parallel")
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
 @each_dim
 def test_own_force(dim, driver):

@@ -9,7 +9,7 @@ from physics_support import F64, PRECISION, error, simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 T = 0.5
 
@@ -100,6 +100,7 @@ def met(scene, x, v, seconds):
     return x + at * v + (seconds - at) * after
 
 
+@pytest.mark.slow
 def test_balls_that_glance_end_where_they_should():
     """Both solutions would notice the hit in the same instant, did they share any: their distance was 1e-14."""
     scene = ts.Scene(dim=2)

@@ -11,7 +11,7 @@ from physics_support import EPS, F64, VARIANTS, each_dim, record, simulate, vect
 
 import taichi_sim as ts
 
-pytestmark = [pytest.mark.slow_in("f32"), pytest.mark.slow_where(dim=2)]
+pytestmark = [pytest.mark.long_in("f32"), pytest.mark.slow_where(dim=2)]
 
 H, G, R = 1e-3, 10.0, 0.05
 NEAR = 1e-12 if F64 else 2e-6
@@ -64,6 +64,7 @@ def test_row_2_friction_sees_only_the_relative_velocity(dim):
 
 
 @each_dim
+@pytest.mark.slow
 def test_row_3_impulse_is_shared_by_inverse_mass(dim):
     m, n = np.array([1.0, 10.0]), vector(dim, 1.0)
     v = np.array([1.0 * n, -1.0 * n])
@@ -99,6 +100,7 @@ def test_row_4_stick_keeps_momentum_and_energy(dim):
 
 
 @each_dim
+@pytest.mark.slow
 def test_row_5_a_stick_ends_at_its_ends(dim):
     run = stick_run(dim, VARIANTS[0])
     (ball, one, two), _ = run.at.beyond
@@ -158,6 +160,7 @@ def test_row_7_damping_is_stable_for_any_coefficient(dim):
 
 
 @each_dim
+@pytest.mark.slow
 def test_row_8_many_contacts_share_the_mass(dim):
     """Two coplanar wall pieces, and a dense pack in one pass: the plain sum over-corrects."""
     scene = ts.Scene(dim=dim)
@@ -198,6 +201,7 @@ def test_row_9_resting_balls_do_not_jitter(dim):
 
 
 @each_dim
+@pytest.mark.slow
 def test_row_10_push_out_gives_no_speed(dim):
     """Inside the slop nothing moves and the energy stays; deeper, position is corrected and velocity never sees it."""
     depth = 0.005 * R
@@ -221,6 +225,7 @@ def test_row_10_push_out_gives_no_speed(dim):
 
 
 @each_dim
+@pytest.mark.slow
 def test_row_11_coincident_balls_have_a_direction(dim):
     with np.errstate(invalid="ignore"):
         assert np.all(np.isnan(ref.wrong_direction(np.ones(dim), np.ones(dim))))

@@ -7,7 +7,7 @@ from physics_support import F64, each_dim, simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 BATCHES = 10_000 // PLACES
 ROUNDING = 1e-13 if F64 else 1e-5
@@ -32,6 +32,7 @@ def changes(clusters: Clusters, contacts: str, passes: int) -> np.ndarray:
         pytest.param(3, True, 3, marks=LONG),
     ],
 )
+@pytest.mark.slow
 def test_a_cold_pass_of_split_masses_never_adds_energy(dim, friction, passes):
     """Any masses, restitutions, frictions, spins, pinned balls, sticks, coplanar walls."""
     found = changes(Clusters(dim, friction=friction), "jacobi", passes)
@@ -107,6 +108,7 @@ def test_packs_thrown_together(dim):
 
 
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
+@pytest.mark.slow_where(contacts="jacobi")
 def test_two_elastic_balls_on_each_other_bounce_and_keep_most_of_their_energy(contacts):
     """At forty speeds: wherever in a step they meet the floor, it pushes once only, and what the passes leave is a loss."""
     scene = ts.Scene(dim=2, gravity=(0.0, -10.0))

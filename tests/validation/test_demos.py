@@ -20,7 +20,7 @@ def check_box(sim):
     assert sim.energy().kinetic < 1e-4 * sim.energy().gravity
 
 
-QUICK = ("jelly", "shell", "thread/10_truss", "thread/14_order")  # of each kind one, seconds each
+QUICK = ("jelly", "shell")  # of each kind one, seconds each
 LONG = ("flag", "million", "net", "sphere", "tower", "wind")  # minutes each
 CHECKS = {"box": check_box}  # scene files hold no code
 

@@ -8,7 +8,7 @@ from taichi_sim.reports.hard_cases import case as hard_case
 from taichi_sim.reports.hard_cases import contacts as hard_cases
 from taichi_sim.reports.hard_cases import springs
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 QUICK = (("everything pinned", 2), ("empty scene", 2), ("corner of three walls", 2), ("negative coordinates", 1))
 CASES = {case.name: case for case in hard_cases.CASES}
@@ -22,6 +22,7 @@ REFUSED = {("K h^2 = 1e6", method) for method in ("explicit_euler", "symplectic_
 REFUSED |= {("chain of 20, the last 1e4 times heavier", "xpbd")}
 
 
+@pytest.mark.slow
 def test_quick_hard_cases():
     """Each of the quick ones, in its short form."""
     for name, rules in QUICK:

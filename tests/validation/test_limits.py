@@ -84,6 +84,7 @@ def limits(method, zetas=ZETAS, least=LEAST, most=MOST, longer=1):
 
 @pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler"])
 @pytest.mark.parametrize("method", EXACT)
+@pytest.mark.slow_where(method="rk4")
 def test_limits_of_one_oscillator(method):
     """Within 1 %."""
     found = limits(method)
@@ -192,6 +193,7 @@ CLOTHS = [
 
 @pytest.mark.slow_where(method="symplectic_euler")
 @pytest.mark.parametrize(("method", "side", "damped"), CLOTHS)
+@pytest.mark.slow_where(method="verlet")
 def test_advised_step_of_a_hanging_cloth(method, side, damped):
     """It holds, and at most a quarter more does."""
     ratio = blow_up(method, side, damped, np.linspace(0.98, 1.6, 63 if side == 10 else 32))

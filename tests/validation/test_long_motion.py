@@ -17,7 +17,7 @@ from physics_support import (
 
 import taichi_sim as ts
 
-pytestmark = [pytest.mark.slow_in("f32"), pytest.mark.slow_where(dim=2)]
+pytestmark = [pytest.mark.long_in("f32"), pytest.mark.slow_where(dim=2)]
 
 H = 1e-3
 ZETAS = (0.1, 0.5, 1.0, 3.0)

@@ -10,7 +10,7 @@ from taichi_sim import Box, Scene, shapes
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.shapes.balloon import _sphere
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 
 @ti.data_oriented

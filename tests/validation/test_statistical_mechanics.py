@@ -9,7 +9,7 @@ from physics_support import F64, each_dim, simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.slow_in("f32")
+pytestmark = pytest.mark.long_in("f32")
 
 G, R, H = 10.0, 0.05, 1e-3
 
@@ -34,6 +34,7 @@ def contact_forces(sim: ts.Simulation) -> dict[tuple[int, int], float]:
 
 @pytest.mark.slow_where(contacts="jacobi")
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
+@pytest.mark.slow
 def test_forces_in_a_stack_of_10(contacts):
     """Contact s from the floor carries (N - s + 1) m g; overlap below the slop and 1 % r; no drift."""
     mass, n = 3.0, 10
