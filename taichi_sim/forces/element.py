@@ -62,7 +62,8 @@ class Element(Corners):
         return validation.indices(where, balls, scene.n_balls, balls.shape[1])
 
     def check(self, scene: Scene) -> None:
-        """Raises SceneError for balls or columns that do not fit."""
+        """Raises SceneError for balls, columns or a force that do not fit."""
+        validation.taichi_function("forces", self, "force", "ball, row, time")
         balls = self.corners(scene)
         known = ["corner", *CORNER_NAMES[: balls.shape[1]], *self._checked_columns(len(balls))]
         for name in sorted(validation.attributes_read(type(self).force, 1) - set(known)):

@@ -153,7 +153,6 @@ def checked_forces(scene: Scene, forces: Sequence[Any]) -> Sequence[Any]:
     for force in forces:
         if isinstance(force, Element):
             force.check(scene)
-            validation.taichi_function("forces", force, "force", "ball, row, time")
         else:
             validation.taichi_function("forces", force, "accumulate", "model, ball, impulse, h, time")
     return forces

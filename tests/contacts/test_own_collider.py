@@ -203,7 +203,7 @@ class Open(Cone):
 @pytest.mark.parametrize(
     ("shape", "message"),
     [
-        (Bare((0, 0, 0)), "Bare needs a function distance"),
+        (Bare((0, 0, 0)), r"Bare has no function distance\(p\)"),
         (Undrawn((0, 0, 0), 1, 1), "Undrawn needs a function surface"),
         (Open((0, 0, 0), 1, 1), "surface.* is not closed"),
         (object(), "ts.ColliderShape"),
