@@ -118,6 +118,7 @@ def test_directions_after_impacts_are_off_as_said():
         pytest.param("verlet", "jacobi", marks=LONG),
     ],
 )
+@pytest.mark.slow
 def test_columns_sink_in_as_said(method, contacts):
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
     scene.add_balls([[0.0, (2 * k + 1) * R] for k in range(10)], radius=R)

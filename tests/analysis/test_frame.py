@@ -32,6 +32,7 @@ def test_energy_and_strain_belong_to_the_moment():
         assert frame.strain.tolist() == [0, 0]
 
 
+@pytest.mark.slow
 def test_nothing_is_computed_that_nobody_asks_for(monkeypatch):
     """A summary needs the energy of the first and the last frame."""
     asked = []

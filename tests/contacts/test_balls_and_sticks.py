@@ -249,6 +249,7 @@ def sticks(request):
     return stick_run(*request.param)
 
 
+@pytest.mark.slow
 def test_worked_stick_numbers(sticks):
     """Section 4: unit masses, e = 1, the ball at -1 along the normal; velocities after of ball, end 2 and end 3."""
     for b, n, t in sticks.at.worked:

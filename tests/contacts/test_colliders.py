@@ -83,6 +83,7 @@ def test_no_bullet_ends_a_step_in_a_collider_or_beyond_it(laboratory):
             assert np.abs(speed / SPEED - 1).max() < 2 * G * BULLET_STEPS * H / SPEED
 
 
+@pytest.mark.slow
 def test_elastic_bullets_are_mirrored_about_the_analytic_normal(laboratory):
     """The change of velocity at a first bounce is along the line from the nearest point of the shape to the centre."""
     lab = laboratory.lab

@@ -29,6 +29,7 @@ def meet(a, b):
     return minds(a, b) and minds(b, a)
 
 
+@pytest.mark.slow
 def test_balls_walls_and_sticks_meet_only_what_they_collide_with():
     rng = np.random.default_rng(0)
     scene = ts.Scene(dim=2)

@@ -218,6 +218,7 @@ def test_nothing_comes_back_where_nothing_bounces():
     assert np.all(gain < 1e-3), gain
 
 
+@pytest.mark.slow
 def test_neighbours_take_nothing_from_a_bounce():
     """Spheres that roll side by side into a wall, touching each other and the floor, come back like one alone: with e."""
     e, speed, radius = 0.6, 1.7, 0.07

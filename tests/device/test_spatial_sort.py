@@ -57,6 +57,7 @@ def test_a_pile_moves_the_same_in_either_order(dim, monkeypatch):
     assert np.array_equal(ends[1][0][7], ends[0][0][7])
 
 
+@pytest.mark.slow
 def test_what_is_set_comes_back_and_bad_balls_are_named(always):
     rng = np.random.default_rng(2)
     n = 50

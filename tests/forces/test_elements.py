@@ -238,6 +238,7 @@ def test_momentum_and_energy_are_kept(dim):
         assert sim.energy().kinetic > 0.05  # it moved
 
 
+@pytest.mark.slow
 def test_order_of_verlet_with_elements():
     if not F64:
         pytest.skip("orders are measured in double precision")

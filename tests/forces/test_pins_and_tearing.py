@@ -162,6 +162,7 @@ def test_a_spring_without_length_is_held_where_others_tear():
         assert sim.torn.tolist() == [False, True, False]
 
 
+@pytest.mark.slow
 def test_a_state_without_torn_springs_is_whole():
     """Reports and the window begin one simulation again and again."""
     with simulate(strip(), dt=1e-3, contacts="off") as sim:

@@ -258,6 +258,7 @@ def drawn_exactly(scene):
 @pytest.mark.slow_where(method="tr_bdf2", damping=6.0)
 @pytest.mark.skipif(not F64, reason="rounding hides the small steps")
 @pytest.mark.parametrize(("method", "damping"), [("verlet", 0.2), ("verlet", 6.0), ("tr_bdf2", 0.2), ("tr_bdf2", 6.0)])
+@pytest.mark.slow_where(method="tr_bdf2")
 def test_order_2_behind_a_pin_that_turns_corners_f64(method, damping):
     scene = drawn(damping)
     assert predicts_damping(scene) == (damping < 1.0)

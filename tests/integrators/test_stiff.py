@@ -52,6 +52,7 @@ def random_net(dim, seed, n=20, stiffness=300.0):
     return scene
 
 
+@pytest.mark.slow
 def test_methods_that_no_spring_limits():
     assert tuple(name for name, method in BUILT_IN_METHODS.items() if not method.limit.by_springs) == STIFF
     scene = random_net(2, 0)
@@ -180,6 +181,7 @@ def test_any_damping(method, power):
 
 
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+@pytest.mark.slow_where(method="tr_bdf2")
 def test_heavy_end(method):
     """A chain of 20 whose last ball is 1e4 times heavier: the static stretch within 1 %. (xpbd, once per step and spring, lets
     it sink for many seconds.)"""
@@ -348,6 +350,7 @@ def test_halves_of_patches_differ_by_one_ball_at_most():
 
 @pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+@pytest.mark.slow
 def test_free_fall_is_solved_at_once(method):
     """The guess has all of gravity in it; what is left is measured by what acted, not by itself."""
     scene = ts.Scene(dim=2, gravity=(0, -10))

@@ -270,6 +270,7 @@ def linear(image):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.slow_where(dim=3)
 def test_a_transparent_picture_laid_over_a_background_is_the_opaque_one(dim):
     """Straight alpha, also where a pixel is covered in part; the ground is holdout, colliders are drawn."""
     grey = (0.3, 0.3, 0.3)

@@ -208,6 +208,7 @@ def test_balls_by_speed_in_pictures(dim):
     assert not np.array_equal(image, other)  # colours follow the frame
 
 
+@pytest.mark.slow
 def test_a_surface_by_strain_in_a_picture():
     """The stretched half of a cloth is yellow, the other dark, on the finer mesh as on the balls' own."""
     scene = cloth()

@@ -197,6 +197,7 @@ def test_random_scenes_against_brute_force(searching):
     assert total > 10 * TRIALS
 
 
+@pytest.mark.slow
 def test_pairs_are_found_again_as_balls_move(searching):
     """Lists are kept while balls move little: steps of a fast gas, each against brute force."""
     dim, scene, sim, rng = searching

@@ -294,6 +294,7 @@ def test_conventions_of_energy_and_momentum(dim):
         assert np.array_equal(sim.position[1], vector(dim, 1.0, 2.0))
 
 
+@pytest.mark.slow
 def test_nothing_and_everything_pinned():
     for dim in (2, 3):
         with simulate(ts.Scene(dim=dim, gravity=vector(dim, 0.0, -10.0)), dt=H) as sim:
@@ -351,8 +352,7 @@ class Drift(ts.Integrator):
             self.ball[i].x += h * self.ball[i].v
 
 
-@pytest.mark.slow_where(dim=3)
-@pytest.mark.slow_where(driver="parallel")
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
 @each_dim
 def test_own_force(dim, driver):

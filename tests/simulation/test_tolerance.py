@@ -129,6 +129,7 @@ def hand(scene, **settings):
         return sim.position, sim.error()
 
 
+@pytest.mark.slow
 def test_what_a_hand_did_before_is_not_repeated():
     """With user-defined forces, steps go back no further than to where they were last asked for."""
     scene = pair()

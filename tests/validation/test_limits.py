@@ -92,6 +92,7 @@ def test_limits_of_one_oscillator(method):
     np.testing.assert_allclose(found, EXACT[method], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_limits_of_verlet_with_weak_damping():
     """At predicted velocities, y^2 + 8 zeta y = 4; and the advice is just that."""
     zetas = np.array([0.01, 0.025, 0.05])
@@ -191,9 +192,8 @@ CLOTHS = [
 ]
 
 
-@pytest.mark.slow_where(method="symplectic_euler")
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "side", "damped"), CLOTHS)
-@pytest.mark.slow_where(method="verlet")
 def test_advised_step_of_a_hanging_cloth(method, side, damped):
     """It holds, and at most a quarter more does."""
     ratio = blow_up(method, side, damped, np.linspace(0.98, 1.6, 63 if side == 10 else 32))
