@@ -164,7 +164,7 @@ def test_damping_of_bending_alone_limits_the_step():
         assert stability(scene, named(method)).dt_any_shape < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_step_gives_the_bits_of_a_simulation_made_with_it():
     """What depends on the step (damping, the slowest bounce, soft contacts) is set anew. Nothing touches in the first steps:
     what contacts hold may outlast `resume`."""

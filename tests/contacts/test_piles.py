@@ -140,8 +140,8 @@ def elastic_pack():
     return scene
 
 
-@pytest.mark.slow
 @each_solver
+@pytest.mark.long
 def test_an_elastic_pack_that_hits_the_floor_gains_no_energy(contacts):
     """Where balls touch several others at once, a solve that has not converged, or Newton's restitution with friction, would
     add energy."""
@@ -156,7 +156,7 @@ def test_an_elastic_pack_that_hits_the_floor_gains_no_energy(contacts):
         assert max(p[hit:]) > 0.2 * p[hit]  # at the floor: stopped, or thrown back
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_an_elastic_pack_is_thrown_back_with_does_not_depend_on_the_step():
     """Of the 140 N s that it falls with, the mean over starts that differ in the seventh digit: one alone is chance (a standard
     deviation of 2 to 3 N s), more so at exact contact."""
@@ -190,7 +190,7 @@ def test_what_spins_is_saved(tmp_path):
             assert again.energy() == sim.energy()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_settings_of_the_solver():
     smooth, rough = box_of_balls(2, 2, 2), box_of_balls(2, 2, 2, friction=0.1)
     lively, weightless = box_of_balls(2, 2, 2, restitution=0.9), box_of_balls(2, 2, 2, restitution=0.9)

@@ -7,7 +7,7 @@ from physics_support import F64, simulate
 
 import taichi_sim as ts
 
-pytestmark = pytest.mark.long_in("f32")
+pytestmark = pytest.mark.long
 
 H = 1e-3
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])  # of a tetrahedron
@@ -44,7 +44,6 @@ def inside(p, x, faces):
     return np.abs(angle.sum(axis=1)) > 2 * np.pi
 
 
-@pytest.mark.slow
 def test_tetrahedra_and_balls_thrown_about():
     """Some hold a ball, which stays in; the others stay out."""
     rng = np.random.default_rng(1)
@@ -78,7 +77,6 @@ def test_tetrahedra_and_balls_thrown_about():
                 assert np.array_equal(inside(x[loose], x, balls[FACES]), before)
 
 
-@pytest.mark.slow
 def test_pins_that_start_all_at_once_meet_balls_that_are_in_no_surface():
     scene, rng = ts.Scene(dim=3), np.random.default_rng(4)
     pins = scene.add_balls([[0, 0, 0], [2, 0, 0], [0, 0, 2]], radius=0.02)
@@ -96,7 +94,6 @@ def test_pins_that_start_all_at_once_meet_balls_that_are_in_no_surface():
         assert x[pins, 1].max() > 0.1  # and they moved
 
 
-@pytest.mark.slow
 def test_what_follows_something_that_is_cut_short():
     """A triangle is thrown onto a second one, in whose way nothing was, and which must stop; a ball follows that at its speed."""
     scene, throw = ts.Scene(dim=3), Throw()
@@ -118,7 +115,6 @@ def test_what_follows_something_that_is_cut_short():
         assert y[last[0]] > -0.0035
 
 
-@pytest.mark.slow
 def test_what_comes_from_afar_at_its_own_speed():
     """Nothing is thrown: what flies further in a step than boxes of the tree are thick is listed before."""
     scene, throw = ts.Scene(dim=3), Throw()
@@ -138,7 +134,6 @@ def test_what_comes_from_afar_at_its_own_speed():
             assert np.all(x[shot, 1] > near.min(axis=0) - 1e-6), "a ball went through"
 
 
-@pytest.mark.slow
 def test_large_thin_sheets_thrown_onto_each_other():
     """Two triangles each, a thousand radii long: single precision must not lose the direction between them."""
     rng, layers = np.random.default_rng(0), 6

@@ -69,7 +69,7 @@ def test_what_a_method_remembers_is_saved(tmp_path, method):
             assert np.abs(again.velocity - sim.velocity).max() > off
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_crowd_is_restored_whose_lists_have_grown(tmp_path):
     """Lists grow as soon as it is primed; what the method remembers goes into the fields that are there then."""
     scene = ts.Scene(dim=2, gravity=(0, -9.81))

@@ -21,7 +21,20 @@ def check_box(sim):
 
 
 QUICK = ("jelly", "shell")  # of each kind one, seconds each
-LONG = ("flag", "million", "net", "sphere", "tower", "wind")  # minutes each
+LONG = (
+    "box",
+    "flag",
+    "million",
+    "net",
+    "sphere",
+    "tower",
+    "wind",
+    "wrecking",
+    "thread/05_restitution",
+    "thread/13_ball_collisions",
+    "thread/15_ball_stick",
+    "thread/16_many_kinds",
+)  # up to minutes each
 CHECKS = {"box": check_box}  # scene files hold no code
 
 

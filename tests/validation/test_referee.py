@@ -43,7 +43,7 @@ def _fails(family, seed, scenes, reason, relations=None, mark=None):
         _holds("held_by_a_stick", 2, 30, mark=SLOW),
         _holds("thrown", 1, 4),
         _holds("on_a_stick", 1, 3, mark=SLOW),
-        _holds("driven", 1, 6, LEDGERS, SLOW),
+        _holds("driven", 1, 6, LEDGERS, LONG),
         _holds("thrown", 0, 4, mark=LONG),
         _holds("on_a_stick", 0, 5, mark=LONG),
         _holds("on_pinned_cloth", 1, 4, mark=LONG),
