@@ -79,6 +79,10 @@ _LAZY = {
 }
 
 
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 def __getattr__(name: str) -> Any:
     """Names that bring Taichi or other heavy modules are imported when first used."""
     if name not in _LAZY:

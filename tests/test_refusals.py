@@ -195,6 +195,32 @@ def test_a_setting_of_a_scene_file_is_refused_with_its_line(tmp_path):
         ts.Simulation(scene, dt=1e-301)
 
 
+@pytest.mark.parametrize(
+    "add",
+    [
+        lambda s: s.add_balls([0, 0, 1], radius=0.1, group="new", collides_with=[3]),
+        lambda s: s.add_balls([0, 0, 1], radius=-0.1, group="new"),
+        lambda s: s.add_wall((0, 1, 0), group="new", collides_with=[3]),
+        lambda s: s.add_collider(ts.Box((0, 0, -9), (1, 1, 1), group="new", collides_with=["q", 3])),
+        lambda s: s.set_group([0], "new", collides_with=["q", 3]),
+    ],
+)
+def test_what_is_refused_leaves_no_group(add):
+    scene = three_balls()
+    with pytest.raises(ts.SceneError):
+        add(scene)
+    assert scene.groups.names == ["default"]
+
+
+def test_a_tolerance_that_rounding_hides_is_refused_with_its_line(tmp_path):
+    file = tmp_path / "a.toml"
+    file.write_text("format = 1\n[[balls]]\nposition = [[3, 0]]\nradius = 0.1\n[simulation]\ntolerance = 1e-30\n")
+    with pytest.raises(
+        ts.SceneError, match=r"a.toml, line 6: simulation.tolerance: 1e-30 is less than what rounding leaves"
+    ):
+        ts.Simulation(ts.load_scene(file))
+
+
 def test_errors_go_between_processes():
     error = ts.UnstableError("ball 3 left the world", 1.5, 3, None, 0.01)
     same = pickle.loads(pickle.dumps(error))

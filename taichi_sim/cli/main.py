@@ -253,7 +253,9 @@ class _Job:
         self.options = {**options, "dt": step(options["dt"])}
         self.file = resolve(name)
         self.scene = open_scene(self.file)
-        of_scene = {} if self.scene is None else checked_output(self.scene)
+        self.made = self._made() if self.scene is None else None
+        shown: Any = self.scene if self.made is None else self.made.scene
+        of_scene = checked_output(shown)
         chosen = {"fps": 60.0, "duration": 5.0, "size": (1280, 720)} | of_scene
         chosen |= {key: value for key, value in asked.items() if value is not None}
         style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}
@@ -261,14 +263,20 @@ class _Job:
 
     def simulation(self, forces: Sequence[Any] = ()) -> Any:
         """The Simulation, with the command line's options over the scene's own; one that a file makes takes no forces."""
-        given = {key: self.options[key] for key in (*SIMULATION, "threads") if self.options[key] is not None}
-        if self.scene is not None:
-            from taichi_sim.simulation.simulation import Simulation
+        from taichi_sim.simulation.simulation import Simulation
 
-            return Simulation(self.scene, forces=forces, **given)
+        scene: Any = self.scene
+        return self.made or Simulation(scene, forces=forces, **self._given())
+
+    def _given(self) -> dict[str, Any]:
+        return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options[key] is not None}
+
+    def _made(self) -> Any:
+        """What simulation() of the file returns."""
         from taichi_sim.device import backend
         from taichi_sim.files.source import open_simulation
 
+        given = self._given()
         for key in ("dt", "tolerance", "integrator"):
             if key in given:
                 raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")

@@ -36,7 +36,7 @@ class Summary:
     penetration: float = 0.0  # m
     relative_penetration: float = 0.0  # of the smaller radius
     residual: float = 0.0  # m/s
-    unsolved: list[float] = field(default_factory=list)  # m/s, see Contacts: of each frame with contacts
+    unsolved: list[float] = field(default_factory=list, repr=False)  # m/s, see Contacts: of each frame with contacts
     scales: Scales | None = None  # what all this is judged by, at the end
     largest_speed: float = 0.0  # m/s
     probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
@@ -136,7 +136,8 @@ def export(
     """Run a simulation and give its frames to an output, or to none for the summary alone.
 
     Args:
-        simulation: a `Simulation`; it is run for `duration` [s] from where it is, round(fps x duration) frames.
+        simulation: a `Simulation`; round(fps x duration) frames are made of it, from where it is on. It is left at
+            the last of them, one frame short of `duration` [s].
         size: of the pictures, (width, height) px. style: further arguments of `Renderer`.
         progress: a bar on standard error with the time left and the speed against real time.
     The output is finished here, also when the simulation becomes unstable, and discarded on any other error.

@@ -173,7 +173,6 @@ class Scene(Elements):
         rest = isinstance(velocity, (int, float)) and velocity == 0
         v = np.zeros_like(x) if rest else validation.vectors("balls.velocity", velocity, n, self.dim)
         v[held] = 0.0
-        member, mask = self._groups("balls", group, collides_with)
         columns = {
             "position": x,
             "velocity": v,
@@ -182,10 +181,10 @@ class Scene(Elements):
             "pinned": held,
             "material": np.full(n, self._material("balls.material", material), dtype=np.int32),
             "body": np.full(n, body, dtype=np.int32),
-            "group": np.full(n, member, dtype=np.int32),
-            "mask": np.full(n, mask, dtype=np.int32),
             "colour": np.tile(np.full(3, np.nan) if colour is None else _colour("balls.colour", colour), (n, 1)),
         }
+        for name, bits in zip(("group", "mask"), self._groups("balls", group, collides_with)):
+            columns[name] = np.full(n, bits, dtype=np.int32)
         first = self.n_balls
         self._balls.append(n, **columns)
         return np.arange(first, first + n, dtype=np.int32)
@@ -383,10 +382,11 @@ class Scene(Elements):
     def _groups(
         self, where: str, group: str | Sequence[str], collides_with: str | Sequence[str] | None
     ) -> tuple[int, int]:
-        member = self.groups.bits(f"{where}.group", group if group is not None else [])
-        if member == 0:
-            raise SceneError(f"{where}.group", group, "a name, or a list of names")
-        return member, self.groups.bits(f"{where}.collides_with", collides_with)
+        with self.all_or_nothing():  # names are new groups
+            member = self.groups.bits(f"{where}.group", group if group is not None else [])
+            if member == 0:
+                raise SceneError(f"{where}.group", group, "a name, or a list of names")
+            return member, self.groups.bits(f"{where}.collides_with", collides_with)
 
     @staticmethod
     def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.stability import Stability, coarsest_spring
+from taichi_sim.common.errors import SceneError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.assembly import Assembly
@@ -72,7 +73,7 @@ class ErrorEstimate(NamedTuple):
 
 
 def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, substeps: int, compensated: bool) -> None:
-    """Raise ValueError where rounding alone adds more than the tolerance: a window about the rounding of positions, and, where
+    """Raise SceneError where rounding alone adds more than the tolerance: a window about the rounding of positions, and, where
     sums are not compensated, each substep as much, in random directions; and where springs are so stiff that their load does not
     show in single precision, so that both solutions are off alike and their distance tells nothing."""
     eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
@@ -80,16 +81,15 @@ def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, subs
     least = ROUNDINGS * eps * far * np.sqrt(1 if compensated else WINDOW * substeps) / (WINDOW * dt * size(scene))
     if tolerance < least:
         cure = 'use precision "f64"' if precision == "f32" else "build the scene nearer to the origin"
-        raise ValueError(
-            f"tolerance: {tolerance:g} is less than what rounding leaves in {precision}, {least:.2g} of the scene's size a"
-            f" second; {cure}"
-        )
+        says = f"is less than what rounding leaves in {precision}, {least:.2g} of the scene's size a second; {cure}"
+        raise SceneError("tolerance", tolerance, says=says)
     found = coarsest_spring(scene) if precision == "f32" else None
     if found is not None:
         spring, stretch, rounding = found
-        raise ValueError(
-            f"tolerance: cannot be met in f32: the weight at spring {spring} stretches it by {stretch:.2g} m, and positions there"
-            f' are told {rounding:.2g} m apart; use precision "f64", or softer springs'
+        raise SceneError(
+            "tolerance",
+            says=f"cannot be met in f32: the weight at spring {spring} stretches it by {stretch:.2g} m, and positions there are"
+            f' told {rounding:.2g} m apart; use precision "f64", or softer springs',
         )
 
 

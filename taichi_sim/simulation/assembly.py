@@ -27,6 +27,7 @@ from taichi_sim.device.model import Model
 from taichi_sim.device.spatial_sort import in_order, spatial_order
 from taichi_sim.device.state import State
 from taichi_sim.forces.driven_pins import DrivenPins
+from taichi_sim.forces.element import Element
 from taichi_sim.forces.springs import Springs, fixed_order
 from taichi_sim.forces.sum import TotalForce
 from taichi_sim.forces.tearing import Tearing
@@ -102,7 +103,7 @@ class Assembly:
         if order is not None:
             scene = in_order(scene, order)
         self.model = Model(scene, self.fields)
-        self.model.set_spinning(turning(scene, settings))
+        self.model.set_spinning(turning(scene, settings, forces))
         small = _is_small(scene)
         self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
@@ -374,11 +375,15 @@ def _rounds(scene: Scene, backend: Backend) -> bool:
     )
 
 
-def turning(scene: Scene, settings: Settings) -> NDArray[np.bool_]:
+def turning(scene: Scene, settings: Settings, forces: Sequence[Any] = ()) -> NDArray[np.bool_]:
     """Which balls turn (n): "auto" where Coulomb friction can make them the loose ones. Those of cloth and jelly, which springs,
-    cells and the like join at their centres, would only roll under it like casters."""
+    cells and the like, user-defined elements too, join at their centres, would only roll under it like casters."""
     if settings.contacts == "off" or settings.spin is False:
         return np.zeros(scene.n_balls, dtype=bool)
     if settings.spin is True:
         return np.ones(scene.n_balls, dtype=bool)
-    return ~scene.pinned & ~scene.joined() & any(m.friction > 0 for m in used_materials(scene))
+    joined = scene.joined()
+    for force in forces:
+        if isinstance(force, Element):
+            joined[force.corners(scene)] = True
+    return ~scene.pinned & ~joined & any(m.friction > 0 for m in used_materials(scene))

@@ -57,7 +57,8 @@ class Simulation(Reader):
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a
             GPU).
         contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
-            by jacobi; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with sticks or surfaces ("auto").
+            by jacobi, 10 where surfaces collide; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with
+            sticks or surfaces ("auto").
         accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
@@ -91,7 +92,8 @@ class Simulation(Reader):
         self.has_custom_parts = bool(forces) or own
         diagnostics.check_tearing(scene)
         if s.tolerance is not None:
-            self._check_tolerance(s.tolerance, substeps)
+            with _from_file(scene, settings):
+                self._check_tolerance(s.tolerance, substeps)
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else AdaptiveStepper
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)

@@ -170,6 +170,22 @@ def test_a_python_simulation(folder):
     assert "--dt: s.py makes its own simulation()" in done.stderr
 
 
+@pytest.mark.slow
+def test_a_python_simulation_is_shown_as_its_scene_says(folder):
+    (folder / "s.py").write_text(
+        "import taichi_sim as ts\n\ndef simulation():\n    scene = ts.Scene(dim=2)\n"
+        "    scene.add_balls([0, 0], radius=0.1)\n    scene.output = {'fps': 5, 'duration': 0.6}\n"
+        "    return ts.Simulation(scene, dt=1e-3)\n",
+        encoding="utf-8",
+    )
+    assert command(folder, "run", "s.py", "-o", "a.npz").returncode == 0
+    with np.load(folder / "a.npz") as arrays:
+        assert arrays["time"].tolist() == pytest.approx([0.0, 0.2, 0.4])
+    assert command(folder, "run", "s.py", "-o", "a.npz", "--fps", "10").returncode == 0
+    with np.load(folder / "a.npz") as arrays:
+        assert len(arrays["time"]) == 6
+
+
 def test_check_says_what_is_safe(folder):
     done = command(folder, "check", "stiff.toml")
     assert done.returncode == 0

@@ -214,3 +214,36 @@ def test_a_scene_file_may_have_a_table_of_elements(tmp_path):
             ts.load_scene(file, tables={"rods": add})
     with pytest.raises(ts.SceneError, match="rods"):
         ts.load_scene(file)
+
+
+@ti.data_oriented
+class Link(ts.Element):
+    """A spring without a length of its own."""
+
+    def __init__(self, balls, stiffness):
+        self.balls, self.columns = balls, {"stiffness": stiffness}
+
+    @ti.func
+    def force(self, ball: ti.template(), row, time):
+        return row.stiffness * (ball[row.a].x - ball[row.b].x) * ti.select(row.corner == 0, -1.0, 1.0)
+
+
+def test_what_an_element_joins_does_not_roll_like_casters():
+    """As what a spring joins: two balls that are pulled to each other slide on the floor, x'' = mu g - 2 k x / m."""
+    found = []
+    for own in (True, False):
+        scene = ts.Scene(dim=2, gravity=(0, -10))
+        scene.add_material("rough", friction=0.4)
+        scene.add_balls([[-1, 0.1], [1, 0.1]], radius=0.1, material="rough")
+        scene.add_wall((0, 1), 0.0, "rough")
+        forces = [Link([[0, 1]], 8.0)] if own else []
+        if not own:
+            scene.add_springs([[0, 1]], stiffness=8.0, rest_length=0.0)
+        with simulation(scene, forces, contacts="auto") as sim:
+            sim.run(0.15)
+            assert not sim.angular_velocity.any()
+            found.append(sim.position)
+    rest = 0.4 * 10.0 / (2 * 8.0)  # m, where friction holds the pull
+    exact = rest + (1.0 - rest) * np.cos(4.0 * 0.15)
+    assert found[0] == pytest.approx(found[1], abs=1e-5)
+    assert found[0][1, 0] == pytest.approx(exact, abs=1e-4)
