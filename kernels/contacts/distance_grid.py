@@ -1,13 +1,22 @@
-"""Distances from a closed triangle mesh on a regular grid: exact near the triangles, then handed on from corner to corner."""
+"""Distances from a closed triangle mesh on a regular grid: exact near the triangles, then handed on from corner to corner.
+
+Real numbers are of the type of the arrays handed in, best in double precision, whatever that of the run is. frame (5,): the
+lowest corner of the grid [m], the width of a cell [m], and by which part of it `winding` shifts its lines.
+"""
 
 from taichi_sim.device.engine import ti
 
-vec3 = ti.types.vector(3, ti.f64)
+LEAST = 1e-37  # in place of a division by 0; also a number in single precision
 
 
 @ti.func
 def point(table: ti.template(), k):
-    return vec3(table[k, 0], table[k, 1], table[k, 2])
+    return ti.Vector([table[k, 0], table[k, 1], table[k, 2]])
+
+
+@ti.func
+def lowest(frame: ti.template()):
+    return ti.Vector([frame[0], frame[1], frame[2]])
 
 
 @ti.func
@@ -26,15 +35,15 @@ def squared(p, a, b, c):
     elif d3 >= 0.0 and d4 <= d3:
         q = b
     elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        q = a + ab * (d1 / ti.max(d1 - d3, 1e-300))
+        q = a + ab * (d1 / ti.max(d1 - d3, LEAST))
     elif d6 >= 0.0 and d5 <= d6:
         q = c
     elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        q = a + ac * (d2 / ti.max(d2 - d6, 1e-300))
+        q = a + ac * (d2 / ti.max(d2 - d6, LEAST))
     elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        q = b + (c - b) * ((d4 - d3) / ti.max((d4 - d3) + (d5 - d6), 1e-300))
+        q = b + (c - b) * ((d4 - d3) / ti.max((d4 - d3) + (d5 - d6), LEAST))
     else:
-        q = a + (ab * vb + ac * vc) / ti.max(va + vb + vc, 1e-300)
+        q = a + (ab * vb + ac * vc) / ti.max(va + vb + vc, LEAST)
     return (p - q).dot(p - q)
 
 
@@ -45,13 +54,13 @@ def to_triangle(corner: ti.template(), p, t):
 
 @ti.kernel
 def seed(
-    corner: ti.types.ndarray(ti.f64, 2),
+    corner: ti.types.ndarray(ndim=2),
     closest: ti.types.ndarray(ti.i32, 3),
-    best: ti.types.ndarray(ti.f64, 3),
-    low: vec3,
-    cell: ti.f64,
+    best: ti.types.ndarray(ndim=3),
+    frame: ti.types.ndarray(ndim=1),
 ):
     """The nearest triangle of every grid corner (closest, best: squared distance) within a cell of a triangle's box."""
+    low, cell = lowest(frame), frame[3]
     ti.loop_config(serialize=True)  # the first of equals wins, whatever the threads
     for t in range(corner.shape[0] // 3):
         a, b, c = point(corner, 3 * t), point(corner, 3 * t + 1), point(corner, 3 * t + 2)
@@ -60,7 +69,7 @@ def seed(
         for k in range(ti.max(first[2], 0), ti.min(last[2] + 1, closest.shape[0])):
             for j in range(ti.max(first[1], 0), ti.min(last[1] + 1, closest.shape[1])):
                 for i in range(ti.max(first[0], 0), ti.min(last[0] + 1, closest.shape[2])):
-                    d = squared(low + cell * vec3(i, j, k), a, b, c)
+                    d = squared(low + cell * ti.Vector([i, j, k]), a, b, c)
                     if d < best[k, j, i]:
                         best[k, j, i] = d
                         closest[k, j, i] = t
@@ -68,17 +77,17 @@ def seed(
 
 @ti.kernel
 def spread(
-    corner: ti.types.ndarray(ti.f64, 2),
+    corner: ti.types.ndarray(ndim=2),
     source: ti.types.ndarray(ti.i32, 3),
     closest: ti.types.ndarray(ti.i32, 3),
-    best: ti.types.ndarray(ti.f64, 3),
-    low: vec3,
-    cell: ti.f64,
+    best: ti.types.ndarray(ndim=3),
+    frame: ti.types.ndarray(ndim=1),
     reach: int,
 ):
     """Take over a nearer triangle from the corners `reach` cells away (Rong and Tan, Jump flooding, 2006)."""
+    low, cell = lowest(frame), frame[3]
     for k, j, i in ti.ndrange(source.shape[0], source.shape[1], source.shape[2]):
-        p = low + cell * vec3(i, j, k)
+        p = low + cell * ti.Vector([i, j, k])
         nearest, d = source[k, j, i], best[k, j, i]
         for n in range(27):
             x, y, z = i + (n % 3 - 1) * reach, j + (n // 3 % 3 - 1) * reach, k + (n // 9 - 1) * reach
@@ -94,12 +103,13 @@ def spread(
 
 @ti.kernel
 def winding(
-    corner: ti.types.ndarray(ti.f64, 2), windings: ti.types.ndarray(ti.i32, 3), low: vec3, cell: ti.f64, shift: ti.f64
+    corner: ti.types.ndarray(ndim=2), windings: ti.types.ndarray(ti.i32, 3), frame: ti.types.ndarray(ndim=1)
 ):
     """How often the surface winds around each grid corner: crossings of the line along x, counted with their sign.
 
-    Lines are shifted by a part of a cell, so that none runs along an edge of a mesh with round coordinates.
+    Lines are shifted by frame[4] of a cell, so that none runs along an edge of a mesh with round coordinates.
     """
+    low, cell = lowest(frame), frame[3]
     ti.loop_config(serialize=True)
     for t in range(corner.shape[0] // 3):
         a = (point(corner, 3 * t) - low) / cell
@@ -110,7 +120,7 @@ def winding(
         last = ti.cast(ti.floor(ti.max(a, b, c)), ti.i32) + 1
         for k in range(ti.max(first[2], 0), ti.min(last[2] + 1, windings.shape[0])):
             for j in range(ti.max(first[1], 0), ti.min(last[1] + 1, windings.shape[1])):
-                y, z = j + shift, k + 0.7 * shift
+                y, z = j + frame[4], k + 0.7 * frame[4]
                 wa = (c[1] - b[1]) * (z - b[2]) - (c[2] - b[2]) * (y - b[1])
                 wb = (a[1] - c[1]) * (z - c[2]) - (a[2] - c[2]) * (y - c[1])
                 wc = (b[1] - a[1]) * (z - a[2]) - (b[2] - a[2]) * (y - a[1])

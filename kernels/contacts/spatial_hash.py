@@ -15,6 +15,7 @@ from taichi_sim.kernels.reductions import PART
 from taichi_sim.device.engine import ti
 
 CELL_LIMIT = 1 << 28  # cells beyond this are merged: still correct, only slower
+MOST_CELLS = 1 << 30  # that are counted: more than any table has
 CROWDED_CELL = 64  # balls in a cell from which on their pairs are counted
 FINE_CELLS = 3  # a stretch of 2 reach + 1/3 in place of 3 whole cells: two thirds of the candidates
 
@@ -88,7 +89,7 @@ def bucket_of(cell, grid: ti.template(), level):
         at = level * grid.dim
         for a in ti.static(range(1, cell.n)):
             key += ti.cast(cell[a] - grid.corner[at + a], ti.u32) * ti.cast(grid.pitch[at + a], ti.u32)
-        key -= ti.cast(grid.corner[at], ti.u32)
+        key += ti.cast(-grid.corner[at], ti.u32)  # Vulkan cannot negate unsigned numbers
     else:
         key = row_key(cell)
     first, size = table(grid, level)
@@ -191,17 +192,18 @@ def lay_out(ball: ti.template(), grid: ti.template()):
                 low = ti.min(low, grid.low[c * grid.levels + level])
                 high = ti.max(high, grid.high[c * grid.levels + level])
             low = ti.min(low, high)  # a level may be empty
-            cells = ti.cast(1.0, ti.f64)
+            cells = 1
             for a in ti.static(range(grid.dim)):
                 border = ti.static(2 * FINE_CELLS if a == 0 else 2)  # what a search around a ball may look at
                 at = level * grid.dim + a
                 grid.corner[at] = low[a] - border
-                grid.pitch[at] = ti.cast(ti.min(cells, 1.0 * CELL_LIMIT), ti.i32)
+                width = high[a] - low[a] + (2 * border + 1)
+                grid.pitch[at] = ti.min(cells, CELL_LIMIT)
                 if ti.static(grid.levels > 1):
                     grid.top[at] = high[a] + border
                 else:
-                    grid.extent[a] = high[a] - low[a] + (2 * border + 1)
-                cells *= ti.cast(high[a], ti.f64) - low[a] + (2 * border + 1)
+                    grid.extent[a] = width
+                cells = ti.select(width > MOST_CELLS // cells, MOST_CELLS, cells * width)  # lest it overflow
             grid.dense[level] = ti.select(cells <= table(grid, level)[1], 1, 0)
 
 

@@ -15,6 +15,16 @@ class Vertex(Protocol):
     xyz: Any  # place
 
 
+class Visibility(Protocol):
+    """(slots) what lies nearest at each sample of a picture, or texel of a shadow map."""
+
+    wide: bool  # whether the device has 64-bit integers; else the two columns below, by two stages
+    key: Field  # (slots) 64-bit (closeness << 32) | identity
+    bits: Field  # (slots) of the closeness
+    identity: Field  # (slots) kind << 28 | index, 0 for nothing
+    stage: Field  # (1) 0: the closeness is looked for; 1: the identity
+
+
 class Surfaces(Protocol):
     """What there is in a 3D scene to be shaded, and what light it gets."""
 
@@ -32,7 +42,7 @@ class Surfaces(Protocol):
     rod: Field  # (rods) vector of two vertices
     rod_radius: Field  # (rods)
     rod_strain: Field  # (rods)
-    shadow: Field  # (shadow_size^2) keys of the shadow map
+    shadow: Visibility  # (shadow_size^2) the shadow map
     shadow_size: int  # texels along its side
     coarse: Field  # (cells of the shadow map) largest closeness to the lamp near each
     open_raw: Field  # (pixels) share of the sky that is seen, not smoothed yet
@@ -60,4 +70,4 @@ class ColourScale(Protocol):
     shape: Any  # (entries, 3)
 
 
-READS = {"ball": Vertex, "scene": Surfaces, "table": ColourScale}
+READS = {"ball": Vertex, "seen": Visibility, "shadow": Visibility, "scene": Surfaces, "table": ColourScale}

@@ -1,10 +1,10 @@
-"""Visibility: spheres, rods, triangles and planes into a buffer of keys, one key per sample.
+"""Spheres, rods, triangles and planes into a buffer of what is seen at each sample (see `visibility`).
 
-A key is (closeness << 32) | identity, kept by atomic_max, so the nearest primitive wins whatever the order of threads.
-Closeness w is linear on the screen: 1/z in perspective, far - z in a parallel (light) view; its bits sort like it.
 The same kernels draw the picture and the shadow map. A view is a 4x4 matrix: rows right, up, forward (each with its
 offset), then (pixels per unit, centre x, centre y, far), far = 0 for perspective. Pixels count from the top left.
 """
+
+from taichi_sim.kernels.render.visibility import key_of, may_win, put, start_with
 
 from taichi_sim.device.engine import ti
 
@@ -46,18 +46,6 @@ def screen(view, c):
 
 
 @ti.func
-def pack(w, identity):
-    return (ti.cast(ti.bit_cast(ti.cast(w, ti.f32), ti.i32), ti.i64) << 32) | ti.cast(identity, ti.i64)
-
-
-@ti.func
-def put(keys: ti.template(), slot, w, identity):
-    key = pack(w, identity)
-    if key > keys[slot]:
-        ti.atomic_max(keys[slot], key)
-
-
-@ti.func
 def first(a):
     return ti.cast(ti.max(ti.floor(a), ti.f32(0.0)), ti.i32)
 
@@ -69,9 +57,9 @@ def last(a, size):
 
 
 @ti.func
-def draw_disc(keys: ti.template(), samples: ti.template(), q, r, bulge, identity, width, height):
+def draw_disc(seen: ti.template(), samples: ti.template(), q, r, bulge, identity, width, height):
     """A disc of r px about q whose closeness rises by `bulge` at the middle: a sphere in a parallel view."""
-    top = pack(q[2] + bulge, identity)
+    top = key_of(seen, q[2] + bulge, identity)
     inverse = ti.f32(1.0) / (r * r)
     y0, y1 = first(q[1] - r), last(q[1] + r, height)
     x0, x1 = first(q[0] - r), last(q[0] + r, width)
@@ -82,8 +70,8 @@ def draw_disc(keys: ti.template(), samples: ti.template(), q, r, bulge, identity
                 dx = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0])) - q[0]
                 dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1])) - q[1]
                 h = ti.f32(1.0) - (dx * dx + dy * dy) * inverse
-                if h > 0 and top > keys[slot]:
-                    put(keys, slot, q[2] + bulge * ti.sqrt(h), identity)
+                if h > 0 and may_win(seen, slot, top):
+                    put(seen, slot, q[2] + bulge * ti.sqrt(h), identity)
 
 
 @ti.func
@@ -95,17 +83,17 @@ def tangents(a, z, r):
 
 
 @ti.func
-def draw_ball(keys: ti.template(), samples: ti.template(), view, c, r, identity, width, height):
+def draw_ball(seen: ti.template(), samples: ti.template(), view, c, r, identity, width, height):
     """A sphere at c (view axes) in perspective, hit by the ray of every sample."""
     f = view[3, 0]
     left, right = tangents(c[0], c[2], r)
     low, high = tangents(c[1], c[2], r)
-    top = pack(ti.f32(1.0) / (c[2] - r), identity)
+    top = key_of(seen, ti.f32(1.0) / (c[2] - r), identity)
     for y in range(first(view[3, 2] - f * high), last(view[3, 2] - f * low, height)):
         for x in range(first(view[3, 1] + f * left), last(view[3, 1] + f * right, width)):
             for s in ti.static(range(samples)):
                 slot = (y * width + x) * samples + s
-                if top > keys[slot]:
+                if may_win(seen, slot, top):
                     dx = (ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0])) - view[3, 1]) / f
                     dy = (view[3, 2] - ti.cast(y, ti.f32) - ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1]))) / f
                     scale = ti.f32(1.0) / (dx * dx + dy * dy + ti.f32(1.0))
@@ -113,13 +101,13 @@ def draw_ball(keys: ti.template(), samples: ti.template(), view, c, r, identity,
                     miss = c - t * vec3(dx, dy, ti.f32(1.0))  # from the nearest point of the ray: no cancellation
                     h = r * r - miss.dot(miss)
                     if h > 0:
-                        put(keys, slot, ti.f32(1.0) / (t - ti.sqrt(h * scale)), identity)
+                        put(seen, slot, ti.f32(1.0) / (t - ti.sqrt(h * scale)), identity)
 
 
 @ti.kernel
 def draw_spheres(
     ball: ti.template(),
-    keys: ti.template(),
+    seen: ti.template(),
     samples: ti.template(),
     exact: ti.template(),
     view: View,
@@ -139,12 +127,12 @@ def draw_spheres(
             if ti.static(exact):
                 near = q[2] > 0 and c[2] - b[3] > ti.f32(NEAR_PLANE)
                 if near and r >= ti.f32(EXACT_RADIUS):
-                    draw_ball(keys, samples, view, c, b[3], identity, width, height)
+                    draw_ball(seen, samples, view, c, b[3], identity, width, height)
                 elif near and inside:
                     r = ti.max(r, ti.f32(SMALLEST_RADIUS))
-                    draw_disc(keys, samples, q, r, b[3] * q[2] * q[2], identity, width, height)
+                    draw_disc(seen, samples, q, r, b[3] * q[2] * q[2], identity, width, height)
             elif q[2] > 0 and inside:
-                draw_disc(keys, samples, q, ti.max(r, ti.f32(SMALLEST_RADIUS)), b[3], identity, width, height)
+                draw_disc(seen, samples, q, ti.max(r, ti.f32(SMALLEST_RADIUS)), b[3], identity, width, height)
 
 
 @ti.func
@@ -153,7 +141,7 @@ def edge(ax, ay, bx, by):
 
 
 @ti.func
-def draw_triangle(keys: ti.template(), samples: ti.template(), a, b, c, identity, width, height):
+def draw_triangle(seen: ti.template(), samples: ti.template(), a, b, c, identity, width, height):
     """Either winding, by barycentrics about the vertex a."""
     bx, by, cx, cy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
     area = edge(bx, by, cx, cy)
@@ -170,14 +158,14 @@ def draw_triangle(keys: ti.template(), samples: ti.template(), a, b, c, identity
                     v = edge(bx, by, dx, dy) * inverse
                     if u >= 0 and v >= 0 and u + v <= 1:
                         w = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
-                        put(keys, (y * width + x) * samples + s, w, identity)
+                        put(seen, (y * width + x) * samples + s, w, identity)
 
 
 @ti.kernel
 def draw_triangles(
     ball: ti.template(),
     corner: ti.template(),
-    keys: ti.template(),
+    seen: ti.template(),
     samples: ti.template(),
     view: View,
     width: ti.i32,
@@ -191,7 +179,7 @@ def draw_triangles(
         b = screen(view, to_view(view, ball[k[1]].xyz))
         c = screen(view, to_view(view, ball[k[2]].xyz))
         if a[2] > 0 and b[2] > 0 and c[2] > 0:
-            draw_triangle(keys, samples, a, b, c, (TRIANGLE << 28) | i, width, height)
+            draw_triangle(seen, samples, a, b, c, (TRIANGLE << 28) | i, width, height)
 
 
 @ti.func
@@ -208,7 +196,7 @@ def rod_ends(view, p, q):
 
 
 @ti.func
-def draw_rod(keys: ti.template(), samples: ti.template(), a, b, r, identity, width, height):
+def draw_rod(seen: ti.template(), samples: ti.template(), a, b, r, identity, width, height):
     """A round rod of radius r (units) as a thick line on the screen, at least a thin line wide."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     squared = ti.max(dx * dx + dy * dy, ti.f32(1e-12))
@@ -228,7 +216,7 @@ def draw_rod(keys: ti.template(), samples: ti.template(), a, b, r, identity, wid
                 h = ti.f32(1.0) - (rx * rx + ry * ry) / (wide * wide)
                 if h > 0:
                     w = a[2] + u * (b[2] - a[2])
-                    put(keys, (y * width + x) * samples + s, w, identity)
+                    put(seen, (y * width + x) * samples + s, w, identity)
 
 
 @ti.kernel
@@ -236,7 +224,7 @@ def draw_rods(
     ball: ti.template(),
     ends: ti.template(),
     radius: ti.template(),
-    keys: ti.template(),
+    seen: ti.template(),
     samples: ti.template(),
     view: View,
     width: ti.i32,
@@ -247,14 +235,14 @@ def draw_rods(
         k = ends[i]
         a, b = rod_ends(view, ball[k[0]].xyz, ball[k[1]].xyz)
         if a[2] > 0 and b[2] > 0:
-            draw_rod(keys, samples, a, b, radius[i], (ROD << 28) | i, width, height)
+            draw_rod(seen, samples, a, b, radius[i], (ROD << 28) | i, width, height)
 
 
 @ti.kernel
 def clear(
-    keys: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32, height: ti.i32
+    seen: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32, height: ti.i32
 ):
-    """Every key to the nearest plane, row (a, b, c): closeness a x + b y + c where positive. Otherwise 0, nothing."""
+    """Every sample to the nearest plane, row (a, b, c): closeness a x + b y + c where positive. Otherwise 0, nothing."""
     for pixel in range(width * height):
         for s in ti.static(range(samples)):
             x = ti.cast(pixel % width, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0]))
@@ -264,7 +252,7 @@ def clear(
                 w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
                 if w > nearest:
                     nearest, which = w, (PLANE << 28) | k
-            keys[pixel * samples + s] = pack(nearest, which)
+            start_with(seen, pixel * samples + s, nearest, which)
 
 
 @ti.kernel

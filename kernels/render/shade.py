@@ -5,6 +5,7 @@ Colours are linear.
 """
 
 from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, edge, rod_ends, screen, to_view, vec2, vec3
+from taichi_sim.kernels.render.visibility import closeness, found
 
 from taichi_sim.device.engine import ti
 
@@ -25,7 +26,7 @@ def shadow_tap(shadow: ti.template(), size, x, y):
     w = ti.f32(0.0)
     i, j = ti.cast(ti.floor(x), ti.i32), ti.cast(ti.floor(y), ti.i32)
     if i >= 0 and j >= 0 and i < size and j < size:
-        w = ti.bit_cast(ti.cast(shadow[j * size + i] >> 32, ti.i32), ti.f32)
+        w = closeness(shadow, found(shadow, j * size + i))
     return w
 
 
@@ -112,11 +113,11 @@ def coarsen(shadow: ti.template(), cell: ti.template(), coarse: ti.template(), s
     """For every cell of the shadow map the largest closeness in it and its eight neighbours: above it all is lit."""
     for c in cell:
         across = size // COARSE_TEXELS
-        key = ti.i64(0)
+        nearest = ti.f32(0.0)
         for j in range((c // across) * COARSE_TEXELS, (c // across + 1) * COARSE_TEXELS):
             for i in range((c % across) * COARSE_TEXELS, (c % across + 1) * COARSE_TEXELS):
-                key = ti.max(key, shadow[j * size + i])
-        cell[c] = ti.bit_cast(ti.cast(key >> 32, ti.i32), ti.f32)
+                nearest = ti.max(nearest, closeness(shadow, found(shadow, j * size + i)))
+        cell[c] = nearest
     for c in coarse:
         across = size // COARSE_TEXELS
         w = ti.f32(0.0)

@@ -1,7 +1,8 @@
-"""From keys to pixels: each distinct primitive of a pixel shaded once, ambient occlusion, final colours."""
+"""From what is seen to pixels: each distinct primitive of a pixel shaded once, ambient occlusion, final colours."""
 
 from taichi_sim.kernels.render.raster import PLANE, TRIANGLE, View, vec2, vec3
 from taichi_sim.kernels.render.shade import ground, illuminate, lit, rotated, sky, surface
+from taichi_sim.kernels.render.visibility import closeness, found, identity_of
 
 from taichi_sim.device.engine import ti
 
@@ -22,18 +23,13 @@ def pixel_ray(view, px, py):
 
 
 @ti.func
-def closeness(key):
-    return ti.bit_cast(ti.cast(key >> 32, ti.i32), ti.f32)
-
-
-@ti.func
-def alike(a, b):
+def alike(seen: ti.template(), a, b):
     """Whether two samples may share one shading: the same primitive, or one sheet of triangles."""
-    ia, ib = ti.cast(a, ti.i32), ti.cast(b, ti.i32)
+    ia, ib = identity_of(seen, a), identity_of(seen, b)
     result = ia == ib
     if (ia >> 28) == TRIANGLE and (ib >> 28) == TRIANGLE:
-        wa = closeness(a)
-        result = result or ti.abs(wa - closeness(b)) < wa * ti.f32(SAME_SHEET_DEPTH)
+        wa = closeness(seen, a)
+        result = result or ti.abs(wa - closeness(seen, b)) < wa * ti.f32(SAME_SHEET_DEPTH)
     return result
 
 
@@ -44,14 +40,14 @@ def tone(c):
 
 
 @ti.func
-def colour_of(scene: ti.template(), view, light, look, eye, ray, planes, key, px, py, open_share):
+def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye, ray, planes, key, px, py, open_share):
     """Linear colour of one sample."""
     lamp = axis(look, 0)
-    identity = ti.cast(key, ti.i32)
+    identity = identity_of(seen, key)
     far = sky(ray[1] / ray.norm(), axis(look, 2), axis(look, 3))
     result = far
     if identity != 0:
-        w = closeness(key)
+        w = closeness(seen, key)
         p, n, colour, gloss = surface(scene, view, eye, ray, identity, w, px, py)
         fog = ti.f32(0.0)
         if (identity >> 28) == PLANE:
@@ -78,7 +74,7 @@ def colour_of(scene: ti.template(), view, light, look, eye, ray, planes, key, px
 @ti.kernel
 def resolve(
     scene: ti.template(),
-    keys: ti.template(),
+    seen: ti.template(),
     image: ti.template(),
     view: View,
     light: View,
@@ -101,15 +97,15 @@ def resolve(
             open_share = scene.openness[pixel]
         total, weights, solid, s = vec3(0, 0, 0), 0, 0, 0
         while weights < scene.samples and s < scene.samples:
-            key = keys[pixel * scene.samples + s]
+            key = found(seen, pixel * scene.samples + s)
             weight = 1
             for t in range(scene.samples):
-                if t != s and alike(key, keys[pixel * scene.samples + t]):
+                if t != s and alike(seen, key, found(seen, pixel * scene.samples + t)):
                     weight = 0 if t < s else weight + ti.min(weight, 1)
             if weight > 0:
-                kind = ti.cast(key, ti.i32) >> 28
+                kind = identity_of(seen, key) >> 28
                 if ti.static(not scene.transparent) or (kind != 0 and kind != PLANE):
-                    total += weight * colour_of(scene, view, light, look, eye, ray, planes, key, px, py, open_share)
+                    total += weight * colour_of(scene, seen, view, light, look, eye, ray, planes, key, px, py, open_share)
                     solid += weight
                 weights += weight
             s += 1
@@ -121,7 +117,7 @@ def resolve(
 @ti.kernel
 def occlude(
     scene: ti.template(),
-    keys: ti.template(),
+    seen: ti.template(),
     view: View,
     eye: vec3,
     planes: View,
@@ -132,12 +128,12 @@ def occlude(
     """Share of the sky that each pixel sees among what lies within `reach`, from the depths about it; then smoothed."""
     for pixel in range(width * height):
         x, y = pixel % width, pixel // width
-        key = keys[pixel * scene.samples]
-        identity = ti.cast(key, ti.i32)
+        key = found(seen, pixel * scene.samples)
+        identity = identity_of(seen, key)
         blocked = ti.f32(0.0)
         if identity != 0:
             px, py = ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5)
-            w = closeness(key)
+            w = closeness(seen, key)
             ray = pixel_ray(view, px, py)
             p, n, _, _ = surface(scene, view, eye, ray, identity, w, px, py)
             if (identity >> 28) == PLANE:
@@ -151,21 +147,21 @@ def occlude(
                 i, j = ti.cast(px + r * direction[0], ti.i32), ti.cast(py + r * direction[1], ti.i32)
                 direction = rotated(direction)
                 if i >= 0 and j >= 0 and i < width and j < height:
-                    other = keys[(j * width + i) * scene.samples]
-                    if ti.cast(other, ti.i32) != 0:
+                    other = found(seen, (j * width + i) * scene.samples)
+                    if identity_of(seen, other) != 0:
                         there = pixel_ray(view, ti.cast(i, ti.f32) + ti.f32(0.5), ti.cast(j, ti.f32) + ti.f32(0.5))
-                        v = eye + there / closeness(other) - p
+                        v = eye + there / closeness(seen, other) - p
                         d = ti.max(v.norm(), ti.f32(1e-9))
                         near = ti.max(1 - d / (2 * reach), ti.f32(0.0))
                         blocked += ti.max(v.dot(n) / d - ti.f32(0.08), ti.f32(0.0)) * near
         scene.open_raw[pixel] = ti.max(1 - blocked * ti.f32(3.0 / OCCLUSION_TAPS), ti.f32(0.12))
     for pixel in range(width * height):
         x, y = pixel % width, pixel // width
-        w = closeness(keys[pixel * scene.samples])
+        w = closeness(seen, found(seen, pixel * scene.samples))
         total, weights = ti.f32(0.0), ti.f32(0.0)
         for j in range(ti.max(y - 2, 0), ti.min(y + 2, height)):
             for i in range(ti.max(x - 2, 0), ti.min(x + 2, width)):
-                other = closeness(keys[(j * width + i) * scene.samples])
+                other = closeness(seen, found(seen, (j * width + i) * scene.samples))
                 weight = 1 / (1 + ti.abs(other - w) * 300 / ti.max(w, ti.f32(1e-9)))
                 total += weight * scene.open_raw[j * width + i]
                 weights += weight

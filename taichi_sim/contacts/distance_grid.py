@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.device.backend import has_wide_numbers
 from taichi_sim.device.engine import ti
 from taichi_sim.kernels.contacts import distance_grid as loops
 from taichi_sim.scene.colliders import MESH, Collider
@@ -37,20 +38,23 @@ def distance_grid(collider: Collider, reach: float) -> DistanceGrid:
         if size.prod() <= MOST_CORNERS:
             break
         cell *= 1.1
-    corner = np.ascontiguousarray(collider.vertices[collider.triangles].reshape(-1, 3))
     start = 0.5 * (low + high) - 0.5 * cell * (size - 1)
     shape = tuple(size[::-1])
-    closest, best = np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf)
-    origin = loops.vec3(start.tolist())
-    loops.seed(corner, closest, best, origin, cell)
+    wide = has_wide_numbers()
+    real = np.float64 if wide else np.float32
+    origin = np.zeros(3) if wide else start  # single precision has digits to spare only near the grid
+    corner = np.ascontiguousarray((collider.vertices - origin)[collider.triangles].reshape(-1, 3), dtype=real)
+    frame = np.array([*(start - origin), cell, ROW_SHIFT], dtype=real)
+    closest, best = np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf, dtype=real)
+    loops.seed(corner, closest, best, frame)
     reaches = [1 << k for k in reversed(range(int(size.max()).bit_length()))]
     for distance in [*reaches, 2, 1]:
         source = closest.copy()
-        loops.spread(corner, source, closest, best, origin, cell, distance)
+        loops.spread(corner, source, closest, best, frame, distance)
     windings = np.zeros(shape, dtype=np.int32)
-    loops.winding(corner, windings, origin, cell, ROW_SHIFT)
+    loops.winding(corner, windings, frame)
     ti.sync()
-    return DistanceGrid(np.where(windings != 0, -1.0, 1.0) * np.sqrt(best), start, cell)
+    return DistanceGrid(np.where(windings != 0, -1.0, 1.0) * np.sqrt(best.astype(np.float64)), start, cell)
 
 
 def distance_grids(scene: Scene) -> list[DistanceGrid]:

@@ -99,7 +99,7 @@ class FoundContacts:
         if self.corrects_positions:
             self.position_correction = fields.vectors(n, dim)
         if plan.limits_energy:
-            self.energy_type = ti.f64 if fields.has_doubles else fields.real
+            self.energy_type = fields.wide
             self.energy_parts = -(-n // PART)
             columns = dict.fromkeys(("lost", "linear", "square"), self.energy_type)
             self.energy = fields.table(columns, self.energy_parts + 1)

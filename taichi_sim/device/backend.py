@@ -12,10 +12,11 @@ from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.engine import ti
 
-__all__ = ["ARCHES", "PRECISIONS", "Backend", "running", "start"]
+__all__ = ["ARCHES", "PRECISIONS", "Backend", "has_wide_numbers", "running", "start"]
 
 ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
+WIDE_ARCHES = ("cpu", "cuda")  # with 64-bit numbers
 CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
 
 
@@ -25,6 +26,12 @@ class Backend(NamedTuple):
     arch: str
     precision: str
     threads: int
+
+    @property
+    def has_wide_numbers(self) -> bool:
+        """Whether its kernels may use 64-bit numbers and atomics on them. Of Vulkan and Metal devices many have none, so that none
+        of these is asked for any."""
+        return self.arch in WIDE_ARCHES
 
     @property
     def real(self) -> Any:
@@ -40,6 +47,11 @@ def running() -> Backend | None:
     return _running
 
 
+def has_wide_numbers() -> bool:
+    """Whether what runs has 64-bit numbers."""
+    return _running is None or _running.has_wide_numbers
+
+
 def start(arch: str | None = None, precision: str | None = None, threads: int | None = None) -> Backend:
     """Start Taichi, or return what runs already when it fits.
 
@@ -53,6 +65,8 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
         raise ValueError(f"precision: {precision!r} is not allowed; it must be f32 or f64")
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
         raise ValueError(f"threads: {threads!r} is not allowed; it must be a whole number of at least 1")
+    if precision == "f64" and arch not in (None, "auto", *WIDE_ARCHES):
+        raise BackendError(f"precision: 'f64' was asked for, which {arch} devices may lack; use 'f32', or arch 'cpu' or 'cuda'")
     if _running is None:
         _running = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
         return _running
@@ -71,7 +85,9 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
 
 def _init(arch: str, precision: str, threads: int) -> Backend:
     ti.set_logging_level(ti.ERROR)
-    candidates = ["cuda", "metal", "cpu"] if arch == "auto" else [arch]
+    candidates = [arch]
+    if arch == "auto":
+        candidates = ["cuda", "cpu"] if precision == "f64" else ["cuda", "metal", "cpu"]
     name = next((a for a in candidates if a == "cpu" or _works(a)), None)
     if name is None:
         raise BackendError(f"arch: {arch!r} was asked for, but no such device works here; use 'cpu' or 'auto'")

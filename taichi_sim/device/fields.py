@@ -25,8 +25,8 @@ class Fields:
     A field that would be empty gets one unused element, because Taichi has no empty fields.
     """
 
-    def __init__(self, real: Any, has_doubles: bool = True) -> None:
-        self.real, self.has_doubles = real, has_doubles
+    def __init__(self, real: Any, wide: bool = True) -> None:
+        self.real, self.has_wide_numbers = real, wide
         self._builder = ti.FieldsBuilder()
         self._first: list[tuple[Any, Any]] = []
         self._tree: Any = None
@@ -53,6 +53,11 @@ class Fields:
     def size(self, field: Any) -> int:
         """Bytes of one field; 0 for what is none of these."""
         return self._bytes.get(id(field), 0)
+
+    @property
+    def wide(self) -> Any:
+        """Taichi's type for sums: double precision, or, where the device has none, that of the run."""
+        return ti.f64 if self.has_wide_numbers else self.real
 
     @property
     def _size(self) -> int:
@@ -82,8 +87,7 @@ class Fields:
 
     def doubles(self, n: int) -> Any:
         """n zeros in double precision, for sums; in single precision where the device has no other."""
-        wide = ti.f64 if self.has_doubles else self.real
-        return self._place(ti.field(wide), max(1, n), None, 8)
+        return self._place(ti.field(self.wide), max(1, n), None, 8 if self.has_wide_numbers else self._size)
 
     def vectors(self, n: int, dim: int) -> Any:
         """n zero vectors."""

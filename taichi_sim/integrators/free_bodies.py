@@ -126,7 +126,7 @@ class StageWork:
         members = _Members(components(model.n, joined), np.flatnonzero(~scene.pinned))
         self.bodies, self.parts = len(members.count), members.parts
         self.member, self.begin, self.part = map(fields.integers, (members.member, members.begin, members.part))
-        self.wide = ti.f64 if fields.has_doubles else fields.real
+        self.wide = fields.wide
         self.sum = fields.table(dict.fromkeys(("given", "taken", "kinetic"), self.wide), self.parts)  # J
 
     @ti.func

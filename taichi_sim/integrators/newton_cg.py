@@ -43,7 +43,7 @@ class StageSolver(Verdicts):
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.first = (fields.vectors(self.n, self.dim) for _ in range(2))
-        self.wide = ti.f64 if fields.has_doubles else fields.real
+        self.wide = fields.wide
         self.number = fields.table(dict.fromkeys(NUMBERS, self.wide), 1)
         if springs is None:
             return

@@ -1,11 +1,13 @@
 """The fields of the 3D renderer: Buffers hold the scene, Canvas the picture. Each frees its memory on close()."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.render import raster, shade, shading_pass, vertex_binding
@@ -29,7 +31,7 @@ class Buffers:
         n, m, t = self.capacity[:3]
         self.has_spheres = bool(np.any(content.radius > 0))
         self.has_rods, self.has_triangles, self.has_bound = m > 0, t > 0, len(content.binding) > 0
-        self._fields = fields = Fields(ti.f32)
+        self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
         self.ball, self.colour = fields.vectors(n, 4), fields.vectors(n, 3)
         if self.has_rods:
             self.rod, self.rod_radius, self.rod_strain = fields.cells(m, 2), fields.reals(m), fields.reals(m)
@@ -159,18 +161,42 @@ class _Scene:
         self.transparent, self.alpha = canvas.alpha is not None, canvas.alpha
 
 
+@ti.data_oriented
+class Visibility:
+    """What lies nearest at each of n samples; see the kernels of this name."""
+
+    def __init__(self, fields: Fields, n: int) -> None:
+        self.wide = fields.has_wide_numbers
+        if self.wide:
+            self.key = fields.keys(n)
+        else:
+            self.bits, self.identity, self.stage = fields.integers(n), fields.integers(n), fields.integers(1)
+
+    def stages(self) -> Iterator[None]:
+        """Once for each time that all must be drawn."""
+        for stage in range(1 if self.wide else 2):
+            if not self.wide:
+                self.stage.fill(stage)
+            yield
+
+    def clear(self) -> None:
+        """Nothing is seen."""
+        for field in (self.key,) if self.wide else (self.bits, self.identity, self.stage):
+            field.fill(0)
+
+
 class Canvas:
-    """Keys of the picture and of the shadow map, colours, and the sky that each pixel sees."""
+    """What is seen in the picture and in the shadow map, colours, and the sky that each pixel sees."""
 
     def __init__(
         self, size: tuple[int, int], samples: int, shadow: bool, occlusion: bool, transparent: bool = False
     ) -> None:
         pixels = size[0] * size[1]
         self.samples, self.shadow_side = samples, SHADOW_SIDE[samples]
-        self._fields = fields = Fields(ti.f32)
-        self.keys, self.image = fields.keys(pixels * samples), fields.vectors(pixels, 3)
+        self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
+        self.seen, self.image = Visibility(fields, pixels * samples), fields.vectors(pixels, 3)
         cells = (self.shadow_side // shade.COARSE_TEXELS) ** 2
-        self.shadow: Any = fields.keys(self.shadow_side**2) if shadow else None
+        self.shadow = Visibility(fields, self.shadow_side**2) if shadow else None
         self.cell, self.coarse = (fields.reals(cells) if shadow else None for _ in range(2))
         self.openness, self.open_raw = (fields.reals(pixels) if occlusion else None for _ in range(2))
         self.alpha: Any = fields.reals(pixels) if transparent else None

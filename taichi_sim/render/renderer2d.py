@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.geometry.mesh import Edges
@@ -243,7 +244,7 @@ class Canvas:
     """What the kernel reads and writes: fields of shapes, walls and bodies, at least one of each, and the picture."""
 
     def __init__(self, shapes: int, walls: int, bodies: int, pixels: int, transparent: bool) -> None:
-        self._fields = fields = Fields(ti.f32)
+        self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
         self.shape, self.colour, self.kind = (
             fields.vectors(shapes, 8),
             fields.vectors(shapes, 3),

@@ -79,16 +79,17 @@ class Renderer3D:
         if self.buffers.has_triangles:
             self.buffers.find_normals()
         light = self._cast_shadows(frame) if self._shadow else view
-        keys = self._canvas.keys
-        seen = _on_screen(planes, self.camera.axes(), eye, view)
-        raster.clear(keys, self._canvas.samples, seen, len(planes), width, height)
-        self._draw(keys, self._canvas.samples, view, width, height, True)
+        seen = self._canvas.seen
+        on_screen = _on_screen(planes, self.camera.axes(), eye, view)
+        for _ in seen.stages():
+            raster.clear(seen, self._canvas.samples, on_screen, len(planes), width, height)
+            self._draw(seen, self._canvas.samples, view, width, height, True)
         scene = self._canvas.scene(self.buffers)
         if self._ambient_occlusion:
-            shading_pass.occlude(scene, keys, _mat(view), _vec(eye), _mat(matrix), 0.05, width, height)
+            shading_pass.occlude(scene, seen, _mat(view), _vec(eye), _mat(matrix), 0.05, width, height)
         shading_pass.resolve(
             scene,
-            keys,
+            seen,
             self._canvas.image,
             _mat(view),
             _mat(light),
@@ -162,14 +163,14 @@ class Renderer3D:
         if np.pi * self.buffers.squares * per_square * tests > MOST_TESTS:
             self.buffers.thin_out(view, MOST_TESTS / tests)
 
-    def _draw(self, keys: Any, samples: int, view: NDArray, width: int, height: int, exact: bool) -> None:
+    def _draw(self, seen: Any, samples: int, view: NDArray, width: int, height: int, exact: bool) -> None:
         b, v = self.buffers, _mat(view)
         if b.has_spheres:
-            raster.draw_spheres(b.ball, keys, samples, exact, v, width, height, b.balls)
+            raster.draw_spheres(b.ball, seen, samples, exact, v, width, height, b.balls)
         if b.has_rods:
-            raster.draw_rods(b.ball, b.rod, b.rod_radius, keys, samples, v, width, height, b.rods)
+            raster.draw_rods(b.ball, b.rod, b.rod_radius, seen, samples, v, width, height, b.rods)
         if b.has_triangles:
-            raster.draw_triangles(b.ball, b.corner, keys, samples, v, width, height, b.triangles)
+            raster.draw_triangles(b.ball, b.corner, seen, samples, v, width, height, b.triangles)
 
     def _extent(self, frame: Frame) -> Bounds:
         step = max(1, len(frame.position) // 4096)
@@ -186,10 +187,10 @@ class Renderer3D:
         centre = (bounds.centre - self._origin) / self._unit
         eye = centre - axes[2] * 3 * radius
         light = view_matrix(axes, eye, side / 2 / radius, (side / 2, side / 2), far=8 * radius)
-        keys = self._canvas.shadow
-        keys.fill(0)
-        self._draw(keys, 1, light, side, side, False)
-        shade.coarsen(keys, self._canvas.cell, self._canvas.coarse, side)
+        shadow: Any = self._canvas.shadow
+        shadow.clear()
+        self._draw(shadow, 1, light, side, side, False)  # the closeness alone, for which one stage will do
+        shade.coarsen(shadow, self._canvas.cell, self._canvas.coarse, side)
         return light
 
     def _widen(self, frame: Frame) -> Bounds:

@@ -83,7 +83,7 @@ class Assembly:
         if settings.driver == "fused" and not cpu:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
         self._grids = distance_grids(scene)  # kernels cannot run while fields are being declared
-        self.fields = Fields(backend.real, backend.arch in ("cpu", "cuda"))
+        self.fields = Fields(backend.real, backend.has_wide_numbers)
         try:
             self._assemble(scene, settings, backend, h, forces)
             self.fields.build()

@@ -58,7 +58,7 @@ class StateProbe:
         self.has_springs = springs is not None
         self.share = 0.5 if springs is not None and springs.order == "gather" else 1.0  # both ends list a spring
         self.n, self.parts = model.n, -(-model.n // PART)
-        self.wide = ti.f64 if fields.has_doubles else fields.real
+        self.wide = fields.wide
         self.row = np.zeros((self.parts, reductions.SIZE), dtype=np.float64 if self.wide == ti.f64 else np.float32)
 
     @ti.func

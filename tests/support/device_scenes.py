@@ -1,0 +1,158 @@
+"""Scenes that together use every kind of contact, element and integrator, run for a few steps on one device, for tests that
+compare devices:
+
+    python tests/support/device_scenes.py ARCH FILE.npz [NAME ...]
+
+The file holds, under NAME.what, positions, velocities, energies and what the contacts found; of "pictures", the pictures.
+"""
+
+import sys
+import warnings
+
+import numpy as np
+import reference_bits as bits
+
+import taichi_sim as ts
+
+STEPS = 40
+
+
+def pile(dim=2, friction=0.3, **balls):
+    """280 balls that start in each other."""
+    rng = np.random.default_rng(0)
+    scene = ts.Scene(dim=dim, gravity=(0, -10, 0)[:dim])
+    scene.add_material("rubber", restitution=0.3, friction=friction)
+    scene.add_balls(rng.uniform(0, 0.5 if dim == 3 else 1.5, (280, dim)), radius=0.05, material="rubber", **balls)
+    scene.add_wall((0, 1, 0)[:dim], 0.0, "rubber")
+    return scene
+
+
+def pile_2d():
+    return pile(), {"dt": 5e-4, "contacts": "jacobi"}
+
+
+def pile_3d():
+    return pile(3), {"dt": 5e-4, "contacts": "jacobi"}
+
+
+def pile_ordered():
+    return pile(3), {"dt": 5e-4, "contacts": "jacobi", "accumulate": "ordered"}
+
+
+def pile_plain_sum():
+    return pile(friction=0.0), {"dt": 5e-4, "contacts": "sum"}
+
+
+def sizes_differ():
+    """Balls of three sizes: levels of the grid."""
+    rng = np.random.default_rng(2)
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    place = 0.1 * np.stack(np.meshgrid(np.arange(12), np.arange(12)), axis=-1).reshape(-1, 2) + 0.1
+    radius = rng.choice([0.045, 0.012, 0.004], len(place), p=[0.2, 0.4, 0.4])
+    scene.add_balls(place, radius=radius, mass=1e3 * radius**2, velocity=rng.normal(size=place.shape))
+    scene.add_wall((0, 1), 0.05)
+    return scene, {"dt": 1e-3, "contacts": "jacobi"}
+
+
+def mesh_collider():
+    scene = pile(3)
+    corners = np.array([[-0.2, 0, -0.2], [0.8, 0, -0.2], [0.2, 0, 0.8], [0.2, 0.3, 0.2]])
+    faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
+    scene.add_collider(ts.Mesh((corners, faces), material="rubber", resolution=24))
+    return scene, {"dt": 5e-4, "contacts": "jacobi"}
+
+
+def sticks_and_colliders():
+    scene, settings = bits.sticks_and_colliders()
+    return scene, settings | {"contacts": "jacobi"}
+
+
+def surfaces():
+    """Two sheets whose triangles collide, above a moving collider; one is led by its pins."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.add_material("rubber", restitution=0.3, friction=0.4)
+    for k in range(2):
+        sheet = ts.shapes.cloth(
+            scene, size=(0.4, 0.4), resolution=(6, 6), position=(0.05 * k, 0.06 + 0.03 * k, 0.03 * k),
+            surface_collision=True, material="rubber", pinned=[0, 5] if k else False,
+        )  # fmt: skip
+    scene.add_moving_pins(sheet.balls[[0, 5]], path=[(0, (0, 0, 0)), (0.5, (0.1, -0.3, 0))])
+    scene.add_collider(ts.Sphere((0.2, 0, 0.2), 0.05, material="rubber", path=[(0, (0.2, 0, 0.2)), (1, (0.2, 0.2, 0.2))]))
+    return scene, {"dt": 1e-3, "contacts": "jacobi"}
+
+
+def tearing_in_wind():
+    scene, settings = bits.tearing_in_wind()
+    scene.break_strain[:] = 0.25 * scene.break_strain
+    return scene, settings
+
+
+def network(method, dt=1e-3, **settings):
+    def build():
+        scene = bits._network(3)
+        scene.add_wall((0, 1, 0), 0.45, "rubber")
+        return scene, {"integrator": method, "dt": dt, "contacts": "jacobi", **settings}
+
+    build.__name__ = method
+    return build
+
+
+def jelly():
+    scene, settings = bits.jelly_on_floor()
+    return scene, settings | {"contacts": "jacobi"}
+
+
+def balloon():
+    scene, settings = bits.balloon_xpbd()
+    return scene, settings | {"integrator": "verlet", "contacts": "jacobi"}
+
+
+def many_springs():
+    """More than run in one thread: blocks of the half list."""
+    scene, settings = bits.blocks_parallel()
+    return scene, settings
+
+
+def with_a_tolerance():
+    return bits.adaptive()[0], {"tolerance": 1e-3, "contacts": "off"}
+
+
+SCENES = (
+    pile_2d, pile_3d, pile_ordered, pile_plain_sum, sizes_differ, mesh_collider, sticks_and_colliders, surfaces, tearing_in_wind,
+    network("explicit_euler", 1e-4), network("symplectic_euler"), network("verlet"), network("rk4"), network("implicit_euler"),
+    network("tr_bdf2"), jelly, balloon, many_springs, with_a_tolerance,
+)  # fmt: skip
+BY_NAME = {build.__name__: build for build in SCENES}
+
+
+def run(name, arch):
+    """What came out, name to array."""
+    scene, settings = BY_NAME[name]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        simulation = ts.Simulation(scene, arch=arch, precision="f32", driver="parallel", **settings)
+    with simulation:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            simulation.step(4 if "tolerance" in settings else STEPS)
+            contacts = simulation.contacts()
+        torn = simulation.torn
+        return {
+            "position": simulation.position,
+            "velocity": simulation.velocity,
+            "spin": simulation.angular_velocity,
+            "energy": np.array(simulation.energy()),
+            "contacts": np.array([contacts.number, contacts.searches]),
+            "depth": np.array([contacts.penetration, contacts.residual]),
+            "torn": np.zeros(0) if torn is None else torn,
+        }
+
+
+if __name__ == "__main__":
+    arch, file, *names = sys.argv[1:]
+    found = {}
+    for name in names or BY_NAME:
+        for what, array in run(name, arch).items():
+            found[f"{name}.{what}"] = array
+        print(name, flush=True)
+    np.savez(file, **found)
