@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: help env demo test test-more test-long test-all check bench referee clean
+.PHONY: help env demo test test-more test-gpu test-long test-all check bench referee clean
 
 help:
-	@echo "make env | demo | test | test-more | test-long | test-all | check | bench | referee | clean"
+	@echo "make env | demo | test | test-more | test-gpu | test-long | test-all | check | bench | referee | clean"
 
 env: $(STAMP)
 
@@ -34,12 +34,17 @@ test-more: env
 	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m "slow and not long"
 	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m "slow and not long"
 
+# the same answers on a device as on the CPU: ARCH=cuda, metal or vulkan, which without a GPU is SwiftShader
+ARCH ?= vulkan
+test-gpu: env
+	TAICHI_SIM_PRECISION=f32 $(BIN)/python -m pytest -m gpu --arch $(ARCH)
+
 # what takes hours
 test-long: env
 	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m long
 	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m long
 
-test-all: test test-more test-long
+test-all: test test-more test-gpu test-long
 
 check: env
 	$(BIN)/ruff format --check .

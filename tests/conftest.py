@@ -4,6 +4,16 @@ import os
 
 import pytest
 from physics_support import PRECISION
+from software_gpu import offer_software
+
+
+def pytest_addoption(parser):
+    parser.addoption("--arch", default="cpu", choices=("cpu", "cuda", "vulkan", "metal"), help="the device of `gpu` tests")
+
+
+def pytest_configure(config):
+    if config.getoption("--arch") == "vulkan":
+        offer_software(config)
 
 
 def _is_slow(item):
@@ -22,6 +32,10 @@ def _is_slow(item):
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(config, items):
+    of_device = config.getoption("--arch") != "cpu"
+    left_out = [item for item in items if bool(item.get_closest_marker("gpu")) != of_device]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if item not in set(left_out)]
     for item in items:
         if any(PRECISION in mark.args for mark in item.iter_markers("long_in")):
             item.add_marker(pytest.mark.long)
@@ -34,11 +48,11 @@ def pytest_collection_modifyitems(config, items):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _taichi():
-    """Taichi on the CPU in this process's precision."""
+def _taichi(request):
+    """Taichi in this process's precision, on the CPU or the device that gpu tests name."""
     from taichi_sim.device import backend
 
-    backend.start(arch="cpu", precision=PRECISION)
+    backend.start(arch=request.config.getoption("--arch"), precision=PRECISION)
 
 
 @pytest.fixture(scope="session")

@@ -210,6 +210,34 @@ def tune(
 
 
 @_command()
+def devices() -> None:
+    """List what this machine can compute on, and test whether it computes right."""
+    from time import perf_counter
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from taichi_sim.device import backend, devices
+    from taichi_sim.device.engine import ti
+
+    table = Table("arch", "device", "memory", "precision", "self-test")
+    for arch in reversed(backend.AUTOMATIC):
+        device = devices.find(arch)
+        if device is None:
+            table.add_row(arch, "none found")
+            continue
+        start = perf_counter()
+        wrong = devices.verdict(device, ti.__version__, again=True)
+        said = wrong or f"passed in {perf_counter() - start:.1f} s"
+        if device.software:
+            said += "; in software, so never taken without being asked for"
+        name = f"{device.name} ({device.driver})" if device.driver else device.name
+        memory = f"{device.memory / 2**30:.1f} GiB" if device.memory else "?"
+        table.add_row(arch, name, memory, "f32, f64" if arch in backend.WIDE_ARCHES else "f32", said)
+    Console().print(table)
+
+
+@_command()
 def bench(names: Annotated[list[str] | None, typer.Argument(metavar="[NAME ...]")] = None) -> None:
     """Run the benchmark, beside its reference implementations."""
     from taichi_sim.reports.bench import main as benchmark

@@ -6,16 +6,19 @@ A second `ti.init` would silently invalidate every field that exists, so a reque
 import contextlib
 import io
 import os
+import warnings
 from typing import Any, NamedTuple
 
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
+from taichi_sim.device.devices import find, verdict
 from taichi_sim.device.engine import ti
 
 __all__ = ["ARCHES", "PRECISIONS", "Backend", "has_wide_numbers", "running", "start"]
 
 ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
+AUTOMATIC = ("cuda", "metal", "vulkan", "cpu")  # in the order in which they are tried
 WIDE_ARCHES = ("cpu", "cuda")  # with 64-bit numbers
 CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
 
@@ -87,8 +90,8 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
     ti.set_logging_level(ti.ERROR)
     candidates = [arch]
     if arch == "auto":
-        candidates = ["cuda", "cpu"] if precision == "f64" else ["cuda", "metal", "cpu"]
-    name = next((a for a in candidates if a == "cpu" or _works(a)), None)
+        candidates = [a for a in AUTOMATIC if precision == "f32" or a in WIDE_ARCHES]
+    name = next((a for a in candidates if a == "cpu" or (_works(a) and (arch != "auto" or _is_trusted(a)))), None)
     if name is None:
         raise BackendError(f"arch: {arch!r} was asked for, but no such device works here; use 'cpu' or 'auto'")
     real = ti.f64 if precision == "f64" else ti.f32
@@ -105,6 +108,17 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
             advanced_optimization=False,  # Taichi's own passes: LLVM repeats them; compiling takes a third, running the same
         )
     return Backend(name, precision, threads if name == "cpu" else 0)
+
+
+def _is_trusted(arch: str) -> bool:
+    """Whether a device that nobody asked for may be taken: no software one, and one that has passed the self-test."""
+    device = find(arch)
+    if device is None or device.software:
+        return False
+    wrong = verdict(device, ti.__version__)
+    if wrong:
+        warnings.warn(f"{device.name} ({arch}) is not used: {wrong}", stacklevel=5)
+    return not wrong
 
 
 def _works(arch: str) -> bool:

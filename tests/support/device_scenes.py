@@ -3,7 +3,7 @@ compare devices:
 
     python tests/support/device_scenes.py ARCH FILE.npz [NAME ...]
 
-The file holds, under NAME.what, positions, velocities, energies and what the contacts found; of "pictures", the pictures.
+The file holds, under NAME.what, positions, velocities, energies and what the contacts found, or a picture.
 """
 
 import sys
@@ -13,6 +13,7 @@ import numpy as np
 import reference_bits as bits
 
 import taichi_sim as ts
+from taichi_sim.render.renderer import Renderer
 
 STEPS = 40
 
@@ -55,8 +56,9 @@ def sizes_differ():
 
 
 def mesh_collider():
-    scene = pile(3)
-    corners = np.array([[-0.2, 0, -0.2], [0.8, 0, -0.2], [0.2, 0, 0.8], [0.2, 0.3, 0.2]])
+    scene = pile(3, velocity=(0, -4, 0))
+    scene.walls.clear()
+    corners = np.array([[-0.2, -0.4, -0.2], [0.8, -0.4, -0.2], [0.2, -0.4, 0.8], [0.2, -0.06, 0.2]])
     faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
     scene.add_collider(ts.Mesh((corners, faces), material="rubber", resolution=24))
     return scene, {"dt": 5e-4, "contacts": "jacobi"}
@@ -148,11 +150,32 @@ def run(name, arch):
         }
 
 
+def solids_and_cloth():
+    """Of all that is drawn in 3D: balls, sticks, triangles, colliders, ground."""
+    scene, _ = surfaces()
+    scene.add_balls([[-0.1, 0.1, 0.1], [-0.1, 0.2, 0.2]], radius=0.03, colour=(0.9, 0.4, 0.1))
+    scene.add_springs([[scene.n_balls - 2, scene.n_balls - 1]], stiffness=100.0, collides=True)
+    scene.add_collider(ts.Box((0.5, 0.1, 0.1), (0.1, 0.2, 0.1), material="rubber"))
+    scene.add_wall((0, 1, 0), 0.0, "rubber")
+    return scene
+
+
+PICTURES = {"drawn_3d": solids_and_cloth, "drawn_crowd": lambda: pile(3), "drawn_2d": lambda: bits.sticks_and_colliders()[0]}
+
+
+def picture(name, arch):
+    """(height, width, 3) of a scene at its start."""
+    with ts.Simulation(PICTURES[name](), arch=arch, precision="f32", contacts="off", driver="parallel", dt=1e-4) as sim:
+        frame = sim.frame()
+    renderer = Renderer(frame, size=(480, 270))
+    return renderer.render(frame)
+
+
 if __name__ == "__main__":
     arch, file, *names = sys.argv[1:]
     found = {}
-    for name in names or BY_NAME:
-        for what, array in run(name, arch).items():
-            found[f"{name}.{what}"] = array
+    for name in names or (*PICTURES, *BY_NAME):
+        made = {"picture": picture(name, arch)} if name in PICTURES else run(name, arch)
+        found |= {f"{name}.{what}": array for what, array in made.items()}
         print(name, flush=True)
     np.savez(file, **found)

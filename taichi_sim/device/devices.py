@@ -1,0 +1,173 @@
+"""Which devices this machine has, by name, and which of them may be taken without being asked for."""
+
+import ctypes
+import ctypes.util
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from platformdirs import user_cache_path
+
+from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.memory import available
+from taichi_sim.device.self_test import examine
+
+__all__ = ["Device", "find", "verdict"]
+
+OTHER, INTEGRATED, DISCRETE, VIRTUAL, SOFTWARE = range(5)  # VkPhysicalDeviceType
+PREFERENCE = (DISCRETE, INTEGRATED, VIRTUAL, OTHER, SOFTWARE)  # Taichi's
+DEVICE_LOCAL = 1  # VK_MEMORY_HEAP_DEVICE_LOCAL_BIT
+MOST_VULKAN_DEVICES = 16
+
+
+class Device(NamedTuple):
+    """name and driver: as the driver says, "" unknown; memory [bytes], of the CPU what is free, 0 unknown; software: computed by the CPU, right but slow."""
+
+    arch: str
+    name: str
+    driver: str = ""
+    memory: int = 0
+    software: bool = False
+
+
+def find(arch: str) -> Device | None:
+    """The device that "cpu", "cuda", "vulkan" or "metal" would run on; None where there is none."""
+    if arch == "cpu":
+        return Device(arch, platform.processor() or platform.machine(), "", available())
+    if arch == "metal":
+        return Device(arch, f"GPU of {platform.machine()}", platform.mac_ver()[0]) if sys.platform == "darwin" else None
+    return _cuda() if arch == "cuda" else _vulkan()
+
+
+def verdict(device: Device, version: str, again: bool = False) -> str:
+    """Empty where the device has passed the self-test once with this driver and this version of Taichi, else what is wrong. The
+    first call for a device runs it, which takes seconds, and remembers the result; so does one that asks for it again."""
+    record = user_cache_path("taichi_sim") / "devices.json"
+    key = " | ".join((device.arch, device.name, device.driver, version))
+    try:
+        known = json.loads(record.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # none yet, or cut off
+        known = {}
+    if again or not isinstance(known.get(key), str):
+        known[key] = examine(device.arch)
+        try:
+            record.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(record) as file:
+                file.write(json.dumps(known, indent=1).encode())
+        except OSError:  # a cache that cannot be written costs the test at each start, and nothing else
+            pass
+    return known[key]
+
+
+def _library(*names: str) -> Any:
+    for name in names:
+        try:
+            return ctypes.CDLL(name)
+        except OSError:
+            continue
+    return None
+
+
+def _cuda() -> Device | None:
+    """Its first device, by the CUDA driver API."""
+    cuda = _library("libcuda.so.1", "nvcuda.dll")
+    device, version, memory, name = ctypes.c_int(), ctypes.c_int(), ctypes.c_size_t(), ctypes.create_string_buffer(256)
+    if cuda is None or cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(device), 0):
+        return None
+    cuda.cuDeviceGetName(name, len(name), device)
+    cuda.cuDeviceTotalMem_v2(ctypes.byref(memory), device)
+    cuda.cuDriverGetVersion(ctypes.byref(version))
+    driver = f"CUDA {version.value // 1000}.{version.value % 1000 // 10}"
+    return Device("cuda", name.value.decode(errors="replace"), driver, memory.value)
+
+
+class _InstanceInfo(ctypes.Structure):
+    """VkInstanceCreateInfo; ctypes leaves the gaps that C does."""
+
+    _fields_ = (
+        ("type", ctypes.c_uint32),
+        ("next", ctypes.c_void_p),
+        ("flags", ctypes.c_uint32),
+        ("application", ctypes.c_void_p),
+        ("layers", ctypes.c_uint32),
+        ("layer_names", ctypes.c_void_p),
+        ("extensions", ctypes.c_uint32),
+        ("extension_names", ctypes.c_void_p),
+    )
+
+
+class _Heap(ctypes.Structure):
+    """VkMemoryHeap."""
+
+    _fields_ = (("size", ctypes.c_uint64), ("flags", ctypes.c_uint32))
+
+
+class _Memory(ctypes.Structure):
+    """VkPhysicalDeviceMemoryProperties."""
+
+    _fields_ = (
+        ("types", ctypes.c_uint32),
+        ("type", ctypes.c_uint32 * 2 * 32),
+        ("heaps", ctypes.c_uint32),
+        ("heap", _Heap * 16),
+    )
+
+
+class _Properties(ctypes.Structure):
+    """VkPhysicalDeviceProperties, of which the end is left as it comes."""
+
+    _fields_ = (
+        ("api", ctypes.c_uint32),
+        ("driver", ctypes.c_uint32),
+        ("vendor", ctypes.c_uint32),
+        ("device", ctypes.c_uint32),
+        ("kind", ctypes.c_uint32),
+        ("name", ctypes.c_char * 256),
+        ("rest", ctypes.c_uint8 * 2048),
+    )
+
+
+@contextmanager
+def _vulkan_instance() -> Iterator[tuple[Any, ctypes.c_void_p] | None]:
+    vulkan = _library("libvulkan.so.1", "vulkan-1.dll", ctypes.util.find_library("vulkan") or "libvulkan.1.dylib")
+    instance = ctypes.c_void_p()
+    if vulkan is None or vulkan.vkCreateInstance(ctypes.byref(_InstanceInfo(type=1)), None, ctypes.byref(instance)):
+        yield None
+        return
+    try:
+        yield vulkan, instance
+    finally:
+        vulkan.vkDestroyInstance(instance, None)
+
+
+def _vulkan() -> Device | None:
+    """The device that Taichi takes: the one that TI_VISIBLE_DEVICE numbers, else the best kind."""
+    with _vulkan_instance() as found:
+        if found is None:
+            return None
+        vulkan, instance = found
+        count, handles = ctypes.c_uint32(MOST_VULKAN_DEVICES), (ctypes.c_void_p * MOST_VULKAN_DEVICES)()
+        vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
+        devices = [_described(vulkan, ctypes.c_void_p(handle)) for handle in handles[: count.value]]
+    if not devices:
+        return None
+    chosen = os.environ.get("TI_VISIBLE_DEVICE", "")
+    if chosen.isdigit() and int(chosen) < len(devices):
+        return devices[int(chosen)][1]
+    return min(devices, key=lambda pair: PREFERENCE.index(pair[0]))[1]
+
+
+def _described(vulkan: Any, handle: ctypes.c_void_p) -> tuple[int, Device]:
+    """Its kind, and what it is."""
+    properties, memory = _Properties(), _Memory()
+    vulkan.vkGetPhysicalDeviceProperties(handle, ctypes.byref(properties))
+    vulkan.vkGetPhysicalDeviceMemoryProperties(handle, ctypes.byref(memory))
+    heaps = [heap.size for heap in memory.heap[: memory.heaps] if heap.flags & DEVICE_LOCAL]
+    kind = properties.kind if properties.kind in PREFERENCE else OTHER
+    api = f"Vulkan {properties.api >> 22 & 0x7F}.{properties.api >> 12 & 0x3FF}, driver {properties.driver:#x}"
+    name = properties.name.decode(errors="replace")
+    return kind, Device("vulkan", name, api, max(heaps, default=0), kind == SOFTWARE)

@@ -1,0 +1,105 @@
+"""A device against the CPU, in single precision: the same scenes, a few steps, and what comes out of each.
+
+The CPU's results are made by another process, since Taichi holds one device for each. Tolerances: positions within 2e-4 m after
+balls have begun in each other; where nothing collides, 1e-5 m.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import device_scenes
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from taichi_sim.device import backend
+from taichi_sim.device.self_test import faults
+
+pytestmark = pytest.mark.gpu
+
+FREE = {"many_springs", "with_a_tolerance", "implicit_euler", "tr_bdf2"}  # nothing touches
+
+
+@pytest.fixture(scope="module")
+def arch(request):
+    return request.config.getoption("--arch")
+
+
+@pytest.fixture(scope="module")
+def on_cpu(tmp_path_factory):
+    """What the CPU finds: begun with the first test, waited for by the first that compares."""
+    file = tmp_path_factory.mktemp("cpu") / "found.npz"
+    command = [sys.executable, str(Path(device_scenes.__file__)), "cpu", str(file)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    loaded = {}
+
+    def found(name):
+        if not loaded:
+            said, _ = process.communicate()
+            assert process.returncode == 0, said
+            with np.load(file) as arrays:
+                loaded.update(arrays)
+        return {key.partition(".")[2]: array for key, array in loaded.items() if key.partition(".")[0] == name}
+
+    yield found
+    process.kill()
+    process.wait()
+
+
+def test_the_device_computes_right(on_cpu):
+    assert list(faults()) == []
+
+
+@pytest.mark.parametrize("name", device_scenes.BY_NAME)
+def test_as_the_cpu(name, arch, on_cpu):
+    here = device_scenes.run(name, arch)
+    there = on_cpu(name)
+    far = np.abs(there["position"]).max()
+    assert here["position"] == pytest.approx(there["position"], abs=1e-5 * far if name in FREE else 2e-4)
+    fastest = np.linalg.norm(there["velocity"], axis=1).max()
+    moved = np.abs(here["velocity"] - there["velocity"]).max(axis=1)
+    assert np.median(moved) < 1e-3 * fastest
+    assert here["energy"][3] == pytest.approx(there["energy"][3], rel=1e-3)
+    assert here["contacts"][0] == there["contacts"][0]
+    assert here["depth"] == pytest.approx(there["depth"], rel=1e-2, abs=1e-5)
+    np.testing.assert_array_equal(here["torn"], there["torn"])
+
+
+def test_scenes_have_what_is_to_be_compared(on_cpu):
+    """Contacts, springs that tear, balls that turn: a comparison of nothing would pass."""
+    for name in ("pile_2d", "pile_3d", "sizes_differ", "mesh_collider", "sticks_and_colliders", "surfaces", "jelly"):
+        assert on_cpu(name)["contacts"][0] > 0, name
+    assert on_cpu("tearing_in_wind")["torn"].any()
+    assert np.abs(on_cpu("pile_3d")["spin"]).max() > 0.1
+
+
+def test_ordered_sums_have_the_same_bits_in_every_run(arch):
+    once, again = (device_scenes.run("pile_ordered", arch) for _ in range(2))
+    for what in ("position", "velocity", "spin"):
+        np.testing.assert_array_equal(once[what], again[what])
+
+
+def test_a_restored_run_goes_on(arch, tmp_path):
+    scene, settings = device_scenes.BY_NAME["many_springs"]()
+    with ts.Simulation(scene, arch=arch, **settings) as whole:
+        whole.step(10)
+        whole.save(tmp_path / "a.npz")
+        whole.step(10)
+        with ts.Simulation.restore(tmp_path / "a.npz") as rest:
+            rest.step(10)
+            np.testing.assert_array_equal(rest.position, whole.position)
+
+
+@pytest.mark.parametrize("name", device_scenes.PICTURES)
+def test_pictures_as_the_cpu_draws_them(name, arch, on_cpu):
+    here, there = device_scenes.picture(name, arch).astype(int), on_cpu(name)["picture"].astype(int)
+    assert there.std() > 10  # something is seen
+    assert (np.abs(here - there).max(axis=2) > 24).mean() < 2e-3
+
+
+def test_double_precision_is_refused_where_there_may_be_none(arch):
+    if backend.running().has_wide_numbers:
+        pytest.skip(f"{arch} has double precision")
+    with pytest.raises(ts.BackendError, match=f"precision: 'f64' was asked for, which {arch} devices may lack"):
+        backend.start(arch=arch, precision="f64")
