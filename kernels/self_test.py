@@ -1,4 +1,4 @@
-"""Small loops whose results are known exactly, for what the simulation relies on. A device that gets one wrong has a broken driver."""
+"""Small loops with known results, for what the simulation relies on. A device that gets one wrong has a broken driver."""
 
 from taichi_sim.device.engine import ti
 

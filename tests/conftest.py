@@ -8,7 +8,9 @@ from software_gpu import offer_software
 
 
 def pytest_addoption(parser):
-    parser.addoption("--arch", default="cpu", choices=("cpu", "cuda", "vulkan", "metal"), help="the device of `gpu` tests")
+    parser.addoption(
+        "--arch", default="cpu", choices=("cpu", "cuda", "vulkan", "metal"), help="the device of `gpu` tests"
+    )
 
 
 def pytest_configure(config):

@@ -105,7 +105,9 @@ def resolve(
             if weight > 0:
                 kind = identity_of(seen, key) >> 28
                 if ti.static(not scene.transparent) or (kind != 0 and kind != PLANE):
-                    total += weight * colour_of(scene, seen, view, light, look, eye, ray, planes, key, px, py, open_share)
+                    total += weight * colour_of(
+                        scene, seen, view, light, look, eye, ray, planes, key, px, py, open_share
+                    )
                     solid += weight
                 weights += weight
             s += 1

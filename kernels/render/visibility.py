@@ -1,9 +1,9 @@
 """What lies nearest at every sample, kept by an atomic maximum, so that the order of threads plays no part.
 
-Closeness w is linear on the screen: 1/z in perspective, far - z in a parallel (light) view; its bits, as an integer, sort like it.
-Where the device has 64-bit integers, a key is (closeness << 32) | identity. Elsewhere all is drawn twice: first the closeness alone,
-then, of the primitives exactly as close as that, the largest identity; so the pictures are the same. The second pass computes
-each w by the same instructions as the first, hence to the same bits.
+Closeness w is linear on the screen: 1/z in perspective, far - z in a parallel (light) view; its bits sort like it. Where the
+device has 64-bit integers, a key is (closeness << 32) | identity. Elsewhere all is drawn twice: first the closeness alone, then,
+of the primitives exactly as close as that, the largest identity; so the pictures are the same. The second stage computes each w
+by the same instructions as the first, hence to the same bits.
 """
 
 from taichi_sim.device.engine import ti

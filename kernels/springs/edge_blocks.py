@@ -45,8 +45,14 @@ def sum_block(b, total: ti.template(), springs: ti.template(), h):
 
 @ti.func
 def in_turn(sweep: ti.template(), springs: ti.template(), h):
-    """sweep.change(i, j, e, h) for all springs e, i its lower ball, each seeing what those before it changed."""
-    even_then_odd(springs.blocks, change_block, (sweep, springs, h))
+    """sweep.change(i, j, e, h) for all springs e, i its lower ball, each seeing what those before it changed: by colours, whose
+    springs share no ball, or by blocks."""
+    if ti.static(springs.order == "colours"):
+        for c in ti.static(range(len(springs.colours) - 1)):
+            for e in range(springs.colours[c], springs.colours[c + 1]):
+                sweep.change(springs.spring[e].one, springs.spring[e].other, e, h)
+    else:
+        even_then_odd(springs.blocks, change_block, (sweep, springs, h))
 
 
 @ti.func

@@ -22,7 +22,7 @@ class Terms:
 class Spring(Protocol):
     """(entries) one spring."""
 
-    one: int  # its lower ball, in the orders "atomic" and "batches"
+    one: int  # its lower ball, in the orders "atomic", "batches" and "colours"
     other: int  # its other ball
     stiffness: float  # N/m
     damping: float  # N s/m, where any spring has some
@@ -35,9 +35,11 @@ class Springs(Protocol):
     n: int  # balls
     m: int  # springs
     dim: int  # 2 or 3
-    order: str  # in which springs are summed: "gather", "blocks", "padded", "batches" or "atomic"
+    order: str  # in which springs are summed: "gather", "blocks", "padded", "batches", "colours" or "atomic"
     start: Field  # (n + 1) entries
-    place: Field  # (m) entry of each spring of `start`, with the order "batches"
+    placed: bool  # whether entries do not follow `start`, but `place`: with the orders "batches" and "colours"
+    place: Field  # (m) entry of each spring of `start`, where that is so
+    colours: tuple[int, ...]  # first entry of each colour, and the end of the last one
     spring: Spring  # (entries)
     block: int  # balls in a block
     blocks: int  # number of blocks

@@ -65,7 +65,7 @@ def stored(ball: ti.template(), springs: ti.template(), i, real: ti.template()):
     total = ti.cast(0.0, real)
     for e in range(springs.start[i], springs.start[i + 1]):
         place = e
-        if ti.static(springs.order == "batches"):
+        if ti.static(springs.placed):
             place = springs.place[e]
         spring = springs.spring[place]
         _, d = unit(ball[spring.other].x - ball[i].x, i, spring.other)

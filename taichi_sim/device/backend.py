@@ -32,8 +32,7 @@ class Backend(NamedTuple):
 
     @property
     def has_wide_numbers(self) -> bool:
-        """Whether its kernels may use 64-bit numbers and atomics on them. Of Vulkan and Metal devices many have none, so that none
-        of these is asked for any."""
+        """Whether its kernels may use 64-bit numbers and atomics on them: many Vulkan and Metal devices have none."""
         return self.arch in WIDE_ARCHES
 
     @property
@@ -69,7 +68,9 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
         raise ValueError(f"threads: {threads!r} is not allowed; it must be a whole number of at least 1")
     if precision == "f64" and arch not in (None, "auto", *WIDE_ARCHES):
-        raise BackendError(f"precision: 'f64' was asked for, which {arch} devices may lack; use 'f32', or arch 'cpu' or 'cuda'")
+        raise BackendError(
+            f"precision: 'f64' was asked for, which {arch} devices may lack; use 'f32', or arch 'cpu' or 'cuda'"
+        )
     if _running is None:
         _running = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
         return _running

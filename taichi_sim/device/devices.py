@@ -5,8 +5,9 @@ import ctypes.util
 import json
 import os
 import platform
+import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -14,7 +15,6 @@ from platformdirs import user_cache_path
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.memory import available
-from taichi_sim.device.self_test import examine
 
 __all__ = ["Device", "find", "verdict"]
 
@@ -22,10 +22,12 @@ OTHER, INTEGRATED, DISCRETE, VIRTUAL, SOFTWARE = range(5)  # VkPhysicalDeviceTyp
 PREFERENCE = (DISCRETE, INTEGRATED, VIRTUAL, OTHER, SOFTWARE)  # Taichi's
 DEVICE_LOCAL = 1  # VK_MEMORY_HEAP_DEVICE_LOCAL_BIT
 MOST_VULKAN_DEVICES = 16
+SELF_TEST, PATIENCE = "taichi_sim.reports.self_test", 120.0  # a program, and the s that it may take
 
 
 class Device(NamedTuple):
-    """name and driver: as the driver says, "" unknown; memory [bytes], of the CPU what is free, 0 unknown; software: computed by the CPU, right but slow."""
+    """name and driver as the driver says them, memory in bytes, of the CPU what is free; "" and 0 where that is not known.
+    software: the CPU computes in its place, right but slowly."""
 
     arch: str
     name: str
@@ -43,11 +45,11 @@ def find(arch: str) -> Device | None:
     return _cuda() if arch == "cuda" else _vulkan()
 
 
-def verdict(device: Device, version: str, again: bool = False) -> str:
+def verdict(device: Device, version: Sequence[int], again: bool = False) -> str:
     """Empty where the device has passed the self-test once with this driver and this version of Taichi, else what is wrong. The
     first call for a device runs it, which takes seconds, and remembers the result; so does one that asks for it again."""
     record = user_cache_path("taichi_sim") / "devices.json"
-    key = " | ".join((device.arch, device.name, device.driver, version))
+    key = " | ".join((device.arch, device.name, device.driver, f"Taichi {version}"))
     try:
         known = json.loads(record.read_text(encoding="utf-8"))
     except (OSError, ValueError):  # none yet, or cut off
@@ -61,6 +63,18 @@ def verdict(device: Device, version: str, again: bool = False) -> str:
         except OSError:  # a cache that cannot be written costs the test at each start, and nothing else
             pass
     return known[key]
+
+
+def examine(arch: str) -> str:
+    """What is wrong with a device, or "" where it passed. In a process of its own, which a broken driver may end."""
+    try:
+        done = subprocess.run([sys.executable, "-m", SELF_TEST, arch], capture_output=True, text=True, timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        return f"the self-test did not end within {PATIENCE:g} s"
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        return f"the self-test ended with status {done.returncode}: {last}"
+    return done.stdout.strip()
 
 
 def _library(*names: str) -> Any:

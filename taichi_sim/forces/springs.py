@@ -1,4 +1,4 @@
-"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks, padded or not, or with atomics."""
+"""Springs: Hooke's law with damping along the spring, summed by gather, by blocks, padded or not, with atomics, or in turn."""
 
 from typing import Any
 
@@ -9,6 +9,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model, incidence, phase_type
 from taichi_sim.forces.spring_batches import batches
+from taichi_sim.forces.spring_colours import colours
 from taichi_sim.kernels.springs import law, padded_blocks, simd_batches
 from taichi_sim.kernels.springs.interfaces import Terms
 
@@ -26,7 +27,7 @@ class Springs:
 
     Args:
         damping: (m,) [N s/m] as the integrator wants it.
-        order: "gather", "blocks", "padded" blocks, SIMD "batches" (fixed orders) or "atomic".
+        order: "gather", "blocks", "padded" blocks, SIMD "batches", "colours" (fixed orders) or "atomic".
     """
 
     def __init__(self, model: Model, fields: Fields, damping: NDArray[np.float64], order: str) -> None:
@@ -54,12 +55,20 @@ class Springs:
         if self.damped:
             columns["damping"] = fields.real
             data["damping"] = damping[spring]
-        if order in ("atomic", "batches"):
+        self.placed = order in ("batches", "colours")  # not stored by ball
+        if order == "atomic" or self.placed:
             columns["one"] = ti.i32
             data["one"] = low[spring]
         self.number = spring  # in the scene, of each stored here; -1 of idle ones
         if order == "batches":
-            data = self._in_batches(data, fields)
+            chosen = batches(np.stack([low, high], axis=1)[spring], simd_batches.BATCH_WIDTH).ravel()
+            data = self._placed_as(chosen, data, fields)
+            self.batches = self.entries // simd_batches.BATCH_WIDTH
+        if order == "colours":
+            colour = colours(np.stack([low, high], axis=1)[spring], self.n)
+            assert colour is not None  # with at most half as many springs at a ball
+            data = self._placed_as(np.argsort(colour, kind="stable"), data, fields)
+            self.colours = (0, *np.cumsum(np.bincount(colour)).tolist())  # entries of colour c: from [c] to [c + 1]
         if order == "padded":
             width = padded_blocks.width(self.dim)
             self.phase = fields.table(phase_type(width, fields.real), self.n)
@@ -71,13 +80,11 @@ class Springs:
         orders = {"gather": law.gather, "blocks": law.blocks, "padded": padded_blocks.blocks, "atomic": law.scatter}
         self.loop = orders.get(order)  # batches are for methods that take springs in turn
 
-    def _in_batches(self, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
-        """The same springs in batches, and idle ones from ball 0 to ball 1 where a batch is not full."""
-        chosen = batches(np.stack([data["one"], data["other"]], axis=1), simd_batches.BATCH_WIDTH).ravel()
+    def _placed_as(self, chosen: NDArray, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
+        """The same springs in another order, with idle ones from ball 0 to ball 1 where it is -1."""
         # where the springs of `start` lie
         self.place = fields.integers(np.argsort(chosen, kind="stable")[-self.m :])
         self.entries = len(chosen)
-        self.batches = self.entries // simd_batches.BATCH_WIDTH
         self.number = np.where(chosen < 0, -1, self.number[chosen])
         return {name: np.where(chosen < 0, name == "other", values[chosen]) for name, values in data.items()}
 

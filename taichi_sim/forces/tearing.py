@@ -45,7 +45,7 @@ class Tearing:
         for i in range(self.n):
             for e in range(self.springs.start[i], self.springs.start[i + 1]):
                 place = e
-                if ti.static(self.springs.order == "batches"):
+                if ti.static(self.springs.placed):
                     place = self.springs.place[e]
                 r = ball[self.springs.spring[place].other].x - ball[i].x
                 if r.dot(r) > self.limit[place] * self.limit[place]:

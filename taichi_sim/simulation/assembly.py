@@ -22,12 +22,14 @@ from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.triangles import TriangleContacts
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.device.backend import Backend
+from taichi_sim.device.devices import find
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.spatial_sort import in_order, spatial_order
 from taichi_sim.device.state import State
 from taichi_sim.forces.driven_pins import DrivenPins
 from taichi_sim.forces.element import Element
+from taichi_sim.forces.spring_colours import MOST_COLOURS
 from taichi_sim.forces.springs import Springs, fixed_order
 from taichi_sim.forces.sum import TotalForce
 from taichi_sim.forces.tearing import Tearing
@@ -47,8 +49,8 @@ __all__ = ["Assembly", "compensates"]
 
 FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
 FINEST_ROUNDING = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
-MEMORY_SHARE = 0.5  # of what the machine has free: the most that lists of contacts may grow to
-GPU_MEMORY = 1 << 30  # bytes, the same on a GPU
+MEMORY_SHARE = 0.5  # of what the machine has free, or a GPU has in all: the most that lists of contacts may grow to
+GPU_MEMORY = 1 << 30  # bytes, the same where a GPU does not say what it has
 PAIR_BYTES = 64  # about what a listed pair takes
 SPARE_CAPACITY = 1.5  # made, in units of what was found too much
 
@@ -136,8 +138,11 @@ class Assembly:
             return None
         once = self.integrator.each_once  # in blocks, padded or not; for a GPU there are too few blocks
         order = fixed_order(self.model, cpu, small)
-        if self.atomic or (once and not cpu):
+        if self.atomic:
             order = "atomic"
+        elif once and not cpu:
+            coloured = self.integrator.in_turn and np.bincount(scene.pairs.ravel()).max() <= MOST_COLOURS // 2
+            order = "colours" if coloured else "atomic"
         elif once and order == "gather":
             order = "blocks"
         elif self.integrator.in_turn and order == "padded":
@@ -348,7 +353,8 @@ class Assembly:
     def _spare_bytes(self) -> int:
         """Bytes that lists of contacts may take."""
         if self.backend.arch != "cpu":
-            return GPU_MEMORY
+            device = find(self.backend.arch)
+            return int(MEMORY_SHARE * device.memory) if device is not None and device.memory else GPU_MEMORY
         return int(MEMORY_SHARE * (memory.available() + self.fields.bytes))
 
     def free(self) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import taichi_sim as ts
 from taichi_sim.device import backend
-from taichi_sim.device.self_test import faults
+from taichi_sim.reports.self_test import faults
 
 pytestmark = pytest.mark.gpu
 
@@ -51,10 +51,22 @@ def test_the_device_computes_right(on_cpu):
     assert list(faults()) == []
 
 
+@pytest.fixture(scope="module")
+def on_device():
+    """What the device finds, by the name of the scene."""
+    return {}
+
+
 @pytest.mark.parametrize("name", device_scenes.BY_NAME)
-def test_as_the_cpu(name, arch, on_cpu):
-    here = device_scenes.run(name, arch)
-    there = on_cpu(name)
+def test_runs(name, arch, on_cpu, on_device):
+    on_device[name] = device_scenes.run(name, arch)
+    assert np.isfinite(on_device[name]["position"]).all()
+
+
+@pytest.mark.parametrize("name", device_scenes.BY_NAME)
+def test_as_the_cpu(name, on_cpu, on_device):
+    assert name in on_device, "it did not run"
+    here, there = on_device[name], on_cpu(name)
     far = np.abs(there["position"]).max()
     assert here["position"] == pytest.approx(there["position"], abs=1e-5 * far if name in FREE else 2e-4)
     fastest = np.linalg.norm(there["velocity"], axis=1).max()
@@ -74,8 +86,8 @@ def test_scenes_have_what_is_to_be_compared(on_cpu):
     assert np.abs(on_cpu("pile_3d")["spin"]).max() > 0.1
 
 
-def test_ordered_sums_have_the_same_bits_in_every_run(arch):
-    once, again = (device_scenes.run("pile_ordered", arch) for _ in range(2))
+def test_ordered_sums_have_the_same_bits_in_every_run(arch, on_device):
+    once, again = on_device["pile_ordered"], device_scenes.run("pile_ordered", arch)
     for what in ("position", "velocity", "spin"):
         np.testing.assert_array_equal(once[what], again[what])
 

@@ -1,29 +1,28 @@
-"""Whether a device computes right. It takes a few seconds, in a process of its own, which a broken driver may end.
+"""Whether a device computes right: small loops with known results, for what the simulation relies on.
 
-    python -m taichi_sim.device.self_test vulkan
+    python -m taichi_sim.reports.self_test vulkan
 
-prints one line: nothing where all is right, else what went wrong.
+takes a few seconds and prints nothing where all is right, else what went wrong: the driver is broken then.
 """
 
-import subprocess
 import sys
 from collections.abc import Iterator
 
 import numpy as np
 
-__all__ = ["examine", "faults"]
+from taichi_sim.device import backend
+from taichi_sim.device.engine import ti
+from taichi_sim.kernels import self_test
+
+__all__ = ["faults"]
 
 ATOMICS = 128  # lanes of unlike lengths
 MANY = 100_000
-PATIENCE = 120.0  # s
 NOTE = "this driver is broken (Mesa's lavapipe 22.3 is such a one); update it, or take another device"
 
 
 def faults() -> Iterator[str]:
     """What the device that runs in this process does wrong, in words."""
-    from taichi_sim.device.engine import ti
-    from taichi_sim.kernels import self_test
-
     drawn = ATOMICS * (ATOMICS - 1) // 2
     count, slots = ti.field(ti.i32, 1), ti.field(ti.i32, drawn)
     self_test.ragged(count, slots, ATOMICS)
@@ -52,23 +51,7 @@ def faults() -> Iterator[str]:
         yield f"{wrong} of {MANY} numbers were rounded or compared wrongly"
 
 
-def examine(arch: str) -> str:
-    """What is wrong with a device, in one sentence; "" where it passed. It runs in a new process."""
-    command = [sys.executable, "-m", __spec__.name, arch]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
-    except subprocess.TimeoutExpired:
-        return f"the self-test did not end within {PATIENCE:g} s"
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        return f"the self-test ended with status {done.returncode}: {last}"
-    return done.stdout.strip()
-
-
 if __name__ == "__main__":
-    from taichi_sim.device import backend
-
     backend.start(sys.argv[1], "f32")
-    found = list(faults())
-    if found:
+    if found := list(faults()):
         print(f"{'; '.join(found)}: {NOTE}")
