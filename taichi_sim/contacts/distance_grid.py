@@ -1,6 +1,7 @@
 """Distances from a closed mesh, kept on a grid around it."""
 
-from typing import NamedTuple
+from copy import copy
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,18 +44,32 @@ def distance_grid(collider: Collider, reach: float) -> DistanceGrid:
     wide = has_wide_numbers()
     real = np.float64 if wide else np.float32
     origin = np.zeros(3) if wide else start  # single precision has digits to spare only near the grid
-    corner = np.ascontiguousarray((collider.vertices - origin)[collider.triangles].reshape(-1, 3), dtype=real)
-    frame = np.array([*(start - origin), cell, ROW_SHIFT], dtype=real)
-    closest, best = np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf, dtype=real)
+    corner: Any = np.ascontiguousarray((collider.vertices - origin)[collider.triangles].reshape(-1, 3), dtype=real)
+    frame: Any = np.array([*(start - origin), cell, ROW_SHIFT], dtype=real)
+    closest: Any = np.full(shape, -1, dtype=np.int32)
+    best: Any = np.full(shape, np.inf, dtype=real)
+    if not wide:  # external arrays are copied at each launch, and with Vulkan some come back with other numbers
+        corner, frame, closest, best = (_on_device(array) for array in (corner, frame, closest, best))
     loops.seed(corner, closest, best, frame)
     reaches = [1 << k for k in reversed(range(int(size.max()).bit_length()))]
     for distance in [*reaches, 2, 1]:
-        source = closest.copy()
+        source = copy(closest)
         loops.spread(corner, source, closest, best, frame, distance)
-    windings = np.zeros(shape, dtype=np.int32)
+    windings: Any = np.zeros(shape, dtype=np.int32)
+    if not wide:
+        windings = _on_device(windings)
     loops.winding(corner, windings, frame)
     ti.sync()
+    if not wide:
+        windings, best = windings.to_numpy(), best.to_numpy()
     return DistanceGrid(np.where(windings != 0, -1.0, 1.0) * np.sqrt(best.astype(np.float64)), start, cell)
+
+
+def _on_device(array: NDArray[Any]) -> Any:
+    """A Taichi array with the same numbers."""
+    made = ti.ndarray(ti.i32 if array.dtype == np.int32 else ti.f32, array.shape)
+    made.from_numpy(array)
+    return made
 
 
 def distance_grids(scene: Scene) -> list[DistanceGrid]:
