@@ -92,6 +92,14 @@ def test_ordered_sums_have_the_same_bits_in_every_run(arch, on_device):
         np.testing.assert_array_equal(once[what], again[what])
 
 
+@pytest.mark.parametrize("name", device_scenes.SWINGING)
+def test_springs_by_colours_are_as_accurate_as_in_turn(name, arch, on_cpu):
+    here, there = device_scenes.swung(name, arch), on_cpu(name)
+    assert "springs.colours" in here["kernels"]
+    mine, theirs = (np.sqrt(np.mean((found["position"] - there["exact"]) ** 2)) for found in (here, there))
+    assert mine < 1.1 * theirs
+
+
 def test_a_restored_run_goes_on(arch, tmp_path):
     scene, settings = device_scenes.BY_NAME["many_springs"]()
     with ts.Simulation(scene, arch=arch, **settings) as whole:

@@ -3,7 +3,8 @@ compare devices:
 
     python tests/support/device_scenes.py ARCH FILE.npz [NAME ...]
 
-The file holds, under NAME.what, positions, velocities, energies and what the contacts found, or a picture.
+The file holds, under NAME.what, positions, velocities, energies and what the contacts found, a picture, or what
+small steps come to.
 """
 
 import sys
@@ -155,6 +156,30 @@ def run(name, arch):
         }
 
 
+def swinging_cloth():
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    corners = {"pinned": [0, 90], "stiffness": 2000, "damping": 0.2}
+    ts.shapes.cloth(scene, size=(0.6, 0.6), resolution=(10, 10), **corners)
+    return scene
+
+
+def hanging_beam():
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    ts.shapes.jelly(scene, size=(0.6, 0.2, 0.2), resolution=(7, 3, 3), mass=2.0, pinned=list(range(9)))
+    return scene
+
+
+SWINGING = {"swinging_cloth": swinging_cloth, "hanging_beam": hanging_beam}
+
+
+def swung(name, arch, integrator="xpbd", parts=1):
+    """Positions after 0.2 s by steps of 1 ms / parts."""
+    settings = {"driver": "auto" if arch == "cpu" else "parallel", "contacts": "off", "precision": "f32"}
+    with ts.Simulation(SWINGING[name](), arch=arch, integrator=integrator, dt=1e-3 / parts, **settings) as sim:
+        sim.step(200 * parts)
+        return {"position": sim.position, "kernels": np.array(sim.kernels())}
+
+
 def solids_and_cloth():
     """Of all that is drawn in 3D: balls, sticks, triangles, colliders, ground."""
     scene, _ = surfaces()
@@ -183,8 +208,11 @@ def picture(name, arch):
 if __name__ == "__main__":
     arch, file, *names = sys.argv[1:]
     found = {}
-    for name in names or (*PICTURES, *BY_NAME):
-        made = {"picture": picture(name, arch)} if name in PICTURES else run(name, arch)
+    for name in names or (*PICTURES, *BY_NAME, *SWINGING):
+        if name in SWINGING:
+            made = swung(name, arch) | {"exact": swung(name, arch, "verlet", 20)["position"]}
+        else:
+            made = {"picture": picture(name, arch)} if name in PICTURES else run(name, arch)
         found |= {f"{name}.{what}": array for what, array in made.items()}
         print(name, flush=True)
     np.savez(file, **found)
