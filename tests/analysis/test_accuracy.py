@@ -85,6 +85,7 @@ def test_bounces_off_a_pinned_ball_are_as_high_as_said():
         assert np.mean(lower[k]) == pytest.approx(figure(words, " of itself"), rel=0.25)
 
 
+@pytest.mark.slow
 def test_directions_after_impacts_are_off_as_said():
     """Four hundred balls that hit others at any offset and part of a step: what was struck leaves along the line between them."""
     rng, h, speed, n = np.random.default_rng(3), 3e-3, 4.0, 400

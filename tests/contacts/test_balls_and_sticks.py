@@ -173,10 +173,9 @@ def crowd_scene(dim, mu):
     return scene, crowds
 
 
-@pytest.mark.slow_where(mu=0.0)
 @pytest.mark.parametrize(("method", "mu"), [("verlet", 0.0), ("verlet", 0.5), ("symplectic_euler", 0.0)])
 @each_dim
-@pytest.mark.slow_where(dim=2)
+@pytest.mark.slow
 def test_a_dense_crowd_never_gains_energy(dim, method, mu):
     """No step adds kinetic energy, whatever the restitution, with friction and without; momentum is kept (section 6)."""
     scene, crowds = crowd_scene(dim, mu)

@@ -163,10 +163,9 @@ def test_any_stiffness(method, power):
         assert np.allclose(sim.momentum(), momentum, atol=(1e-9 if F64 else 1e-4) * size)
 
 
-@pytest.mark.slow_where(method="tr_bdf2")
-@pytest.mark.slow_where(power=[2, 4])
 @pytest.mark.parametrize("power", [2, 4, 6])
 @each_stiff
+@pytest.mark.slow
 def test_any_damping(method, power):
     """Relative velocity along the springs decays at once, momentum is kept."""
     scene = free_net("damping", power, 0.01)
@@ -231,8 +230,8 @@ def test_atomic_sums_agree(method):
     assert error(found[1], found[0]) < bound
 
 
-@pytest.mark.slow_where(method=["tr_bdf2", "xpbd"])
 @each_stiff
+@pytest.mark.slow
 def test_a_jelly_lands_and_rests(method):
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.add_material("rubber", restitution=0.3, friction=0.4)

@@ -348,3 +348,16 @@ def test_a_small_picture_has_the_light_of_a_large_one():
     inside = np.abs(seen[0] - seen[1]).max(axis=2)[30:60, 50:110]
     assert seen[1][30:60, 50:110].std() > 0.02  # it is wavy
     assert np.mean(inside > 0.05) < 0.1  # where a pixel holds a fold; 0.8 with such shadows
+
+
+@pytest.mark.slow
+def test_without_64_bit_numbers_the_picture_is_the_same(monkeypatch):
+    """Two stages of 32 bits, as on most GPUs, in a scene of all that is drawn, with shadows and occlusion."""
+    rng = np.random.default_rng(5)
+    frame = balls(rng.uniform(-0.5, 0.5, (60, 3)), 0.12, walls=np.array([[0.0, 1.0, 0.0, -0.6]]))
+    frame.triangles = np.arange(60).reshape(20, 3)
+    frame.springs = np.stack([np.arange(0, 60, 2), np.arange(1, 60, 2)], axis=1)
+    wide = picture(frame)
+    monkeypatch.setattr(backend, "has_wide_numbers", lambda: False)
+    narrow = picture(frame)
+    np.testing.assert_array_equal(narrow, wide)

@@ -178,8 +178,8 @@ def test_dt_above_the_bound_warns_before_the_first_step():
         ts.Simulation(oscillator(), arch="cpu", precision=PRECISION, dt=0.3, substeps=2).close()
 
 
-@pytest.mark.slow_where(driver="parallel")
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
+@pytest.mark.slow
 def test_unstable_error_and_what_is_kept(driver):
     scene = oscillator(k=1e4)
     scene.add_balls([[0.0, 50.0]], radius=0.01, velocity=[1.0, 0.0])

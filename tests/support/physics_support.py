@@ -19,15 +19,11 @@ DIMS = (2, 3)
 VARIANTS = (("ordered", "fused"), ("ordered", "parallel"), ("atomic", "fused"), ("atomic", "parallel"))
 EXTREMES = (VARIANTS[0], VARIANTS[3])
 
-# (dim, method, variant) where contacts are compiled: what `make test` has of them
-QUICK_CONTACTS = {
-    (2, "verlet", VARIANTS[0]),
-    (3, "verlet", VARIANTS[3]),
-}
+QUICK_CONTACT = (3, "verlet", VARIANTS[3])  # (dim, method, variant): what `make test` has where contacts are compiled
 
 
 def _how_slow(case):
-    if case in QUICK_CONTACTS:
+    if case == QUICK_CONTACT:
         return []
     return [pytest.mark.slow if case[2] in EXTREMES else pytest.mark.long]
 

@@ -50,6 +50,7 @@ def test_row_1_position_moves_with_velocity(dim):
 
 
 @each_dim
+@pytest.mark.slow
 def test_row_2_friction_sees_only_the_relative_velocity(dim):
     """Two balls that touch, and move sideways together, keep that velocity whatever the friction."""
     together, n, f = vector(dim, 0.0, 3.0, 1.0), vector(dim, 1.0), 200.0
