@@ -87,8 +87,8 @@ def test_penetration_is_that_of_the_deepest_contact(dim):
         assert sim.penetration() == pytest.approx(0.3, rel=1e-12 if F64 else 1e-6)
 
 
-@pytest.mark.slow
 @each_dim
+@pytest.mark.long
 def test_a_short_lever_does_not_throw_a_stick(dim):
     """A stick hinged inside a pinned ball overlaps it however it turns: it must not be flung about."""
     scene = ts.Scene(dim=dim)

@@ -81,7 +81,7 @@ def test_friction_with_spin_keeps_angular_momentum(dim, contacts):
         assert np.max(np.abs(change)) < 64 * EPS * size
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_both_solvers_converge_to_the_same_velocities():
     """Rigid contacts without friction have one solution: many passes of either find it."""
     rng = np.random.default_rng(7)
@@ -177,7 +177,7 @@ def test_what_an_elastic_pack_is_thrown_back_with_does_not_depend_on_the_step():
     assert abs(means[0] - means[1]) < 4.0, means
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_spins_is_saved(tmp_path):
     scene = box_of_balls(2, 4, 5, friction=0.4)
     with simulate(scene, dt=1e-3) as sim:

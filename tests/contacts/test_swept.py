@@ -111,8 +111,8 @@ def test_a_ball_before_the_wall_is_hit_and_not_run_through_twice(variant):
         assert sim.energy().kinetic == pytest.approx(0.5 * 2000.0**2, rel=1e-6)
 
 
-@pytest.mark.slow
 @each_dim
+@pytest.mark.long
 def test_a_bullet_leaves_the_stick_that_it_hit(dim):
     """What stopped at a stick in one step lies just at the distance of touch in the next, and must not be held there."""
     across = [0.0] * (dim - 2)

@@ -85,7 +85,7 @@ def test_a_moving_pin_pushes_what_it_meets(dim):
         np.testing.assert_allclose(sim.velocity[1], vector(dim, 4.0), rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_walls_do_not_hold_moving_pins():
     scene = ts.Scene(dim=2)
     scene.add_balls([[0.0, 0.0], [5.0, 0.0]], radius=0.1)

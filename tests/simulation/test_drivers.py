@@ -62,7 +62,7 @@ def test_pile_has_the_same_bits_in_both_drivers_and_every_run(dim, contacts):
         assert physics_bits.digest(scene, 100, PRECISION, driver=driver, **settings) == first, driver
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sticks_have_the_same_bits_in_both_drivers():
     one, two = stick_run(2, VARIANTS[0]), stick_run(2, VARIANTS[1])
     assert one.bits == two.bits, f"{np.max(np.abs(one.last.x - two.last.x)):.2e} m apart"
@@ -103,8 +103,8 @@ def test_all_orders_of_springs_agree(dim, method, monkeypatch):
         assert found < exact(steps), f"{order}: {found:.2e}"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.long), 3], ids=["2d", "3d"])
+@pytest.mark.long
 def test_atomic_agrees_with_ordered_in_a_pile(dim):
     """Before collisions multiply the rounding: 20 steps."""
     scene = physics_bits.pile(dim)

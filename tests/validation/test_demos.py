@@ -27,6 +27,7 @@ LONG = (
     "million",
     "net",
     "sphere",
+    "squeeze",
     "tower",
     "wind",
     "wrecking",
