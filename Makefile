@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: help env demo test test-more test-gpu test-long test-all check bench referee clean
+.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee clean
 
 help:
-	@echo "make env | demo | test | test-more | test-gpu | test-long | test-all | check | bench | referee | clean"
+	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | clean"
 
 env: $(STAMP)
 
@@ -39,12 +39,18 @@ ARCH ?= vulkan
 test-gpu: env
 	TAICHI_SIM_PRECISION=f32 $(BIN)/python -m pytest -m gpu --arch $(ARCH)
 
+# the tests of `make test` on the engine Quadrants, with the same bits on the CPU
+test-quadrants: env
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev,quadrants]"
+	TAICHI_SIM_ENGINE=quadrants TAICHI_SIM_PRECISION=f32 $(PYTEST) -m "not slow"
+	TAICHI_SIM_ENGINE=quadrants TAICHI_SIM_PRECISION=f64 $(PYTEST) -m "not slow"
+
 # what takes hours
 test-long: env
 	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m long
 	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m long
 
-test-all: test test-more test-gpu test-long
+test-all: test test-more test-gpu test-quadrants test-long
 
 check: env
 	$(BIN)/ruff format --check .

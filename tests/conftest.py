@@ -1,10 +1,16 @@
 """Taichi's start in a process's one precision, and the rule for markers (pyproject.toml says what each means)."""
 
 import os
+import sys
 
 import pytest
 from physics_support import PRECISION
 from software_gpu import offer_software
+
+from taichi_sim.device.engine import ENGINE, ti
+
+if ENGINE != "taichi":  # tests import Taichi, as users do
+    sys.modules["taichi"] = ti
 
 
 def pytest_addoption(parser):

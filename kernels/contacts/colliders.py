@@ -153,8 +153,8 @@ def mesh_distance(grid: ti.template(), shape, p):
 
 
 @ti.func
-def custom_distance(own: ti.template(), p, h):
-    """The same for a shape of the user's own: the direction is that of differences of its distance at points h [m] away."""
+def custom_distance(distance_from: ti.template(), p, h):
+    """The same for a user-defined distance function: the direction is that of its differences at points h [m] away."""
     n = 0.0 * p
     for e in range(2 * p.n):
         sign = 1.0 - 2.0 * (e % 2)
@@ -162,7 +162,7 @@ def custom_distance(own: ti.template(), p, h):
         for a in ti.static(range(p.n)):
             if e // 2 == a:
                 q[a] += sign * h
-        beside = sign * own.distance(q)
+        beside = sign * distance_from(q)
         for a in ti.static(range(p.n)):
             if e // 2 == a:
                 n[a] += beside
@@ -171,7 +171,7 @@ def custom_distance(own: ti.template(), p, h):
         n = n / size
     else:
         n[1] = 1.0
-    return own.distance(p), n
+    return distance_from(p), n
 
 
 @ti.func
@@ -190,9 +190,9 @@ def distance(colliders: ti.template(), k, p):
         if shape.kind == MESH:
             d, n = mesh_distance(colliders.grid, shape, p)
     if ti.static(colliders.has_custom):
-        for number, own in ti.static(colliders.custom):
+        for number, distance_from in ti.static(colliders.custom):
             if k == number:
-                d, n = custom_distance(own, p, colliders.difference * shape.extent)
+                d, n = custom_distance(distance_from, p, colliders.difference * shape.extent)
     if ti.static(colliders.has_hollow):
         if shape.hollow > 0.0:
             within = d < 0.5 * shape.hollow

@@ -4,8 +4,7 @@ n balls in `dim` dimensions. What a scene does not need does not exist: each att
 compiled asks for it. Members of one table lie side by side.
 """
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from taichi_sim.kernels.interfaces import Ball, Field, Law, Model, State
 
@@ -28,8 +27,7 @@ class Plan(Protocol):
     serial: bool  # whether one thread runs all
 
 
-@dataclass(frozen=True)
-class Iteration:
+class Iteration(NamedTuple):
     """What an iteration over pairs does, fixed when it is compiled."""
 
     prepares: bool = (
@@ -351,13 +349,6 @@ class ColliderShape(Protocol):
     cells: Field  # (3) numbers along the axes
 
 
-class CustomShape(Protocol):
-    """A shape that the user defines."""
-
-    def distance(self, p: Any) -> float:
-        """m, of the point p in its frame, negative inside."""
-
-
 class Colliders(Protocol):
     """All colliders of a scene."""
 
@@ -366,7 +357,7 @@ class Colliders(Protocol):
     shape: "ColliderShape"  # (count)
     pose: "ColliderPose"  # (count)
     grid: Field  # m, distances from meshes, one grid behind the other
-    custom: list  # number and CustomShape of each that the user defines
+    custom: list  # number of each that the user defines, and its Taichi function distance(p) [m], p in its own frame
     difference: float  # of an extent: between points whose distances give a direction
     faces: int  # of a hollow box, or 1
     has_round: bool  # whether any is a sphere, disc or capsule
@@ -592,7 +583,6 @@ READS = {
     "walls": Walls,
     "colliders": Colliders,
     "shape": ColliderShape,
-    "own": CustomShape,
     "contacts": Incidences,
     "table": Accumulated,
     "iterated": Iterated,

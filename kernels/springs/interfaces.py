@@ -4,14 +4,12 @@ n balls in `dim` dimensions, m springs; entries: places in the list of springs, 
 padded_blocks.
 """
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from taichi_sim.kernels.interfaces import Ball, Field
 
 
-@dataclass(frozen=True)
-class Terms:
+class Terms(NamedTuple):
     """What of the law a loop sums, known when it is compiled: what is off costs nothing."""
 
     elastic: bool  # k (d - l) n

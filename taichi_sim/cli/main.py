@@ -218,7 +218,7 @@ def devices() -> None:
     from rich.table import Table
 
     from taichi_sim.device import backend, devices
-    from taichi_sim.device.engine import ti
+    from taichi_sim.device.engine import ENGINE, VERSION
 
     table = Table("arch", "device", "memory", "precision", "self-test")
     for arch in reversed(backend.AUTOMATIC):
@@ -227,7 +227,7 @@ def devices() -> None:
             table.add_row(arch, "none found")
             continue
         start = perf_counter()
-        wrong = devices.verdict(device, ti.__version__, again=True)
+        wrong = devices.verdict(device, f"{ENGINE} {VERSION}", again=True)
         said = wrong or f"passed in {perf_counter() - start:.1f} s"
         if device.software:
             said += "; in software, so never taken without being asked for"

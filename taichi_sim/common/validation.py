@@ -28,6 +28,7 @@ __all__ = [
     "whole",
 ]
 
+FUNCTION_MARKS = ("_is_taichi_function", "_is_quadrants_function")  # what either engine leaves on a function of its own
 MOST_MAGNITUDE = (
     1e50  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
 )
@@ -216,10 +217,10 @@ def taichi_function(where: str, owner: Any, name: str, parameters: str) -> None:
     function = getattr(owner, name, None)
     if not callable(function):
         raise SceneError(where, says=f"{kind} has no function {name}({parameters})")
-    taken = list(inspect.signature(function).parameters)
+    taken = [name for name in inspect.signature(function).parameters if name != "self"]  # which Quadrants shows
     if len(taken) != len(parameters.split(",")):
         raise SceneError(where, says=f"{kind}.{name} takes ({', '.join(taken)}); it must take ({parameters})")
-    if not getattr(function, "_is_taichi_function", False):
+    if not any(getattr(function, mark, False) for mark in FUNCTION_MARKS):
         raise SceneError(where, says=f"{kind}.{name} is not a Taichi function; write @ti.func above it")
 
 

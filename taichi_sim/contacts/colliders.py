@@ -28,7 +28,7 @@ class Colliders:
         self.dim, self.scene, self.count = model.dim, scene, len(scene.colliders)
         kinds = {c.kind for c in scene.colliders}
         self.has_round, self.has_box, self.has_mesh = ROUND in kinds, BOX in kinds, MESH in kinds
-        self.custom = [(k, c.shape) for k, c in enumerate(scene.colliders) if c.kind == CUSTOM]
+        self.custom = [(k, c.shape.distance) for k, c in enumerate(scene.colliders) if c.kind == CUSTOM]
         self.has_custom = bool(self.custom)
         eps = float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
         self.difference = eps ** (1 / 3)  # of its extent: between points whose distances give a direction

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.devices import find, verdict
-from taichi_sim.device.engine import ti
+from taichi_sim.device.engine import ENGINE, VERSION, finds, ti
 
 __all__ = ["ARCHES", "PRECISIONS", "Backend", "has_wide_numbers", "running", "start"]
 
@@ -117,7 +117,7 @@ def _is_trusted(arch: str) -> bool:
     device = find(arch)
     if device is None or device.software:
         return False
-    wrong = verdict(device, ti.__version__)
+    wrong = verdict(device, f"{ENGINE} {VERSION}")
     if wrong:
         warnings.warn(f"{device.name} ({arch}) is not used: {wrong}", stacklevel=5)
     return not wrong
@@ -127,6 +127,4 @@ def _works(arch: str) -> bool:
     """Whether Taichi was built with this arch and finds a device for it."""
     if sys.platform == "linux" and find(arch) is None:  # Taichi would complain on standard error
         return False
-    from taichi.lang.misc import is_arch_supported
-
-    return bool(is_arch_supported(getattr(ti, arch)))
+    return finds(arch)

@@ -11,16 +11,16 @@ import textwrap
 from types import SimpleNamespace
 from typing import Any
 
-from taichi_sim.device.engine import ti
+from taichi_sim.device.engine import ENGINE, VERSION
 
 __all__ = ["quicken"]
 
-KNOWN_VERSION = (1, 7, 4)
+KNOWN = ("taichi", "1.7.4")
 
 
 def quicken() -> None:
     """Replace the slow parts; a second call does nothing."""
-    if ti.__version__ != KNOWN_VERSION:
+    if (ENGINE, VERSION) != KNOWN:
         return
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext

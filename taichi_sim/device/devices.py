@@ -7,7 +7,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -45,11 +45,11 @@ def find(arch: str) -> Device | None:
     return _cuda() if arch == "cuda" else _vulkan()
 
 
-def verdict(device: Device, version: Sequence[int], again: bool = False) -> str:
-    """Empty where the device has passed the self-test once with this driver and this version of Taichi, else what is wrong. The
+def verdict(device: Device, version: str, again: bool = False) -> str:
+    """Empty where the device has passed the self-test once with this driver and version of the engine, else what is wrong. The
     first call for a device runs it, which takes seconds, and remembers the result; so does one that asks for it again."""
     record = user_cache_path("taichi_sim") / "devices.json"
-    key = " | ".join((device.arch, device.name, device.driver, f"Taichi {version}"))
+    key = " | ".join((device.arch, device.name, device.driver, version))
     try:
         known = json.loads(record.read_text(encoding="utf-8"))
     except (OSError, ValueError):  # none yet, or cut off

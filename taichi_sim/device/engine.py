@@ -1,15 +1,58 @@
-"""The one import of Taichi: everything else takes `ti` from here."""
+"""The one import of the engine that compiles kernels: everything else takes `ti` from here.
+
+It is Taichi, or, where the environment variable TAICHI_SIM_ENGINE says "quadrants", its successor Quadrants, which takes the same
+programs. What is private to one of them, or named otherwise, is asked of it here.
+"""
+
+import os
+from copy import copy
+from types import ModuleType
+from typing import Any
 
 from taichi_sim.common.errors import BackendError
 
-try:
-    import taichi as ti
-except (ImportError, OSError) as error:  # on Linux, Taichi's library is linked against libX11 even without a window
-    _hint = (
-        " Install it: `apt install libx11-6` (Debian, Ubuntu), `dnf install libX11` (Fedora), `apk`-based systems lack glibc."
-        if "libX11" in str(error)
-        else " Reinstall it: `pip install taichi==1.7.4` (Python 3.10 to 3.13, 64 bit)."
-    )
-    raise BackendError(f"Taichi cannot be loaded: {error}.{_hint}") from error
+__all__ = ["ENGINE", "VERSION", "another", "finds", "ti"]
 
-__all__ = ["ti"]
+ENGINES = ("taichi", "quadrants")
+ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
+
+
+def _taichi() -> ModuleType:
+    try:
+        import taichi
+    except (ImportError, OSError) as error:  # on Linux, its library is linked against libX11 even without a window
+        hint = (
+            " Install it: `apt install libx11-6` (Debian, Ubuntu), `dnf install libX11` (Fedora), `apk`-based systems lack glibc."
+            if "libX11" in str(error)
+            else " Reinstall it: `pip install taichi==1.7.4` (Python 3.10 to 3.13, 64 bit)."
+        )
+        raise BackendError(f"Taichi cannot be loaded: {error}.{hint}") from error
+    return taichi
+
+
+def _quadrants() -> ModuleType:
+    try:
+        import quadrants
+    except (ImportError, OSError) as error:
+        raise BackendError(f"Quadrants cannot be loaded: {error}. Install it: `pip install quadrants`.") from error
+    return quadrants
+
+
+if ENGINE not in ENGINES:
+    raise BackendError(f"TAICHI_SIM_ENGINE: {ENGINE!r} is not allowed; it must be one of {', '.join(ENGINES)}")
+ti: Any = _taichi() if ENGINE == "taichi" else _quadrants()
+VERSION = ".".join(map(str, ti.__version__))
+
+
+def another(part: Any) -> Any:
+    """A copy of a user's part for one simulation, with functions of its own: Quadrants keeps bound ones on the object."""
+    made = copy(part)
+    for name, value in list(vars(made).items()):
+        if callable(value) and hasattr(type(made), name):
+            delattr(made, name)
+    return made
+
+
+def finds(arch: str) -> bool:
+    """Whether the engine was built with this arch and finds a device for it."""
+    return bool(ti.lang.misc.is_arch_supported(getattr(ti, arch)))

@@ -1,7 +1,6 @@
 """Assembly: from a scene and settings to model, state, forces, contacts, integrator and drivers, with only what is needed."""
 
 from collections.abc import Sequence
-from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ from taichi_sim.contacts.triangles import TriangleContacts
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.device.backend import Backend
 from taichi_sim.device.devices import find
+from taichi_sim.device.engine import another
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.spatial_sort import in_order, spatial_order
@@ -193,7 +193,7 @@ class Assembly:
         if rule.in_turn and not ordered:
             why = "accumulate: 'atomic'" if self.atomic else "a GPU"
             raise ValueError(f"contacts: {rule.name!r} changes velocities in a fixed order, which {why} does not have")
-        return copy(rule)  # one object may serve several simulations
+        return another(rule)  # one object may serve several simulations
 
     @property
     def setup(self) -> Setup:

@@ -1,7 +1,6 @@
 """Settings: the arguments of Simulation, checked and with every "auto" that depends on the scene alone resolved."""
 
 import math
-from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -200,6 +199,7 @@ def _check_contacts(value: Any) -> None:
 
 
 def _integrator(value: Any) -> Any:
+    from taichi_sim.device.engine import another
     from taichi_sim.integrators import BUILT_IN, Integrator  # brings Taichi: only when a simulation is made
 
     if isinstance(value, Integrator):
@@ -212,7 +212,7 @@ def _integrator(value: Any) -> Any:
                 "integrator", says=f"the limit of {type(value).__name__}.method must be a ts.StabilityLimit"
             )
         validation.taichi_function("integrator", value, "substep", "h, time")
-        return copy(value)  # one object may serve several simulations
+        return another(value)  # one object may serve several simulations
     for kind in BUILT_IN:
         if kind.method.name == value:
             return kind()

@@ -102,12 +102,16 @@ class _Window:
     def __init__(
         self, simulation: Any, pointer: Pointer, renderer: Any, fps: float, until: float | None, say: Callable
     ) -> None:
-        from taichi_sim.device.engine import ti
+        from taichi_sim.device.engine import ENGINE, ti
 
         self.simulation, self.renderer, self.fps, self.until, self.say = simulation, renderer, fps, until, say
         self.pointer = pointer if pointer.ready else None
         self.start = simulation.snapshot()
         width, height = self.size = renderer.size
+        if not hasattr(ti, "GUI"):
+            raise BackendError(
+                f"the window needs ti.GUI, which Taichi has and {ENGINE} has not: leave TAICHI_SIM_ENGINE out"
+            )
         try:
             self.gui = ti.GUI(TITLE, res=self.size, fast_gui=True)
         except RuntimeError as error:
