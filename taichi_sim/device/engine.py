@@ -45,8 +45,10 @@ VERSION = ".".join(map(str, ti.__version__))
 
 
 def another(part: Any) -> Any:
-    """A copy of a user's part for one simulation, with functions of its own: Quadrants keeps bound ones on the object."""
+    """A copy of a user's part for one simulation. Quadrants keeps bound functions on the object; the copy binds its own."""
     made = copy(part)
+    if ENGINE == "taichi":
+        return made
     for name, value in list(vars(made).items()):
         if callable(value) and hasattr(type(made), name):
             delattr(made, name)
