@@ -115,8 +115,8 @@ class SecondSolution:
                 held = self.held_stored[k][out * ti.static(self.sizes[k]) + i]
                 if ti.static("impulse" in self.scaled[k]):
                     held.impulse = ratio * held.impulse
-                if ti.static("slide" in self.scaled[k]):
-                    held.slide = ratio * held.slide
+                if ti.static("tangential_impulse" in self.scaled[k]):
+                    held.tangential_impulse = ratio * held.tangential_impulse
                 self.held[k][i] = held
 
     @ti.kernel

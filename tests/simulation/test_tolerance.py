@@ -44,6 +44,28 @@ def test_the_error_is_what_was_asked_for(method):
             assert found.size == pytest.approx(1.12)
 
 
+def test_what_contacts_hold_goes_with_the_step():
+    """Loaded for a step twice as long, they hold twice the impulse: along normals and along surfaces."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_material("rubber", friction=0.5)
+    scene.add_balls([[0, 0.1], [0.19, 0.1], [0.1, 0.26]], radius=0.1, material="rubber")
+    scene.add_wall((0, 1), 0.0, "rubber")
+    with simulate(scene, tolerance=1e-3) as sim:
+        sim.step(1)
+        contacts, second = sim.parts.contacts, sim.parts.second_solution
+        held = [
+            table.get_member_field(name)
+            for table in (contacts.pairs.link, contacts.walls.contact)
+            for name in ("impulse", "tangential_impulse")
+        ]
+        for field in held:
+            field.fill(3.0)
+        second.store(0)
+        second.load(0, 2.0 * second.h[0])
+        for field in held:
+            assert np.all(field.to_numpy()[0] == 6.0)
+
+
 @pytest.fixture(scope="module")
 def swinging():
     """A damped net of 25 balls in 3D with verlet, whose damping depends on the step."""
