@@ -10,6 +10,7 @@ from taichi_sim.kernels.contacts.pairs import may_touch
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, largest, run, same_row
 from taichi_sim.kernels.contacts.sticks import closest
 from taichi_sim.kernels.contacts.sticks import may_touch as may_touch_stick
+from taichi_sim.kernels.loops import each
 from taichi_sim.kernels.vectors import cross, product, unit
 
 from taichi_sim.device.engine import ti
@@ -23,53 +24,74 @@ STOP_DISTANCE = 0.995  # of the distance at touch: found touching in the next se
 @ti.func
 def shorten_ways(solver: ti.template(), ball: ti.template()):
     """Shorten the displacements of this step where something is in the way. Does nothing where all moved slowly."""
+    fixed = ti.static(solver.plan.gathers)
     ti.loop_config(serialize=True)
     for _ in range(1):
         solver.swept[0].balls = solver.swept[0].moved_fast * solver.n
         if ti.static(solver.plan.sticks):
             solver.swept[0].sticks = solver.swept[0].moved_fast * solver.sticks.m
         solver.swept[0].moved_fast = 0
-    for i in range(solver.swept[0].balls):
-        solver.time_of_impact[i] = 1.0
-        solver.next_time_of_impact[i] = 1.0
-    find_times_of_impact(solver, ball)
+        solver.swept[0].shortened = 0
+    if ti.static(not fixed):
+        for i in range(solver.swept[0].balls):
+            begin_path(solver, i)
+    one_round(solver, ball, fixed)
     ti.loop_config(serialize=True)  # few balls have others that stopped in their way: in turn, until nothing changes
     for _ in range(1):
         rounds = solver.swept[0].balls  # each of them settles at least the earliest stop that is left
         while rounds > 0 and solver.swept[0].shortened > 0:
-            find_times_of_impact(solver, ball)
+            solver.swept[0].shortened = 0
+            one_round(solver, ball, False)
             rounds -= 1
-    for i in range(solver.swept[0].balls):
-        if solver.time_of_impact[i] < 1.0:
-            solver.state.shift(i, (solver.time_of_impact[i] - 1.0) * solver.displacement[i])
-    ti.loop_config(serialize=True)
-    for _ in range(1):
         if solver.swept[0].balls > 0:
             solver.longest_displacement[0] = 0.0
+    each(solver.swept[0].balls, solver.n, fixed, cut_short, (solver,))
 
 
 @ti.func
-def find_times_of_impact(solver: ti.template(), ball: ti.template()):
-    """One round: where each path stops, given where the others did in the round before. `shortened`: whether any changed."""
-    for i in range(solver.swept[0].balls):
-        if is_fast(solver, i):
-            ti.atomic_min(solver.next_time_of_impact[i], first_touch(solver, solver.pairs.grid, ball, i))
+def one_round(solver: ti.template(), ball: ti.template(), fixed: ti.template()):
+    """Where each path stops, given where the others did in the round before. `shortened`: whether any changed."""
+    each(solver.swept[0].balls, solver.n, fixed, find_time_of_impact, (solver, ball))
     if ti.static(solver.plan.sticks):
-        for s in range(solver.swept[0].sticks):
-            sweep_stick(solver, ball, s)
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        solver.swept[0].shortened = 0
-    for i in range(solver.swept[0].balls):
-        if solver.next_time_of_impact[i] < solver.time_of_impact[i]:
-            solver.swept[0].shortened = 1
-        solver.time_of_impact[i] = solver.next_time_of_impact[i]
+        each(solver.swept[0].sticks, solver.sticks.m, fixed, sweep_stick, (solver, ball))
+    each(solver.swept[0].balls, solver.n, fixed, take_time_of_impact, (solver,))
+
+
+@ti.func
+def begin_path(solver: ti.template(), i):
+    """Nothing is known to stop ball i."""
+    solver.time_of_impact[i] = 1.0
+    solver.next_time_of_impact[i] = 1.0
+
+
+@ti.func
+def find_time_of_impact(i, solver: ti.template(), ball: ti.template()):
+    """Where the path of ball i stops at another ball, if it is fast."""
+    if is_fast(solver, i):
+        ti.atomic_min(solver.next_time_of_impact[i], first_touch(solver, solver.pairs.grid, ball, i))
+
+
+@ti.func
+def take_time_of_impact(i, solver: ti.template()):
+    """What a round has found for ball i."""
+    if solver.next_time_of_impact[i] < solver.time_of_impact[i]:
+        solver.swept[0].shortened = 1
+    solver.time_of_impact[i] = solver.next_time_of_impact[i]
+
+
+@ti.func
+def cut_short(i, solver: ti.template()):
+    """Take back what ball i went beyond where it stops."""
+    if solver.time_of_impact[i] < 1.0:
+        solver.state.shift(i, (solver.time_of_impact[i] - 1.0) * solver.displacement[i])
 
 
 @ti.func
 def note_displacement(solver: ti.template(), i, shift):
     """Keep the displacement of ball i, and whether anything must be looked at."""
     solver.displacement[i] = shift
+    if ti.static(solver.plan.gathers):
+        begin_path(solver, i)
     square = shift.dot(shift)
     fast = solver.model.radius[i] ** 2
     if ti.static(solver.plan.sticks):  # they are thin: what counts is the ball that one may cross
@@ -175,7 +197,7 @@ def meeting(r, d, distance, end):
 
 
 @ti.func
-def sweep_stick(solver: ti.template(), ball: ti.template(), s):
+def sweep_stick(s, solver: ti.template(), ball: ti.template()):
     """Let stick s and the balls that would cross each other stop before that."""
     one, two = solver.sticks.one[s], solver.sticks.two[s]
     moved = ti.max(solver.displacement[one].norm(), solver.displacement[two].norm())

@@ -23,6 +23,7 @@ class Plan(Protocol):
     loaded: bool  # whether what forces add is told from impacts
     line_search: bool  # see impact_iterations
     limits_energy: bool  # see energy_limiter
+    gathers: bool  # whether both balls list a pair, and each sums what it gets
     atomic: bool  # whether impulses are added by atomics
     serial: bool  # whether one thread runs all
 
@@ -112,7 +113,9 @@ class Grid(Protocol):
     table_first: Field  # (levels) the first bucket
     count: Field  # (size) balls in a bucket, while it is made
     start: Field  # (size + 1) where the sorted copies of a bucket begin
-    partial: Field  # (size / chunk) sums
+    partial: Field  # (size / chunk) sums of chunk buckets
+    second_partial: Field  # (second_parts) sums of these
+    second_parts: int  # of SUMMED_BUCKETS^2 buckets
     bucket: Field  # (n) of each ball
     sorted: Field  # (n) the ball of each sorted copy
     order: Field  # (n) balls in the order of iterations

@@ -2,7 +2,7 @@
 with."""
 
 from taichi_sim.kernels.contacts import pair_impacts
-from taichi_sim.kernels.contacts.pair_sweeps import add, torque
+from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, ball_at, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
 from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
 
@@ -14,7 +14,7 @@ def measure_block(solver: ti.template(), ball: ti.template(), b, begin, end, tim
     """Measure the pairs of a block; where impacts are resolved in turn, mark one in which anything closes fast."""
     fast = 0
     for k in range(begin, end):
-        fast |= measure(solver, solver.pairs, ball, solver.pairs.grid.order[k])
+        fast |= measure(solver, solver.pairs, ball, ball_at(solver, k))
     if ti.static(solver.plan.impacts_in_turn):
         solver.block_is_active[b] = fast
         solver.block_was_struck[b] = fast
@@ -64,18 +64,18 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             if ti.static(solver.plan.warm_starts):
                 p = starting_impulse(solver, ball, i, j, end, n)
                 total += p
-                add(solver, solver.warm_velocity, j, -solver.model.inverse_mass[j] * p)
+                add_to_other(solver, solver.warm_velocity, j, -solver.model.inverse_mass[j] * p)
                 if ti.static(solver.model.spins):
                     t = torque(solver, end, p)
                     angular += t
                     response = solver.model.spin_response(j) * solver.model.inverse_mass[j]
-                    add(solver, solver.warm_spin, j, response * t)
+                    add_to_other(solver, solver.warm_spin, j, response * t)
             if ti.static(solver.counts_pairs):
-                add(solver, solver.pair_count, j, 1)
+                add_to_other(solver, solver.pair_count, j, 1)
             if ti.static(solver.splits_by_direction):
                 T = n.outer_product(n)
                 add(solver, solver.normal_tensor, i, T)
-                add(solver, solver.normal_tensor, j, T)
+                add_to_other(solver, solver.normal_tensor, j, T)
             end += 1
         elif ti.static(solver.plan.warm_starts):
             forget(pairs, e)

@@ -3,7 +3,7 @@
 from taichi_sim.kernels.contacts import contact_law, pair_impacts
 from taichi_sim.kernels.contacts.interfaces import Iteration
 from taichi_sim.kernels.contacts.pair_measures import tangent
-from taichi_sim.kernels.contacts.pair_sweeps import add, torque
+from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import RIGID, law_of
 from taichi_sim.kernels.vectors import lever, zero_scalar_in_2d
 
@@ -63,11 +63,11 @@ def ball_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.te
         j = solver.pairs.link[c].other
         p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
         total += p
-        add(solver, solver.impulse, j, -p)
+        add_to_other(solver, solver.impulse, j, -p)
         if ti.static(solver.model.spins):
             t = torque(solver, c, p)
             angular += t
-            add(solver, solver.angular_impulse, j, t)
+            add_to_other(solver, solver.angular_impulse, j, t)
     add(solver, solver.impulse, i, total)
     if ti.static(solver.model.spins):
         add(solver, solver.angular_impulse, i, angular)
@@ -239,4 +239,4 @@ def correct_positions(solver: ti.template(), ball: ti.template(), i, h, how: ti.
         if depth > 0.0:
             q = contact_law.PUSH_OUT * depth / inverse_mass * contact.normal
             add(solver, solver.position_correction, i, -solver.model.inverse_mass[i] * q)
-            add(solver, solver.position_correction, j, solver.model.inverse_mass[j] * q)
+            add_to_other(solver, solver.position_correction, j, solver.model.inverse_mass[j] * q)

@@ -2,7 +2,8 @@
 
 The balls, in the order of the sorted grid, are cut into blocks longer than any pair reaches. A block writes to itself and the
 next one only, so even blocks can run at the same time, then odd ones: the bits are the same for any number of threads, and for
-one that does all in turn, also where each pair changes velocities at once (Gauss-Seidel).
+one that does all in turn, also where each pair changes velocities at once (Gauss-Seidel). Where both balls of a pair list it,
+each writes to itself alone, and any order will do.
 """
 
 from taichi_sim.kernels.reductions import even_then_odd
@@ -14,8 +15,9 @@ from taichi_sim.device.engine import ti
 @ti.func
 def each_block(solver: ti.template(), ball: ti.template(), visit: ti.template(), time, how: ti.template()):
     """visit(solver, ball, b, begin, end, time, how) for each block b, which has the places from begin to end in the grid's order;
-    where impulses are added by atomics, in any order, for each ball. how: what visit does, fixed when it is compiled."""
-    if ti.static(solver.plan.atomic):
+    in any order, for each ball, where impulses are gathered or added by atomics. how: what visit does, fixed when it is
+    compiled."""
+    if ti.static(solver.plan.atomic or solver.plan.gathers):
         for k in range(solver.n):
             visit(solver, ball, k, k, k + 1, time, how)
     elif ti.static(solver.plan.serial):
@@ -43,7 +45,16 @@ def each_ball(solver: ti.template(), ball: ti.template(), visit: ti.template(), 
 def balls_of_block(solver: ti.template(), ball: ti.template(), b, begin, end, time, task: ti.template()):
     """The balls of block b."""
     for k in range(begin, end):
-        task[0](solver, ball, solver.pairs.grid.order[k], time, task[1])
+        task[0](solver, ball, ball_at(solver, k), time, task[1])
+
+
+@ti.func
+def ball_at(solver: ti.template(), k):
+    """The ball whose turn is k."""
+    i = k
+    if ti.static(not solver.plan.gathers):
+        i = solver.pairs.grid.order[k]
+    return i
 
 
 @ti.func
@@ -60,6 +71,13 @@ def add(solver: ti.template(), table: ti.template(), i, change):
         table[i] += change
     else:
         table[i] = table[i] + change
+
+
+@ti.func
+def add_to_other(solver: ti.template(), table: ti.template(), j, change):
+    """The same for the ball that does not list the pair. One that does sums it itself."""
+    if ti.static(not solver.plan.gathers):
+        add(solver, table, j, change)
 
 
 @ti.func

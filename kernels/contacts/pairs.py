@@ -1,7 +1,7 @@
 """Finding contacts between balls, each pair once, and what they start with.
 
 A pair is listed by that of its balls which comes first in the sorted grid. Iterations take the balls in that order too, in
-blocks that are longer than any pair reaches: see pair_sweeps.
+blocks that are longer than any pair reaches: see pair_sweeps. Where each ball gathers what it gets, both list it.
 """
 
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
@@ -42,14 +42,15 @@ def may_meet(pairs: ti.template(), i, j):
 
 @ti.func
 def nearby(pairs: ti.template(), own, at, free):
-    """Write the sorted copies within reach of copy `own` that come after it, as links from `at` on; returns how many.
+    """Write the sorted copies within reach of copy `own` that come after it, or all of them, as links from `at` on; returns how
+    many.
 
     Links beyond `free` are counted; the last place holds any one of them.
     """
     a = pairs.grid.copy[own]
     found = 0
     mine = level_of(a.radius, pairs.grid)
-    for level in range(mine, pairs.grid.levels):
+    for level in range(0 if ti.static(pairs.plan.gathers) else mine, pairs.grid.levels):
         if pairs.grid.dense[level] == 0:
             found = scan(pairs, own, a, mine, level, at, found, free, False)
         if pairs.grid.dense[level] == 1:
@@ -66,15 +67,14 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.t
     high = cell_of(a.x + span, pairs.grid, level)
     here = low
     if level == mine:
-        if ti.static(dense):
+        if ti.static(dense and not pairs.plan.gathers):
             here = cell_of(a.x, pairs.grid, level)
     elif ti.static(pairs.grid.levels > 1):
         low, high = clip(pairs.grid, level, low, high)
         here = low
     length = ti.max(0, high[0] - low[0] + 1)
-    ranked = ti.static(
-        not dense and pairs.grid.levels == 1
-    )  # listed by the one that comes first in the order of sweeps
+    # listed by the one that comes first in the order of sweeps
+    ranked = ti.static(not dense and pairs.grid.levels == 1 and not pairs.plan.gathers)
     rank = 0
     if ti.static(ranked):
         rank = pairs.grid.rank[pairs.grid.sorted[own]]
@@ -82,8 +82,9 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.t
         0 if ti.static(pairs.model.dim == 2) else here[2], 1 if ti.static(pairs.model.dim == 2) else high[2] + 1
     ):
         begin = low[1]
-        if ti.static(pairs.model.dim == 2) or z == here[pairs.model.dim - 1]:
-            begin = here[1]
+        if ti.static(not pairs.plan.gathers):
+            if ti.static(pairs.model.dim == 2) or z == here[pairs.model.dim - 1]:
+                begin = here[1]
         for y in range(begin, high[1] + 1):
             row = low
             row[1] = y
@@ -92,7 +93,7 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.t
             bucket = bucket_of(row, pairs.grid, level)
             for piece in ti.static(range(1 if dense else 2)):
                 first, last = run(pairs.grid, level, bucket, length, piece)
-                for k in range(first if ti.static(ranked) else ti.max(first, own + 1), last):
+                for k in range(first if ti.static(ranked or pairs.plan.gathers) else ti.max(first, own + 1), last):
                     b = pairs.grid.copy[k]
                     r = b.x - a.x
                     reach = (a.radius + b.radius) * pairs.grid.enlarged
@@ -102,6 +103,8 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.t
                             listed = same_row(row, cell_of(b.x, pairs.grid, level))
                         if ti.static(ranked):
                             listed = listed and pairs.grid.rank[pairs.grid.sorted[k]] > rank
+                        if ti.static(pairs.plan.gathers):
+                            listed = listed and k != own
                         if listed:
                             pairs.link[at + ti.min(found, free)].other = k
                             found += 1
@@ -120,7 +123,7 @@ def keep_colliding(pairs: ti.template(), own, at, found):
         j = pairs.grid.sorted[k]
         if may_touch(pairs, i, j):
             distance = k - own
-            if ti.static(pairs.grid.levels == 1):
+            if ti.static(pairs.grid.levels == 1 and not pairs.plan.gathers):
                 if pairs.grid.dense[0] == 0:
                     distance = pairs.grid.rank[j] - pairs.grid.rank[i]
             furthest = ti.max(furthest, distance)
@@ -153,26 +156,32 @@ def forget_impulse(pairs: ti.template(), e):
 def store(pairs: ti.template()):
     """Before new lists are made: keep links of what touches in `contact`, whose own content only lasts until then."""
     for i in range(pairs.grid.work[0].balls):
-        pairs.old_first[i] = pairs.first[i]
-        pairs.old_touching[i] = pairs.touching[i]
-        for c in range(pairs.first[i], pairs.first[i] + pairs.touching[i]):
-            link = pairs.link[c]
-            pairs.contact[c].depth = link.impulse
-            if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
-                pairs.contact[c].mass = ti.bit_cast(link.other + BITS_OF_ONE, ti.f32)
+        store_links(pairs, i)
+
+
+@ti.func
+def store_links(pairs: ti.template(), i):
+    """`store` for ball i."""
+    pairs.old_first[i] = pairs.first[i]
+    pairs.old_touching[i] = pairs.touching[i]
+    for c in range(pairs.first[i], pairs.first[i] + pairs.touching[i]):
+        link = pairs.link[c]
+        pairs.contact[c].depth = link.impulse
+        if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
+            pairs.contact[c].mass = ti.bit_cast(link.other + BITS_OF_ONE, ti.f32)
+        else:
+            pairs.contact[c].mass = ti.cast(link.other, float)
+        if ti.static(pairs.plan.soft and pairs.has_target):
+            pairs.contact[c].target = link.bias_velocity
+        elif ti.static(pairs.plan.soft):
+            pairs.contact[c].starting_impulse = link.bias_velocity
+        if ti.static(pairs.has_rebounds):
+            pairs.contact[c].rebound_speed = link.rebound_speed
+        if ti.static(pairs.model.has_friction):
+            if ti.static(pairs.model.dim == 2):
+                pairs.contact[c].normal[0] = link.tangential_impulse
             else:
-                pairs.contact[c].mass = ti.cast(link.other, float)
-            if ti.static(pairs.plan.soft and pairs.has_target):
-                pairs.contact[c].target = link.bias_velocity
-            elif ti.static(pairs.plan.soft):
-                pairs.contact[c].starting_impulse = link.bias_velocity
-            if ti.static(pairs.has_rebounds):
-                pairs.contact[c].rebound_speed = link.rebound_speed
-            if ti.static(pairs.model.has_friction):
-                if ti.static(pairs.model.dim == 2):
-                    pairs.contact[c].normal[0] = link.tangential_impulse
-                else:
-                    pairs.contact[c].normal = link.tangential_impulse
+                pairs.contact[c].normal = link.tangential_impulse
 
 
 @ti.func
@@ -192,7 +201,7 @@ def recall(pairs: ti.template(), i, j, at):
     Starting from these impulses, iterations need not build up the load of a pile from nothing in every step.
     """
     forget(pairs, at)
-    for which in ti.static(range(2)):
+    for which in ti.static(range(1 if pairs.plan.gathers else 2)):
         one, two = i, j
         if ti.static(which == 1):
             one, two = j, i
@@ -239,23 +248,9 @@ def search(pairs: ti.template()):
         end = at + pairs.block_capacity
         furthest = 0
         for k in range(block * LIST_BLOCK, ti.min((block + 1) * LIST_BLOCK, pairs.grid.n)):
-            first = at
-            far = 0
-            found = nearby(pairs, k, at, end - 1 - at)
-            if at + found < end:
-                found, far = keep_colliding(pairs, k, at, found)
+            first, found, far = list_neighbours(pairs, k, at, end)
+            if first == at:
                 at += found
-            else:
-                used = COUNT_LIMIT
-                if pairs.used[0] < COUNT_LIMIT - pairs.pool_start:
-                    used = pairs.pool_start + ti.atomic_add(pairs.used[0], found + 1)
-                if used + found < pairs.capacity:
-                    first = used
-                    nearby(pairs, k, first, found)
-                    found, far = keep_colliding(pairs, k, first, found)
-                else:
-                    ti.atomic_max(pairs.overflow[0], used + found + 1)
-                    found = 0
             furthest = ti.max(furthest, far)
             i = pairs.grid.sorted[k]
             pairs.first[i] = first
@@ -266,6 +261,29 @@ def search(pairs: ti.template()):
         if pairs.grid.work[0].balls > 0:
             pairs.block_length[0] = ti.max(LIST_BLOCK, pairs.longest_reach[0])
             pairs.blocks[0] = (pairs.model.n + pairs.block_length[0] - 1) // pairs.block_length[0]
+
+
+@ti.func
+def list_neighbours(pairs: ti.template(), own, at, end):
+    """The list of sorted copy `own`, in the entries from `at` to `end` or in the pool. Returns its first entry, its length, and
+    how many places further on in the order the furthest of them is."""
+    first = at
+    far = 0
+    found = nearby(pairs, own, at, end - 1 - at)
+    if at + found < end:
+        found, far = keep_colliding(pairs, own, at, found)
+    else:
+        used = COUNT_LIMIT
+        if pairs.used[0] < COUNT_LIMIT - pairs.pool_start:
+            used = pairs.pool_start + ti.atomic_add(pairs.used[0], found + 1)
+        if used + found < pairs.capacity:
+            first = used
+            nearby(pairs, own, first, found)
+            found, far = keep_colliding(pairs, own, first, found)
+        else:
+            ti.atomic_max(pairs.overflow[0], used + found + 1)
+            found = 0
+    return first, found, far
 
 
 @ti.func

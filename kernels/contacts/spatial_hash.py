@@ -191,20 +191,26 @@ def lay_out(ball: ti.template(), grid: ti.template()):
             for c in range(1, grid.work[0].parts):
                 low = ti.min(low, grid.low[c * grid.levels + level])
                 high = ti.max(high, grid.high[c * grid.levels + level])
-            low = ti.min(low, high)  # a level may be empty
-            cells = 1
-            for a in ti.static(range(grid.dim)):
-                border = ti.static(2 * FINE_CELLS if a == 0 else 2)  # what a search around a ball may look at
-                at = level * grid.dim + a
-                grid.corner[at] = low[a] - border
-                width = high[a] - low[a] + (2 * border + 1)
-                grid.pitch[at] = ti.min(cells, CELL_LIMIT)
-                if ti.static(grid.levels > 1):
-                    grid.top[at] = high[a] + border
-                else:
-                    grid.extent[a] = width
-                cells = ti.select(width > MOST_CELLS // cells, MOST_CELLS, cells * width)  # lest it overflow
-            grid.dense[level] = ti.select(cells <= table(grid, level)[1], 1, 0)
+            place_rows(grid, level, low, high)
+
+
+@ti.func
+def place_rows(grid: ti.template(), level, lowest, high):
+    """Choose how rows are placed in the table of a level all of whose balls lie in the cells lowest..high."""
+    low = ti.min(lowest, high)  # a level may be empty
+    cells = 1
+    for a in ti.static(range(grid.dim)):
+        border = ti.static(2 * FINE_CELLS if a == 0 else 2)  # what a search around a ball may look at
+        at = level * grid.dim + a
+        grid.corner[at] = low[a] - border
+        width = high[a] - low[a] + (2 * border + 1)
+        grid.pitch[at] = ti.min(cells, CELL_LIMIT)
+        if ti.static(grid.levels > 1):
+            grid.top[at] = high[a] + border
+        else:
+            grid.extent[a] = width
+        cells = ti.select(width > MOST_CELLS // cells, MOST_CELLS, cells * width)  # lest it overflow
+    grid.dense[level] = ti.select(cells <= table(grid, level)[1], 1, 0)
 
 
 @ti.func

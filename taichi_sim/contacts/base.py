@@ -202,15 +202,25 @@ class ContactRule(FoundContacts):
     def _correct_positions(self, ball: ti.template(), h):
         """The displacements that undo overlap where contacts are rigid. Velocities never see them."""
         if ti.static(self.corrects_positions):
+            in_one = ti.static(self.plan.gathers)
+            of_pairs = ti.static(self.plan.pairs and not self.plan.soft)
             for i in range(self.n):
                 d = ti.Vector.zero(float, self.model.dim)
                 for part in ti.static(self.sticks_and_triangles):
                     d += part.correct_positions(ball, self, i, h)
                 self.position_correction[i] = d
-            if ti.static(self.plan.pairs and not self.plan.soft):
+                if ti.static(in_one and of_pairs):
+                    pair_solve.correct_positions(self, ball, i, h, None)
+                if ti.static(in_one):
+                    self._correct_at_walls(ball, i, h)
+            if ti.static(of_pairs and not in_one):
                 pair_sweeps.each_ball(self, ball, pair_solve.correct_positions, h, None)
-            if ti.static(self.plan.walls):
+            if ti.static(self.plan.walls and not in_one):
                 for i in range(self.n):
-                    self.position_correction[i] = self.position_correction[i] + self.walls.correct_positions(
-                        ball, self, i, h
-                    )
+                    self._correct_at_walls(ball, i, h)
+
+    @ti.func
+    def _correct_at_walls(self, ball: ti.template(), i, h):
+        if ti.static(self.plan.walls):
+            d = self.walls.correct_positions(ball, self, i, h)
+            self.position_correction[i] = self.position_correction[i] + d

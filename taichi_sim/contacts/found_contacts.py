@@ -19,6 +19,7 @@ from taichi_sim.kernels.contacts import (
     contact_law,
     pair_measures,
     pair_sweeps,
+    parallel_search,
     warm_start,
 )
 from taichi_sim.kernels.reductions import PART
@@ -44,7 +45,7 @@ class FoundContacts:
 
     Class attributes: `in_turn`: each pair sees what those before it changed, which needs a fixed order; `split`: each ball splits
     its mass between its contacts, see kernels.contacts.contact_law.share; `sums_plainly`: none does; `warm_starts`, `softens`,
-    `impacts_in_turn`, `energy_limiter`: what of these in ContactPlan the rule can do.
+    `impacts_in_turn`, `energy_limiter`, `gathers`: what of these in ContactPlan the rule can do.
     """
 
     name = "off"
@@ -55,6 +56,7 @@ class FoundContacts:
     softens = False
     impacts_in_turn = False
     energy_limiter = False
+    gathers = False
     relaxation = 1.0  # part of an impulse from split masses that is applied
 
     def bind(
@@ -196,21 +198,34 @@ class FoundContacts:
             part.detect(ball)
         if ti.static(self.plan.triangles):
             ccd_triangles.detect(self.triangles, self, ball)
-        if ti.static(self.plan.pairs):
-            if ti.static(self.plan.warm_starts or self.counts_pairs or self.plan.impacts_in_turn):
-                for i in range(self.n):
-                    self._clear(i)
-            pair_sweeps.each_block(self, ball, pair_measures.measure_block, 0.0, None)
-        if ti.static(self.plan.walls):
+        if ti.static(self.plan.gathers):
             for i in range(self.n):
-                crowded = False
-                if ti.static(self.plan.walls_in_turn):
-                    crowded = self.pair_count[i] > 0
-                self.walls.measure(ball, self, i, crowded)
+                parallel_search.end(self.pairs.grid, i)
+                self._clear(i)
+                pair_measures.measure(self, self.pairs, ball, i)
+                self._measure_walls(ball, i)
+                self._share_mass(ball, i)
+        else:
+            if ti.static(self.plan.pairs):
+                if ti.static(self.plan.warm_starts or self.counts_pairs or self.plan.impacts_in_turn):
+                    for i in range(self.n):
+                        self._clear(i)
+                pair_sweeps.each_block(self, ball, pair_measures.measure_block, 0.0, None)
+            if ti.static(self.plan.walls):
+                for i in range(self.n):
+                    self._measure_walls(ball, i)
         self.found(ball)
-        if ti.static(self.shares_mass):
+        if ti.static(self.shares_mass and not self.plan.gathers):
             for i in range(self.n):
                 self._share_mass(ball, i)
+
+    @ti.func
+    def _measure_walls(self, ball: ti.template(), i):
+        if ti.static(self.plan.walls):
+            crowded = False
+            if ti.static(self.plan.walls_in_turn):
+                crowded = self.pair_count[i] > 0
+            self.walls.measure(ball, self, i, crowded)
 
     @ti.func
     def _share_mass(self, ball: ti.template(), i):

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.kernels.contacts import parallel_search
 from taichi_sim.kernels.contacts import spatial_hash as loops
 from taichi_sim.kernels.reductions import PART
 
@@ -28,11 +29,14 @@ class Grid:
 
     Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
     its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
-    Nothing is looked for while cells hold more than `pair_limit` pairs. What kernels read: kernels.contacts.interfaces.Grid.
+    Nothing is looked for while cells hold more than `pair_limit` pairs. parallel: as parallel_search does it. What kernels read:
+    kernels.contacts.interfaces.Grid.
     """
 
-    def __init__(self, model: Model, fields: Fields, skin: float, gap: float, pair_limit: int) -> None:
-        self.model = model
+    def __init__(
+        self, model: Model, fields: Fields, skin: float, gap: float, pair_limit: int, parallel: bool = False
+    ) -> None:
+        self.model, self.parallel = model, parallel
         self.n, self.dim = model.n, model.dim
         self.skin, self.enlarged = skin, 1.0 + skin + gap
         self.margin = 1.001  # for rounded coordinates
@@ -45,7 +49,7 @@ class Grid:
         fewest = 64 if self.levels == 1 else FEWEST_BUCKETS_OF_LEVEL
         sizes = [max(fewest, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * n))))) for n in balls.tolist()]
         self.size = sum(sizes)
-        self.chunk = 64 if self.size < 4096 else 1024
+        self.chunk = parallel_search.SUMMED_BUCKETS if parallel or self.size < 4096 else 1024
         self.size = -(-self.size // self.chunk) * self.chunk
         if self.levels > 1:
             self.bound = fields.reals(np.array(self.bounds))
@@ -54,13 +58,17 @@ class Grid:
             self.table_first = fields.integers(np.cumsum([0, *sizes[:-1]]))
             self.top = fields.integers(self.levels * model.dim)
         else:
+            self.extent = fields.integers(model.dim)
+        if self.levels == 1 and not parallel:
             self.slabs = max(self.chunk, self.size // 4)
             self.slab, self.rank = fields.integers(self.slabs + 1), fields.integers(self.n)
-            self.extent = fields.integers(model.dim)
             self.slab_axis, self.slab_shift = fields.integers(1), fields.integers(1)
         self.count = fields.integers(self.size)
         self.start = fields.integers(self.size + 1)
         self.partial = fields.integers(self.size // self.chunk)
+        if parallel:
+            self.second_parts = -(-self.size // parallel_search.SUMMED_BUCKETS**2)
+            self.second_partial = fields.integers(self.second_parts)
         self.bucket = fields.integers(self.n)
         self.sorted, self.order = fields.integers(self.n), fields.integers(self.n)
         self.origin = fields.vectors(self.n, model.dim)
@@ -68,7 +76,7 @@ class Grid:
         self.work = fields.table(dict.fromkeys(("balls", "buckets", "parts", "ranked", "slabs"), ti.i32), 1)
         self.crowded_pairs, self.most_crowded_pairs = fields.reals(1), fields.reals(1)
         self.pair_limit = fields.reals(np.array([float(pair_limit)]))
-        self.parts = -(-self.n // PART)
+        self.parts = 1 if parallel else -(-self.n // PART)
         self.low, self.high = (fields.cells(self.levels * self.parts, model.dim) for _ in range(2))
         self.corner, self.pitch = (fields.integers(self.levels * model.dim) for _ in range(2))
         self.dense = fields.integers(self.levels)
@@ -81,6 +89,8 @@ class Grid:
         ti.loop_config(serialize=True)
         for _ in range(1):
             self.stale[0] = 1
+            if ti.static(self.parallel):
+                parallel_search.expect_anything(self)
 
     @ti.func
     def watch(self, i, x):
@@ -93,8 +103,11 @@ class Grid:
     @ti.func
     def build(self, ball: ti.template()):
         """Sort the balls into cells where the last search no longer holds."""
-        loops.decide_work(self)
-        loops.build(ball, self)
+        if ti.static(self.parallel):
+            parallel_search.build(ball, self)
+        else:
+            loops.decide_work(self)
+            loops.build(ball, self)
 
 
 def levels(radius: NDArray[np.float64], dim: int) -> list[float]:

@@ -20,7 +20,7 @@ class Jacobi(IteratedRule):
     energy and iterations converge. Needs no order: GPUs and atomics take all contacts at once."""
 
     name = "jacobi"
-    split = warm_starts = softens = energy_limiter = True
+    split = warm_starts = softens = energy_limiter = gathers = True
 
     def allocate(self, fields: Fields) -> None:
         """What an iteration sums for each ball."""
@@ -42,7 +42,9 @@ class Jacobi(IteratedRule):
             self.impulse[i] = p
             if ti.static(self.model.spins):
                 self.angular_impulse[i] = t
-        if ti.static(self.plan.pairs):
+            if ti.static(self.plan.gathers):
+                pair_solve.ball_at_once(self, ball, i, time, how)
+        if ti.static(self.plan.pairs and not self.plan.gathers):
             pair_sweeps.each_ball(self, ball, pair_solve.ball_at_once, time, how)
         for i in range(self.n):
             p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)

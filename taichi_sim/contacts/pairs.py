@@ -8,7 +8,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import pairs as loops
-from taichi_sim.kernels.contacts import statistics
+from taichi_sim.kernels.contacts import parallel_search, statistics
 from taichi_sim.kernels.contacts.contact_law import TOUCH_TOLERANCE
 from taichi_sim.kernels.vectors import unit
 
@@ -16,13 +16,14 @@ __all__ = ["Pairs"]
 
 POOL_LINKS = 1 << 19  # links for what a block cannot hold; a thousand coincident balls fit
 LINKS_PER_BALL = {2: 4, 3: 6}  # equal balls touch at most 6 others in 2D, 12 in 3D; each pair is listed once
+OWN_LINKS = {2: 8, 3: 14}  # of each ball where both list a pair; the last one is for any that do not fit
 # of the radii: soft contacts hold balls that nearly touch, lest those that rest on each other part and meet again
 LISTED_GAP = 0.02
 
 
 @ti.data_oriented
 class Pairs:
-    """Ball-ball contacts: each ball lists the later balls near it, those that touch it first. `link` holds what a contact keeps
+    """Ball-ball contacts: each ball lists the later balls near it, or all where the plan gathers, those that touch it first. `link` holds what a contact keeps
     from step to step, `contact` what only one step needs, see kernels.contacts.interfaces. capacity: links that are known to be
     needed."""
 
@@ -32,8 +33,9 @@ class Pairs:
         scene = model.scene
         self.model, self.grid, self.plan = model, grid, plan
         self.gap = LISTED_GAP if plan.soft else 0.0
-        self.block_capacity = loops.LIST_BLOCK * LINKS_PER_BALL[model.dim]
-        self.pool_start = -(-model.n // loops.LIST_BLOCK) * self.block_capacity
+        balls = 1 if plan.gathers else loops.LIST_BLOCK  # of a block
+        self.block_capacity = OWN_LINKS[model.dim] if plan.gathers else balls * LINKS_PER_BALL[model.dim]
+        self.pool_start = -(-model.n // balls) * self.block_capacity
         self.capacity = max(capacity, self.pool_start + max(model.n // 2, min(model.n**2, POOL_LINKS)))
         before = fields.bytes
         self.used, self.overflow = fields.integers(1), fields.integers(1)
@@ -91,7 +93,10 @@ class Pairs:
     @ti.func
     def detect(self, ball: ti.template()):
         """List all pairs within reach, where the last list no longer holds; the grid is built already."""
-        loops.search(self)
+        if ti.static(self.plan.gathers):
+            parallel_search.search(self)
+        else:
+            loops.search(self)
 
     @ti.func
     def statistics(self, ball: ti.template(), i):
@@ -102,7 +107,10 @@ class Pairs:
             j = self.link[e].other
             one, two = self.model.radius[i], self.model.radius[j]
             n, d = unit(ball[j].x - ball[i].x, i, j)
-            if d < (1.0 + TOUCH_TOLERANCE) * (one + two):
+            once = True
+            if ti.static(self.plan.gathers):
+                once = i < j
+            if once and d < (1.0 + TOUCH_TOLERANCE) * (one + two):
                 u = (ball[j].v - ball[i].v).dot(n)
                 presses = False
                 if ti.static(self.plan.warm_starts):

@@ -34,6 +34,7 @@ class ContactPlan:
     line_search: bool  # see kernels.contacts.impact_iterations
     limits_energy: bool  # see kernels.contacts.energy_limiter
     iterations: int  # of the solve before the move
+    gathers: bool  # both balls of a pair list it, and each sums what it gets: no order of pairs, and no atomics
     atomic: bool  # impulses are added by atomics
     serial: bool  # one thread runs all
     reasons: tuple[str, ...]  # a line for each decision
@@ -55,11 +56,12 @@ def plan_contacts(
     custom_method: bool,
     extra_forces: bool,
     iterations: int,
+    parallel: bool,
     atomic: bool,
     serial: bool,
 ) -> ContactPlan:
     """The plan of a scene whose contacts a ContactRule solves. relaxes, custom_method: of the integrator; extra_forces: there are
-    others than gravity and springs."""
+    others than gravity and springs; parallel: as many threads as balls are to have work."""
     reasons: list[str] = []
     chosen: dict[str, Any] = {}
 
@@ -88,6 +90,11 @@ def plan_contacts(
         "two balls that may touch, or sticks or triangles, which look for theirs too",
     )
     walls = decide("walls", on and (scene.walls or scene.colliders), "walls or colliders")
+    gathers = decide(
+        "gathers",
+        pairs and parallel and rule.gathers,
+        "pairs, a device or accumulate: gather, and a rule that takes all contacts at once",
+    )
     decide("colliders", on and scene.colliders, "colliders")
     decide(
         "skin",
@@ -143,7 +150,9 @@ def plan_contacts(
     )
     del chosen["contacts"]
     chosen["skin"] = SKIN if chosen["skin"] else 0.0
-    return ContactPlan(**chosen, iterations=iterations, atomic=atomic, serial=serial, reasons=tuple(reasons))
+    return ContactPlan(
+        **chosen, iterations=iterations, atomic=atomic and not gathers, serial=serial, reasons=tuple(reasons)
+    )
 
 
 def slowest_bounce(scene: Scene, h: float) -> float:

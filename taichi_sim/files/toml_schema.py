@@ -66,7 +66,7 @@ class Simulation(Strict):
     arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = "auto"
     contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = "auto"
     contact_iterations: PositiveInt | Literal["auto"] = "auto"
-    accumulate: Literal["auto", "ordered", "atomic"] = "auto"
+    accumulate: Literal["auto", "ordered", "gather", "atomic"] = "auto"
     driver: Literal["auto", "fused", "parallel"] = "auto"
     spin: Literal["auto", True, False] = "auto"
     substeps: PositiveInt | Literal["auto"] = "auto"

@@ -110,6 +110,7 @@ class Assembly:
         self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
         self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
         self.atomic = settings.accumulate == "atomic"
+        self.parallel = settings.accumulate == "gather" or not (cpu or self.atomic)
         self.integrator = settings.integrator
         self.integrator.fit(scene)
         springs = self._springs(scene, cpu, small, h)
@@ -159,6 +160,7 @@ class Assembly:
             custom_method=type(settings.integrator) not in BUILT_IN,  # it may move balls unseen
             extra_forces=bool(self.forces.extra),
             iterations=settings.iterations(scene, rule.in_turn),
+            parallel=self.parallel and type(rule) in CONTACT_RULES.values(),
             atomic=self.atomic or (settings.accumulate == "auto" and not cpu),  # blocks are too few for a GPU
             serial=self.fused,
         )
@@ -170,7 +172,7 @@ class Assembly:
         walls = pairs = sticks = triangles = None
         if plan.pairs:
             most = self._spare_bytes() // PAIR_BYTES
-            grid = Grid(model, fields, plan.skin, LISTED_GAP if plan.soft else 0.0, most)
+            grid = Grid(model, fields, plan.skin, LISTED_GAP if plan.soft else 0.0, most, plan.gathers)
             pairs = Pairs(model, fields, grid, plan, self.capacity.pairs)
             sticks = Sticks(model, fields, pairs, self.capacity.sticks) if plan.sticks else None
             triangles = TriangleContacts(model, fields, pairs, self.capacity.triangles) if plan.triangles else None
@@ -186,12 +188,12 @@ class Assembly:
     def _rule(self, settings: Settings, cpu: bool) -> ContactRule:
         """A fixed order of pairs is what Gauss-Seidel is made of; atomics and GPUs take all at once. It needs half the
         iterations, and impacts one by one keep the energy of what bounces."""
-        ordered = cpu and not self.atomic
+        ordered = cpu and settings.accumulate in ("auto", "ordered")
         rule = settings.contacts
         if isinstance(rule, str):
             rule = CONTACT_RULES[("gauss_seidel" if ordered else "jacobi") if rule == "auto" else rule]()
         if rule.in_turn and not ordered:
-            why = "accumulate: 'atomic'" if self.atomic else "a GPU"
+            why = f"accumulate: {settings.accumulate!r}" if cpu else "a GPU"
             raise ValueError(f"contacts: {rule.name!r} changes velocities in a fixed order, which {why} does not have")
         return another(rule)  # one object may serve several simulations
 

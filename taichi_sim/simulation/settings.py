@@ -32,7 +32,7 @@ DEFAULTS: dict[str, Any] = {
     "spin": "auto",
 }
 WORDS: dict[str, tuple[Any, ...]] = {
-    "accumulate": ("auto", "ordered", "atomic"),
+    "accumulate": ("auto", "ordered", "gather", "atomic"),
     "driver": ("auto", "fused", "parallel"),
     "spin": ("auto", True, False),
 }

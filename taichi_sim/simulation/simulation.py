@@ -59,7 +59,7 @@ class Simulation(Reader):
         contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
             by jacobi, 10 where surfaces collide; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with
             sticks or surfaces ("auto").
-        accumulate: "auto", "ordered", "atomic" ("auto": ordered, but for contacts on a GPU).
+        accumulate: "auto", "ordered", "gather", "atomic": in which order impulses are added, see docs/physics.md ("auto").
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
         forces: your own force objects.

@@ -18,21 +18,25 @@ SIZES = {
     "one_level": {"equal": 1.0, "1:4": 4.0, "1:30": 30.0},
     "levels": {"1:1000": 1000.0, "1:100": 100.0, "equal": 1.0},
 }
-QUICK = {(2, "fused", "one_level"), (3, "parallel", "levels")}
+QUICK = {(2, "fused", "one_level", "ordered"), (3, "parallel", "levels", "ordered"), (2, "fused", "levels", "gather")}
 CASES = [
     pytest.param(*case, id="-".join(map(str, case)), marks=[] if case in QUICK else [pytest.mark.slow])
-    for case in product((2, 3), ("fused", "parallel"), SIZES)
+    for case in product((2, 3), ("fused", "parallel"), SIZES, ("ordered", "gather"))
 ]
 
 
 def listed(sim):
-    """All touching pairs (i, j), i < j, as often as lists name them."""
+    """All touching pairs (i, j), i < j, as often as lists name them; where both balls do, as often as the first one does."""
     pairs, n = sim.parts.contacts.pairs, sim.scene.n_balls
     first, number, other = (f.to_numpy() for f in (pairs.first, pairs.touching, pairs.link.other))
     first, number = first[:n], number[:n]
     i = np.repeat(np.arange(n), number)
     e = np.concatenate([np.arange(a, a + k) for a, k in zip(first, number)]) if len(i) else i
-    return np.sort(np.stack([i, other[e]], axis=1), axis=1)
+    found = np.stack([i, other[e]], axis=1)
+    if sim.parts.contacts.plan.gathers:
+        assert set(map(tuple, found)) == set(map(tuple, found[:, ::-1]))
+        found = found[found[:, 0] < found[:, 1]]
+    return np.sort(found, axis=1)
 
 
 def agrees(sim, radius) -> int:
@@ -72,9 +76,9 @@ def sizes(rng, ratio):
     return largest * ratio ** -rng.uniform(0.0, 1.0, N) if ratio > 1.0 else np.full(N, largest)
 
 
-@pytest.mark.parametrize(("dim", "driver", "kind"), CASES)
+@pytest.mark.parametrize(("dim", "driver", "kind", "accumulate"), CASES)
 @pytest.mark.slow_where(dim=2)
-def test_a_thousand_scenes(dim, driver, kind):
+def test_a_thousand_scenes(dim, driver, kind, accumulate):
     """One compiled scene takes the positions and radii of all, is moved by set_position, by steps within the skin and beyond."""
     scene = ts.Scene(dim=dim)
     ratios = list(SIZES[kind].values())
@@ -82,7 +86,8 @@ def test_a_thousand_scenes(dim, driver, kind):
     scene.add_balls(np.zeros((N, dim)) + np.arange(N)[:, None], radius=made_for)
     settings = {"dt": H, "integrator": "symplectic_euler", "contact_iterations": 1, "contacts": "jacobi"}
     met, hashed = np.zeros((len(CROWDS), len(ratios)), dtype=int), 0
-    with simulate(scene, ("ordered", driver), **settings) as sim:
+    with simulate(scene, (accumulate, driver), **settings) as sim:
+        assert sim.parts.contacts.plan.gathers == (accumulate == "gather")
         grid = sim.parts.contacts.pairs.grid
         assert grid.levels == (8 if kind == "levels" else 1)
         for seed in range(SCENES):

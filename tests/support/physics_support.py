@@ -18,6 +18,7 @@ DIMS = (2, 3)
 # (accumulate, driver); every pair for springs, the two extremes where contacts make kernels slow to compile
 VARIANTS = (("ordered", "fused"), ("ordered", "parallel"), ("atomic", "fused"), ("atomic", "parallel"))
 EXTREMES = (VARIANTS[0], VARIANTS[3])
+GATHERED = ("gather", "parallel")  # as on a device
 
 QUICK_CONTACT = (3, "verlet", VARIANTS[3])  # (dim, method, variant): what `make test` has where contacts are compiled
 
@@ -32,7 +33,7 @@ CONTACT_CASES = [
     pytest.param((d, m, v), id=f"{d}d-{m}-{'-'.join(v)}", marks=_how_slow((d, m, v)))
     for d in DIMS
     for m in METHODS
-    for v in (VARIANTS if m == "verlet" else EXTREMES[:1])
+    for v in ((*VARIANTS, GATHERED) if m == "verlet" else EXTREMES[:1])
 ]
 
 each_dim = pytest.mark.parametrize("dim", DIMS, ids=["2d", "3d"])

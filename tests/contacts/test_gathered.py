@@ -1,0 +1,115 @@
+"""accumulate = "gather": both balls of a pair list it and each sums what it gets, as on a device. The same motion as in blocks."""
+
+import numpy as np
+import pytest
+from physics_support import F64, simulate
+
+import taichi_sim as ts
+from taichi_sim.contacts.jacobi import Jacobi
+
+H = 1e-3
+
+
+def heap(dim, n=120):
+    """Balls of two sizes that start in each other, above a floor and a sphere; they rub, bounce and turn."""
+    rng = np.random.default_rng(dim)
+    scene = ts.Scene(dim=dim, gravity=(0, -10, 0)[:dim])
+    scene.add_material("rubber", restitution=0.6, friction=0.4)
+    radius = rng.choice([0.05, 0.03], n)
+    scene.add_balls(
+        rng.uniform(0, 0.9 if dim == 2 else 0.4, (n, dim)), radius=radius, mass=radius**dim, material="rubber"
+    )
+    scene.add_wall((0, 1, 0)[:dim], 0.0, "rubber")
+    scene.add_collider(ts.Sphere((0.2, -0.14, 0.2)[:dim], 0.1, material="rubber"))
+    return scene
+
+
+def ended(scene, accumulate, steps=30, driver="parallel", **settings):
+    """(position, velocity, spin), contacts and the plan after some steps."""
+    given = {"dt": H, "contacts": "jacobi", **settings}
+    with simulate(scene, (accumulate, driver), **given) as sim:
+        sim.step(steps)
+        return (
+            np.hstack([sim.position, sim.velocity, sim.angular_velocity.reshape(scene.n_balls, -1)]),
+            sim.contacts(),
+            sim.parts.contacts.plan,
+        )
+
+
+@pytest.mark.slow_where(dim=2)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_same_motion_as_in_blocks(dim):
+    """Only the order of sums differs; a heap makes 1e-16 of it 1e-12 in thirty steps."""
+    scene = heap(dim)
+    here, contacts, plan = ended(scene, "gather")
+    there, others, other_plan = ended(scene, "ordered")
+    assert plan.gathers and not other_plan.gathers
+    assert contacts.number == others.number > 100
+    assert here == pytest.approx(there, abs=1e-9 if F64 else 2e-2)
+    assert np.median(np.abs(here - there)) < (1e-12 if F64 else 1e-4)
+
+
+def test_the_same_bits_by_either_driver():
+    """Nothing depends on which thread does what."""
+    scene = heap(3)
+    np.testing.assert_array_equal(ended(scene, "gather")[0], ended(scene, "gather", driver="fused")[0])
+
+
+def test_both_balls_get_the_same_impulse():
+    """Momentum is kept to rounding, though each ball works out its own impulse."""
+    scene = heap(2)
+    scene.walls.clear()
+    scene.colliders.clear()
+    mass = scene.mass[:, None]
+    before = np.sum(mass * scene.velocity, axis=0) + np.array([0.0, -10.0]) * 30 * H * mass.sum()
+    after, contacts, _ = ended(scene, "gather")
+    assert contacts.number > 100
+    assert np.sum(mass * after[:, 2:4], axis=0) == pytest.approx(before, abs=(1e-12 if F64 else 1e-5) * mass.sum())
+
+
+def test_more_neighbours_than_a_ball_has_room_for(monkeypatch):
+    """One ball among hundreds that touch it: its list lies in the pool, which has to grow."""
+    monkeypatch.setattr("taichi_sim.contacts.pairs.POOL_LINKS", 8)
+    rng = np.random.default_rng(1)
+    scene = ts.Scene(dim=3)
+    around = rng.standard_normal((400, 3))
+    scene.add_balls([[0, 0, 0]], radius=1.0)
+    scene.add_balls(1.015 * around / np.linalg.norm(around, axis=1)[:, None], radius=0.02)
+    d = np.linalg.norm(scene.position[:, None] - scene.position[None], axis=2)
+    expected = int(np.sum(np.triu(d < scene.radius[:, None] + scene.radius[None], 1)))
+    with simulate(scene, ("gather", "parallel"), dt=H, contacts="jacobi", contact_iterations=1) as sim:
+        room = sim.parts.contacts.pairs.capacity
+        sim.step(0)
+        assert sim.contacts().number == expected > 400
+        assert sim.parts.contacts.pairs.capacity > room
+        assert sim.parts.contacts.pairs.touching[0] == 400
+
+
+def test_what_is_fast_stops_where_it_meets():
+    """Continuous collision detection: balls that move five radii a step do not pass through a row."""
+    scene = ts.Scene(dim=2)
+    scene.add_balls(np.stack([np.zeros(40), 0.1 * np.arange(40)], axis=1), radius=0.06, mass=1e3)
+    scene.add_balls(
+        np.stack([np.full(10, -1.0), 0.4 * np.arange(10) + 0.1], axis=1), radius=0.04, velocity=(200.0, 3.0)
+    )
+    here, _, _ = ended(scene, "gather", steps=12)
+    there, _, _ = ended(scene, "ordered", steps=12)
+    assert here[40:, 0].max() < 0.0
+    assert here == pytest.approx(there, rel=1e-9 if F64 else 1e-4, abs=1e-9 if F64 else 1e-3)
+
+
+def test_a_rule_in_turn_is_refused():
+    with pytest.raises(
+        ValueError, match="contacts: 'gauss_seidel' changes velocities in a fixed order, which accumulate: 'gather'"
+    ):
+        ts.Simulation(heap(2), contacts="gauss_seidel", accumulate="gather", dt=H)
+
+
+def test_a_rule_of_a_users_takes_each_pair_once():
+    """It may change both balls of a pair, so its pairs are listed by one of them."""
+
+    class Own(Jacobi):
+        name = "own"
+
+    with simulate(heap(2), ("gather", "fused"), dt=H, contacts=Own()) as sim:
+        assert not sim.parts.contacts.plan.gathers
