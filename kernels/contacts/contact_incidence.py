@@ -1,7 +1,15 @@
 """For each ball, the sorted list of its entries in contacts of several balls: gathered by ball, sums come out the same whatever
 the threads did, and nothing is added by atomics. The entries of ball i are first[i] to first[i] + number[i]."""
 
+from taichi_sim.kernels.loops import each
+
 from taichi_sim.device.engine import ti
+
+
+@ti.func
+def each_contact(contacts: ti.template(), visit: ti.template(), arguments: ti.template()):
+    """visit(c, *arguments) for each contact c."""
+    each(ti.min(contacts.used[0], contacts.capacity), contacts.capacity, contacts.pairs.plan.gathers, visit, arguments)
 
 
 @ti.func
@@ -9,23 +17,31 @@ def list_entries(contacts: ti.template()):
     """Make all lists."""
     for i in range(contacts.model.n):
         contacts.number[i] = 0
-    for c in range(ti.min(contacts.used[0], contacts.capacity)):
-        for k in ti.static(range(contacts.balls_per_contact)):
-            contacts.number[contacts.ball_of(contacts.balls_per_contact * c + k)] += 1
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        contacts.entries[0] = 0
+        if i == 0:
+            contacts.entries[0] = 0
+    each_contact(contacts, count_entries, (contacts,))
     for i in range(contacts.model.n):
         contacts.first[i] = ti.atomic_add(contacts.entries[0], contacts.number[i])
         contacts.number[i] = 0
-    for c in range(ti.min(contacts.used[0], contacts.capacity)):
-        for k in ti.static(range(contacts.balls_per_contact)):
-            i = contacts.ball_of(contacts.balls_per_contact * c + k)
-            contacts.entry[contacts.first[i] + ti.atomic_add(contacts.number[i], 1)] = (
-                contacts.balls_per_contact * c + k
-            )
+    each_contact(contacts, enter, (contacts,))
     for i in range(contacts.model.n):
         sort(contacts, contacts.first[i], contacts.first[i] + contacts.number[i])
+
+
+@ti.func
+def count_entries(c, contacts: ti.template()):
+    """Contact c is an entry of each of its balls."""
+    for k in ti.static(range(contacts.balls_per_contact)):
+        contacts.number[contacts.ball_of(contacts.balls_per_contact * c + k)] += 1
+
+
+@ti.func
+def enter(c, contacts: ti.template()):
+    """Put contact c into the list of each of its balls."""
+    for k in ti.static(range(contacts.balls_per_contact)):
+        entry = contacts.balls_per_contact * c + k
+        i = contacts.ball_of(entry)
+        contacts.entry[contacts.first[i] + ti.atomic_add(contacts.number[i], 1)] = entry
 
 
 @ti.func

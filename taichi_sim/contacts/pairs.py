@@ -23,9 +23,9 @@ LISTED_GAP = 0.02
 
 @ti.data_oriented
 class Pairs:
-    """Ball-ball contacts: each ball lists the later balls near it, or all where the plan gathers, those that touch it first. `link` holds what a contact keeps
-    from step to step, `contact` what only one step needs, see kernels.contacts.interfaces. capacity: links that are known to be
-    needed."""
+    """Ball-ball contacts: each ball lists the later balls near it, or all where the plan gathers, those that touch it first.
+    `link` holds what a contact keeps from step to step, `contact` what only one step needs, see kernels.contacts.interfaces.
+    capacity: links that are known to be needed."""
 
     what = "pairs of balls within reach of each other"
 

@@ -1,4 +1,4 @@
-"""accumulate = "gather": both balls of a pair list it and each sums what it gets, as on a device. The same motion as in blocks."""
+"""accumulate = "gather": both balls of a pair list it and each sums what it gets, as on a device: the motion is that of blocks."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,8 @@ def test_the_same_motion_as_in_blocks(dim):
     scene = heap(dim)
     here, contacts, plan = ended(scene, "gather")
     there, others, other_plan = ended(scene, "ordered")
-    assert plan.gathers and not other_plan.gathers
+    assert plan.gathers
+    assert not other_plan.gathers
     assert contacts.number == others.number > 100
     assert here == pytest.approx(there, abs=1e-9 if F64 else 2e-2)
     assert np.median(np.abs(here - there)) < (1e-12 if F64 else 1e-4)
