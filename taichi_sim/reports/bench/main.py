@@ -42,7 +42,7 @@ from taichi_sim.reports.machine import processor
 from taichi_sim.reports.peers import PeerMissingError
 
 CPU_PEERS = "peers that run on the CPU only are left out"
-HOST_BYTES_A_BALL = 3000  # about what building the cloth of springs takes, measured at 1024 x 1024
+HOST_BYTES_A_BALL = 1500  # that building the cloth of springs takes: 1316 at 512 x 512
 
 
 def _side(quick: bool, arch: str) -> int:
