@@ -237,12 +237,25 @@ def devices() -> None:
     Console().print(table)
 
 
-@_command()
-def bench(names: Annotated[list[str] | None, typer.Argument(metavar="[NAME ...]")] = None) -> None:
-    """Run the benchmark, beside its reference implementations."""
+@_command("arch")
+def bench(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[CASE ...]")] = None,
+    quick: Annotated[bool, _flag("quick", "Tiny sizes, to try it out.")] = False,
+    json: Annotated[str | None, typer.Option(metavar="FILE", help="Where all numbers go.")] = None,
+    checks: Annotated[
+        bool,
+        _flag(
+            "checks", "First the device's self-test, and in a source folder its tests; exit status 1 where one fails."
+        ),
+    ] = False,
+    **options: Any,
+) -> None:
+    """Run the benchmark, beside its reference implementations: on the CPU, or the device that --arch names."""
     from taichi_sim.reports.bench import main as benchmark
 
-    benchmark.main(names or [])
+    arch = options["arch"] or "cpu"
+    if not benchmark.main(names or [], quick=quick, arch=arch, file=json, checks=checks):
+        raise typer.Exit(FAILED)
 
 
 @_command("size", "fps", "duration", name="demos")

@@ -1,4 +1,4 @@
-"""The program's side of the benchmark: the cases as scenes, stepped by Simulation on the CPU, where its peers run."""
+"""The program's side of the benchmark: the cases as scenes, stepped by Simulation, on the CPU where its peers run unless told."""
 
 from typing import Any
 
@@ -15,8 +15,8 @@ from taichi_sim.simulation.simulation import Simulation
 class Ours:
     """A Runner (see peers) around a Simulation in f32."""
 
-    def __init__(self, scene: Scene, **settings: Any) -> None:
-        self.simulation = Simulation(scene, arch="cpu", precision="f32", **settings)
+    def __init__(self, scene: Scene, *, arch: str = "cpu", **settings: Any) -> None:
+        self.simulation = Simulation(scene, arch=arch, precision="f32", **settings)
         self.close = self.simulation.close
 
     def reset(self) -> None:
@@ -34,12 +34,12 @@ class Ours:
         return self.simulation.position, self.simulation.velocity
 
 
-def cloth_step(cloth: Cloth) -> Ours:
+def cloth_step(cloth: Cloth, arch: str = "cpu") -> Ours:
     """Symplectic Euler on a cloth without contacts, as its peers do it."""
     scene = Scene(dim=3, gravity=cloth.gravity)
     scene.add_balls(cloth.position, velocity=cloth.velocity, radius=1e-3)  # which plays no part
     scene.add_springs(cloth.pairs, stiffness=cloth.stiffness, rest_length=cloth.rest_length)
-    return Ours(scene, integrator="symplectic_euler", contacts="off", dt=cloth.dt, driver="parallel")
+    return Ours(scene, arch=arch, integrator="symplectic_euler", contacts="off", dt=cloth.dt, driver="parallel")
 
 
 def ball_scene(case: Balls) -> Scene:
@@ -65,8 +65,9 @@ def ball_step(case: Balls, **settings: Any) -> Ours:
 class ContactPass(Ours):
     """The search for contacts from nothing and one iteration, as the kernels of a simulation do it, and no more."""
 
-    def __init__(self, pack: Balls, rule: str) -> None:
-        super().__init__(ball_scene(pack), contacts=rule, contact_iterations=1, dt=1e-6, driver="parallel")
+    def __init__(self, pack: Balls, rule: str, arch: str = "cpu") -> None:
+        settings: dict[str, Any] = {"contacts": rule, "contact_iterations": 1, "dt": 1e-6, "driver": "parallel"}
+        super().__init__(ball_scene(pack), arch=arch, **settings)
         parts = self.simulation.parts
         self.contacts, self.ball = parts.contacts, parts.state.ball
 

@@ -59,6 +59,10 @@ class PileReport(Report):
             rows.append([name, times, ratios, _span(kinetic, ".1e"), *(_span(values, ".3f") for values in depths)])
         return head, rows
 
+    def records(self) -> list[dict[str, Any]]:
+        """With how the pile of each seed lay."""
+        return [row | {"lies": [lie._asdict() for lie in self.lies[row["name"]]]} for row in super().records()]
+
 
 def _span(values: Sequence[float], form: str) -> str:
     """From the least to the largest value."""

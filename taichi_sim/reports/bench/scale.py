@@ -1,5 +1,9 @@
 """The benchmark's large cloth and jelly: what building, a step and a frame take, and a cloth that meets a ball and itself."""
 
+import json
+import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -10,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from taichi_sim import shapes
+from taichi_sim.common.errors import BackendError
 from taichi_sim.outputs import export, open_output
-from taichi_sim.reports.bench.table import REPEATS, Report, elapsed
+from taichi_sim.reports.bench.table import REPEATS, Report, count_of, elapsed
 from taichi_sim.reports.memory import breakdown
 from taichi_sim.scene.colliders import Sphere
 from taichi_sim.scene.scene import Scene
@@ -20,7 +25,8 @@ from taichi_sim.simulation.simulation import Simulation
 STEPS = 5  # in each timing
 FPS = 60.0
 BALL_CENTRE, BALL_RADIUS = (0.0, 0.5, 0.0), 0.4  # m, what the cloth falls on
-CLOTH_SIDE, DROP_HEIGHT = 2.0, 1.0  # m
+CLOTH_SIDE, DROP_HEIGHT, TOUCHING = 2.0, 1.0, 0.92  # m, the heights of the cloth where it begins
+MEETING = 0.12  # s until it lies on the ball's top
 CHECK_INTERVAL = 0.1  # s of simulated time between two searches for what has gone through
 
 
@@ -33,14 +39,14 @@ def _peak() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
 
 
-def _steps(title: str, unit: str, units: int, add: Callable[[Scene], object]) -> Report:
+def _steps(title: str, unit: str, units: int, add: Callable[[Scene], object], arch: str) -> Report:
     """Time of a step of a scene, and notes of what it takes to build, to store and to make a frame of."""
     report = Report(f"{title}, one step, f32", unit, ratios=False)
     start = time.perf_counter()
     scene = Scene(dim=3, gravity=(0, -10, 0))
     add(scene)
     described = time.perf_counter() - start
-    simulation = Simulation(scene, arch="cpu", precision="f32")
+    simulation = Simulation(scene, arch=arch, precision="f32")
     built = time.perf_counter() - start
     simulation.step(1)
     ready = time.perf_counter() - start
@@ -58,9 +64,8 @@ def _steps(title: str, unit: str, units: int, add: Callable[[Scene], object]) ->
     return report
 
 
-def hanging_report(quick: bool) -> Report:
-    """A cotton cloth of 1024 x 1024 balls that hangs from its upper edge."""
-    n = 32 if quick else 1024
+def _hung(n: int, scene: Scene) -> None:
+    """A cotton cloth of n x n balls that hangs from its upper edge."""
     cotton: dict[str, Any] = {
         "mass_per_area": 0.2,
         "stretch_stiffness": 100.0,
@@ -68,11 +73,35 @@ def hanging_report(quick: bool) -> Report:
         "damping": 0.01,
     }
     hung: dict[str, Any] = {"size": (1, 1), "pinned": np.arange(n) * n, "rotation": (90, 0, 0)}
-    cloth = partial(shapes.cloth, resolution=(n, n), **hung, **cotton)
-    return _steps(f"hanging: {n} x {n} cloth of a material", "ball-step", n * n, cloth)
+    shapes.cloth(scene, resolution=(n, n), **hung, **cotton)
 
 
-def jelly_report(quick: bool) -> Report:
+def hanging_report(quick: bool, arch: str = "cpu") -> Report:
+    """A cotton cloth of 1024 x 1024 balls that hangs from its upper edge."""
+    n = 32 if quick else 1024
+    return _steps(f"hanging: {n} x {n} cloth of a material", "ball-step", n * n, partial(_hung, n), arch)
+
+
+def real_time_report(quick: bool, arch: str = "cpu") -> Report:
+    """The same cloth for 1/60 s, the time of a frame, by its explicit steps and by implicit ones."""
+    n = 32 if quick else 1024
+    report = Report(f"real time: {n} x {n} cloth of a material, a frame of 1/{FPS:g} s, f32", ratios=False, samples=2)
+    for integrator in ("verlet", "implicit_euler"):
+        scene = Scene(dim=3, gravity=(0, -10, 0))
+        _hung(n, scene)
+        settings: dict[str, Any] = {} if integrator == "verlet" else {"dt": 1.0 / FPS}
+        with Simulation(
+            scene, arch=arch, precision="f32", contacts="off", integrator=integrator, **settings
+        ) as simulation:
+            steps = max(1, round(1.0 / (FPS * simulation.dt)))
+            simulation.step(steps)
+            name = f"{integrator}, {count_of(steps, 'step')}"
+            report.rows.append((name, [elapsed(simulation.step, steps) for _ in range(report.samples)], float(n * n)))
+            report.goals[name] = "<= 16.7 ms"
+    return report
+
+
+def jelly_report(quick: bool, arch: str = "cpu") -> Report:
     """A cube of jelly of a million tetrahedra on the floor."""
     n = 6 if quick else 81  # balls along a side; two cells in each box
 
@@ -82,7 +111,7 @@ def jelly_report(quick: bool) -> Report:
         scene.add_wall((0, 1, 0))
 
     cells = 2 * (n - 1) ** 3
-    return _steps(f"jelly: {cells} tetrahedra in a cube", "cell-step", cells, add)
+    return _steps(f"jelly: {cells} tetrahedra in a cube", "cell-step", cells, add, arch)
 
 
 def _falling_cloth(side: float, height: float, n: int, **options: Any) -> Scene:
@@ -120,12 +149,47 @@ def video_report(quick: bool) -> Report:
     return report
 
 
+def surfaces_scene(n: int, height: float = TOUCHING) -> Scene:
+    """A cloth of n x n balls with surfaces that collide, above a ball on the floor; by default it touches soon."""
+    scene = _falling_cloth(CLOTH_SIDE, height, n, stiffness=11.0, damping=5e-4, surface_collision=True)
+    scene.add_collider(Sphere(BALL_CENTRE, BALL_RADIUS, material="cloth"))
+    return scene
+
+
+def surfaces_report(quick: bool, arch: str = "cpu") -> Report:
+    """A step of a cloth of 100 000 balls with surfaces that collide, on a ball; on a device beside the CPU."""
+    n = 16 if quick else 316
+    report = Report(f"surfaces: {n} x {n} cloth with colliding surfaces on a ball, one step, f32", "ball-step")
+    with Simulation(surfaces_scene(n), arch=arch, precision="f32", spin=False) as simulation:
+        simulation.step(1 if quick else round(MEETING / simulation.dt))
+        seconds = [elapsed(simulation.step, STEPS) / STEPS for _ in range(REPEATS)]
+        report.rows = [("taichi_sim", seconds, float(n * n))]
+        now = simulation.contacts()
+        report.notes.append(f"{now.number} contacts; overlap at most {now.relative_penetration:.3f} r")
+    if arch != "cpu":
+        name = f"taichi_sim on the CPU, {count_of(os.cpu_count() or 1, 'thread')}"
+        report.rows.append((name, _on_cpu("surfaces", quick), float(n * n)))
+        report.goals[name] = ">= 20"
+    return report
+
+
+def _on_cpu(case: str, quick: bool) -> list[float]:
+    """Seconds of the first row of a case on the CPU, by another process, as a process has one device."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "cpu.json")
+        command = [sys.executable, "-m", "taichi_sim", "bench", case, "--json", str(file), *["--quick"] * quick]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise BackendError(f"{case}: the run on the CPU ended with status {done.returncode}: {last}")
+        seconds: list[float] = json.loads(file.read_bytes())["tables"][0]["rows"][0]["seconds"]
+        return seconds
+
+
 def drape_report(quick: bool) -> Report:
     """A cloth of 100 000 balls with surfaces that collide: 5 s on a ball, the floor and itself. Half an hour."""
     n, duration = (16, 0.2) if quick else (316, 5.0)
-    scene = _falling_cloth(CLOTH_SIDE, DROP_HEIGHT, n, stiffness=11.0, damping=5e-4, surface_collision=True)
-    scene.add_collider(Sphere(BALL_CENTRE, BALL_RADIUS, material="cloth"))
-    simulation = Simulation(scene, arch="cpu", precision="f32", spin=False)
+    simulation = Simulation(surfaces_scene(n, DROP_HEIGHT), arch="cpu", precision="f32", spin=False)
     simulation.step(1)
     steps = max(1, round(CHECK_INTERVAL / simulation.dt))
     report = Report(f"drape: {n} x {n} cloth with colliding surfaces, {duration:g} s", "ball-step", ratios=False)

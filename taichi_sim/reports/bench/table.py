@@ -12,6 +12,11 @@ import numpy as np
 from taichi_sim.reports.peers import PeerMissingError, Runner
 
 REPEATS = 5
+RATES: dict[str, Callable[[float], str]] = {  # how they are shown, in the order of the columns
+    "units_per_second": lambda rate: f"{rate / 1e6:.4g}",
+    "bytes_per_second": lambda rate: f"{rate / 1e9:.4g}",
+    "part_of_limit": lambda part: f"{100 * part:.0f} %",
+}
 LEAST_WIDTH = 160  # a pipe says 80, which would cut the columns
 
 
@@ -35,6 +40,8 @@ class Report:
     goals: dict[str, str] = field(default_factory=dict)  # by row name
     notes: list[str] = field(default_factory=list)
     samples: int = REPEATS  # times in each row
+    least_bytes: float = 0.0  # that a step must read and write; 0: not known
+    limit: float = 0.0  # bytes/s that the device copies; 0: not measured
     entries: list[Entry] = field(default_factory=list)  # the contestants
 
     def enter(
@@ -60,6 +67,31 @@ class Report:
                 entry.runner.step(1)  # wakes the threads and fills the caches
                 seconds.append(elapsed(entry.runner.step, entry.steps) / entry.steps)
 
+    def rates(self, seconds: float, units: float) -> dict[str, float]:
+        """What a time of a row means: units and, by the least that a step must move, bytes in a second, and that as a part of the
+        device's limit; only what the report has."""
+        found = {}
+        if self.unit:
+            found["units_per_second"] = units / seconds
+        if self.least_bytes:
+            found["bytes_per_second"] = self.least_bytes / seconds
+            if self.limit:
+                found["part_of_limit"] = self.least_bytes / seconds / self.limit
+        return found
+
+    def records(self) -> list[dict[str, Any]]:
+        """The rows as numbers for a file: name, seconds of each timing, goal as it is shown, and `rates` of the median."""
+        return [
+            {
+                "name": name,
+                "seconds": [float(value) for value in seconds],
+                "units": units,
+                "goal": self.goals.get(name),
+                **self.rates(statistics.median(seconds), units),
+            }
+            for name, seconds, units in self.rows
+        ]
+
     def close(self) -> None:
         """Free what the contestants hold."""
         for entry in self.entries:
@@ -77,13 +109,16 @@ class Report:
             "median",
             "best",
             *[f"M{self.unit}/s"] * bool(self.unit),
+            *["GB/s"] * bool(self.least_bytes),
+            *["of the limit"] * bool(self.least_bytes and self.limit),
             *["its time / ours"] * self.ratios,
             "goal",
         ]
         rows = []
         for name, seconds, units in self.rows:
             middle = statistics.median(seconds)
-            rates = [f"{units / middle / 1e6:.4g}"] if self.unit else []
+            by_name = self.rates(middle, units)
+            rates = [form(by_name[key]) for key, form in RATES.items() if key in by_name]
             ratios = [f"{self.ratio(name):.2f}"] if self.ratios else []
             rows.append([name, _duration(middle), _duration(min(seconds)), *rates, *ratios, self.goals.get(name, "")])
         return head, rows
