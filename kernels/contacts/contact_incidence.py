@@ -14,23 +14,25 @@ def each_contact(contacts: ti.template(), visit: ti.template(), arguments: ti.te
 
 @ti.func
 def list_entries(contacts: ti.template()):
-    """Make all lists."""
-    for i in range(contacts.model.n):
-        contacts.number[i] = 0
-        if i == 0:
-            contacts.entries[0] = 0
-    each_contact(contacts, count_entries, (contacts,))
+    """Make all lists of what count_entries has counted; `entries` is 0."""
     for i in range(contacts.model.n):
         contacts.first[i] = ti.atomic_add(contacts.entries[0], contacts.number[i])
         contacts.number[i] = 0
     each_contact(contacts, enter, (contacts,))
-    for i in range(contacts.model.n):
-        sort(contacts, contacts.first[i], contacts.first[i] + contacts.number[i])
+    if ti.static(not contacts.pairs.plan.gathers):
+        for i in range(contacts.model.n):
+            sort_entries(contacts, i)
+
+
+@ti.func
+def sort_entries(contacts: ti.template(), i):
+    """Put the list of ball i in order."""
+    sort(contacts, contacts.first[i], contacts.first[i] + contacts.number[i])
 
 
 @ti.func
 def count_entries(c, contacts: ti.template()):
-    """Contact c is an entry of each of its balls."""
+    """Contact c is an entry of each of its balls. `number` was 0 before the first."""
     for k in ti.static(range(contacts.balls_per_contact)):
         contacts.number[contacts.ball_of(contacts.balls_per_contact * c + k)] += 1
 

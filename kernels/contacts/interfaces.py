@@ -180,6 +180,7 @@ class Incidences(Protocol):
     """Contacts of several balls, `capacity` of them at most. Entry e is the place of a ball in contact e // balls_per_contact."""
 
     model: Model  # of the scene
+    pairs: "Pairs"  # of balls
     balls_per_contact: int  # places
     capacity: int  # contacts
     used: Field  # (1) contacts
@@ -219,7 +220,6 @@ class OldStickContact(Accumulated, Protocol):
 class Sticks(Incidences, Protocol):
     """Contacts of balls and sticks; those of a stick lie together."""
 
-    pairs: "Pairs"  # of balls
     grid: "Grid"  # in which they are found
     plan: "Plan"  # of the scene
     m: int  # sticks
@@ -293,18 +293,16 @@ class TriangleContact(Protocol):
 
 
 class TriangleWork(Protocol):
-    """How much each loop has to do: all, or nothing."""
+    """Whether loops have anything to do: 1, or 0."""
 
-    contacts: int  # listed before the move
-    balls: int  # to be looked at
-    bottom_nodes: int  # to be fitted
-    left_path: int  # 1: some ball has
+    searches: int  # pairs are looked for: the grid has not given up
+    left_path: int  # some ball is not where it was expected
+    left_path_later: int  # as what was found then cut its way short
 
 
 class Triangles(Incidences, Protocol):
     """Contacts of triangles and edges that have thickness. Leaves are numbered by slots."""
 
-    pairs: "Pairs"  # of balls
     grid: "Grid"  # which knows where balls were
     triangle: "Triangle"  # all of them, by owner
     triangle_start: Field  # (n + 1) where those of a ball begin
@@ -318,6 +316,7 @@ class Triangles(Incidences, Protocol):
     bottom_nodes: int  # a power of two
     leaves_per_node: int  # at the bottom
     subtree_nodes: int  # at the bottom, above which one thread goes up
+    stages: list  # for devices: nodes of a level at a time, and how many threads join as many below each, see fit
     expected_displacement: Field  # (n) vector, m: of a step, at the speeds with which pairs were found
     left_path: Field  # (n) 1: is not where that would have taken it
     allowed_part: Field  # (n) of its way that each ball may make

@@ -1,7 +1,7 @@
 """Contacts between balls and sticks: found by traversing the grid along each stick. Those of a stick lie together."""
 
 from taichi_sim.kernels.contacts import warm_start
-from taichi_sim.kernels.contacts.contact_incidence import list_entries
+from taichi_sim.kernels.contacts.contact_incidence import count_entries, list_entries
 from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT, may_meet
 from taichi_sim.kernels.contacts.spatial_hash import (
     FINE_CELLS,
@@ -14,6 +14,7 @@ from taichi_sim.kernels.contacts.spatial_hash import (
     same_row,
     table,
 )
+from taichi_sim.kernels.loops import each
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
@@ -145,26 +146,38 @@ def detect(sticks: ti.template(), ball: ti.template()):
     """Contacts of all sticks, with what they accumulated under the last list, then for each ball the list of its entries."""
     if ti.static(sticks.plan.warm_starts):
         warm_start.store(sticks)
-    sticks.used[0] = 0
-    for s in range(ti.select(sticks.grid.work[0].balls > 0, sticks.m, 0)):  # none where the grid gave up
-        found = traverse(sticks, ball, s, 0, False)
-        first = COUNT_LIMIT
-        if found > 0:
-            if sticks.used[0] < COUNT_LIMIT:
-                first = ti.atomic_add(sticks.used[0], found)
-            if first + found <= sticks.capacity:
-                traverse(sticks, ball, s, first, True)
-            else:
-                ti.atomic_max(sticks.overflow[0], first + found)
-                found = 0
-        for c in range(first, first + found):
-            measure(sticks, ball, c)
-            if ti.static(sticks.plan.warm_starts):
-                contact = sticks.contact[c]
-                sticks.contact[c].last_speed = sticks.relative_velocity(ball, contact).dot(contact.normal)
-                warm_start.recall(sticks, s, c, contact.normal)
-        sticks.begin[s], sticks.length[s] = first, found
+    for i in range(sticks.model.n):
+        sticks.number[i] = 0
+        if i == 0:
+            sticks.used[0] = 0
+            sticks.entries[0] = 0
+    fixed = ti.static(sticks.plan.gathers)
+    # none where the grid gave up
+    each(ti.select(sticks.grid.work[0].balls > 0, sticks.m, 0), sticks.m, fixed, list_contacts, (sticks, ball))
     list_entries(sticks)
+
+
+@ti.func
+def list_contacts(s, sticks: ti.template(), ball: ti.template()):
+    """The contacts of stick s, one behind the other."""
+    found = traverse(sticks, ball, s, 0, False)
+    first = COUNT_LIMIT
+    if found > 0:
+        if sticks.used[0] < COUNT_LIMIT:
+            first = ti.atomic_add(sticks.used[0], found)
+        if first + found <= sticks.capacity:
+            traverse(sticks, ball, s, first, True)
+        else:
+            ti.atomic_max(sticks.overflow[0], first + found)
+            found = 0
+    for c in range(first, first + found):
+        measure(sticks, ball, c)
+        count_entries(c, sticks)
+        if ti.static(sticks.plan.warm_starts):
+            contact = sticks.contact[c]
+            sticks.contact[c].last_speed = sticks.relative_velocity(ball, contact).dot(contact.normal)
+            warm_start.recall(sticks, s, c, contact.normal)
+    sticks.begin[s], sticks.length[s] = first, found
 
 
 @ti.func

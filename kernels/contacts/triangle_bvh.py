@@ -16,6 +16,7 @@ from taichi_sim.kernels.contacts.triangle_pairs import (
     near_boxes,
     stretch,
 )
+from taichi_sim.kernels.loops import each
 
 from taichi_sim.device.engine import ti
 
@@ -57,34 +58,57 @@ def bounds(triangles: ti.template(), ball: ti.template(), i, job: ti.template())
 
 
 @ti.func
-def fit(triangles: ti.template(), ball: ti.template(), job: ti.template()):
-    """The boxes of all leaves and nodes: those at the bottom, then above each `subtree_nodes` of them, then the rest."""
-    for place in range(triangles.work[0].bottom_nodes):
-        none = BEYOND_ALL + ti.Vector.zero(float, 3)
-        low, high, lowest, highest, near = none, -none, none, -none, ti.cast(0.0, float)
-        first = place * triangles.leaves_per_node
-        for slot in range(first, ti.min(first + triangles.leaves_per_node, triangles.leaf_count)):
-            i = triangles.leaf_ball[slot]
-            bottom, top, around = bounds(triangles, ball, i, job)
-            triangles.leaf[slot].low, triangles.leaf[slot].high, triangles.leaf[slot].reach = bottom, top, around
-            way = triangles.expected_displacement[i]
-            triangles.leaf[slot].displacement = way
-            low, high = ti.min(low, bottom), ti.max(high, top)
-            lowest, highest = ti.min(lowest, way), ti.max(highest, way)
-            near = ti.max(near, around)
-        k = triangles.bottom_nodes + place
-        triangles.node[k].low, triangles.node[k].high, triangles.node[k].reach = low, high, near
-        triangles.node[k].lowest_displacement, triangles.node[k].highest_displacement = lowest, highest
-    for subtree in range(triangles.work[0].bottom_nodes // triangles.subtree_nodes):
-        first, width = triangles.bottom_nodes + subtree * triangles.subtree_nodes, triangles.subtree_nodes
-        while width > 1:
-            first //= 2
-            width //= 2
-            for k in range(first, first + width):
-                join(triangles, k)
-    ti.loop_config(serialize=True)
-    for step in range(1, triangles.work[0].bottom_nodes // triangles.subtree_nodes):
-        join(triangles, triangles.work[0].bottom_nodes // triangles.subtree_nodes - step)
+def fit(triangles: ti.template(), ball: ti.template(), all: ti.template(), job: ti.template()):
+    """The boxes of all leaves and nodes: those at the bottom, then above each `subtree_nodes` of them, then the rest; on a device
+    a few levels at a time. all: 1, or 0: none."""
+    fixed = ti.static(triangles.pairs.plan.gathers)
+    each(all * triangles.bottom_nodes, triangles.bottom_nodes, fixed, fit_bottom, (triangles, ball, job))
+    if ti.static(fixed):
+        for stage in ti.static(triangles.stages):
+            for subtree in range(stage[0]):
+                if all == 1:
+                    join_subtree(triangles, (stage[0] + subtree) << stage[1], 1 << stage[1])
+    else:
+        for subtree in range(all * triangles.bottom_nodes // triangles.subtree_nodes):
+            join_subtree(
+                triangles,
+                triangles.bottom_nodes + subtree * triangles.subtree_nodes,
+                ti.static(triangles.subtree_nodes),
+            )
+        ti.loop_config(serialize=True)
+        for step in range(1, all * triangles.bottom_nodes // triangles.subtree_nodes):
+            join(triangles, triangles.bottom_nodes // triangles.subtree_nodes - step)
+
+
+@ti.func
+def fit_bottom(place, triangles: ti.template(), ball: ti.template(), job: ti.template()):
+    """The boxes of the leaves of one node at the bottom, and its own."""
+    none = BEYOND_ALL + ti.Vector.zero(float, 3)
+    low, high, lowest, highest, near = none, -none, none, -none, ti.cast(0.0, float)
+    first = place * triangles.leaves_per_node
+    for slot in range(first, ti.min(first + triangles.leaves_per_node, triangles.leaf_count)):
+        i = triangles.leaf_ball[slot]
+        bottom, top, around = bounds(triangles, ball, i, job)
+        triangles.leaf[slot].low, triangles.leaf[slot].high, triangles.leaf[slot].reach = bottom, top, around
+        way = triangles.expected_displacement[i]
+        triangles.leaf[slot].displacement = way
+        low, high = ti.min(low, bottom), ti.max(high, top)
+        lowest, highest = ti.min(lowest, way), ti.max(highest, way)
+        near = ti.max(near, around)
+    k = triangles.bottom_nodes + place
+    triangles.node[k].low, triangles.node[k].high, triangles.node[k].reach = low, high, near
+    triangles.node[k].lowest_displacement, triangles.node[k].highest_displacement = lowest, highest
+
+
+@ti.func
+def join_subtree(triangles: ti.template(), begin, below):
+    """All nodes above those from `begin` on, which are `below` in number."""
+    first, width = begin, below
+    while width > 1:
+        first //= 2
+        width //= 2
+        for k in range(first, first + width):
+            join(triangles, k)
 
 
 @ti.func
@@ -98,7 +122,7 @@ def join(triangles: ti.template(), k):
 
 
 @ti.func
-def traverse(triangles: ti.template(), solver: ti.template(), ball: ti.template(), own_slot, some: ti.template(),
+def traverse(own_slot, triangles: ti.template(), solver: ti.template(), ball: ti.template(), some: ti.template(),
              job: ti.template()):  # fmt: skip
     """Look at all leaves near that of one ball. own_slot: from the number of leaves on that of a ball without one, which is not
     in the tree and so looks for itself. Of two leaves the first one lists their pairs and starts at its own node. some: only

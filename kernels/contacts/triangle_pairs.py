@@ -6,6 +6,7 @@ normal points there. Which pairs are looked at: triangle_bvh. What becomes of th
 
 from taichi_sim.kernels.contacts.closest_points import between_edges, on_triangle
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
+from taichi_sim.kernels.contacts.contact_incidence import count_entries
 from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE, EDGE_EDGE, STICK_FIRST, STICK_SECOND
 from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT
 from taichi_sim.kernels.vectors import unit
@@ -192,6 +193,7 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
             for k in ti.static(range(4)):
                 triangles.member[4 * at + k] = b[k]
                 triangles.weight[4 * at + k] = g[k]
+            count_entries(at, triangles)
     return found
 
 

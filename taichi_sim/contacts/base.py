@@ -190,11 +190,11 @@ class ContactRule(FoundContacts):
         if ti.static(self.plan.walls):
             if self.model.inverse_mass[i] > 0.0:  # nothing stops a driven pin
                 shift, drift = self.walls.move(i, ball[i].x, v, a, h, change)
-        if ti.static(self.plan.pairs):
+        if ti.static(self.plan.neighbours):
             ccd_balls.note_displacement(self, i, shift)  # what only undoes overlap goes through nothing
         if ti.static(self.corrects_positions):
             shift += self.position_correction[i]
-        if ti.static(self.plan.pairs):
+        if ti.static(self.plan.neighbours):
             self.pairs.grid.watch(i, ball[i].x + shift)
         return shift, drift
 
@@ -203,7 +203,7 @@ class ContactRule(FoundContacts):
         """The displacements that undo overlap where contacts are rigid. Velocities never see them."""
         if ti.static(self.corrects_positions):
             in_one = ti.static(self.plan.gathers)
-            of_pairs = ti.static(self.plan.pairs and not self.plan.soft)
+            of_pairs = ti.static(self.plan.neighbours and not self.plan.soft)
             for i in range(self.n):
                 d = ti.Vector.zero(float, self.model.dim)
                 for part in ti.static(self.sticks_and_triangles):

@@ -16,6 +16,7 @@ from taichi_sim.device.state import State
 from taichi_sim.kernels.contacts import (
     ccd_balls,
     ccd_triangles,
+    contact_incidence,
     contact_law,
     pair_measures,
     pair_sweeps,
@@ -72,7 +73,7 @@ class FoundContacts:
         """Take the parts of a simulation with substeps of h seconds. Called once, before the fields exist."""
         self.plan, self.model, self.state, self.n = plan, model, state, model.n
         self.walls, self.pairs, self.sticks, self.triangles = parts
-        self.grid_parts = [part for part in (self.pairs, self.sticks) if part is not None]
+        self.grid_parts = [part for part in (self.pairs, self.sticks) if part is not None and plan.neighbours]
         self.sticks_and_triangles = [part for part in (self.sticks, self.triangles) if part is not None]
         self.parts = [part for part in parts if part is not None]
         self.threshold, self.active, self.iterations = threshold, plan.active, plan.iterations
@@ -90,7 +91,7 @@ class FoundContacts:
 
     def _allocate_shared(self, fields: Fields) -> None:
         n, dim, plan = self.n, self.model.dim, self.plan
-        if plan.pairs:  # see ccd_balls
+        if plan.neighbours:  # see ccd_balls
             self.displacement = self.velocity_before  # one memory: neither lasts from the move to the solve
             self.swept = fields.table(dict.fromkeys(("moved_fast", "balls", "sticks", "shortened"), ti.i32), 1)
             self.longest_displacement = fields.reals(1)
@@ -189,11 +190,22 @@ class FoundContacts:
     def _find(self, ball: ti.template(), moved: ti.template()):
         if ti.static(self.plan.colliders):
             self.walls.colliders.advance()
-        if ti.static(self.plan.pairs):
+        if ti.static(self.plan.neighbours):
             ccd_balls.shorten_ways(self, ball)
+        if ti.static(self.plan.triangles and moved):
+            ccd_triangles.limit(self.triangles, self, ball)
+        if ti.static(self.plan.neighbours):
             if ti.static(self.plan.triangles and moved):
-                ccd_triangles.limit(self.triangles, self, ball)
+                for i in range(self.n):
+                    ccd_triangles.cut_short(self.triangles, self, ball, i)
             self.pairs.grid.build(ball)
+        if ti.static(self.plan.triangles):
+            for i in range(self.n):
+                if ti.static(not self.plan.neighbours):
+                    if ti.static(moved):
+                        ccd_triangles.cut_short(self.triangles, self, ball, i)
+                    self.pairs.grid.note_origin(ball, i)
+                ccd_triangles.begin(self.triangles, self, ball, i)
         for part in ti.static(self.grid_parts):
             part.detect(ball)
         if ti.static(self.plan.triangles):
@@ -201,8 +213,11 @@ class FoundContacts:
         if ti.static(self.plan.gathers):
             for i in range(self.n):
                 parallel_search.end(self.pairs.grid, i)
+                for part in ti.static(self.sticks_and_triangles):
+                    contact_incidence.sort_entries(part, i)
                 self._clear(i)
-                pair_measures.measure(self, self.pairs, ball, i)
+                if ti.static(self.plan.neighbours):
+                    pair_measures.measure(self, self.pairs, ball, i)
                 self._measure_walls(ball, i)
                 self._share_mass(ball, i)
         else:
@@ -210,7 +225,8 @@ class FoundContacts:
                 if ti.static(self.plan.warm_starts or self.counts_pairs or self.plan.impacts_in_turn):
                     for i in range(self.n):
                         self._clear(i)
-                pair_sweeps.each_block(self, ball, pair_measures.measure_block, 0.0, None)
+                if ti.static(self.plan.neighbours):
+                    pair_sweeps.each_block(self, ball, pair_measures.measure_block, 0.0, None)
             if ti.static(self.plan.walls):
                 for i in range(self.n):
                     self._measure_walls(ball, i)

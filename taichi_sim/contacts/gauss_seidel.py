@@ -60,7 +60,7 @@ class GaussSeidel(IteratedRule):
             for i in range(self.n):
                 p, t = self.impulses_of_sticks_and_triangles(ball, i, how)
                 self.apply(i, p, t)
-        if ti.static(self.plan.pairs):
+        if ti.static(self.plan.neighbours):
             pair_sweeps.each_ball(self, ball, pair_solve.ball_in_turn, time, how)
         if ti.static(self.plan.walls or closes):
             for i in range(self.n):

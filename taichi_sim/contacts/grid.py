@@ -101,6 +101,14 @@ class Grid:
                 self.stale[0] = 1
 
     @ti.func
+    def note_origin(self, ball: ti.template(), i):
+        """Where ball i is, for triangles, which look for what is near them by themselves."""
+        self.origin[i] = ball[i].x
+        if i == 0:
+            self.work[0].balls = self.n
+            self.searches[0] = self.searches[0] + 1
+
+    @ti.func
     def build(self, ball: ti.template()):
         """Sort the balls into cells where the last search no longer holds."""
         if ti.static(self.parallel):

@@ -28,25 +28,36 @@ class Jacobi(IteratedRule):
         if self.iterations < FEW_ITERATIONS:  # one changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
             self.relaxation = min(RELAXATION, 2.0 / (1.0 + max_restitution(self.model.scene)))
         self.impulse = fields.vectors(self.n, self.model.dim)
+        self.solved_at_once = max(
+            [self.n, *(part.most_solved for part in self.sticks_and_triangles)]
+        )  # balls and contacts
         if self.model.spins:
             self.angular_impulse = fields.spins(self.n, self.model.dim)
 
     @ti.func
     def iterate(self, ball: ti.template(), time, how: ti.template()):
         """All contacts from the same velocities."""
-        if ti.static(how.starts):
-            for part in ti.static(self.sticks_and_triangles):
-                part.solve_contacts(ball, self, time)
+        if ti.static(self.plan.gathers):
+            for k in range(self.solved_at_once):
+                if ti.static(how.starts):
+                    for part in ti.static(self.sticks_and_triangles):
+                        part.solve_one(k, ball, self, time)
+                if k < self.n:
+                    self._clear_impulse(k)
+                    if ti.static(self.plan.neighbours):
+                        pair_solve.ball_at_once(self, ball, k, time, how)
+        else:
+            if ti.static(how.starts):
+                for part in ti.static(self.sticks_and_triangles):
+                    part.solve_contacts(ball, self, time)
+            for i in range(self.n):
+                self._clear_impulse(i)
+                self._add_sticks_and_triangles(ball, i, how)
+            if ti.static(self.plan.neighbours):
+                pair_sweeps.each_ball(self, ball, pair_solve.ball_at_once, time, how)
         for i in range(self.n):
-            p, t = self.impulses_of_sticks_and_triangles(ball, i, how)
-            self.impulse[i] = p
-            if ti.static(self.model.spins):
-                self.angular_impulse[i] = t
             if ti.static(self.plan.gathers):
-                pair_solve.ball_at_once(self, ball, i, time, how)
-        if ti.static(self.plan.pairs and not self.plan.gathers):
-            pair_sweeps.each_ball(self, ball, pair_solve.ball_at_once, time, how)
-        for i in range(self.n):
+                self._add_sticks_and_triangles(ball, i, how)
             p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
             if ti.static(self.plan.walls):
                 p, t = self.walls.gather(ball, self, i, time)
@@ -58,3 +69,17 @@ class Jacobi(IteratedRule):
                 self.exclude_pairs(ball, i)
             if ti.static(self.plan.walls):
                 self.apply(i, p, t)
+
+    @ti.func
+    def _clear_impulse(self, i):
+        self.impulse[i] = ti.Vector.zero(float, self.model.dim)
+        if ti.static(self.model.spins):
+            self.angular_impulse[i] = zero_scalar_in_2d(self.model.dim)
+
+    @ti.func
+    def _add_sticks_and_triangles(self, ball: ti.template(), i, how: ti.template()):
+        if ti.static(self.plan.sticks or self.plan.triangles):
+            p, t = self.impulses_of_sticks_and_triangles(ball, i, how)
+            self.impulse[i] = self.impulse[i] + p
+            if ti.static(self.model.spins):
+                self.angular_impulse[i] = self.angular_impulse[i] + t

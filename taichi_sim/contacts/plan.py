@@ -19,6 +19,7 @@ class ContactPlan:
     """What is built, and then compiled; a part that the scene lacks is no code at all."""
 
     pairs: bool  # of balls
+    neighbours: bool  # balls or sticks look for balls
     walls: bool
     colliders: bool
     sticks: bool  # that balls touch
@@ -90,6 +91,11 @@ def plan_contacts(
         "two balls that may touch, or sticks or triangles, which look for theirs too",
     )
     walls = decide("walls", on and (scene.walls or scene.colliders), "walls or colliders")
+    decide(
+        "neighbours",
+        pairs and (sticks or may_collide(scene)),
+        "two balls that may touch, or sticks: triangles look for theirs in a tree",
+    )
     gathers = decide(
         "gathers",
         pairs and parallel and rule.gathers,

@@ -28,6 +28,7 @@ class Sticks:
         ends = scene.pairs[scene.collides]
         self.model, self.pairs, self.grid, self.plan = model, pairs, pairs.grid, pairs.plan
         self.m = len(ends)
+        self.most_solved = self.m  # one by one
         self.one, self.two = fields.integers(ends[:, 0]), fields.integers(ends[:, 1])
         usual = max(MINIMUM_CAPACITY if model.n > 64 else self.m * model.n, 4 * (model.n + self.m))
         self.capacity = max(capacity, usual)
@@ -117,6 +118,13 @@ class Sticks:
     def solve_contacts(self, ball: ti.template(), solver: ti.template(), time):
         """Further impulses of all contacts from the present velocities; viscous friction acts for `time` seconds."""
         for s in range(ti.select(self.used[0] > 0, self.m, 0)):
+            if self.length[s] > 0:
+                stick_sweeps.solve(self, solver, ball, s, time)
+
+    @ti.func
+    def solve_one(self, s, ball: ti.template(), solver: ti.template(), time):
+        """The same of stick s, if there is such a one."""
+        if s < self.m:
             if self.length[s] > 0:
                 stick_sweeps.solve(self, solver, ball, s, time)
 

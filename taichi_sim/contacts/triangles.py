@@ -11,6 +11,7 @@ from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.kernels.contacts import contact_law, statistics
 from taichi_sim.kernels.contacts import triangle_pairs as loops
+from taichi_sim.kernels.contacts.contact_incidence import each_contact
 from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE
 from taichi_sim.kernels.vectors import cross, lever, zero_scalar_in_2d
 from taichi_sim.scene.scene import Scene
@@ -22,6 +23,7 @@ LARGEST_CAPACITY = 1 << 28  # contacts; each has four entries
 # of the smallest height of a ball's triangles: what springs join keeps that distance, where it is thicker
 SPACING = 0.5
 LEAVES_PER_NODE = 8
+SUBTREE_HEIGHT = 5  # of what one thread of a device joins
 MORTON_CELLS = (1 << 20) - 1  # cells along the longest side of what is put in order
 UNBOUNDED_SPACING = 1e12  # m, the same of a ball without triangles
 
@@ -59,15 +61,17 @@ class TriangleContacts:
         self.leaves_per_node = LEAVES_PER_NODE
         self.bottom_nodes = 1 << (max(1, -(-self.leaf_count // LEAVES_PER_NODE)) - 1).bit_length()
         self.subtree_nodes = 1 << (self.bottom_nodes.bit_length() - 1) // 2
+        self.stages = stages(self.bottom_nodes)
         self.leaf_ball = fields.integers(leaf_balls)
         box = {"low": vector, "high": vector, "reach": fields.real}
         self.leaf = fields.table({**box, "displacement": vector}, self.leaf_count)
         spread = {"lowest_displacement": vector, "highest_displacement": vector}
         self.node = fields.table({**box, **spread}, 2 * self.bottom_nodes)
         self.allowed_part, self.effective_inverse_mass = fields.reals(n), fields.reals(n)
-        self.work = fields.table(dict.fromkeys(("contacts", "balls", "bottom_nodes", "left_path"), ti.i32), 1)
+        self.work = fields.table(dict.fromkeys(("searches", "left_path", "left_path_later"), ti.i32), 1)
         self.left_path = fields.integers(n)
         self.capacity = max(capacity, MINIMUM_CAPACITY, CONTACTS_PER_BALL * len(np.unique(triangles)))
+        self.most_solved = self.capacity  # one by one
         before = fields.bytes
         lengths = ("distance", "thickness", "target", "impulse", "upper_plane", "lower_plane")
         columns = {**dict.fromkeys(("owner", "place", "kind"), ti.i32), "normal": vector}
@@ -146,60 +150,74 @@ class TriangleContacts:
     @ti.func
     def begin_contacts(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
         """Fix the target speed of every contact; nothing is accumulated. What is apart may close the gap, but not go on."""
-        for c in range(ti.min(self.used[0], self.capacity)):
-            contact = self.contact[c]
-            if contact.thickness >= 0.0:
-                u = self.relative_velocity(ball, c).dot(contact.normal)
-                restitution = self.law(c).restitution
-                target = contact_law.target_speed(u, restitution, solver.threshold[0], impacts)
-                gap = contact.distance - contact.thickness
-                if gap > 0.0:  # what bounces does so when it touches
-                    bounces = restitution > 0.0 and u < -solver.threshold[0]
-                    target = ti.min(target, ti.select(bounces, u, -gap * solver.rate[0]))
-                self.contact[c].target = target
-                self.contact[c].impulse = 0.0
-                if ti.static(self.model.has_friction):
-                    self.tangential_impulse[c] = ti.Vector.zero(float, 3)
+        each_contact(self, self.begin_contact, (ball, solver, impacts))
+
+    @ti.func
+    def begin_contact(self, c, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
+        """The same for contact c."""
+        contact = self.contact[c]
+        if contact.thickness >= 0.0:
+            u = self.relative_velocity(ball, c).dot(contact.normal)
+            restitution = self.law(c).restitution
+            target = contact_law.target_speed(u, restitution, solver.threshold[0], impacts)
+            gap = contact.distance - contact.thickness
+            if gap > 0.0:  # what bounces does so when it touches
+                bounces = restitution > 0.0 and u < -solver.threshold[0]
+                target = ti.min(target, ti.select(bounces, u, -gap * solver.rate[0]))
+            self.contact[c].target = target
+            self.contact[c].impulse = 0.0
+            if ti.static(self.model.has_friction):
+                self.tangential_impulse[c] = ti.Vector.zero(float, 3)
 
     @ti.func
     def solve_contacts(self, ball: ti.template(), solver: ti.template(), time):
         """Further impulse of every contact from the present velocities; viscous friction acts for `time` seconds."""
-        for c in range(ti.min(self.used[0], self.capacity)):
-            contact = self.contact[c]
-            if contact.thickness >= 0.0:
-                n = contact.normal
-                u = self.relative_velocity(ball, c)
-                inverse = self.inverse_mass(solver, c)
-                mass = 1.0 / inverse
-                total = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
-                p = (total - contact.impulse) * n
-                self.contact[c].impulse = total
-                if ti.static(self.model.has_friction):
-                    slip, tangential_mass, before = u, mass, self.tangential_impulse[c]
-                    if ti.static(solver.model.spins):
-                        i = self.member[4 * c]
-                        if contact.kind == BALL_TRIANGLE and self.may_spin[i] == 1:
-                            slip -= lever(solver.state.spin[i], n)
-                            own = self.effective_inverse_mass[i]
-                            if ti.static(solver.sums_plainly):
-                                own = self.model.inverse_mass[i]
-                            tangential_mass = 1.0 / (inverse + self.model.spin_response(i) * own)
-                    change, tangential = contact_law.friction_impulse(
-                        self.model,
-                        self.law(c),
-                        n,
-                        u,
-                        slip,
-                        mass,
-                        tangential_mass,
-                        before,
-                        total,
-                        solver.threshold[0],
-                        time,
-                    )
-                    self.tangential_impulse[c] = tangential
-                    p += change
-                self.applied_impulse[c] = p
+        each_contact(self, self.solve_contact, (ball, solver, time))
+
+    @ti.func
+    def solve_one(self, c, ball: ti.template(), solver: ti.template(), time):
+        """The same of contact c, if there is such a one."""
+        if c < ti.min(self.used[0], self.capacity):
+            self.solve_contact(c, ball, solver, time)
+
+    @ti.func
+    def solve_contact(self, c, ball: ti.template(), solver: ti.template(), time):
+        """The same of contact c."""
+        contact = self.contact[c]
+        if contact.thickness >= 0.0:
+            n = contact.normal
+            u = self.relative_velocity(ball, c)
+            inverse = self.inverse_mass(solver, c)
+            mass = 1.0 / inverse
+            total = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
+            p = (total - contact.impulse) * n
+            self.contact[c].impulse = total
+            if ti.static(self.model.has_friction):
+                slip, tangential_mass, before = u, mass, self.tangential_impulse[c]
+                if ti.static(solver.model.spins):
+                    i = self.member[4 * c]
+                    if contact.kind == BALL_TRIANGLE and self.may_spin[i] == 1:
+                        slip -= lever(solver.state.spin[i], n)
+                        own = self.effective_inverse_mass[i]
+                        if ti.static(solver.sums_plainly):
+                            own = self.model.inverse_mass[i]
+                        tangential_mass = 1.0 / (inverse + self.model.spin_response(i) * own)
+                change, tangential = contact_law.friction_impulse(
+                    self.model,
+                    self.law(c),
+                    n,
+                    u,
+                    slip,
+                    mass,
+                    tangential_mass,
+                    before,
+                    total,
+                    solver.threshold[0],
+                    time,
+                )
+                self.tangential_impulse[c] = tangential
+                p += change
+            self.applied_impulse[c] = p
 
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i):
@@ -243,6 +261,16 @@ class TriangleContacts:
                 u = self.relative_velocity(ball, c).dot(self.contact[c].normal)
                 total = statistics.join(total, statistics.one(depth, self.model.radius[i], u, False, i))
         return total
+
+
+def stages(bottom_nodes: int) -> list[tuple[int, int]]:
+    """How devices join a tree: (first node, height of subtrees) for each of several loops, one thread for each subtree."""
+    found, first = [], bottom_nodes
+    while first > 1:
+        height = min(SUBTREE_HEIGHT, first.bit_length() - 1)
+        first >>= height
+        found.append((first, height))
+    return found
 
 
 def owned_by_balls(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:

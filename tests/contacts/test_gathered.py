@@ -1,4 +1,4 @@
-"""accumulate = "gather": both balls of a pair list it and each sums what it gets, as on a device: the motion is that of blocks."""
+"""accumulate = "gather": both balls of a pair list it and each sums what it gets, as on devices: the motion is that of blocks."""
 
 import numpy as np
 import pytest
