@@ -1,29 +1,68 @@
 """Work in parts of a fixed size, in an order that does not depend on threads, so that sums have the same bits for any number of
-them; and what is summed of balls so, in double precision."""
+them; and what is summed of balls so, in double precision where the device has it."""
 
+from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
 
 GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one part
-PART = 1024  # balls whose terms one thread sums; parts are added in order
 BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, SIZE = range(7)  # members of a row
+
+
+def part_size() -> int:
+    """Balls whose terms one thread sums: few on a device, which has thousands of threads."""
+    return 64 if backend.on_device() else 1024
+
+
+def parts_of(number: int) -> int:
+    """In how many parts so many balls are summed."""
+    return -(-number // part_size())
+
+
+def groups_of(parts: int) -> int:
+    """In how many groups a device sums the sums of so many parts before one thread adds up the rest; 0 on a CPU."""
+    return parts_of(parts) if backend.on_device() else 0
 
 
 @ti.func
 def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template()):
     """visit(part, *arguments) for each part below `count`, on any thread."""
-    for k in range(count * GRAIN):
-        if k % GRAIN == 0:
-            visit(k // GRAIN, *arguments)
+    grain = ti.static(1 if backend.on_device() else GRAIN)
+    for k in range(count * grain):
+        if k % grain == 0:
+            visit(k // grain, *arguments)
 
 
 @ti.func
 def even_then_odd(count: ti.template(), visit: ti.template(), arguments: ti.template()):
     """The same for parts of which one writes to itself and the next: those with even numbers, then the others. At the top level
     of a kernel only an unrolled loop leaves the inner ones parallel."""
+    grain = ti.static(1 if backend.on_device() else GRAIN)
     for parity in ti.static(range(2)):
-        for k in range((count + 1 - parity) // 2 * GRAIN):
-            if k % GRAIN == 0:
-                visit(k // GRAIN * 2 + parity, *arguments)
+        for k in range((count + 1 - parity) // 2 * grain):
+            if k % grain == 0:
+                visit(k // grain * 2 + parity, *arguments)
+
+
+@ti.func
+def join(columns: ti.template(), parts: ti.template()):
+    """Sum each of some columns of `parts` numbers by groups, where there are any; each has room for them behind its parts."""
+    groups, size = ti.static(groups_of(parts), part_size())
+    for g in range(groups):
+        for column in ti.static(columns):
+            total = 0.0 * column[0]
+            for c in range(g * size, ti.min((g + 1) * size, parts)):
+                total += column[c]
+            column[parts + g] = total
+
+
+@ti.func
+def total(column: ti.template(), parts: ti.template()):
+    """The sum of a column that is joined, for one thread: of its parts in their order, or of its groups."""
+    groups = ti.static(groups_of(parts))
+    sum = 0.0 * column[0]
+    for c in range(parts if ti.static(groups == 0) else groups):
+        sum += column[c if ti.static(groups == 0) else parts + c]
+    return sum
 
 
 @ti.func

@@ -7,7 +7,7 @@ Where the energy of v1 + d is more than that of v0, all d are scaled down to whe
 momentum; what only rests stays at rest all the same.
 """
 
-from taichi_sim.kernels.reductions import PART
+from taichi_sim.kernels.reductions import each_part, join, part_size, total
 from taichi_sim.kernels.vectors import product
 
 from taichi_sim.device.engine import ti
@@ -37,42 +37,12 @@ def compare_with_before(solver: ti.template()):
 @ti.func
 def limit(solver: ti.template(), ball: ti.template()):
     """Scale the changes of velocity since `note_stopped` so that no energy has been added since `velocity_before`."""
-    for c in range(solver.energy_parts):
-        lost, linear, square = (
-            ti.cast(0.0, solver.energy_type),
-            ti.cast(0.0, solver.energy_type),
-            ti.cast(0.0, solver.energy_type),
-        )
-        for i in range(c * PART, ti.min((c + 1) * PART, solver.n)):
-            w = solver.model.inverse_mass[i]
-            if w > 0.0:
-                v0 = ti.cast(solver.velocity_before[i], solver.energy_type)
-                v1 = ti.cast(solver.stopped_velocity[i], solver.energy_type)
-                d = ti.cast(ball[i].v, solver.energy_type) - v1
-                lost += 0.5 * (v0 - v1).dot(v0 + v1) / w
-                linear += v1.dot(d) / w
-                square += d.dot(d) / w
-                if ti.static(solver.model.spins):  # I omega^2 = m spin^2 / spin_inertia_ratio
-                    t0 = ti.cast(solver.spin_before[i], solver.energy_type)
-                    t1 = ti.cast(solver.stopped_spin[i], solver.energy_type)
-                    t = ti.cast(solver.state.spin[i], solver.energy_type) - t1
-                    lost += 0.5 * product(t0 - t1, t0 + t1, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
-                    linear += product(t1, t, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
-                    square += product(t, t, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
-        solver.energy[c].lost = lost
-        solver.energy[c].linear = linear
-        solver.energy[c].square = square
+    each_part(solver.energy_parts, sum_part, (solver, ball))
+    columns = ti.static((solver.energy.lost, solver.energy.linear, solver.energy.square))
+    join(columns, solver.energy_parts)
     ti.loop_config(serialize=True)
     for _ in range(1):
-        lost, linear, square = (
-            ti.cast(0.0, solver.energy_type),
-            ti.cast(0.0, solver.energy_type),
-            ti.cast(0.0, solver.energy_type),
-        )
-        for c in range(solver.energy_parts):
-            lost += solver.energy[c].lost
-            linear += solver.energy[c].linear
-            square += solver.energy[c].square
+        lost, linear, square = [total(column, solver.energy_parts) for column in columns]
         lost = ti.max(0.0, lost)
         less = ti.cast(0.0, solver.energy_type)
         if linear + 0.5 * square > lost:  # the positive root of s linear + s^2 square / 2 = lost
@@ -81,9 +51,9 @@ def limit(solver: ti.template(), ball: ti.template()):
             if linear > 0.0:
                 s = 2.0 * lost / (root + linear)
             less = ti.min(0.0, s - 1.0)
-        solver.energy[solver.energy_parts].linear = less
+        solver.energy_scaling[0] = less
     for i in range(solver.n):
-        less = ti.cast(solver.energy[solver.energy_parts].linear, float)
+        less = ti.cast(solver.energy_scaling[0], float)
         if less < 0.0:
             solver.state.kick(i, less * (ball[i].v - solver.stopped_velocity[i]))
             if ti.static(solver.plan.walls):
@@ -91,3 +61,33 @@ def limit(solver: ti.template(), ball: ti.template()):
                     solver.walls.received.scale(i, less)
             if ti.static(solver.model.spins):
                 solver.state.spin[i] = solver.state.spin[i] + less * (solver.state.spin[i] - solver.stopped_spin[i])
+
+
+@ti.func
+def sum_part(c, solver: ti.template(), ball: ti.template()):
+    """What part c of the balls adds to the energies that `limit` compares."""
+    lost, linear, square = (
+        ti.cast(0.0, solver.energy_type),
+        ti.cast(0.0, solver.energy_type),
+        ti.cast(0.0, solver.energy_type),
+    )
+    size = ti.static(part_size())
+    for i in range(c * size, ti.min((c + 1) * size, solver.n)):
+        w = solver.model.inverse_mass[i]
+        if w > 0.0:
+            v0 = ti.cast(solver.velocity_before[i], solver.energy_type)
+            v1 = ti.cast(solver.stopped_velocity[i], solver.energy_type)
+            d = ti.cast(ball[i].v, solver.energy_type) - v1
+            lost += 0.5 * (v0 - v1).dot(v0 + v1) / w
+            linear += v1.dot(d) / w
+            square += d.dot(d) / w
+            if ti.static(solver.model.spins):  # I omega^2 = m spin^2 / spin_inertia_ratio
+                t0 = ti.cast(solver.spin_before[i], solver.energy_type)
+                t1 = ti.cast(solver.stopped_spin[i], solver.energy_type)
+                t = ti.cast(solver.state.spin[i], solver.energy_type) - t1
+                lost += 0.5 * product(t0 - t1, t0 + t1, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
+                linear += product(t1, t, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
+                square += product(t, t, solver.model.dim) / (w * solver.model.spin_inertia_ratio)
+    solver.energy[c].lost = lost
+    solver.energy[c].linear = linear
+    solver.energy[c].square = square

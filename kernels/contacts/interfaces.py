@@ -127,7 +127,7 @@ class Grid(Protocol):
     crowded_pairs: Field  # (1) pairs in crowded cells in the last search
     most_crowded_pairs: Field  # (1) the same in any that was given up
     pair_limit: Field  # (1) crowded pairs for which there is memory
-    parts: int  # of PART balls
+    parts: int  # of part_size() balls
     low: Field  # (parts levels) cells: the lowest of a part
     high: Field  # (parts levels) the highest
     corner: Field  # (levels dim) the lowest cell in which a search may look
@@ -554,7 +554,8 @@ class Solver(Protocol):
     crossing_squared: Field  # (1) m^2, what moves further may cross a stick
     swept: "Swept"  # (1)
     energy_type: Any  # of sums
-    energy_parts: int  # of PART balls
+    energy_parts: int  # of part_size() balls
+    energy_scaling: Field  # (1) part of the changes that is taken back, negative
     energy: "EnergyTerms"  # (energy_parts + 1)
     stopped_velocity: Field  # (n) vector, m/s, where all that touched has stopped
     stopped_spin: Field  # (n) m/s, the same

@@ -23,7 +23,7 @@ from taichi_sim.kernels.contacts import (
     parallel_search,
     warm_start,
 )
-from taichi_sim.kernels.reductions import PART
+from taichi_sim.kernels.reductions import groups_of, parts_of
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["ContactParts", "FoundContacts"]
@@ -103,9 +103,10 @@ class FoundContacts:
             self.position_correction = fields.vectors(n, dim)
         if plan.limits_energy:
             self.energy_type = fields.wide
-            self.energy_parts = -(-n // PART)
+            self.energy_parts = parts_of(n)
             columns = dict.fromkeys(("lost", "linear", "square"), self.energy_type)
-            self.energy = fields.table(columns, self.energy_parts + 1)
+            self.energy = fields.table(columns, self.energy_parts + groups_of(self.energy_parts))
+            self.energy_scaling = fields.doubles(1)
             self.stopped_velocity = fields.vectors(n, dim)  # where all that touched has stopped
             if self.model.spins:
                 self.spin_before, self.stopped_spin = (fields.spins(n, dim) for _ in range(2))

@@ -9,7 +9,7 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.contacts import statistics
-from taichi_sim.kernels.reductions import PART
+from taichi_sim.kernels.reductions import each_part, part_size, parts_of
 
 __all__ = ["ContactStatistics"]
 
@@ -21,17 +21,20 @@ class ContactStatistics:
 
     def __init__(self, fields: Fields, contacts: ContactRule) -> None:
         self.contacts, self.n = contacts, contacts.n
-        self.chunks = -(-self.n // PART)
+        self.chunks = parts_of(self.n)
         self.sums = fields.vectors(self.chunks, statistics.SIZE)
 
     @ti.kernel
     def _look(self, ball: ti.template()):
-        for c in range(self.chunks):
-            total = statistics.nothing()
-            for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
-                for part in ti.static(self.contacts.parts):
-                    total = statistics.join(total, part.statistics(ball, i))
-            self.sums[c] = total
+        each_part(self.chunks, self._sum_chunk, (ball,))
+
+    @ti.func
+    def _sum_chunk(self, c, ball: ti.template()):
+        total, size = statistics.nothing(), ti.static(part_size())
+        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+            for part in ti.static(self.contacts.parts):
+                total = statistics.join(total, part.statistics(ball, i))
+        self.sums[c] = total
 
     def look(self, ball: Any) -> NDArray[np.float64]:
         """(statistics.SIZE,) of all contacts at the present positions and velocities, which the last refresh has

@@ -13,7 +13,7 @@ from taichi_sim.integrators.free_bodies import FreeBodies, StageWork
 from taichi_sim.integrators.implicit_gas import StageGas
 from taichi_sim.integrators.newton_decisions import MISSED_TOLERANCES, MOST_TRIES, NUMBERS, Verdicts, solve_stage
 from taichi_sim.integrators.newton_operators import Product, Residual
-from taichi_sim.kernels.reductions import PART, each_part
+from taichi_sim.kernels.reductions import each_part, groups_of, join, part_size, parts_of, total
 from taichi_sim.kernels.springs import edge_blocks, newton_terms, padded_blocks
 
 __all__ = ["StageSolver"]
@@ -63,8 +63,8 @@ class StageSolver(Verdicts):
         self.bodies = FreeBodies(model, fields)
         self.gas = None if gases is None else StageGas(gases, fields)
         self.inflated = gases is not None
-        self.parts = -(-self.n // PART)
-        self.part = fields.table(dict.fromkeys(SUMS, self.wide), self.parts)
+        self.parts = parts_of(self.n)
+        self.part = fields.table(dict.fromkeys(SUMS, self.wide), self.parts + groups_of(self.parts))
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         self.rounding, self.finest = POTENTIAL_ROUNDING * eps, FINEST_SOLUTION * eps
         self.work = StageWork(model, fields, self.rounding, MISSED_TOLERANCES * self.tolerance)
@@ -80,11 +80,8 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _sum(self, column: ti.template()):
-        """Over all parts, in their order."""
-        total = ti.cast(0.0, self.wide)
-        for c in range(self.parts):
-            total += column[c]
-        return total
+        """Over all parts, joined before."""
+        return total(column, self.parts)
 
     # Residual and matrix
 
@@ -105,6 +102,7 @@ class StageSolver(Verdicts):
         """Add `step` of the change to the velocities; residual, matrix with its blocks and aggregates, and their size there."""
         self._move(s, step)
         each_part(self.parts, self._measure, (s,))
+        join((self.part.residual, self.part.force, self.part.kinetic, self.part.noise, self.part.load), self.parts)
         ti.loop_config(serialize=True)
         for _ in range(1):
             force = self._sum(self.part.force)
@@ -122,7 +120,8 @@ class StageSolver(Verdicts):
     def _measure(self, c, s):
         """Part c of the residual and of the inverse blocks, and what they sum up to."""
         residual = force = kinetic = noise = load = ti.cast(0.0, self.wide)
-        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+        size = ti.static(part_size())
+        for i in range(c * size, ti.min((c + 1) * size, self.n)):
             r = padded_blocks.cut(self.product.sum[i], self.dim)
             self.sum[i] = r
             w = self.model.inverse_mass[i]
@@ -168,6 +167,7 @@ class StageSolver(Verdicts):
         """The same with blocks and aggregates as they were: they condition well enough, and the residual keeps its measure."""
         self._move(s, step)
         each_part(self.parts, self._measure_residual, ())
+        join((self.part.residual,), self.parts)
         ti.loop_config(serialize=True)
         for _ in range(1):
             self.number[0].residual = self._sum(self.part.residual)
@@ -177,7 +177,8 @@ class StageSolver(Verdicts):
     @ti.func
     def _measure_residual(self, c):
         residual = ti.cast(0.0, self.wide)
-        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+        size = ti.static(part_size())
+        for i in range(c * size, ti.min((c + 1) * size, self.n)):
             r = padded_blocks.cut(self.product.sum[i], self.dim)
             self.sum[i] = r
             residual += ti.cast(r.dot(self.inverse_block[i] @ r), self.wide)
@@ -187,6 +188,7 @@ class StageSolver(Verdicts):
     def compare(self, s, part):
         """The potential at the velocities and before `part` of the change was added."""
         each_part(self.parts, self._sum_potentials, (s, part))
+        join((self.part.potential, self.part.potential_before), self.parts)
         if ti.static(self.inflated):
             self.gas.compare(self.base, self.dv, s, part)
         ti.loop_config(serialize=True)
@@ -203,7 +205,8 @@ class StageSolver(Verdicts):
     @ti.func
     def _sum_potentials(self, c, s, part):
         now = before = ti.cast(0.0, self.wide)
-        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+        size = ti.static(part_size())
+        for i in range(c * size, ti.min((c + 1) * size, self.n)):
             now += ti.cast(self._potential(i, s, 0.0), self.wide)
             before += ti.cast(self._potential(i, s, part), self.wide)
         self.part[c].potential = now
@@ -266,6 +269,7 @@ class StageSolver(Verdicts):
         if ti.static(self.inflated):
             self.gas.multiply(self.product.p, self.product.sum)
         each_part(self.parts, self._project, ())
+        join((self.part.descent, self.part.curvature), self.parts)
         ti.loop_config(serialize=True)
         for _ in range(1):
             descent, curvature = self._sum(self.part.descent), self._sum(self.part.curvature)
@@ -279,6 +283,7 @@ class StageSolver(Verdicts):
             self.number[0].gain = step * descent  # dv A dv grows by that
             self.number[0].moved += step * descent
         each_part(self.parts, self._descend, ())
+        join((self.part.residual,), self.parts)
         if ti.static(self.aggregates.active):
             self.aggregates.solve(self.sum)
         ti.loop_config(serialize=True)
@@ -302,7 +307,8 @@ class StageSolver(Verdicts):
     def _project(self, c):
         """Part c of p . r and p . A p."""
         descent = curvature = ti.cast(0.0, self.wide)
-        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+        size = ti.static(part_size())
+        for i in range(c * size, ti.min((c + 1) * size, self.n)):
             if self.model.inverse_mass[i] > 0.0:
                 p = self.product.p[i]
                 descent += ti.cast(padded_blocks.dot(p, self.sum[i], self.dim), self.wide)
@@ -315,7 +321,8 @@ class StageSolver(Verdicts):
         """Step along part c of p; its residual r, what the blocks make of that, and their product."""
         step = ti.cast(self.number[0].step, float)
         rz = ti.cast(0.0, self.wide)
-        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+        size = ti.static(part_size())
+        for i in range(c * size, ti.min((c + 1) * size, self.n)):
             self.dv[i] = self.dv[i] + step * padded_blocks.cut(self.product.p[i], self.dim)
             r = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)
             z = self.inverse_block[i] @ r

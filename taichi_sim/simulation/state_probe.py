@@ -11,7 +11,6 @@ from taichi_sim.device.model import Model
 from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels import reductions
-from taichi_sim.kernels.reductions import GRAIN, PART
 from taichi_sim.kernels.springs import law
 
 __all__ = ["StateProbe", "StateSample"]
@@ -57,17 +56,18 @@ class StateProbe:
         self.stores = list(stores)
         self.has_springs = springs is not None
         self.share = 0.5 if springs is not None and springs.order == "gather" else 1.0  # both ends list a spring
-        self.n, self.parts = model.n, -(-model.n // PART)
+        self.n, self.parts = model.n, reductions.parts_of(model.n)
         self.wide = fields.wide
         self.row = np.zeros((self.parts, reductions.SIZE), dtype=np.float64 if self.wide == ti.f64 else np.float32)
 
     @ti.func
-    def _part(self, row: ti.template(), c):
-        """Row c: of balls from c PART on."""
+    def _part(self, c, row: ti.template()):
+        """Row c: of the balls of part c."""
         bad, fastest = self.n, ti.cast(0.0, self.wide)
         kinetic, elastic = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
         gravity, weight = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+        size = ti.static(reductions.part_size())
+        for i in range(c * size, ti.min((c + 1) * size, self.n)):
             ball = self.state.ball[i]
             if not reductions.good(ball, WORLD_RADIUS):
                 bad = ti.min(bad, i)
@@ -111,11 +111,9 @@ class StateProbe:
         if ti.static(self.serial):
             ti.loop_config(serialize=True)
             for c in range(self.parts):
-                self._part(row, c)
+                self._part(c, row)
         else:
-            for k in range(self.parts * GRAIN):
-                if k % GRAIN == 0:
-                    self._part(row, k // GRAIN)
+            reductions.each_part(self.parts, self._part, (row,))
 
     def sample(self) -> StateSample:
         """The present state; a pass over balls and springs."""

@@ -11,7 +11,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
 from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.kernels.reductions import GRAIN, PART
+from taichi_sim.kernels.reductions import each_part, part_size, parts_of
 
 __all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "LIVE", "NEXT", "START", "SecondSolution"]
 
@@ -36,7 +36,7 @@ class SecondSolution:
     ) -> None:
         self.state, self.integrator, self.serial = state, integrator, serial
         self.n = state.n
-        self.parts = -(-self.n // PART)
+        self.parts = parts_of(self.n)
         self.row = np.zeros(self.parts, dtype=np.float64 if fields.real == ti.f64 else np.float32)
         live = [state.ball]
         live += [state.low] if state.compensated else []
@@ -169,9 +169,10 @@ class SecondSolution:
         self._show()
 
     @ti.func
-    def _part(self, row: ti.template(), c):
+    def _part(self, c, row: ti.template()):
         largest = 0.0 * self.seen[0].x[0]
-        for i in range(c * PART, ti.min((c + 1) * PART, self.n)):
+        size = ti.static(part_size())
+        for i in range(c * size, ti.min((c + 1) * size, self.n)):
             square = (self.state.ball[i].x - self.seen[i].x).norm_sqr()
             if not square < WORLD_RADIUS:  # nan, too
                 square = WORLD_RADIUS
@@ -183,11 +184,9 @@ class SecondSolution:
         if ti.static(self.serial):
             ti.loop_config(serialize=True)
             for c in range(self.parts):
-                self._part(row, c)
+                self._part(c, row)
         else:
-            for k in range(self.parts * GRAIN):
-                if k % GRAIN == 0:
-                    self._part(row, k // GRAIN)
+            each_part(self.parts, self._part, (row,))
 
     def apart(self) -> float:
         """Largest distance [m] of a ball from where the second solution was shown; infinite where either is nowhere."""
