@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model, incidence, phase_type
@@ -11,7 +12,17 @@ from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.coarse_preconditioner import Aggregates
 from taichi_sim.integrators.free_bodies import FreeBodies, StageWork
 from taichi_sim.integrators.implicit_gas import StageGas
-from taichi_sim.integrators.newton_decisions import MISSED_TOLERANCES, MOST_TRIES, NUMBERS, Verdicts, solve_stage
+from taichi_sim.integrators.newton_decisions import (
+    DOUBTFUL,
+    FOUND,
+    MISSED_TOLERANCES,
+    MOST_TRIES,
+    NUMBERS,
+    READY,
+    SEARCHING,
+    Verdicts,
+    solve_stage,
+)
 from taichi_sim.integrators.newton_operators import Product, Residual
 from taichi_sim.kernels.reductions import each_part, groups_of, join, part_size, parts_of, total
 from taichi_sim.kernels.springs import edge_blocks, newton_terms, padded_blocks
@@ -43,7 +54,7 @@ class StageSolver(Verdicts):
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.first = (fields.vectors(self.n, self.dim) for _ in range(2))
-        self.wide = fields.wide
+        self.wide, self.gated = fields.wide, backend.on_device()
         self.number = fields.table(dict.fromkeys(NUMBERS, self.wide), 1)
         if springs is None:
             return
@@ -86,11 +97,13 @@ class StageSolver(Verdicts):
     # Residual and matrix
 
     @ti.func
-    def _move(self, s, step):
-        """Add `step` of the change to the velocities; the residual there."""
+    def _move(self, s, step, gated: ti.template()):
+        """Add `step` of the change to the velocities; the residual there. gated: only where the change is found."""
         for i in range(self.n):
-            v = self.base[i].v + step * self.dv[i]
-            self.base[i].v = v
+            v = self.base[i].v
+            if not gated or self.in_phase(FOUND):
+                v += step * self.dv[i]
+                self.base[i].v = v
             self.ahead[i].x = padded_blocks.pad(self.base[i].x + s * v, self.dim)
             self.ahead[i].v = padded_blocks.pad(v, self.dim)
         edge_blocks.sums(self.residual, self.springs, s)
@@ -100,7 +113,7 @@ class StageSolver(Verdicts):
     @ti.func
     def linearise(self, s, step):
         """Add `step` of the change to the velocities; residual, matrix with its blocks and aggregates, and their size there."""
-        self._move(s, step)
+        self._move(s, step, False)
         each_part(self.parts, self._measure, (s,))
         join((self.part.residual, self.part.force, self.part.kinetic, self.part.noise, self.part.load), self.parts)
         ti.loop_config(serialize=True)
@@ -115,6 +128,18 @@ class StageSolver(Verdicts):
         self.work.find(self.base, self.sum, self.first, self.bodies, self.number)
         if ti.static(self.aggregates.active):
             self.aggregates.factor()
+
+    @ti.func
+    def judge_guess(self, s, step):
+        """Where the guess is in doubt: add `step` of it, -1, if that lowers the potential; then go on from there."""
+        self.compare(s, 1.0)
+        withdrawn = 0.0 * step
+        if self.in_phase(DOUBTFUL):
+            if self.raised() == 1:
+                withdrawn = step
+        self.linearise(s, withdrawn)
+        if self.in_phase(DOUBTFUL):
+            self.accept_guess()
 
     @ti.func
     def _measure(self, c, s):
@@ -165,13 +190,14 @@ class StageSolver(Verdicts):
     @ti.func
     def evaluate(self, s, step):
         """The same with blocks and aggregates as they were: they condition well enough, and the residual keeps its measure."""
-        self._move(s, step)
+        self._move(s, step, ti.static(self.gated))
         each_part(self.parts, self._measure_residual, ())
         join((self.part.residual,), self.parts)
         ti.loop_config(serialize=True)
         for _ in range(1):
-            self.number[0].residual = self._sum(self.part.residual)
-            self.number[0].passes += 1.0
+            if self.in_phase(FOUND):
+                self.number[0].residual = self._sum(self.part.residual)
+                self.number[0].passes += 1.0
         self.work.find(self.base, self.sum, self.first, self.bodies, self.number)
 
     @ti.func
@@ -180,7 +206,8 @@ class StageSolver(Verdicts):
         size = ti.static(part_size())
         for i in range(c * size, ti.min((c + 1) * size, self.n)):
             r = padded_blocks.cut(self.product.sum[i], self.dim)
-            self.sum[i] = r
+            if self.in_phase(FOUND):
+                self.sum[i] = r
             residual += ti.cast(r.dot(self.inverse_block[i] @ r), self.wide)
         self.part[c].residual = residual
 
@@ -244,23 +271,32 @@ class StageSolver(Verdicts):
         if ti.static(self.aggregates.active):
             self.aggregates.solve(self.sum)
         for i in range(self.n):
-            self.dv[i] = ti.Vector.zero(float, self.dim)
-            p = self.inverse_block[i] @ self.sum[i]
-            if ti.static(self.aggregates.active):
-                p += self.aggregates.shift(i)
-            self.product.p[i] = padded_blocks.pad(p, self.dim)
+            if self.in_phase(READY):
+                self.dv[i] = ti.Vector.zero(float, self.dim)
+                p = self.inverse_block[i] @ self.sum[i]
+                if ti.static(self.aggregates.active):
+                    p += self.aggregates.shift(i)
+                self.product.p[i] = padded_blocks.pad(p, self.dim)
         ti.loop_config(serialize=True)
         for _ in range(1):
-            rz = self.number[0].residual
-            self.number[0].residual_before = rz
-            self.number[0].moved_before = self.number[0].moved
-            self.number[0].moved = 0.0
-            if ti.static(self.aggregates.active):
-                rz += self.aggregates.product()
-            self.number[0].rz = rz
-            self.number[0].iterations += 1.0
-            self.number[0].searches = 0.0
-            self.number[0].tries = 0.0
+            if self.in_phase(READY):
+                self._count_iteration()
+                if ti.static(self.gated):
+                    self.next_search()
+
+    @ti.func
+    def _count_iteration(self):
+        """The numbers with which an iteration starts."""
+        rz = self.number[0].residual
+        self.number[0].residual_before = rz
+        self.number[0].moved_before = self.number[0].moved
+        self.number[0].moved = 0.0
+        if ti.static(self.aggregates.active):
+            rz += self.aggregates.product()
+        self.number[0].rz = rz
+        self.number[0].iterations += 1.0
+        self.number[0].searches = 0.0
+        self.number[0].tries = 0.0
 
     @ti.func
     def search(self):
@@ -279,29 +315,39 @@ class StageSolver(Verdicts):
                 if curvature < 0.0 and self.number[0].searches == 0.0:
                     step = -descent / curvature
                 self.number[0].saddle = ti.select(curvature > 0.0, 0.0, 1.0)
-            self.number[0].step = step
-            self.number[0].gain = step * descent  # dv A dv grows by that
-            self.number[0].moved += step * descent
+            if self.in_phase(SEARCHING):
+                self.number[0].step = step
+                self.number[0].gain = step * descent  # dv A dv grows by that
+                self.number[0].moved += step * descent
         each_part(self.parts, self._descend, ())
         join((self.part.residual,), self.parts)
         if ti.static(self.aggregates.active):
             self.aggregates.solve(self.sum)
         ti.loop_config(serialize=True)
         for _ in range(1):
-            rz, before = self._sum(self.part.residual), self.number[0].rz
-            if ti.static(self.aggregates.active):
-                rz += self.aggregates.product()
-            if ti.static(self.inflated):
-                rz = ti.select(self.number[0].saddle > 0.0, 0.0 * rz, rz)
-            self.number[0].step = ti.select(before > 0.0, rz / ti.select(before > 0.0, before, 1.0), 0.0)
-            self.number[0].rz = rz
-            self.number[0].searches += 1.0
-            self.number[0].passes += 1.0
+            if self.in_phase(SEARCHING):
+                self._count_search()
+                if ti.static(self.gated):
+                    self.next_search()
         for i in range(self.n):
-            z = self.product.sum[i]
-            if ti.static(self.aggregates.active):
-                z += padded_blocks.pad(self.aggregates.shift(i), self.dim)
-            self.product.p[i] = z + ti.cast(self.number[0].step, float) * self.product.p[i]
+            if self.in_phase(SEARCHING):
+                z = self.product.sum[i]
+                if ti.static(self.aggregates.active):
+                    z += padded_blocks.pad(self.aggregates.shift(i), self.dim)
+                self.product.p[i] = z + ti.cast(self.number[0].step, float) * self.product.p[i]
+
+    @ti.func
+    def _count_search(self):
+        """The numbers after a step along p."""
+        rz, before = self._sum(self.part.residual), self.number[0].rz
+        if ti.static(self.aggregates.active):
+            rz += self.aggregates.product()
+        if ti.static(self.inflated):
+            rz = ti.select(self.number[0].saddle > 0.0, 0.0 * rz, rz)
+        self.number[0].step = ti.select(before > 0.0, rz / ti.select(before > 0.0, before, 1.0), 0.0)
+        self.number[0].rz = rz
+        self.number[0].searches += 1.0
+        self.number[0].passes += 1.0
 
     @ti.func
     def _project(self, c):
@@ -323,12 +369,13 @@ class StageSolver(Verdicts):
         rz = ti.cast(0.0, self.wide)
         size = ti.static(part_size())
         for i in range(c * size, ti.min((c + 1) * size, self.n)):
-            self.dv[i] = self.dv[i] + step * padded_blocks.cut(self.product.p[i], self.dim)
-            r = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)
-            z = self.inverse_block[i] @ r
-            self.sum[i] = r
-            self.product.sum[i] = padded_blocks.pad(z, self.dim)
-            rz += ti.cast(r.dot(z), self.wide)
+            if self.in_phase(SEARCHING):
+                self.dv[i] = self.dv[i] + step * padded_blocks.cut(self.product.p[i], self.dim)
+                r = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)
+                z = self.inverse_block[i] @ r
+                self.sum[i] = r
+                self.product.sum[i] = padded_blocks.pad(z, self.dim)
+                rz += ti.cast(r.dot(z), self.wide)
         self.part[c].residual = rz
 
     @ti.func

@@ -4,7 +4,21 @@ from typing import Any
 
 from taichi_sim.device.engine import ti
 
-__all__ = ["MISSED_TOLERANCES", "MOST_TRIES", "NUMBERS", "Verdicts", "solve_stage"]
+__all__ = [
+    "CODES",
+    "FOUND",
+    "JUDGE_CHANGE",
+    "JUDGE_GUESS",
+    "MISSED_TOLERANCES",
+    "MOST_TRIES",
+    "NEXT_ITERATION",
+    "NUMBERS",
+    "READY",
+    "SEARCHING",
+    "SEARCH_ON",
+    "Verdicts",
+    "solve_stage",
+]
 
 MOST_ITERATIONS = 100  # of Newton's method
 MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
@@ -33,8 +47,13 @@ NUMBERS = (
     *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last one gained; see `search`
     *("target", "iterations", "searches"),  # of the residual; so many iterations of either kind
     *("excess", "gained"),  # see StageWork
+    "phase",  # where launches run ahead of what the host knows, see host_launch.Launched
     *("passes", "solved", "worst", "misses"),  # since the simulation was made, see SolverStatistics; solved: stages
 )
+
+# Phases of a stage: what may run next
+DOUBTFUL, READY, SEARCHING, FOUND, SOLVED = range(5)
+NOTHING, SEARCH_ON, JUDGE_GUESS, JUDGE_CHANGE, NEXT_ITERATION, CODES = range(6)  # what `report` says has to follow
 
 
 def solve_stage(self, s, stage):
@@ -78,6 +97,53 @@ class Verdicts:
     least: float
     rounding: float
     finest: float
+    gated: bool  # whether launches run ahead: what is out of turn does nothing
+
+    @ti.func
+    def in_phase(self, phase):
+        """Whether what belongs to a phase is to run."""
+        yes = True
+        if ti.static(self.gated):
+            yes = self.number[0].phase == phase
+        return yes
+
+    @ti.func
+    def open_stage(self):
+        """The phase after the guess."""
+        if self.doubtful() == 1:
+            self.number[0].phase = DOUBTFUL
+        else:
+            self.accept_guess()
+
+    @ti.func
+    def accept_guess(self):
+        """The phase of a stage whose guess is good, or withdrawn."""
+        self.set_target()
+        self.number[0].phase = ti.select(self.unsolved() == 1, READY, SOLVED)
+
+    @ti.func
+    def next_search(self):
+        """The phase after an iteration of conjugate gradients, or before the first."""
+        self.number[0].phase = ti.select(self.searching() == 1, SEARCHING, FOUND)
+
+    @ti.func
+    def report(self):
+        """CODES times the iterations of the present search, and what has to follow."""
+        follows = NOTHING
+        phase = self.number[0].phase
+        if phase == SEARCHING:
+            follows = SEARCH_ON
+        elif phase == DOUBTFUL:
+            follows = JUDGE_GUESS
+        elif phase == FOUND:
+            if self.larger() == 1:
+                follows = JUDGE_CHANGE
+            elif self.unsolved() == 1:
+                follows = NEXT_ITERATION
+                self.number[0].phase = READY
+            else:
+                self.number[0].phase = SOLVED
+        return CODES * ti.cast(self.number[0].searches, ti.i32) + follows
 
     @ti.func
     def doubtful(self):
