@@ -5,6 +5,7 @@ pose at its end. All distances are signed: negative inside the solid.
 """
 
 from taichi_sim.kernels.contacts.kinds import BOX, MESH, ROUND
+from taichi_sim.kernels.trigonometry import sine_cosine
 from taichi_sim.kernels.vectors import lever
 
 from taichi_sim.device.engine import ti
@@ -15,13 +16,13 @@ def rotated(q, angle):
     """q rotated by an angle (2D) or a rotation vector (3D)."""
     result = q
     if ti.static(q.n == 2):
-        c, s = ti.cos(angle), ti.sin(angle)
+        s, c = sine_cosine(angle)
         result = ti.Vector([c * q[0] - s * q[1], s * q[0] + c * q[1]])
     else:
         size = angle.norm()
         if size > 0.0:
             n = angle / size
-            c, s = ti.cos(size), ti.sin(size)
+            s, c = sine_cosine(size)
             result = c * q + s * n.cross(q) + (1.0 - c) * n.dot(q) * n
     return result
 

@@ -3,6 +3,8 @@
 Impulses are accumulated: `accumulated` [N s] is what a contact got so far in this solve, and from the step before where it
 started with that."""
 
+from taichi_sim.kernels.trigonometry import arccosine, cosine
+
 from taichi_sim.device.engine import ti
 
 # A soft contact is a damped spring that is solved implicitly, a quarter of a cycle per step and ten times critically damped
@@ -178,7 +180,7 @@ def largest_eigenvalue(T):
             p = ti.sqrt(p2)
             det = a * (b * c - z * z) - x * (x * c - z * y) + y * (x * z - b * y)
             r = ti.max(-1.0, ti.min(1.0, 0.5 * det / (p2 * p)))
-            result = q + 2.0 * p * ti.cos(ti.acos(r) / 3.0)
+            result = q + 2.0 * p * cosine(arccosine(r) / 3.0)
     return result
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from taichi_sim.common.errors import BackendError
 
-__all__ = ["ENGINE", "VERSION", "another", "finds", "ti"]
+__all__ = ["ENGINE", "VERSION", "another", "finds", "has_right_sines", "ti"]
 
 ENGINES = ("taichi", "quadrants")
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
@@ -58,3 +58,8 @@ def another(part: Any) -> Any:
 def finds(arch: str) -> bool:
     """Whether the engine was built with this arch and finds a device for it."""
     return bool(ti.lang.misc.is_arch_supported(getattr(ti, arch)))
+
+
+def has_right_sines() -> bool:
+    """Whether sines of what runs are right to the last digits: Vulkan and Metal promise three."""
+    return ti.lang.impl.current_cfg().arch in (ti.x64, ti.arm64, ti.cuda)

@@ -7,6 +7,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.geometry.mesh import sides
+from taichi_sim.kernels.trigonometry import cosine, sine
 
 __all__ = ["Wind"]
 
@@ -53,8 +54,8 @@ class Wind(Corners):
             more = aside = ti.cast(0.0, float)
             for a, b, c, phase in ti.static(GUST_WAVES):
                 angle = self.number * (a * s + b * p + c * q) + phase
-                more += ti.sin(angle) / ti.static(len(GUST_WAVES))
-                aside += ti.cos(1.3 * angle) / ti.static(len(GUST_WAVES))
+                more += sine(angle) / ti.static(len(GUST_WAVES))
+                aside += cosine(1.3 * angle) / ti.static(len(GUST_WAVES))
             u += self.gust * self.speed * (more * self.along + SIDEWAYS_GUSTS * aside * self.one)
         return u
 
