@@ -47,12 +47,13 @@ def even_then_odd(count: ti.template(), visit: ti.template(), arguments: ti.temp
 def join(columns: ti.template(), parts: ti.template()):
     """Sum each of some columns of `parts` numbers by groups, where there are any; each has room for them behind its parts."""
     groups, size = ti.static(groups_of(parts), part_size())
-    for g in range(groups):
-        for column in ti.static(columns):
-            total = 0.0 * column[0]
-            for c in range(g * size, ti.min((g + 1) * size, parts)):
-                total += column[c]
-            column[parts + g] = total
+    if ti.static(groups > 0):
+        for g in range(groups):
+            for column in ti.static(columns):
+                total = 0.0 * column[0]
+                for c in range(g * size, ti.min((g + 1) * size, parts)):
+                    total += column[c]
+                column[parts + g] = total
 
 
 @ti.func
