@@ -13,9 +13,18 @@ from taichi_sim.device.engine import ti
 def sums(total: ti.template(), springs: ti.template(), h):
     """total.sum[i] = total.own(i) + the terms of all springs of ball i.
 
-    total.term(i, j, e, h) is what spring e adds at its lower ball i and takes at its other one, j.
+    total.term(i, j, e, h) is what spring e adds at its lower ball i and takes at its other one, j; in the order "ends" each of them
+    asks for its own.
     """
-    if ti.static(springs.order == "atomic"):
+    if ti.static(springs.order == "ends"):
+        for i in range(springs.n):
+            mine = total.own(i)
+            for k in range(springs.end_start[i], springs.end_start[i + 1]):
+                e = springs.end_spring[k]
+                one, other = springs.spring[e].one, springs.spring[e].other
+                mine += total.term(i, ti.select(one == i, other, one), e, h)
+            total.sum[i] = mine
+    elif ti.static(springs.order == "atomic"):
         for i in range(springs.n):
             total.sum[i] = total.own(i)
         for e in range(springs.m):

@@ -20,7 +20,7 @@ class Terms(NamedTuple):
 class Spring(Protocol):
     """(entries) one spring."""
 
-    one: int  # its lower ball, in the orders "atomic", "batches" and "colours"
+    one: int  # its lower ball, in the orders "atomic", "ends", "batches" and "colours"
     other: int  # its other ball
     stiffness: float  # N/m
     damping: float  # N s/m, where any spring has some
@@ -33,10 +33,12 @@ class Springs(Protocol):
     n: int  # balls
     m: int  # springs
     dim: int  # 2 or 3
-    order: str  # in which springs are summed: "gather", "blocks", "padded", "batches", "colours" or "atomic"
+    order: str  # in which springs are summed: "gather", "blocks", "padded", "batches", "colours", "ends" or "atomic"
     start: Field  # (n + 1) entries
     placed: bool  # whether entries do not follow `start`, but `place`: with the orders "batches" and "colours"
     place: Field  # (m) entry of each spring of `start`, where that is so
+    end_start: Field  # (n + 1) where the springs at either of whose ends ball i is begin, in the order "ends"
+    end_spring: Field  # (2 m) their entries
     colours: tuple[int, ...]  # first entry of each colour, and the end of the last one
     spring: Spring  # (entries)
     block: int  # balls in a block
@@ -57,7 +59,7 @@ class EdgeSum(Protocol):
         """What ball i begins with."""
 
     def term(self, i: int, j: int, e: int, h: float) -> Any:
-        """What spring e adds at its lower ball i and takes at its other one, j."""
+        """What spring e adds at its lower ball i and takes at its other one, j; or the same seen from the other end."""
 
 
 class Sweep(Protocol):

@@ -27,7 +27,8 @@ class Springs:
 
     Args:
         damping: (m,) [N s/m] as the integrator wants it.
-        order: "gather", "blocks", "padded" blocks, SIMD "batches", "colours" (fixed orders) or "atomic".
+        order: "gather", "blocks", "padded" blocks, SIMD "batches", "colours" (fixed orders), "atomic", or "ends", where both ends of a spring
+            work out what it does to each: for implicit methods on devices.
     """
 
     def __init__(self, model: Model, fields: Fields, damping: NDArray[np.float64], order: str) -> None:
@@ -56,7 +57,10 @@ class Springs:
             columns["damping"] = fields.real
             data["damping"] = damping[spring]
         self.placed = order in ("batches", "colours")  # not stored by ball
-        if order == "atomic" or self.placed:
+        if order == "ends":
+            end_start, _, ends = incidence(scene.pairs[spring], self.n)
+            self.end_start, self.end_spring = fields.integers(end_start), fields.integers(ends)
+        if order in ("atomic", "ends") or self.placed:
             columns["one"] = ti.i32
             data["one"] = low[spring]
         self.number = spring  # in the scene, of each stored here; -1 of idle ones
@@ -77,7 +81,13 @@ class Springs:
         self.spring = fields.table(columns, self.entries, data)
         self.block = max(SMALLEST_BLOCK, bandwidth(model) + 1)
         self.blocks = -(-self.n // self.block)
-        orders = {"gather": law.gather, "blocks": law.blocks, "padded": padded_blocks.blocks, "atomic": law.scatter}
+        orders = {
+            "gather": law.gather,
+            "blocks": law.blocks,
+            "padded": padded_blocks.blocks,
+            "atomic": law.scatter,
+            "ends": law.scatter,
+        }
         self.loop = orders.get(order)  # batches are for methods that take springs in turn
 
     def _placed_as(self, chosen: NDArray, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:

@@ -43,7 +43,10 @@ class Aggregates:
         scene = model.scene
         self.spring_block, self.dim = spring_block, model.dim
         free = np.flatnonzero(~scene.pinned)
-        self.active = len(free) >= FEWEST_BALLS and springs.order != "atomic"  # one thread of a GPU is slow
+        self.active = len(free) >= FEWEST_BALLS and springs.order not in (
+            "atomic",
+            "ends",
+        )  # one thread of a GPU is slow
         if not self.active:
             return
         self.count = 1 << int(np.log2(np.cbrt(FACTOR_COST * len(free))))

@@ -47,10 +47,14 @@ class Residual:
 
     @ti.func
     def term(self, i, j, e, s):
-        """Impulse of spring e on ball i."""
+        """Impulse of spring e on ball i, which it joins to ball j."""
         a, b, springs = self.solver.ahead[i], self.solver.ahead[j], self.solver.springs
         f, r, along, across = newton_terms.linearise(a, b, i, j, springs.spring[e], s, self.solver.dim, springs.damped)
-        self.solver.spring_block[e].r = r
-        self.solver.spring_block[e].along = along
-        self.solver.spring_block[e].across = across
+        writes = True
+        if ti.static(springs.order == "ends"):  # one of them
+            writes = i == springs.spring[e].one
+        if writes:
+            self.solver.spring_block[e].r = r
+            self.solver.spring_block[e].along = along
+            self.solver.spring_block[e].across = across
         return f

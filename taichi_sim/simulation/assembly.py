@@ -137,10 +137,12 @@ class Assembly:
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
             return None
-        once = self.integrator.each_once  # in blocks, padded or not; for a GPU there are too few blocks
+        once = self.integrator.each_once  # in blocks, padded or not; a GPU has more threads than there are
         order = fixed_order(self.model, cpu, small)
         if self.atomic:
             order = "atomic"
+        elif once and self.parallel and not self.integrator.in_turn:
+            order = "ends"
         elif once and not cpu:
             coloured = self.integrator.in_turn and np.bincount(scene.pairs.ravel()).max() <= MOST_COLOURS // 2
             order = "colours" if coloured else "atomic"

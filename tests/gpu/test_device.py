@@ -86,8 +86,9 @@ def test_scenes_have_what_is_to_be_compared(on_cpu):
     assert np.abs(on_cpu("pile_3d")["spin"]).max() > 0.1
 
 
-def test_ordered_sums_have_the_same_bits_in_every_run(arch, on_device):
-    once, again = on_device["pile_ordered"], device_scenes.run("pile_ordered", arch)
+@pytest.mark.parametrize("name", ["pile_ordered", "pile_2d", "surfaces", "implicit_euler"])
+def test_the_same_bits_in_every_run(name, arch, on_device):
+    once, again = on_device[name], device_scenes.run(name, arch)
     for what in ("position", "velocity", "spin"):
         np.testing.assert_array_equal(once[what], again[what])
 

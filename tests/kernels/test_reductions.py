@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import taichi as ti
 from physics_support import F64, PRECISION
+from taichi_sim.kernels import reductions
 
 from taichi_sim.device import backend
-from taichi_sim.kernels import reductions
 
 REAL = ti.f64 if F64 else ti.f32
 
