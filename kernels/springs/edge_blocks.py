@@ -13,8 +13,8 @@ from taichi_sim.device.engine import ti
 def sums(total: ti.template(), springs: ti.template(), h):
     """total.sum[i] = total.own(i) + the terms of all springs of ball i.
 
-    total.term(i, j, e, h) is what spring e adds at its lower ball i and takes at its other one, j; in the order "ends" each of them
-    asks for its own.
+    total.term(i, j, e, h) is what spring e adds at its lower ball i and takes at its other one, j; in the order "ends" each of
+    them asks for its own.
     """
     if ti.static(springs.order == "ends"):
         for i in range(springs.n):

@@ -27,8 +27,8 @@ class Springs:
 
     Args:
         damping: (m,) [N s/m] as the integrator wants it.
-        order: "gather", "blocks", "padded" blocks, SIMD "batches", "colours" (fixed orders), "atomic", or "ends", where both ends of a spring
-            work out what it does to each: for implicit methods on devices.
+        order: "gather", "blocks", "padded" blocks, SIMD "batches", "colours" (fixed orders), "atomic", or "ends", where both
+            ends of a spring work out what it does to each: for implicit methods on devices.
     """
 
     def __init__(self, model: Model, fields: Fields, damping: NDArray[np.float64], order: str) -> None:
