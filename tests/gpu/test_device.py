@@ -101,6 +101,21 @@ def test_springs_by_colours_are_as_accurate_as_in_turn(name, arch, on_cpu):
     assert mine < 1.1 * theirs
 
 
+def test_sums_over_many_balls_are_right(arch):
+    """Energies in single precision, summed by few at a time, against double precision."""
+    rng = np.random.default_rng(4)
+    n = 20_000
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.add_balls(
+        rng.uniform(0, 100, (n, 3)), velocity=rng.normal(size=(n, 3)), mass=rng.uniform(1, 5, n), radius=0.1
+    )
+    with ts.Simulation(scene, arch=arch, precision="f32", contacts="off", driver="parallel", dt=1e-3) as sim:
+        energy = sim.energy()
+    kinetic = 0.5 * np.sum(scene.mass[:, None] * scene.velocity**2)
+    assert energy.kinetic == pytest.approx(kinetic, rel=1e-6)
+    assert energy.gravity == pytest.approx(10.0 * np.sum(scene.mass * scene.position[:, 1]), rel=1e-6)
+
+
 def test_a_restored_run_goes_on(arch, tmp_path):
     scene, settings = device_scenes.BY_NAME["many_springs"]()
     with ts.Simulation(scene, arch=arch, **settings) as whole:
