@@ -8,9 +8,12 @@ GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this 
 BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, SIZE = range(7)  # members of a row
 
 
+LONG_PART = 1024  # terms that one thread sums, where one thread then adds up all parts
+
+
 def part_size() -> int:
-    """Balls whose terms one thread sums: few on a device, which has thousands of threads."""
-    return 64 if backend.on_device() else 1024
+    """The same where parts are joined first: fewer on a device, which has thousands of threads."""
+    return 64 if backend.on_device() else LONG_PART
 
 
 def parts_of(number: int) -> int:
@@ -50,8 +53,8 @@ def join(columns: ti.template(), parts: ti.template()):
     if ti.static(groups > 0):
         for g in range(groups):
             for column in ti.static(columns):
-                total = 0.0 * column[0]
-                for c in range(g * size, ti.min((g + 1) * size, parts)):
+                total = column[g * size]
+                for c in range(g * size + 1, ti.min((g + 1) * size, parts)):
                     total += column[c]
                 column[parts + g] = total
 
@@ -60,9 +63,10 @@ def join(columns: ti.template(), parts: ti.template()):
 def total(column: ti.template(), parts: ti.template()):
     """The sum of a column that is joined, for one thread: of its parts in their order, or of its groups."""
     groups = ti.static(groups_of(parts))
-    sum = 0.0 * column[0]
-    for c in range(parts if ti.static(groups == 0) else groups):
-        sum += column[c if ti.static(groups == 0) else parts + c]
+    first, last = ti.static((0, parts) if groups == 0 else (parts, parts + groups))
+    sum = column[first]
+    for c in range(first + 1, last):
+        sum += column[c]
     return sum
 
 

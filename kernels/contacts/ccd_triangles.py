@@ -30,7 +30,10 @@ def begin(triangles: ti.template(), solver: ti.template(), ball: ti.template(), 
     if i == 0:
         triangles.used[0] = 0
         triangles.entries[0] = 0
-        triangles.work[0].searches = ti.select(triangles.grid.work[0].balls > 0, 1, 0)  # none where the grid gave up
+        triangles.work[0].searches = 1
+        if ti.static(triangles.pairs.plan.neighbours):  # the grid is made, and may have given up
+            if triangles.grid.crowded_pairs[0] > triangles.grid.pair_limit[0]:
+                triangles.work[0].searches = 0
 
 
 @ti.func

@@ -13,6 +13,7 @@ class Plan(Protocol):
     """What contacts a scene has, see taichi_sim.contacts.plan."""
 
     pairs: bool  # of balls
+    neighbours: bool  # whether balls or sticks look for balls
     walls: bool  # or colliders
     sticks: bool  # that balls touch
     warm_starts: bool  # whether solves start from what contacts accumulated in the step before
@@ -316,7 +317,7 @@ class Triangles(Incidences, Protocol):
     bottom_nodes: int  # a power of two
     leaves_per_node: int  # at the bottom
     subtree_nodes: int  # at the bottom, above which one thread goes up
-    stages: list  # for devices: nodes of a level at a time, and how many threads join as many below each, see fit
+    stages: list  # for devices, a loop each: number of subtrees, which is their first node, and their height
     expected_displacement: Field  # (n) vector, m: of a step, at the speeds with which pairs were found
     left_path: Field  # (n) 1: is not where that would have taken it
     allowed_part: Field  # (n) of its way that each ball may make
@@ -556,7 +557,7 @@ class Solver(Protocol):
     energy_type: Any  # of sums
     energy_parts: int  # of part_size() balls
     energy_scaling: Field  # (1) part of the changes that is taken back, negative
-    energy: "EnergyTerms"  # (energy_parts + 1)
+    energy: "EnergyTerms"  # (energy_parts, and behind these their groups)
     stopped_velocity: Field  # (n) vector, m/s, where all that touched has stopped
     stopped_spin: Field  # (n) m/s, the same
     velocity_when_found: Field  # (n) vector, m/s, when contacts were found

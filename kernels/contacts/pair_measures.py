@@ -2,7 +2,7 @@
 with."""
 
 from taichi_sim.kernels.contacts import pair_impacts
-from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, ball_at, torque
+from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
 from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
 
@@ -14,7 +14,7 @@ def measure_block(solver: ti.template(), ball: ti.template(), b, begin, end, tim
     """Measure the pairs of a block; where impacts are resolved in turn, mark one in which anything closes fast."""
     fast = 0
     for k in range(begin, end):
-        fast |= measure(solver, solver.pairs, ball, ball_at(solver, k))
+        fast |= measure(solver, solver.pairs, ball, solver.pairs.grid.order[k])
     if ti.static(solver.plan.impacts_in_turn):
         solver.block_is_active[b] = fast
         solver.block_was_struck[b] = fast

@@ -15,9 +15,8 @@ from taichi_sim.device.engine import ti
 @ti.func
 def each_block(solver: ti.template(), ball: ti.template(), visit: ti.template(), time, how: ti.template()):
     """visit(solver, ball, b, begin, end, time, how) for each block b, which has the places from begin to end in the grid's order;
-    in any order, for each ball, where impulses are gathered or added by atomics. how: what visit does, fixed when it is
-    compiled."""
-    if ti.static(solver.plan.atomic or solver.plan.gathers):
+    where impulses are added by atomics, in any order, for each ball. how: what visit does, fixed when it is compiled."""
+    if ti.static(solver.plan.atomic):
         for k in range(solver.n):
             visit(solver, ball, k, k, k + 1, time, how)
     elif ti.static(solver.plan.serial):
@@ -45,16 +44,7 @@ def each_ball(solver: ti.template(), ball: ti.template(), visit: ti.template(), 
 def balls_of_block(solver: ti.template(), ball: ti.template(), b, begin, end, time, task: ti.template()):
     """The balls of block b."""
     for k in range(begin, end):
-        task[0](solver, ball, ball_at(solver, k), time, task[1])
-
-
-@ti.func
-def ball_at(solver: ti.template(), k):
-    """The ball whose turn is k."""
-    i = k
-    if ti.static(not solver.plan.gathers):
-        i = solver.pairs.grid.order[k]
-    return i
+        task[0](solver, ball, solver.pairs.grid.order[k], time, task[1])
 
 
 @ti.func

@@ -10,7 +10,7 @@ Where radii differ much, balls lie in levels by size, the finest first, each wit
 would else look at thousands of others in cells made for large ones.
 """
 
-from taichi_sim.kernels.reductions import part_size
+from taichi_sim.kernels.reductions import LONG_PART
 
 from taichi_sim.device.engine import ti
 
@@ -162,13 +162,12 @@ def decide_work(grid: ti.template()):
 @ti.func
 def lay_out(ball: ti.template(), grid: ti.template()):
     """Choose how rows are placed in each level's table, from the box of cells around all its balls."""
-    size = ti.static(part_size())
     for c in range(grid.work[0].parts):
-        end = ti.min((c + 1) * size, grid.n)
+        end = ti.min((c + 1) * LONG_PART, grid.n)
         if ti.static(grid.levels == 1):
-            low = cell_of(ball[c * size].x, grid, 0)
+            low = cell_of(ball[c * LONG_PART].x, grid, 0)
             high = low
-            for i in range(c * size + 1, end):
+            for i in range(c * LONG_PART + 1, end):
                 cell = cell_of(ball[i].x, grid, 0)
                 low = ti.min(low, cell)
                 high = ti.max(high, cell)
@@ -178,7 +177,7 @@ def lay_out(ball: ti.template(), grid: ti.template()):
             for level in range(grid.levels):
                 grid.low[c * grid.levels + level] = CELL_LIMIT
                 grid.high[c * grid.levels + level] = -CELL_LIMIT
-            for i in range(c * size, end):
+            for i in range(c * LONG_PART, end):
                 level = level_of(grid.model.radius[i], grid)
                 cell = cell_of(ball[i].x, grid, level)
                 at = c * grid.levels + level

@@ -169,6 +169,8 @@ def list_contacts(s, sticks: ti.template(), ball: ti.template()):
             traverse(sticks, ball, s, first, True)
         else:
             ti.atomic_max(sticks.overflow[0], first + found)
+            for c in range(first, ti.min(first + found, sticks.capacity)):  # of old, but listed all the same
+                count_entries(c, sticks)
             found = 0
     for c in range(first, first + found):
         measure(sticks, ball, c)

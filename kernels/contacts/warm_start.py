@@ -5,6 +5,8 @@ Before the contacts of sticks are listed anew, what they accumulated goes to `ol
 stick has its own.
 """
 
+from taichi_sim.kernels.contacts.contact_incidence import each_contact
+
 from taichi_sim.device.engine import ti
 
 LOAD_GROWTH = 2.0  # times what a contact accumulated before: more than that, after an impact, was the impact's
@@ -33,11 +35,16 @@ def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
 @ti.func
 def store(sticks: ti.template()):
     """Keep what contacts accumulated while they are listed anew."""
-    for c in range(ti.min(sticks.used[0], sticks.capacity)):
-        sticks.old[c].other = sticks.contact[c].ball
-        sticks.old[c].impulse = sticks.contact[c].impulse
-        if ti.static(sticks.model.has_friction):
-            sticks.old[c].tangential_impulse = sticks.contact[c].tangential_impulse
+    each_contact(sticks, store_contact, (sticks,))
+
+
+@ti.func
+def store_contact(c, sticks: ti.template()):
+    """The same for contact c."""
+    sticks.old[c].other = sticks.contact[c].ball
+    sticks.old[c].impulse = sticks.contact[c].impulse
+    if ti.static(sticks.model.has_friction):
+        sticks.old[c].tangential_impulse = sticks.contact[c].tangential_impulse
 
 
 @ti.func

@@ -8,7 +8,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import parallel_search
 from taichi_sim.kernels.contacts import spatial_hash as loops
-from taichi_sim.kernels.reductions import parts_of
+from taichi_sim.kernels.reductions import LONG_PART
 
 __all__ = ["Grid"]
 
@@ -76,7 +76,7 @@ class Grid:
         self.work = fields.table(dict.fromkeys(("balls", "buckets", "parts", "ranked", "slabs"), ti.i32), 1)
         self.crowded_pairs, self.most_crowded_pairs = fields.reals(1), fields.reals(1)
         self.pair_limit = fields.reals(np.array([float(pair_limit)]))
-        self.parts = 1 if parallel else parts_of(self.n)
+        self.parts = 1 if parallel else -(-self.n // LONG_PART)
         self.low, self.high = (fields.cells(self.levels * self.parts, model.dim) for _ in range(2))
         self.corner, self.pitch = (fields.integers(self.levels * model.dim) for _ in range(2))
         self.dense = fields.integers(self.levels)
@@ -105,7 +105,6 @@ class Grid:
         """Where ball i is, for triangles, which look for what is near them by themselves."""
         self.origin[i] = ball[i].x
         if i == 0:
-            self.work[0].balls = self.n
             self.searches[0] = self.searches[0] + 1
 
     @ti.func

@@ -6,6 +6,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import contact_law, statistics, stick_sweeps, warm_start
 from taichi_sim.kernels.contacts import sticks as loops
+from taichi_sim.kernels.contacts.contact_incidence import each_contact
 from taichi_sim.kernels.vectors import cross, zero_scalar_in_2d
 
 __all__ = ["Sticks"]
@@ -97,22 +98,30 @@ class Sticks:
     @ti.func
     def begin_contacts(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
         """Fix the target speed of every contact, and what it starts with."""
-        for c in range(ti.min(self.used[0], self.capacity)):
-            contact = self.contact[c]
-            u = self.relative_velocity(ball, contact).dot(contact.normal)
-            e = self.law(contact).restitution
-            self.contact[c].target = contact_law.target_speed(u, e, solver.threshold[0], impacts)
-            warm_start.start(self, solver, c, u, contact.normal)
+        each_contact(self, self.begin_contact, (ball, solver, impacts))
+
+    @ti.func
+    def begin_contact(self, c, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
+        """The same for contact c."""
+        contact = self.contact[c]
+        u = self.relative_velocity(ball, contact).dot(contact.normal)
+        e = self.law(contact).restitution
+        self.contact[c].target = contact_law.target_speed(u, e, solver.threshold[0], impacts)
+        warm_start.start(self, solver, c, u, contact.normal)
 
     @ti.func
     def end_contacts(self, ball: ti.template()):
         """Keep of what contacts accumulated what may be a load."""
-        for c in range(ti.min(self.used[0], self.capacity)):
-            contact = self.contact[c]
-            inverse = self.model.inverse_mass[contact.ball]
-            inverse += self.model.inverse_mass[self.one[contact.stick]] * (1.0 - contact.at) ** 2
-            inverse += self.model.inverse_mass[self.two[contact.stick]] * contact.at**2
-            warm_start.limit(self, c, inverse, self.relative_velocity(ball, contact).dot(contact.normal))
+        each_contact(self, self.end_contact, (ball,))
+
+    @ti.func
+    def end_contact(self, c, ball: ti.template()):
+        """The same for contact c."""
+        contact = self.contact[c]
+        inverse = self.model.inverse_mass[contact.ball]
+        inverse += self.model.inverse_mass[self.one[contact.stick]] * (1.0 - contact.at) ** 2
+        inverse += self.model.inverse_mass[self.two[contact.stick]] * contact.at**2
+        warm_start.limit(self, c, inverse, self.relative_velocity(ball, contact).dot(contact.normal))
 
     @ti.func
     def solve_contacts(self, ball: ti.template(), solver: ti.template(), time):

@@ -22,6 +22,7 @@ OTHER, INTEGRATED, DISCRETE, VIRTUAL, SOFTWARE = range(5)  # VkPhysicalDeviceTyp
 PREFERENCE = (DISCRETE, INTEGRATED, VIRTUAL, OTHER, SOFTWARE)  # Taichi's
 DEVICE_LOCAL = 1  # VK_MEMORY_HEAP_DEVICE_LOCAL_BIT
 MOST_VULKAN_DEVICES = 16
+WRONG = "wrong: "  # how the self-test begins to say what is
 SELF_TEST, PATIENCE = "taichi_sim.reports.self_test", 120.0  # a program, and the s that it may take
 
 
@@ -74,7 +75,8 @@ def examine(arch: str) -> str:
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         return f"the self-test ended with status {done.returncode}: {last}"
-    return done.stdout.strip()
+    # the engine may say other things before
+    return "".join(line.removeprefix(WRONG) for line in done.stdout.splitlines() if line.startswith(WRONG))
 
 
 def _library(*names: str) -> Any:

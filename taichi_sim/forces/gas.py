@@ -7,7 +7,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.kernels.reductions import each_part, part_size
+from taichi_sim.kernels.reductions import LONG_PART, each_part
 
 __all__ = ["Gases"]
 
@@ -36,9 +36,10 @@ class Gases(Corners):
             {name: ti.i32 for name in "abc"}, len(t), {n: t[:, k] for k, n in enumerate("abc")}
         )
         ends = np.cumsum([len(g.triangles) for g in gases])
-        size = part_size()
         parts = [
-            (k, f, min(f + size, e)) for k, e in enumerate(ends) for f in range(e - len(gases[k].triangles), e, size)
+            (k, f, min(f + LONG_PART, e))
+            for k, e in enumerate(ends)
+            for f in range(e - len(gases[k].triangles), e, LONG_PART)
         ]
         table = np.array(parts)
         self.parts = len(parts)

@@ -8,7 +8,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.geometry.graph import components
-from taichi_sim.kernels.reductions import each_part, part_size
+from taichi_sim.kernels.reductions import LONG_PART, each_part
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["FreeBodies", "StageWork"]
@@ -23,13 +23,13 @@ def _gas_surfaces(scene: Scene) -> NDArray[np.int64]:
 
 
 class _Members:
-    """The `chosen` balls in the order of their bodies, for sums over bodies in parts of at most part_size() balls: `member` (k,),
+    """The `chosen` balls in the order of their bodies, for sums over bodies in parts of at most LONG_PART balls: `member` (k,),
     and how many each body has, `count`; part c begins at `begin[c]`, body b at `part[b]`."""
 
     def __init__(self, label: NDArray[np.integer], chosen: NDArray[np.integer]) -> None:
         self.member = chosen[np.argsort(label[chosen], kind="stable")]
         first, self.count = np.unique(label[self.member], return_index=True, return_counts=True)[1:]
-        begins = [np.arange(f, f + c, part_size()) for f, c in zip(first, self.count)]
+        begins = [np.arange(f, f + c, LONG_PART) for f, c in zip(first, self.count)]
         self.parts = sum(len(b) for b in begins)
         self.begin = np.append(np.concatenate([*begins, [0]])[:-1], len(self.member))
         self.part = np.append(0, np.cumsum([len(b) for b in begins])).astype(np.int32)

@@ -87,8 +87,9 @@ class Launched:
                 launched.search()
             launched.evaluate(s, 1.0)
             taken, follows = divmod(launched.report(), CODES)
-            batch = max(FIRST_SEARCHES, taken // 4)
-            self.searches[stage, iteration] = taken
+            batch = max(FIRST_SEARCHES, taken // SPARE_PART)
+            if follows != JUDGE_GUESS:
+                self.searches[stage, iteration] = taken
         return follows
 
     @ti.kernel

@@ -129,8 +129,10 @@ class Verdicts:
     @ti.func
     def report(self):
         """CODES times the iterations of the present search, and what has to follow."""
-        follows = NOTHING
+        follows, searches = NOTHING, 0
         phase = self.number[0].phase
+        if phase == SEARCHING or phase == FOUND:  # noqa: SIM109 (Taichi has no tuples of numbers to look in)
+            searches = ti.cast(self.number[0].searches, ti.i32)
         if phase == SEARCHING:
             follows = SEARCH_ON
         elif phase == DOUBTFUL:
@@ -143,7 +145,7 @@ class Verdicts:
                 self.number[0].phase = READY
             else:
                 self.number[0].phase = SOLVED
-        return CODES * ti.cast(self.number[0].searches, ti.i32) + follows
+        return CODES * searches + follows
 
     @ti.func
     def doubtful(self):

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from taichi_sim.device import backend
+from taichi_sim.device.devices import WRONG
 from taichi_sim.device.engine import ti
 from taichi_sim.kernels import self_test
 
@@ -54,4 +55,4 @@ def faults() -> Iterator[str]:
 if __name__ == "__main__":
     backend.start(sys.argv[1], "f32")
     if found := list(faults()):
-        print(f"{'; '.join(found)}: {NOTE}")
+        print(f"{WRONG}{'; '.join(found)}: {NOTE}")

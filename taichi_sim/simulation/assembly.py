@@ -196,7 +196,11 @@ class Assembly:
             rule = CONTACT_RULES[("gauss_seidel" if ordered else "jacobi") if rule == "auto" else rule]()
         if rule.in_turn and not ordered:
             why = f"accumulate: {settings.accumulate!r}" if cpu else "a GPU"
-            raise ValueError(f"contacts: {rule.name!r} changes velocities in a fixed order, which {why} does not have")
+            raise SceneError(
+                "contacts",
+                says=f"{rule.name!r} changes velocities in a fixed order, which {why} does not have; use 'jacobi' or 'sum'"
+                + (", or accumulate 'ordered'" if cpu else ""),
+            )
         return another(rule)  # one object may serve several simulations
 
     @property

@@ -55,7 +55,7 @@ class Simulation(Reader):
             ("auto").
         precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a
-            GPU).
+            GPU and with accumulate "gather" or "atomic").
         contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
             by jacobi, 10 where surfaces collide; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with
             sticks or surfaces ("auto").

@@ -99,10 +99,26 @@ def test_what_is_fast_stops_where_it_meets():
     assert here == pytest.approx(there, rel=1e-9 if F64 else 1e-4, abs=1e-9 if F64 else 1e-3)
 
 
+@pytest.mark.parametrize("accumulate", ["ordered", "gather"])
+def test_triangles_look_for_nothing_where_the_grid_gives_up(accumulate):
+    """120 balls at one place, and memory for 100 of their pairs: looking on would take as long as they are many, squared."""
+    scene = ts.Scene(dim=3)
+    ts.shapes.cloth(scene, size=(0.5, 0.5), resolution=(4, 4), stiffness=100.0, surface_collision=True, radius=0.02)
+    scene.add_balls(np.zeros((120, 3)), radius=0.02)
+    with simulate(scene, (accumulate, "fused"), contacts="sum", contact_iterations=1, dt=1e-3) as sim:
+        contacts = sim.parts.contacts
+        contacts.pairs.grid.pair_limit[0] = 1e9
+        sim.parts.prime(1e-3, 0.0)
+        assert contacts.triangles.used[0] > 0
+        contacts.pairs.grid.pair_limit[0] = 100.0
+        sim.parts.prime(1e-3, 0.0)
+        assert contacts.pairs.overflow[0] > contacts.pairs.capacity
+        assert contacts.triangles.used[0] == 0
+
+
 def test_a_rule_in_turn_is_refused():
-    with pytest.raises(
-        ValueError, match="contacts: 'gauss_seidel' changes velocities in a fixed order, which accumulate: 'gather'"
-    ):
+    says = "contacts: 'gauss_seidel' changes velocities in a fixed order, which accumulate: 'gather' does not have; use 'jacobi'"
+    with pytest.raises(ts.SceneError, match=says):
         ts.Simulation(heap(2), contacts="gauss_seidel", accumulate="gather", dt=H)
 
 

@@ -109,12 +109,25 @@ def test_the_file_holds_numbers(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.once
-def test_a_run_that_fails_leaves_no_file(tmp_path, monkeypatch):
+def test_a_case_that_fails_loses_no_other(tmp_path, monkeypatch, capsys):
     def broken(quick):
         raise BackendError("no memory")
 
-    monkeypatch.setitem(main.CASES, "small", broken)
-    with pytest.raises(BackendError):
+    monkeypatch.setitem(main.CASES, "pile", broken)
+    monkeypatch.setitem(main.CASES, "small", lambda quick: Report("nothing"))
+    file = tmp_path / "out.json"
+    assert not main.main(["pile", "small"], file=str(file))
+    assert "pile: not measured. BackendError: no memory" in capsys.readouterr().out
+    tables = json.loads(file.read_text())["tables"]
+    assert [table.get("error") for table in tables] == ["BackendError: no memory", None]
+
+
+def test_a_run_that_is_ended_leaves_no_file(tmp_path, monkeypatch):
+    def ended(quick):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(main.CASES, "small", ended)
+    with pytest.raises(KeyboardInterrupt):
         main.main(["small"], file=str(tmp_path / "out.json"))
     assert not list(tmp_path.iterdir())
 

@@ -38,7 +38,10 @@ class Checks(NamedTuple):
         said = "tests of devices: none here; they come with the source"
         if self.tests is not None:
             said = "tests of devices: {tests}, of which {failed} failed and {skipped} skipped".format(**self.tests)
-        return [f"self-test: {self.self_test or 'passed'}", said]
+            if self.tests["exit_status"] and not self.tests["failed"]:
+                said = f"tests of devices could not run: pytest ended with status {self.tests['exit_status']}"
+        failures = [] if self.tests is None else [f"  {name}" for name in self.tests["failures"]]  # type: ignore[attr-defined]
+        return [f"self-test: {self.self_test or 'passed'}", said, *failures]
 
 
 def check_device(arch: str, quick: bool) -> Checks:

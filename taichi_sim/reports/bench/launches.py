@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from taichi_sim.common.errors import BackendError
+from taichi_sim.device.engine import ENGINE
 from taichi_sim.device.launch_counts import PROFILED, Counts, count
 from taichi_sim.reports.bench import cases
 from taichi_sim.reports.bench.ours import Ours, ball_step, cloth_step
@@ -99,6 +100,8 @@ class LaunchReport(Report):
 
 def launch_report(quick: bool, arch: str = "cpu") -> LaunchReport:
     """Counts of all scenes, made in a process of their own. Raises BackendError with its last words where it fails."""
+    if ENGINE != "taichi":
+        raise BackendError(f"launches: {ENGINE} has no profiler that counts them; leave TAICHI_SIM_ENGINE out")
     steps = STEPS // 4 if quick else STEPS
     command = [sys.executable, "-m", __name__, arch, "quick" if quick else "full"]
     done = subprocess.run(command, env=os.environ | PROFILED, capture_output=True, text=True, check=False)

