@@ -31,6 +31,11 @@ class Backend(NamedTuple):
     precision: str
     threads: int
 
+    def __str__(self) -> str:
+        """`cpu, 2 threads, f32, taichi 1.7.4`."""
+        where = f"{self.arch}, {self.threads} thread{'s' * (self.threads != 1)}" if self.arch == "cpu" else self.arch
+        return f"{where}, {self.precision}, {ENGINE} {VERSION}"
+
     @property
     def has_wide_numbers(self) -> bool:
         """Whether its kernels may use 64-bit numbers and atomics on them: many Vulkan and Metal devices have none."""

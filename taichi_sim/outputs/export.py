@@ -43,6 +43,7 @@ class Summary:
     units: dict[str, str] = field(default_factory=dict)  # of probes
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
+    device: str = ""  # what computed it, in words
 
     def _seen(self, scales: Scales) -> Scales:
         """With the start and the end, which samples between steps may miss."""
@@ -98,6 +99,7 @@ class Summary:
             )
         per = f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration else ""
         parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
+        lines.append(f"device       {self.device}")
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
         return lines
 
@@ -175,6 +177,7 @@ def export(
                     clock.charge("drawing")
             advance(frame.time)
         summary.duration, summary.units = duration, units_of(simulation.scene)
+        summary.device = str(simulation.backend)
         if frame is not None and frame.energy is not None:
             summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()

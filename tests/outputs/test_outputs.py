@@ -14,6 +14,8 @@ from PIL import Image
 from taichi_sim import Frame, Scene, UnstableError
 from taichi_sim.analysis.frame import Contacts
 from taichi_sim.analysis.outcome import Scales
+from taichi_sim.device.backend import Backend
+from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs import Output, export, open_output
 
 pytestmark = pytest.mark.once
@@ -26,6 +28,7 @@ class FakeSimulation:
     """Two balls in 2D that fall, as far as outputs can tell; frame `fails_at` raises `error`."""
 
     scene = Scene(dim=2)
+    backend = Backend("cpu", "f32", 2)
 
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
         self.fails_at, self.failure = fails_at, error
@@ -282,6 +285,7 @@ def test_summary():
         "lost 0.3 of the largest energy in motion, 3 J: restitution, friction and damping take their part",
         "penetration  0.25 m at most (2.5 of a radius), mean 0.004 m at the end: wrong; take shorter steps, or more",
         "residual     iterations leave 0.001 m/s of approach in most frames, 0.025 at most: good",
+        f"device       cpu, 2 threads, f32, {ENGINE} {VERSION}",
         "per simulated second",
     ):
         assert word in text
