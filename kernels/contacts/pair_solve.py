@@ -130,12 +130,16 @@ def push_out_speed(solver: ti.template(), depth):
 
 @ti.func
 def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
-    """Mass of a contact where it is split, its target speed from the velocities before the solve, and its bias velocity."""
+    """Mass of a contact where it is split, 0 where an impact is left for the next solve; its target speed from the velocities
+    before the solve, and its bias velocity."""
     if ti.static(solver.split):
         alone = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
-        solver.pairs.contact[c].mass = ti.min(
-            solver.relaxation / (solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]), alone
-        )
+        mass = ti.min(solver.relaxation / (solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]), alone)
+        if ti.static(not how.impacts and not solver.plan.warm_starts):
+            # one iteration would part what arrives at several contacts at once, and nothing take it back
+            if (solver.velocity_before[j] - solver.velocity_before[i]).dot(n) < -solver.threshold[0]:
+                mass = 0.0
+        solver.pairs.contact[c].mass = mass
     if ti.static(solver.pairs.has_target):
         speed = (solver.velocity_before[j] - solver.velocity_before[i]).dot(n)
         restitution = 0.0 * speed

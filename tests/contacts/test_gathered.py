@@ -116,6 +116,23 @@ def test_triangles_look_for_nothing_where_the_grid_gives_up(accumulate):
         assert contacts.triangles.used[0] == 0
 
 
+@pytest.mark.parametrize("accumulate", ["ordered", "gather"])
+def test_what_arrives_together_without_restitution_stays_together(accumulate):
+    """Three discs at once on a fourth: by split masses each contact stops, to what iterations leave; none bounces. The solution:
+    V = sum of impulses / M, each contact's normal speed 0."""
+    angle = np.radians([35.0, 100.0, 165.0])
+    d = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    scene = ts.Scene(dim=2, gravity=(0, 0))
+    scene.add_material("clay", restitution=0.0)
+    scene.add_balls([[0, 0]], radius=0.1, mass=2.0, material="clay")
+    scene.add_balls(d * 0.204, radius=0.1, mass=1.0, velocity=-1.3 * d, material="clay")
+    # M V = sum p_k n_k, p_k = m (v_k - n_k . V): (M + m N N^T) V = m sum v_k n_k
+    exact = np.linalg.solve(2.0 * np.eye(2) + d.T @ d, -1.3 * d.sum(axis=0))
+    end, contacts, _ = ended(scene, accumulate, steps=8)
+    assert contacts.number == 3
+    assert end[0, 2:4] == pytest.approx(exact, rel=1e-2)
+
+
 def test_a_rule_in_turn_is_refused():
     says = "contacts: 'gauss_seidel' changes velocities in a fixed order, which accumulate: 'gather' does not have; use 'jacobi'"
     with pytest.raises(ts.SceneError, match=says):
