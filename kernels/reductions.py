@@ -1,8 +1,7 @@
 """Work in parts of a fixed size, in an order that does not depend on threads, so that sums have the same bits for any number of
 them; and what is summed of balls so, in double precision where the device has it."""
 
-from taichi_sim.device import backend
-from taichi_sim.device.engine import ti
+from taichi_sim.device.engine import on_device, ti
 
 GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one part
 BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, SIZE = range(7)  # members of a row
@@ -13,7 +12,7 @@ LONG_PART = 1024  # terms that one thread sums, where one thread then adds up al
 
 def part_size() -> int:
     """The same where parts are joined first: fewer on a device, which has thousands of threads."""
-    return 64 if backend.on_device() else LONG_PART
+    return 64 if on_device() else LONG_PART
 
 
 def parts_of(number: int) -> int:
@@ -23,13 +22,13 @@ def parts_of(number: int) -> int:
 
 def groups_of(parts: int) -> int:
     """In how many groups a device sums the sums of so many parts before one thread adds up the rest; 0 on a CPU."""
-    return parts_of(parts) if backend.on_device() else 0
+    return parts_of(parts) if on_device() else 0
 
 
 @ti.func
 def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template()):
     """visit(part, *arguments) for each part below `count`, on any thread."""
-    grain = ti.static(1 if backend.on_device() else GRAIN)
+    grain = ti.static(1 if on_device() else GRAIN)
     for k in range(count * grain):
         if k % grain == 0:
             visit(k // grain, *arguments)
@@ -39,7 +38,7 @@ def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template
 def even_then_odd(count: ti.template(), visit: ti.template(), arguments: ti.template()):
     """The same for parts of which one writes to itself and the next: those with even numbers, then the others. At the top level
     of a kernel only an unrolled loop leaves the inner ones parallel."""
-    grain = ti.static(1 if backend.on_device() else GRAIN)
+    grain = ti.static(1 if on_device() else GRAIN)
     for parity in ti.static(range(2)):
         for k in range((count + 1 - parity) // 2 * grain):
             if k % grain == 0:

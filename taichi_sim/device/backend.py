@@ -15,7 +15,7 @@ from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.devices import find, verdict
 from taichi_sim.device.engine import ENGINE, VERSION, finds, ti
 
-__all__ = ["ARCHES", "PRECISIONS", "Backend", "has_wide_numbers", "on_device", "running", "start"]
+__all__ = ["ARCHES", "PRECISIONS", "Backend", "has_wide_numbers", "running", "start"]
 
 ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
@@ -53,11 +53,6 @@ _running: Backend | None = None
 def running() -> Backend | None:
     """The backend of this process, or None before the first start."""
     return _running
-
-
-def on_device() -> bool:
-    """Whether what runs is no CPU, but a device with thousands of threads."""
-    return _running is not None and _running.arch != "cpu"
 
 
 def has_wide_numbers() -> bool:

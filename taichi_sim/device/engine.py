@@ -11,7 +11,7 @@ from typing import Any
 
 from taichi_sim.common.errors import BackendError
 
-__all__ = ["ENGINE", "VERSION", "another", "finds", "has_right_sines", "ti"]
+__all__ = ["ENGINE", "VERSION", "another", "finds", "has_right_sines", "on_device", "ti"]
 
 ENGINES = ("taichi", "quadrants")
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
@@ -58,6 +58,11 @@ def another(part: Any) -> Any:
 def finds(arch: str) -> bool:
     """Whether the engine was built with this arch and finds a device for it."""
     return bool(ti.lang.misc.is_arch_supported(getattr(ti, arch)))
+
+
+def on_device() -> bool:
+    """Whether what runs is no CPU, but a device with thousands of threads."""
+    return ti.lang.impl.current_cfg().arch not in (ti.x64, ti.arm64)
 
 
 def has_right_sines() -> bool:

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model, incidence, phase_type
@@ -24,6 +23,7 @@ from taichi_sim.integrators.newton_decisions import (
     solve_stage,
 )
 from taichi_sim.integrators.newton_operators import Product, Residual
+from taichi_sim.kernels import reductions
 from taichi_sim.kernels.reductions import each_part, groups_of, join, part_size, parts_of, total
 from taichi_sim.kernels.springs import edge_blocks, newton_terms, padded_blocks
 
@@ -54,7 +54,7 @@ class StageSolver(Verdicts):
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.first = (fields.vectors(self.n, self.dim) for _ in range(2))
-        self.wide, self.gated = fields.wide, backend.on_device()
+        self.wide, self.gated = fields.wide, reductions.on_device()
         self.number = fields.table(dict.fromkeys(NUMBERS, self.wide), 1)
         if springs is None:
             return

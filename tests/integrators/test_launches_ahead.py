@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from physics_support import simulate
+from taichi_sim.kernels import reductions
 
 import taichi_sim as ts
-from taichi_sim.device import backend
 
 QUESTIONS = ("doubtful", "raised", "unsolved", "searching", "larger", "report")
 
@@ -33,7 +33,7 @@ def balloon():
 
 def solved(scene, method, accumulate, ahead, monkeypatch):
     """Position, SolverStatistics, iterations of Newton's method and questions after 20 steps of 10 ms."""
-    monkeypatch.setattr(backend, "on_device", lambda: ahead)
+    monkeypatch.setattr(reductions, "on_device", lambda: ahead)
     with simulate(scene, (accumulate, "parallel"), integrator=method, dt=1e-2) as sim:
         launched = sim.parts.integrator.launched
         counts = {"iterations": 0, "questions": 0}

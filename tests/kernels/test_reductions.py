@@ -43,7 +43,7 @@ class Column:
 def test_everything_is_summed_once(number, device, monkeypatch):
     """Whole numbers, whose sums are exact."""
     backend.start("cpu", PRECISION)
-    monkeypatch.setattr(backend, "on_device", lambda: device)
+    monkeypatch.setattr(reductions, "on_device", lambda: device)
     values = np.random.default_rng(number).integers(-100, 100, number)
     column = Column(values.astype(np.float64 if F64 else np.float32))
     column.run()
