@@ -1,6 +1,6 @@
 """Contacts of surfaces in a step: the list of all pairs that are near, and how far balls may move before any of them meet."""
 
-from taichi_sim.kernels.contacts.contact_incidence import each_contact, list_entries
+from taichi_sim.kernels.contacts.contact_incidence import begin_entries, each_contact, list_entries
 from taichi_sim.kernels.contacts.triangle_bvh import any_left_path, fit, traverse
 from taichi_sim.kernels.contacts.triangle_pairs import FIND_PAIRS, LIMIT_WAYS, hold_apart, is_upper, planes
 from taichi_sim.kernels.loops import each
@@ -26,10 +26,8 @@ def detect(triangles: ti.template(), solver: ti.template(), ball: ti.template())
 def begin(triangles: ti.template(), solver: ti.template(), ball: ti.template(), i):
     """Nothing is listed of ball i yet, and this is where it goes."""
     triangles.expected_displacement[i] = ball[i].v / solver.rate[0]
-    triangles.number[i] = 0
+    begin_entries(triangles, i)
     if i == 0:
-        triangles.used[0] = 0
-        triangles.entries[0] = 0
         triangles.work[0].searches = 1
         if ti.static(triangles.pairs.plan.neighbours):  # the grid is made, and may have given up
             if triangles.grid.crowded_pairs[0] > triangles.grid.pair_limit[0]:

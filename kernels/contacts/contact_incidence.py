@@ -13,6 +13,15 @@ def each_contact(contacts: ti.template(), visit: ti.template(), arguments: ti.te
 
 
 @ti.func
+def begin_entries(contacts: ti.template(), i):
+    """Nothing is listed yet, and ball i has no entry; for each ball, in a loop before contacts are found."""
+    contacts.number[i] = 0
+    if i == 0:
+        contacts.used[0] = 0
+        contacts.entries[0] = 0
+
+
+@ti.func
 def list_entries(contacts: ti.template()):
     """Make all lists of what count_entries has counted; `entries` is 0."""
     for i in range(contacts.model.n):

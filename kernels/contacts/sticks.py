@@ -1,7 +1,7 @@
 """Contacts between balls and sticks: found by traversing the grid along each stick. Those of a stick lie together."""
 
 from taichi_sim.kernels.contacts import warm_start
-from taichi_sim.kernels.contacts.contact_incidence import count_entries, list_entries
+from taichi_sim.kernels.contacts.contact_incidence import begin_entries, count_entries, list_entries
 from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT, may_meet
 from taichi_sim.kernels.contacts.spatial_hash import (
     FINE_CELLS,
@@ -147,10 +147,7 @@ def detect(sticks: ti.template(), ball: ti.template()):
     if ti.static(sticks.plan.warm_starts):
         warm_start.store(sticks)
     for i in range(sticks.model.n):
-        sticks.number[i] = 0
-        if i == 0:
-            sticks.used[0] = 0
-            sticks.entries[0] = 0
+        begin_entries(sticks, i)
     fixed = ti.static(sticks.plan.gathers)
     # none where the grid gave up
     each(ti.select(sticks.grid.work[0].balls > 0, sticks.m, 0), sticks.m, fixed, list_contacts, (sticks, ball))

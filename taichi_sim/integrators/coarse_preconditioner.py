@@ -43,10 +43,8 @@ class Aggregates:
         scene = model.scene
         self.spring_block, self.dim = spring_block, model.dim
         free = np.flatnonzero(~scene.pinned)
-        self.active = len(free) >= FEWEST_BALLS and springs.order not in (
-            "atomic",
-            "ends",
-        )  # one thread of a GPU is slow
+        on_device = springs.order in ("atomic", "ends")  # one thread of a GPU is slow
+        self.active = len(free) >= FEWEST_BALLS and not on_device
         if not self.active:
             return
         self.count = 1 << int(np.log2(np.cbrt(FACTOR_COST * len(free))))

