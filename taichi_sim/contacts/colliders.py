@@ -20,7 +20,7 @@ KIND = {ROUND: kinds.ROUND, BOX: kinds.BOX, MESH: kinds.MESH, CUSTOM: kinds.CUST
 
 @ti.data_oriented
 class Colliders:
-    """All colliders of a scene, see kernels.contacts.interfaces. Motions are worked out on the host in float64, for up to TICKS
+    """All colliders of a scene, see kernels.contacts.interfaces. Motions are worked out on the host in float64, for TICKS
     substeps at a time: `motion`, of which `tick` is the present one. grids: of `distance_grids`."""
 
     def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
@@ -91,13 +91,13 @@ class Colliders:
         x, rotation = self.scene.colliders[k].motion.at(0.0)
         return x[0], rotation[0]
 
-    def load(self, time: float, h: float, steps: int) -> None:
-        """Work out the motion for `steps` substeps of h from `time` on, at most TICKS."""
+    def load(self, time: float, h: float, first: int) -> None:
+        """Work out the motion for TICKS substeps of h, from number `first` of those from `time` on."""
         if not self.moves:
             return
-        table = np.empty((steps + 1, self.movers, self.width), dtype=np.float64)
+        table = np.empty((TICKS + 1, self.movers, self.width), dtype=np.float64)
         for m, k in enumerate(self.moving):
-            x, rotation, v, spin = self.scene.colliders[k].motion.steps(time, h, steps)
+            x, rotation, v, spin = self.scene.colliders[k].motion.steps(time, h, first, TICKS)
             table[:, m] = np.concatenate([x, rotation[:, :, 0], v, spin, rotation[:, :, 1]], axis=1)[:, : self.width]
         real = np.float64 if self.motion.x.dtype == ti.f64 else np.float32
         self._load(np.ascontiguousarray(table.reshape(-1, self.width), dtype=real))

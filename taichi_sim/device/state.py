@@ -15,9 +15,8 @@ WORLD_RADIUS = 1e12  # m; a ball beyond this has left the world
 
 @ti.data_oriented
 class State:
-    """`ball` (n) struct with x [m] and v [m/s], of which the last state known to be good is kept.
-    `compensated` keeps what single precision rounds off of x and v in `low` and gives it back with the next change
-    (Kahan's sum). `spin` (n), where balls spin: radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
+    """`ball` (n) struct with x [m] and v [m/s]. `compensated` keeps what single precision rounds off of x and v in `low` and gives
+    it back with the next change (Kahan's sum). `spin` (n), where balls spin: radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
 
     order: number in the user's scene of each ball stored here, or None where they are the same. What goes in and out below
     is in the user's order."""
@@ -28,19 +27,14 @@ class State:
         self.n, self.dim = model.n, model.dim
         phase = phase_type(model.dim, fields.real)
         self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
-        self.kept = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
-        self._kept = [(self.ball, self.kept)]
         self.compensated = compensated
-        self.followers: list[Any] = []  # parts that keep and restore with the state
-        self.serial = False  # whether copies go on one thread, for which a launch that wakes none is ten times shorter
+        self.followers: list[Any] = []  # parts that keep and restore what they have by themselves, see Moments
         if compensated:
-            self.low, self.kept_low = fields.table(phase, self.n), fields.table(phase, self.n)
-            self._kept.append((self.low, self.kept_low))
+            self.low = fields.table(phase, self.n)
         self.spins = model.spins
         self.still = ~model.spinning if model.some_spin else None  # balls that never spin
         if self.spins:
-            self.spin, self.kept_spin = fields.spins(self.n, model.dim), fields.spins(self.n, model.dim)
-            self._kept.append((self.spin, self.kept_spin))
+            self.spin = fields.spins(self.n, model.dim)
 
     @ti.func
     def shift(self, i, dx):
@@ -64,27 +58,13 @@ class State:
         else:
             self.ball[i].v = self.ball[i].v + dv
 
-    @ti.kernel
-    def _copy(self, target: ti.template(), source: ti.template()):
-        if ti.static(self.serial):
-            ti.loop_config(serialize=True)
-            for i in range(self.n):
-                target[i] = source[i]
-        else:
-            for i in range(self.n):
-                target[i] = source[i]
-
     def keep(self) -> None:
-        """Remember the present state as good."""
-        for present, kept in self._kept:
-            self._copy(kept, present)
+        """Followers remember the present state as good."""
         for part in self.followers:
             part.keep()
 
     def restore(self) -> None:
-        """Return to the state last kept."""
-        for present, kept in self._kept:
-            self._copy(present, kept)
+        """Followers return to the state last kept."""
         for part in self.followers:
             part.restore()
 

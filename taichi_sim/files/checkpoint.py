@@ -18,7 +18,7 @@ from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["restore_state", "save_state"]
 
-FORMAT = 2
+FORMAT = 3
 MESH = ("vertices", "triangles")
 
 
@@ -32,12 +32,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         )
     own = simulation.settings
     settings = {name.name: getattr(own, name.name) for name in fields(own)}
-    settings.update(
-        integrator=own.integrator.method.name,
-        dt="auto" if own.tolerance is not None else simulation.dt,
-        substeps="auto" if own.tolerance is not None else simulation.substeps,
-        precision=simulation.backend.precision,
-    )
+    settings.update(integrator=own.integrator.method.name, precision=simulation.backend.precision)
     snapshot = simulation.snapshot()
     colliders = [collider.saved(f"colliders[{k}]") for k, collider in enumerate(scene.colliders)]
     about = {

@@ -18,7 +18,7 @@ class DrivenPins:
     """Puts moving pins where they belong at the start of each substep, with the velocity that takes them to where they
     belong next.
 
-    Motions are worked out on the host in float64, for up to TICKS substeps at a time: `pose` (substeps, paths), of which `tick`
+    Motions are worked out on the host in float64, for TICKS substeps at a time: `pose` (substeps, paths), of which `tick`
     is the present substep. A pin at `arm` from the centre of its path lies at x + rotation arm and moves with v + change arm,
     both exact differences of rigid poses: positions do not drift, and velocities carry no rounding of positions.
     """
@@ -43,14 +43,14 @@ class DrivenPins:
         self.pose = fields.table(columns, (TICKS + 1) * self.count)
         self.tick = fields.integers(1)
 
-    def load(self, time: float, h: float, steps: int) -> None:
-        """Work out the motion for `steps` substeps of h from `time` on, at most TICKS."""
-        table = np.empty((steps + 1, self.count, self.width))
-        t = moments(time, h, steps + 1)
+    def load(self, time: float, h: float, first: int) -> None:
+        """Work out the motion for TICKS substeps of h, from number `first` of those from `time` on."""
+        table = np.empty((TICKS + 1, self.count, self.width))
+        t = moments(time, h, first, TICKS + 1)
         for k, motion in enumerate(self.paths):
             x, rotation = motion.at(t)
             columns = x[:-1], np.diff(x, axis=0) / h, rotation[:-1], np.diff(rotation, axis=0) / h
-            table[:, k] = np.concatenate([part.reshape(steps + 1, -1) for part in columns], axis=1)
+            table[:, k] = np.concatenate([part.reshape(TICKS + 1, -1) for part in columns], axis=1)
         self._load(np.ascontiguousarray(table.reshape(-1, self.width), dtype=NUMPY_TYPES[self.pose.x.dtype]))
 
     @ti.kernel

@@ -91,7 +91,13 @@ class Tearing:
     def tear(self, torn: NDArray[np.bool_]) -> None:
         """Take over which springs (m,) are torn, from a file or from before lists grew."""
         number = self.springs.number
-        self._set(np.where(number < 0, 0, torn[number]).astype(np.int32))
+        self.tear_stored(np.where(number < 0, 0, torn[number]))
+
+    def tear_stored(self, torn: NDArray[Any]) -> None:
+        """The same for springs as they are stored."""
+        if torn.shape != self.stiffness.shape or not np.isin(torn, (0, 1)).all():
+            raise ValueError("torn springs do not fit")
+        self._set(torn.astype(np.int32))
         self.keep()
 
 

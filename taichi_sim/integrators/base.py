@@ -72,6 +72,10 @@ class Integrator:
         """How well equations were solved, where a method solves some."""
         return None
 
+    def counters(self) -> list[Any]:
+        """Tables (1) of the method's own that say what it did so far."""
+        return []
+
     def memory(self) -> list[Any]:
         """Fields (n) of the method's own that one step hands to the next and `prime` does not make anew."""
         return []

@@ -1,6 +1,7 @@
 """What implicit methods share."""
 
 from collections.abc import Callable
+from typing import Any
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
@@ -53,6 +54,10 @@ class Implicit(Integrator):
             return None
         n = self.solver.number[0]
         return SolverStatistics(self.tolerance, int(n.solved), int(n.passes), float(n.worst), int(n.misses))
+
+    def counters(self) -> list[Any]:
+        """The numbers that the solver keeps."""
+        return [self.solver.number] if self.has_springs else []
 
     def remembers(self) -> bool:
         """Not before the first step."""

@@ -58,10 +58,10 @@ class Motion:
         x = self.positions[k] + part * (self.positions[k + 1] - self.positions[k])
         return x, turn_matrix(self.turns[k] * since[:, None]) @ self.rotations[k]
 
-    def steps(self, time: float, h: float, steps: int) -> tuple[Floats, Floats, Floats, Floats]:
-        """At `time` + 0, h, ..., steps h: positions and rotations, and the velocities (steps + 1, dim) [m/s] and angular
-        velocities (steps + 1, 1 or 3) [1/s] that lead from each exactly to the next."""
-        t = moments(time, h, steps + 1)
+    def steps(self, time: float, h: float, first: int, steps: int) -> tuple[Floats, Floats, Floats, Floats]:
+        """At `time` + first h, ..., (first + steps) h: positions and rotations, and the velocities (steps + 1, dim) [m/s] and
+        angular velocities (steps + 1, 1 or 3) [1/s] that lead from each exactly to the next."""
+        t = moments(time, h, first, steps + 1)
         x, turn = self.at(t)
         return x[:-1], turn[:-1], self._velocities(t, x, turn), turn_vector(turn[1:] @ turn[:-1].swapaxes(1, 2)) / h
 
@@ -163,12 +163,12 @@ class Motion:
         return cls(t, x, matrices, turns, np.zeros(dim), x[0], repeat)
 
 
-def moments(time: float, h: float, steps: int) -> Floats:
-    """`time` + 0, h, ..., steps h [s], the same to the last bit wherever a run is divided."""
-    first = round(time / h)
-    if abs(first * h - time) > 1e-9 * time:  # no whole number of steps since 0
-        return time + h * np.arange(steps + 1, dtype=np.float64)
-    return h * np.arange(first, first + steps + 1, dtype=np.float64)
+def moments(time: float, h: float, first: int, steps: int) -> Floats:
+    """`time` + first h, ..., (first + steps) h [s], the same to the last bit wherever a run is divided."""
+    whole = round(time / h)
+    if abs(whole * h - time) > 1e-9 * time:  # no whole number of steps since 0
+        return time + h * np.arange(first, first + steps + 1, dtype=np.float64)
+    return h * np.arange(whole + first, whole + first + steps + 1, dtype=np.float64)
 
 
 def keyframe(where: str, given: Any) -> Mapping[str, Any]:

@@ -22,8 +22,9 @@ MEMORY = "stepping."  # before the names of memories in a file
 class Snapshot:
     """The state of a simulation, see `Simulation.snapshot` and `Simulation.resume`; by hand, positions and velocities do.
 
-    Arrays are in the order of the scene. What contacts hold from the last step is no part of it: they find it anew within a few
-    steps, so that a pile that rests goes on resting, but not with the same bits.
+    Arrays are in the order of the scene. With `stepping` and `memory`, as `Simulation.snapshot` gives them, a run with the same
+    settings goes on with the same bits. Without them contacts find the load that they carry anew, within a few steps: a pile that
+    rests goes on resting.
     """
 
     position: Floats  # (n, dim) m
@@ -34,10 +35,10 @@ class Snapshot:
     surface_speed: Floats | None = None  # radius times spin, (n, 1) m/s, in 3D (n, 3); None: 0
     torn: NDArray[np.bool_] | None = None  # (m,) springs; None: none
     impulses: Floats | None = None  # (b, dim) N s since the start, on `probes.bodies_of`; None: 0
-    stepping: Mapping[str, Any] = field(
+    stepping: Mapping[str, Any] = field(default_factory=dict)  # plain values of the run; empty: one begins here
+    memory: Mapping[str, NDArray[Any]] = field(
         default_factory=dict
-    )  # plain values of the stepper; empty: they stay as they are
-    memory: Mapping[str, Floats] = field(default_factory=dict)  # (n, dim) each, what the method and error control keep
+    )  # fields from which the run is begun anew, see Moments
 
     def checked(self, scene: Scene) -> "Snapshot":
         """The same, in float64. Raises SceneError that names what does not fit the scene."""
@@ -60,7 +61,7 @@ class Snapshot:
             **vectors,
             time=validation.number("time", self.time, low=0),
             torn=None if self.torn is None else validation.flags("torn", self.torn, scene.n_springs),
-            memory={name: _exactly(name, array, (n, dim)) for name, array in self.memory.items()},
+            memory={name: _plain(name, array) for name, array in self.memory.items()},
         )
 
     def arrays(self) -> dict[str, NDArray]:
@@ -75,6 +76,14 @@ class Snapshot:
         own = {one.name: arrays[one.name] for one in fields(cls) if one.name in arrays}
         memory = {name.removeprefix(MEMORY): array for name, array in arrays.items() if name.startswith(MEMORY)}
         return cls(**own, time=time, stepping=stepping, memory=memory)
+
+
+def _plain(name: str, value: Any) -> NDArray[Any]:
+    """An array of numbers, all of them finite."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf" or not np.isfinite(array).all():
+        raise SceneError((MEMORY + name,), says="is no array of finite numbers")
+    return array
 
 
 def _exactly(name: str, value: Any, shape: tuple[int, int]) -> Floats:

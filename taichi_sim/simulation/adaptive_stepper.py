@@ -22,6 +22,7 @@ tolerance cannot be kept: that is said once, and the run goes on with fewer subs
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,11 +32,12 @@ from taichi_sim.analysis.stability import Stability, coarsest_spring
 from taichi_sim.common.errors import SceneError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.assembly import Assembly
 from taichi_sim.simulation.energy_monitor import size
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateSample
-from taichi_sim.simulation.step_doubling import AHEAD, BEGUN, COARSE, FINE, LIVE, NEXT, START, SecondSolution
+from taichi_sim.simulation.step_doubling import AHEAD, BEGUN, COARSE, FINE, NEXT, START, SecondSolution
 from taichi_sim.simulation.stepper import Stepper
 
 __all__ = ["AdaptiveStepper", "ErrorEstimate", "check_digits", "size"]
@@ -52,8 +54,6 @@ AFTER = 8  # times what stability asks: the most once the tolerance is lost
 WINDOW = 64  # steps in which rounding may not use up what is allowed
 MANY_CONTACTS = 3  # at once, or one of what springs join: both solutions may decide alike, and wrongly, how they act
 ROUNDINGS = 4.0  # units of rounding that a window, or a substep, may add by itself
-
-KEPT = ("many", "error", "past", "taken", "least", "most", "repeated", "lost", "unsure", "remembers", "began", "lag")
 
 
 class ErrorEstimate(NamedTuple):
@@ -95,6 +95,11 @@ def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, subs
 
 class AdaptiveStepper(Stepper):
     """See above. `substeps`: of the solution that is kept, an even number."""
+
+    saved = (
+        *Stepper.saved,
+        *("many", "error", "past", "taken", "least", "most", "repeated", "lost", "unsure", "began", "lag"),
+    )
 
     def __init__(
         self, scene: Scene, settings: Settings, parts: Assembly, dt: float, substeps: int, safe: Stability, own: bool
@@ -147,7 +152,6 @@ class AdaptiveStepper(Stepper):
         """Where positions were set from outside, both begin there."""
         if not self.primed:
             super().prime()
-            self._second.h[LIVE] = self.h
             self._second.store(FINE)
             self._second.store(COARSE)
             self.remembers, self.lag = False, 0.0
@@ -182,14 +186,13 @@ class AdaptiveStepper(Stepper):
         monitor.least, monitor.most, monitor.last = self._mark[6:]
 
     def step(self, n: int) -> None:
-        """Advance by n steps; 0 only compiles."""
+        """Advance by n steps, each by itself, and those before it again where that needs more substeps; 0 only compiles."""
         if self.own and self.primed:
             self._begin()
-        super().step(n)
-
-    def advance(self, steps: int) -> None:
-        """Each step by itself, and those before it again where that needs more substeps."""
-        end = self.steps + steps
+        self.prime()
+        if n == 0:
+            self.parts.run(0, 0, self.h, self.time)
+        end = self.steps + n
         while self.steps < end:
             sample, error = self._try()
             if error <= self._allowed() or self.lost is not None or self._lose(sample, error):
@@ -207,7 +210,7 @@ class AdaptiveStepper(Stepper):
         if self.many < self.ceiling and (before < AIM * self._allowed() or not np.isfinite(error)):
             return False
         if not np.isfinite(error):
-            self._fail(0 if sample.bad is None else sample.bad)
+            self._lost(0 if sample.bad is None else sample.bad)
         self.lost = self.time + self.dt
         self._warn(
             "tolerance",
@@ -252,15 +255,15 @@ class AdaptiveStepper(Stepper):
 
     @property
     def _second(self) -> SecondSolution:
-        assert self.parts.second_solution is not None
-        return self.parts.second_solution
+        assert isinstance(self.parts.moments, SecondSolution)
+        return self.parts.moments
 
     def _from(self, moment: int, time: float, many: int, h: float) -> None:
         """From a stored moment at `time`, in so many substeps of h seconds; anew where contacts did not fit."""
         needed: Any = True
         while needed is not None:
             self._at(moment, time, h)
-            self.parts.run(many, h, time)
+            self.parts.run(0, many, h, time)
             needed = self.parts.lacking()
             if needed is not None:
                 self.parts = self.parts.with_capacity(needed)
@@ -277,15 +280,18 @@ class AdaptiveStepper(Stepper):
     def _take(self, error: float, sample: Any) -> None:
         """Accept the step."""
         if sample.bad is not None:
-            self._fail(sample.bad)
+            self._lost(sample.bad)
         self._second.copy(FINE, NEXT)
         self._second.copy(COARSE, AHEAD)
         self.lag = self._ahead
         self.remembers = bool(self.parts.integrator.memory())
         growth = self.monitor.judge(sample)
         if growth is not None:
-            self._warn_of(growth, self.time + self.dt)
-        self._accept(1)
+            self._warn_of(growth, repeats=False)
+        self.steps += 1
+        self.mark = self.end = self.steps
+        self.moved = True
+        self._check(self.many)
         first = self.taken == self._mark[1] == 0
         self.least = self.many if first else min(self.least, self.many)
         self.most = self.many if first else max(self.most, self.many)
@@ -329,21 +335,28 @@ class AdaptiveStepper(Stepper):
                 return True
         return False
 
+    def _lost(self, ball: int) -> None:
+        """A ball is where none can be after this step; the one before is kept."""
+        self._second.load(FINE, self.dt / self.many)
+        self._fail(ball)
+
     # To a snapshot and back ----------------------------------------------------------------------------------------
 
-    def _stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
-        """Where both solutions are, where they began, and a method's own memory in them."""
-        if not self.scene.n_balls:
-            return {}, {}
+    def _before_snapshot(self) -> None:
         self.prime()
-        own = {"mark": [*self._mark[:-1], list(self._mark[-1])]} | {name: getattr(self, name) for name in KEPT}
-        return own, self._second.arrays(self.remembers, self.began)
 
-    def _set_stepping(self, stepping: Mapping[str, Any], memory: Mapping[str, NDArray]) -> None:
-        """The same."""
-        self.prime()
-        if set(stepping) == {"mark", *KEPT} and self._second.write(memory):
-            for name in KEPT:
-                setattr(self, name, stepping[name])
-            *mark, last = stepping["mark"]
-            self._mark = (*mark, StateSample(*last))
+    def snapshot(self) -> Snapshot:
+        """Where both solutions are, and where they began."""
+        snapshot = super().snapshot()
+        noted = {"noted": [*self._mark[:-1], list(self._mark[-1])]} if self._mark else {}
+        return replace(snapshot, stepping={**snapshot.stepping, **noted})
+
+    def _resume_same(self, snapshot: Snapshot) -> bool:
+        self._put_all(snapshot)
+        self._at(FINE, self.time, self.dt / self.many)
+        return True
+
+    def _put_back(self, given: Mapping[str, Any], snapshot: Snapshot) -> None:
+        super()._put_back(given, snapshot)
+        *mark, last = given["noted"]
+        self._mark = (*mark, StateSample(*last))

@@ -1,6 +1,6 @@
 """Assembly: from a scene and settings to model, state, forces, contacts, integrator and drivers, with only what is needed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +41,7 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.drivers import Drivers
+from taichi_sim.simulation.moments import Moments
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateProbe
 from taichi_sim.simulation.step_doubling import SecondSolution
@@ -118,7 +119,6 @@ class Assembly:
         self.forces.allocate(self.state, self.fields)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._statistics = ContactStatistics(self.fields, self.contacts) if self.contacts.active else None
-        self.state.serial = self.fused
         self.state_probe = StateProbe(self.model, self.state, springs, self.forces.stores, self.fields, self.fused)
         self.pins = DrivenPins(self.model, self.state, self.fields) if scene.moving_pins else None
         self.tearing: Tearing | None = None
@@ -129,9 +129,8 @@ class Assembly:
         self.driven = [part for part in (self.colliders if moves else None, self.pins) if part is not None]
         self.integrator.pins = self.pins
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
-        self.second_solution: SecondSolution | None = None
-        if settings.tolerance is not None:
-            self.second_solution = SecondSolution(self.state, self.integrator, self.contacts, self.fields, self.fused)
+        kind = Moments if settings.tolerance is None else SecondSolution
+        self.moments = kind(self.state, self.integrator, self.contacts, self.fields, self.fused)
         self.drivers = Drivers(self.integrator, self.pins, self.tearing)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
@@ -222,20 +221,31 @@ class Assembly:
 
     def prime(self, h: float, time: float) -> None:
         """Forces and contacts at the present positions."""
-        for part in self.driven:
-            part.load(time, h, 0)
+        self._load(0, h, time)
         self.drivers.prime(h, time, self.fused)
 
-    def run(self, substeps: int, h: float, time: float) -> None:
-        """Advance the fields. 0 substeps compile the fused driver; the parallel one compiles with its first."""
+    def run(self, first: int, substeps: int, h: float, time: float) -> None:
+        """Advance the fields by substeps number `first` on, of those from `time` on, where they were primed; all before have been
+        run. 0 substeps compile the fused driver; the parallel one compiles with its first."""
         if not self.driven:
-            self.drivers.run(substeps, h, time, self.fused)
+            self.drivers.run(first, substeps, h, time, self.fused)
             return
-        for first in range(0, max(1, substeps), TICKS):
-            now = min(TICKS, substeps - first)
-            for part in self.driven:
-                part.load(time + first * h, h, now)
-            self.drivers.run(now, h, time + first * h, self.fused)
+        end = first + substeps
+        while True:
+            block = first // TICKS
+            if block != self._block and first < end:
+                self._load(block, h, time)
+            now = min(end, (block + 1) * TICKS)
+            self.drivers.run(first, now - first, h, time, self.fused)
+            if now == end:
+                return
+            first = now
+
+    def _load(self, block: int, h: float, time: float) -> None:
+        """Work out how pins and colliders move in a block of TICKS substeps."""
+        self._block = block
+        for part in self.driven:
+            part.load(time, h, block * TICKS)
 
     def set_step(self, h: float, *, anew: bool = False, holds: bool = True) -> None:
         """Take substeps of h seconds from now on; nothing is compiled, and `prime` is due. What is fitted to a step is fitted
@@ -302,6 +312,30 @@ class Assembly:
             given = from_.impulses
             walls.received.set(np.zeros_like(walls.received.total) if given is None else given)
 
+    def stored(self) -> dict[str, NDArray]:
+        """All that a run is begun anew from, by names of its own, for `put_back`."""
+        found = self.moments.arrays()
+        if self.tearing is not None:
+            found["torn"] = self.tearing.kept.to_numpy()
+        walls = self.contacts.walls
+        if walls is not None and walls.probed:
+            found["received"] = walls.received.total
+        for k, field in enumerate(self.integrator.counters()):
+            found.update({f"counter.{k}.{name}": column for name, column in field.to_numpy().items()})
+        return found
+
+    def put_back(self, stored: Mapping[str, NDArray], h: list[float]) -> None:
+        """What `stored` gave, h: `moments.h`; a moment has to be loaded then. Raises ValueError or KeyError where that does not
+        fit."""
+        self.moments.write(stored, h)
+        if self.tearing is not None:
+            self.tearing.tear_stored(stored["torn"])
+        walls = self.contacts.walls
+        if walls is not None and walls.probed:
+            walls.received.set(np.asarray(stored["received"]).reshape(walls.received.total.shape))
+        for k, field in enumerate(self.integrator.counters()):
+            field.from_numpy({name: stored[f"counter.{k}.{name}"] for name in field.keys})
+
     def searches(self) -> int:
         """How often neighbours were looked for."""
         pairs = self.contacts.pairs
@@ -318,11 +352,9 @@ class Assembly:
         return self.capacity._replace(**found) if found else None
 
     def with_capacity(self, needed: ContactCapacity) -> "Assembly":
-        """The same parts, compiled anew, with lists for what is needed and half as much again. This one is freed.
-
-        Positions, velocities and spin go over; impulses that contacts hold do not. Raises SceneError, and changes nothing,
-        where that takes more than MEMORY_SHARE of the free memory, or more entries than numbers of 32 bits count.
-        """
+        """The same parts, compiled anew, with lists for what is needed and half as much again, see `with_room`. Raises
+        SceneError, and changes nothing, where that takes more than MEMORY_SHARE of the free memory, or more entries than numbers
+        of 32 bits count."""
         enough = {}
         for name in ContactCapacity._fields:
             part, entries = getattr(self.contacts, name), getattr(needed, name)
@@ -337,16 +369,29 @@ class Assembly:
                     )
                 entries = min(limit, int(SPARE_CAPACITY * entries))
             enough[name] = entries
-        snapshot = self.snapshot()
-        if self.second_solution is None:  # else both are there for a moment
-            self.free()
-        larger = Assembly(*self.arguments, capacity=ContactCapacity(**enough))
-        if self.second_solution is not None and larger.second_solution is not None:
-            larger.second_solution.take(self.second_solution)
-            self.free()
+        return self.with_room(ContactCapacity(**enough))
+
+    def with_room(self, capacity: ContactCapacity) -> "Assembly":
+        """The same parts with lists of so many entries, or what they have at least. This one is freed. What is stored in moments,
+        positions, velocities and spin go over; what contacts hold at present does not: a moment has to be loaded."""
+        snapshot, stored, h = self.snapshot(), self.moments.arrays(), self.moments.h
+        self.free()
+        larger = Assembly(*self.arguments, capacity=capacity)
         larger.set_step(self.h)
         larger.resume(snapshot)
+        larger.moments.write(stored, h)
         return larger
+
+    @property
+    def order_of_sums(self) -> str:
+        """In what order impulses are added: runs that differ in it differ in the last digits."""
+        return "atomic" if self.plan.atomic else "gather" if self.plan.gathers else "blocks"
+
+    @property
+    def room(self) -> ContactCapacity:
+        """Entries that there is room for; 0 of what is missing."""
+        parts = (getattr(self.contacts, name) for name in ContactCapacity._fields)
+        return ContactCapacity(*(0 if part is None else part.capacity for part in parts))
 
     def _endless(self) -> str:
         """What to say where counting itself would take too long."""

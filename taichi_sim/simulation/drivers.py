@@ -41,17 +41,17 @@ class Drivers:
             self.integrator.prime(h, time)
 
     @ti.kernel
-    def parallel(self, h: float, time: float):
-        """One substep of h seconds from `time`."""
+    def parallel(self, number: int, h: float, time: float):
+        """Substep `number` of those of h seconds from `time` on."""
         self._lead(True)
-        self.integrator.substep(h, time)
+        self.integrator.substep(h, time + number * h)
         self._tear()
 
     @ti.kernel
-    def fused(self, steps: int, h: float, time: float):
-        """`steps` substeps of h seconds from `time`."""
+    def fused(self, first: int, steps: int, h: float, time: float):
+        """`steps` substeps from number `first` on, the same."""
         ti.loop_config(serialize=True)
-        for k in range(steps):
+        for k in range(first, first + steps):
             self._lead(True)
             self.integrator.substep(h, time + k * h)
             self._tear()
@@ -66,17 +66,18 @@ class Drivers:
         """Springs that are too long, likewise."""
         self._tear()
 
-    def run(self, steps: int, h: float, time: float, fused: bool) -> None:
-        """`steps` substeps by the chosen driver."""
+    def run(self, first: int, steps: int, h: float, time: float, fused: bool) -> None:
+        """`steps` substeps of h seconds by the chosen driver, from number `first` of those from `time` on: their times are the
+        same to the last bit however a run is divided."""
         if fused:
-            self.fused(steps, h, time)
+            self.fused(first, steps, h, time)
         elif self.integrator.hosted:
-            for k in range(steps):
+            for k in range(first, first + steps):
                 if self.leads:
                     self.lead()
                 self.integrator.advance(h, time + k * h)
                 if self.tears:
                     self.tear()
         else:
-            for k in range(steps):
-                self.parallel(h, time + k * h)
+            for k in range(first, first + steps):
+                self.parallel(k, h, time)

@@ -65,7 +65,8 @@ class EnergyMonitor:
         far = float(np.max(np.abs(scene.position), initial=0.0))
         self.jitter = 0.5 * float(np.sum(scene.stiffness)) * (self.digits * far) ** 2
         self.slack = _overlap(scene) if contacts else 0.0
-        self.least, self.most, self.last = np.inf, 0.0, None
+        self.least, self.most = np.inf, 0.0
+        self.last: Any = None  # sample
 
     def begin(self, sample: Any) -> None:
         """Go on from here."""
@@ -73,12 +74,13 @@ class EnergyMonitor:
 
     def judge(self, sample: Any) -> Growth | None:
         """The growth that a sample shows, or None: then it is noted."""
-        growth = self._growth(sample)
+        growth = self.growth(sample)
         if growth is None:
             self.least, self.most, self.last = min(self.least, sample.total), max(self.most, sample.motion), sample
         return growth
 
-    def _growth(self, sample: Any) -> Growth | None:
+    def growth(self, sample: Any) -> Growth | None:
+        """The growth that a sample shows, or None."""
         if not self.closed:
             grown = 0.0 < WORK_GROWTH * self.most < sample.motion
             return Growth(self.most, sample.motion, False) if grown else None

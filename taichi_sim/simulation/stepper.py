@@ -1,5 +1,11 @@
-"""Stepper: from step to step, with a sample of the state after each chunk. A run that leaves what is safe is warned of, or, where
-the step was left to the program, taken back and repeated with shorter substeps."""
+"""Stepper: from step to step, in chunks. At the end of each the state is looked at and kept, and the run begins anew from what is
+kept: what follows depends on nothing else. A run that leaves what is safe is warned of, or, where the step was left to the
+program, taken back to what was kept and repeated with shorter substeps.
+
+Chunks end at numbers of steps that do not depend on how many steps are asked for at a time. Whatever is repeated comes to the
+same bits, so that all decisions belong to numbers of steps: that a ball is lost to the step in which that happens, also where the
+look at it comes later; everything else to the end of a chunk.
+"""
 
 import warnings
 from collections.abc import Mapping
@@ -15,15 +21,16 @@ from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
-from taichi_sim.simulation.assembly import Assembly
+from taichi_sim.simulation.assembly import Assembly, ContactCapacity
 from taichi_sim.simulation.energy_monitor import LARGEST_PART, EnergyMonitor, Growth, size
+from taichi_sim.simulation.moments import KEPT, LIVE
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateSample
 
 __all__ = ["Stepper"]
 
-CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two samples
-WORK = 1 << 21  # balls and springs gone through between two samples in small scenes: one costs about a hundredth
+CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two ends of chunks
+WORK = 1 << 21  # balls and springs gone through in a chunk of small scenes: its end costs about a hundredth
 CHUNKS_PER_BOUND = (
     16  # from one bound for the present shape to the next, in scenes of at most MOST_BOUNDED balls and springs
 )
@@ -35,19 +42,34 @@ SAME_ENERGY = 2.0  # times the energy by another step: work that was done
 class Stepper:
     """Advances the parts of a simulation, `dt` at a time in `substeps` parts.
 
-    steps: made since `begin` [s]. own: forces or a method of the user's, which may do work.
+    steps: made since `begin` [s]. mark: what is kept is of that step; end: of the chunk. remembers: whether a method's own memory
+    belongs to what is kept. own: forces or a method of the user's, which may do work, and may be changed between calls.
     """
+
+    saved: tuple[str, ...] = (
+        "begin",
+        "steps",
+        "mark",
+        "end",
+        "substeps",
+        "may_shorten",
+        "primed",
+        "moved",
+        "remembers",
+    )
 
     def __init__(
         self, scene: Scene, settings: Settings, parts: Assembly, dt: float, substeps: int, safe: Stability, own: bool
     ) -> None:
         self.scene, self.settings, self.parts, self.safe = scene, settings, parts, safe
         self.dt, self.substeps = dt, substeps
-        self.steps, self.begin = 0, 0.0
-        self.chunk = int(np.clip(WORK // max(1, scene.n_balls + scene.n_springs), CHUNK, LONGEST_CHUNK))
+        self.steps, self.begin, self.mark, self.end = 0, 0.0, 0, 0
         self.may_shorten = settings.dt == "auto"
+        longest = CHUNK if own else LONGEST_CHUNK
+        self.chunk = int(np.clip(WORK // max(1, scene.n_balls + scene.n_springs), CHUNK, longest))
         self.method = settings.integrator.method
-        self.primed = False
+        self.own = own
+        self.primed = self.remembers = self._begun = False
         self._warned: set[str] = set()
         self._chunks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
@@ -56,6 +78,7 @@ class Stepper:
         self.driven, self.size = own or moves or driven, size(scene)
         self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
         self.moved = False  # by steps, since places were set
+        parts.moments.h[LIVE] = self.h
         self.monitor = EnergyMonitor(
             scene,
             self.method,
@@ -89,63 +112,116 @@ class Stepper:
 
     def step(self, n: int) -> None:
         """Advance by n steps; 0 only compiles."""
+        if self.own and self.primed and self.steps > self.mark:
+            self._keep(
+                goes_on=True
+            )  # the user's forces may have changed: what was before them is not repeated with them
         self.prime()
         if n == 0:
-            self.parts.run(0, self.h, self.time)
-        while n:
-            now = min(n, max(1, self.chunk // self.substeps))
-            self.advance(now)
-            n -= now
+            self._start()
+            self.parts.run((self.steps - self.mark) * self.substeps, 0, self.h, self._marked)
+        target = self.steps + n
+        while self.steps < target:
+            self._go_on(min(target, self.end))
 
     def prime(self) -> None:
         """Make what a step expects, where positions were set from outside."""
         if self.primed:
             return
-        self._prime_parts()
+        self._keep(goes_on=False)
+        self._new_chunk()
+        self._begun = False
+        self._start()
         sample = self.parts.state_probe.sample()  # also compiles it, so that step(0) leaves nothing to compile
         if sample.bad is not None:
             state = self.parts.state
             x, v = state.position[sample.bad].tolist(), state.velocity[sample.bad].tolist()
             says = f"ball {sample.bad} starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
-        self.parts.state.keep()
         self.monitor.begin(sample)
         self.primed, self.moved = True, False
 
-    def _prime_parts(self) -> None:
-        """Find contacts at the present positions, with as much capacity as they need."""
-        self.parts.prime(self.h, self.time)
-        while (needed := self.parts.lacking()) is not None:
-            self.parts = self.parts.with_capacity(needed)
-            self.parts.prime(self.h, self.time)
+    @property
+    def _marked(self) -> float:
+        """Seconds at what is kept."""
+        return self.begin + self.mark * self.dt
 
-    def advance(self, steps: int) -> None:
-        """A chunk of steps, and a sample of the result."""
-        sample = self._run(steps)
-        growth = None if sample.bad is not None else self.monitor.judge(sample)
-        if sample.bad is not None or growth is not None:
-            if self.may_shorten and self._shorten(steps, growth):
-                return
-            if sample.bad is not None:
-                self._search(steps)
-                return
-            self._warn_of(growth, self.time + steps * self.dt, steps)
-        self._accept(steps)
+    def _keep(self, goes_on: bool) -> None:
+        """The present state is good. goes_on: a step led to it, so that what the method remembers belongs to it."""
+        integrator = self.parts.integrator
+        self.remembers = goes_on and bool(integrator.memory()) and integrator.remembers()
+        self.parts.moments.store(KEPT)
+        self.parts.state.keep()
+        self.mark = self.steps
 
-    def _run(self, steps: int) -> StateSample:
-        """Run the parts. Where contacts did not fit, the steps are repeated from the last good state with more capacity."""
-        self.parts.run(steps * self.substeps, self.h, self.time)
+    def _new_chunk(self) -> None:
+        self.end = self.steps + max(1, self.chunk // self.substeps)
+
+    def _start(self) -> None:
+        """Begin anew from what is kept, where the present fields are that: find contacts, with as much room as they need."""
+        if self._begun:
+            return
+        self.parts.prime(self.h, self._marked)
         while (needed := self.parts.lacking()) is not None:
-            self.parts.state.restore()
-            self.parts = self.parts.with_capacity(needed)
-            self._prime_parts()
-            self.parts.state.keep()
-            self.parts.run(steps * self.substeps, self.h, self.time)
+            self._make_room(needed)
+            self.parts.prime(self.h, self._marked)
+        if self.remembers:
+            self.parts.moments.remember(KEPT)
+            self.parts.integrator.recall()
+        self._begun = True
+
+    def _make_room(self, needed: ContactCapacity) -> None:
+        self.parts.state.restore()
+        self.parts = self.parts.with_capacity(needed)
+        self.parts.moments.load(KEPT, self.h)
+
+    def _back(self) -> None:
+        """To what is kept."""
+        self.parts.state.restore()
+        self.parts.moments.load(KEPT, self.h)
+        self.steps, self._begun = self.mark, False
+
+    def _run(self, target: int) -> StateSample:
+        """Up to a number of steps. Where contacts did not fit, from what is kept again with more room, to the same bits as if it
+        had been there from the beginning."""
+        self._start()
+        self._launch(target)
+        while (needed := self.parts.lacking()) is not None:
+            self._make_room(needed)
+            self.steps, self._begun = self.mark, False
+            self._start()
+            self._launch(target)
+        self.steps = target
         return self.parts.state_probe.sample()
 
-    def _accept(self, steps: int) -> None:
-        self.steps += steps
-        self.parts.state.keep()
+    def _launch(self, target: int) -> None:
+        first = (self.steps - self.mark) * self.substeps
+        self.parts.run(first, (target - self.steps) * self.substeps, self.h, self._marked)
+
+    def _go_on(self, target: int) -> None:
+        """Up to a number of steps, the end of the chunk at most, and a look at the result."""
+        sample = self._run(target)
+        if sample.bad is not None:
+            sample = self._find_again(target)
+        growth = None
+        if target == self.end:
+            growth = self.monitor.judge(sample)
+            if growth is not None and self.may_shorten:
+                self._shorten(growth)
+                growth = None
+        elif not self.may_shorten:
+            growth = self.monitor.growth(sample)
+        if growth is not None:
+            self._warn_of(growth)
+        self.moved = True
+        if target == self.end:
+            self._keep(goes_on=True)
+            self._begun = False
+            self._check(self.chunk)
+            self._new_chunk()
+
+    def _check(self, substeps: int) -> None:
+        """What is looked at after so many substeps."""
         self._check_solver()
         if (
             self.strays
@@ -154,8 +230,7 @@ class Stepper:
         ):
             self._check_bound()
         self._chunks += 1
-        self.moved = True
-        self._unseen += steps * self.substeps
+        self._unseen += substeps
         if self.squeezes and self._unseen >= CHUNK:
             self._unseen = 0
             self.contact_statistics(7)
@@ -187,66 +262,71 @@ class Stepper:
             squeezes=self.squeezes,
         )
 
-    def _back(self) -> None:
-        """To the last good state."""
-        self.parts.state.restore()
-        self._prime_parts()
-
     # When it goes wrong --------------------------------------------------------------------------------------------
 
-    def _shorten(self, steps: int, growth: Growth | None) -> bool:
-        """Repeat a chunk with substeps halved until it behaves, and stay there. False, and all as it was, where no spring and no
-        user-defined forces limits the method, so that a shorter step is no cure for a ball that left the world."""
-        if growth is None and not self.driven and not 0.0 < self.safe.dt_any_shape < np.inf:
-            return False
-        before, last = self.substeps, np.inf if growth is None else growth.after
+    def _find_again(self, target: int) -> StateSample:
+        """A ball is lost by step `target`: the chunk once more with substeps halved until none is, which are kept. Where neither
+        springs nor user-defined forces limit the method, a shorter step is no cure for a ball that left the world."""
+        before = self.substeps
+        if self.may_shorten and (self.driven or 0.0 < self.safe.dt_any_shape < np.inf):
+            for _ in range(MOST_HALVINGS):
+                self._divide(2 * self.substeps)
+                sample = self._run(target)
+                if sample.bad is None:
+                    self._warn_of_shorter("a ball left the world", before)
+                    return sample
+            self._divide(before)
+        return self._search(target)
+
+    def _shorten(self, growth: Growth) -> None:
+        """Repeat the chunk with substeps halved until it behaves, and stay there."""
+        before, last, end = self.substeps, growth.after, self.steps
         for _ in range(MOST_HALVINGS):
-            self._back()
             self._divide(2 * self.substeps)
             self.monitor.begin(self.monitor.last)  # what was gained before the chunk is not given back by shorter steps
-            sample = self._run(steps)
+            sample = self._run(end)
             again = None if sample.bad is not None else self.monitor.judge(sample)
             worked = again is not None and not again.sure and last / SAME_ENERGY < again.after < last * SAME_ENERGY
             last = np.inf if again is None else again.after
+            if worked and self.substeps == 2 * before:  # nothing was wrong
+                self._divide(before)
+                self.monitor.begin(self._run(end))
+                return
             if worked:
                 self.monitor.begin(sample)
-            if worked and self.substeps == 2 * before:  # nothing was wrong
-                self._accept(steps)
-                self._divide(before)
-                return True
             if sample.bad is None and (again is None or worked):
-                what = "a ball left the world" if growth is None else f"energy grew {_from_to(growth)}"
-                self._warn(
-                    "shorter",
-                    f"{what} by t = {self.time + steps * self.dt:.6g} s at substeps of {self.dt / before:.6g} s; taken back to"
-                    f" t = {self.time:.6g} s and repeated with substeps of {self.h:.6g} s, which are kept",
-                )
-                self._accept(steps)
-                return True
-        self._back()
+                self._warn_of_shorter(f"energy grew {_from_to(growth)}", before)
+                return
         self._divide(before)
-        if growth is None:
-            return False
-        self._fail_by_growth(growth, steps)
-        return True
+        self._fail_by_growth(growth, end)
+
+    def _warn_of_shorter(self, what: str, before: int) -> None:
+        self._warn(
+            "shorter",
+            f"{what} by t = {self.time:.6g} s at substeps of {self.dt / before:.6g} s; taken back to t = {self._marked:.6g} s and"
+            f" repeated with substeps of {self.h:.6g} s, which are kept",
+            7,
+        )
 
     def _divide(self, substeps: int) -> None:
-        """Take so many substeps from now on, from the present state."""
+        """Take so many substeps from now on, from what is kept."""
         self.substeps = substeps
-        self.parts.set_step(self.h)
-        self._prime_parts()
-
-    def _search(self, steps: int) -> None:
-        """A bad chunk once more, step by step, up to the last good one."""
+        self.parts.set_step(self.h, holds=False)
         self._back()
-        for _ in range(steps):
-            sample = self._run(1)
+
+    def _search(self, target: int) -> StateSample:
+        """The chunk once more, step by step, up to the first that is bad; the one before is kept."""
+        self._back()
+        sample = self.parts.state_probe.sample()
+        for step in range(self.mark + 1, target + 1):
+            sample = self._run(step)
             if sample.bad is not None:
+                self._back()
+                self._run(step - 1)
                 self._fail(sample.bad)
-            self._accept(1)
+        return sample
 
     def _fail(self, ball: int) -> None:
-        self.parts.state.restore()
         self.primed = False
         scene, time = self.scene, self.time + self.dt
         own = np.flatnonzero((scene.pairs == ball).any(axis=1))
@@ -263,10 +343,10 @@ class Stepper:
             safe if np.isfinite(safe) else None,
         )
 
-    def _fail_by_growth(self, growth: Growth, steps: int) -> None:
+    def _fail_by_growth(self, growth: Growth, step: int) -> None:
         self.primed = False
         ball = int(np.argmax(np.sum(self.parts.state.velocity**2, axis=1)))
-        end = self.time + steps * self.dt
+        end = self.begin + step * self.dt
         safe = self.safe.dt_any_shape
         raise UnstableError(
             f"energy grows {_from_to(growth)} by t = {end:.6g} s, also with substeps of {self.h / 2**MOST_HALVINGS:.6g} s, and"
@@ -279,23 +359,24 @@ class Stepper:
 
     # Warnings: one of a kind ---------------------------------------------------------------------------------------
 
-    def _warn_of(self, growth: Growth | None, time: float, steps: int = 0) -> None:
+    def _warn_of(self, growth: Growth, repeats: bool = True) -> None:
         """Energy came from nowhere, and the step was the user's choice. One that only may be wrong is judged by the bound, and,
-        where balls are that fast, by a run of these last `steps` with half of it."""
-        if growth is None or "growth" in self._warned:
+        where balls are that fast, by a run of the chunk with half of it."""
+        if "growth" in self._warned:
             return
         limited = 0.0 < self.safe.dt_any_shape < np.inf
         limit, spring = self._present() if limited else (np.inf, -1)
+        time = self.time
         if not growth.sure and self.h <= limit:
             sample = self.parts.state_probe.sample()
-            if steps and sample.speed * self.h > self.size and not self._works(steps, growth):
+            if repeats and sample.speed * self.h > self.size and not self._works(growth):
                 self._warn(
                     "growth",
                     f"energy grew {_from_to(growth)} by t = {time:.6g} s, and a ball goes further than the scene is wide in a"
                     f" step of {self.h:.6g} s; half of it gives another energy: user-defined forces act explicitly; take shorter"
                     " steps",
                 )
-            self.monitor.begin(self.parts.state_probe.sample())
+            self.monitor.begin(sample)
             return
         if limited:
             cure = f"; in this shape {_limiting(spring)} {self.method} to {limit:.6g} s, {self.h:.6g} s is used"
@@ -305,15 +386,13 @@ class Stepper:
             )
         self._warn("growth", f"energy grew {_from_to(growth)} by t = {time:.6g} s, which nothing explains{cure}")
 
-    def _works(self, steps: int, growth: Growth) -> bool:
-        """Whether the last steps, not accepted yet, come to the same energy with half of the substep; then as they were."""
-        before = self.substeps
-        self._back()
+    def _works(self, growth: Growth) -> bool:
+        """Whether the chunk so far comes to the same energy with half of the substep; then as it was."""
+        before, now = self.substeps, self.steps
         self._divide(2 * before)
-        sample = self._run(steps)
-        self._back()
+        sample = self._run(now)
         self._divide(before)
-        self._run(steps)
+        self._run(now)
         return sample.bad is None and growth.after / SAME_ENERGY < sample.motion < growth.after * SAME_ENERGY
 
     def _check_solver(self) -> None:
@@ -352,41 +431,101 @@ class Stepper:
     # To a snapshot and back ----------------------------------------------------------------------------------------
 
     def snapshot(self) -> Snapshot:
-        """All that a run needs to go on with the same steps."""
-        stepping, memory = self._stepping()
-        stepping = {"of": self._kind(), **stepping}
-        return replace(self.parts.snapshot(), time=self.time, stepping=stepping, memory=memory)
+        """All that a run needs to go on with the same bits: what is kept, and how many steps lead from there to the present."""
+        if not self.scene.n_balls:
+            return replace(self.parts.snapshot(), time=self.time, stepping={"of": self._kind()})
+        self._before_snapshot()
+        parts = self.parts
+        monitor = (
+            None if self.monitor.last is None else [self.monitor.least, self.monitor.most, list(self.monitor.last)]
+        )
+        stepping = {
+            "of": self._kind(),
+            **{name: getattr(self, name) for name in self.saved},
+            "h": list(parts.moments.h),
+            "room": list(parts.room),
+            "monitor": monitor,
+            "warned": sorted(self._warned),
+            "looks": [self._chunks, self._unseen],
+        }
+        return replace(parts.snapshot(), time=self.time, stepping=stepping, memory=parts.stored())
+
+    def _before_snapshot(self) -> None:
+        if not self.primed:
+            self._keep(goes_on=False)
 
     def _kind(self) -> str:
-        """Whose stepping values and memory a snapshot holds: no other method, or way of choosing steps, can use them."""
-        return f"{type(self).__name__}.{self.method}"
+        """What a run depends on besides the scene and what is kept: none with other settings has the same bits."""
+        parts = self.parts
+        own = (type(self).__name__, self.method, self.dt, parts.backend.precision, parts.contacts.name)
+        return " ".join(map(str, (*own, parts.contacts.iterations, parts.order_of_sums)))
 
     def resume(self, snapshot: Snapshot) -> None:
         """Go on from there."""
         self.set_time(snapshot.time)
-        if self.scene.n_balls:
+        if not self.scene.n_balls:
+            return
+        if snapshot.stepping.get("of") != self._kind() or not self._resume_same(snapshot):
             self.parts.resume(snapshot)
             self.parts.contacts.forget()
             self.primed = False
-            if snapshot.stepping.get("of") == self._kind():
-                own = {name: value for name, value in snapshot.stepping.items() if name != "of"}
-                self._set_stepping(own, snapshot.memory)
 
-    def _stepping(self) -> tuple[dict[str, Any], dict[str, NDArray]]:
-        """What is the stepper's own, and the method's memory."""
-        integrator = self.parts.integrator
-        memory = integrator.memory() if self.primed and integrator.remembers() else []
-        own = {f"memory.{k}": self.parts.state.values(field) for k, field in enumerate(memory)}
-        return {"may_shorten": self.may_shorten}, own
+    def _resume_same(self, snapshot: Snapshot) -> bool:
+        """Go on with the same bits from what was kept. Returns whether that leads to where the snapshot is: on the same kind of
+        machine it does."""
+        self._put_all(snapshot)
+        steps = self.steps
+        self._back()
+        if not self.primed:
+            self.steps = steps
+            return True
+        self._run(steps) if steps > self.mark else self._start()
+        same = np.array_equal(self.parts.state.position, snapshot.position)
+        if not same:
+            self.steps = steps
+            self._warn(
+                "machine",
+                "what this machine computes differs in the last digits from what was saved: it goes on from the positions saved",
+                5,
+            )
+        return same
 
-    def _set_stepping(self, stepping: Mapping[str, Any], memory: Mapping[str, NDArray]) -> None:
-        """The reverse."""
-        self.may_shorten = bool(stepping.get("may_shorten", self.may_shorten))
-        if memory:
-            self.prime()  # lists may grow: all fields are new then
-            for k, field in enumerate(self.parts.integrator.memory()):
-                self.parts.state.set_values(field, memory[f"memory.{k}"])
-            self.parts.integrator.recall()
+    def _put_all(self, snapshot: Snapshot) -> None:
+        try:
+            self._put_back(snapshot.stepping, snapshot)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise SceneError("stepping", says=f"is not what Simulation.snapshot gives ({error})") from None
+
+    def _put_back(self, given: Mapping[str, Any], snapshot: Snapshot) -> None:
+        """The plain values, and what is kept, of a snapshot."""
+        room = ContactCapacity(*(int(entries) for entries in given["room"]))
+        most = max(1, self.chunk // self.substeps) if self.substeps else 1
+        steps, mark, end, substeps = (given[name] for name in ("steps", "mark", "end", "substeps"))
+        whole = all(isinstance(one, int) and not isinstance(one, bool) for one in (steps, mark, end, substeps))
+        if not whole or not 0 <= mark <= steps <= end <= mark + most or substeps < 1:
+            raise ValueError(f"steps {steps} from {mark} to {end} in {substeps} parts")
+        if not abs(given["begin"] + steps * self.dt - snapshot.time) <= 1e-9 * snapshot.time:
+            raise ValueError(f"{steps} steps since {given['begin']} s end at another time than {snapshot.time} s")
+        monitor = given["monitor"]
+        values = {name: _as_is(getattr(self, name), given[name]) for name in self.saved}
+        chunks, unseen = (int(one) for one in given["looks"])
+        if any(one > have for one, have in zip(room, self.parts.room)):
+            self.parts = self.parts.with_room(room)
+        self.parts.resume(snapshot)
+        self.parts.put_back(snapshot.memory, given["h"])
+        for name, value in values.items():
+            setattr(self, name, value)
+        self.parts.set_step(self.h, holds=False)
+        self._warned, self._chunks, self._unseen = set(map(str, given["warned"])), chunks, unseen
+        if monitor is not None:
+            self.monitor.least, self.monitor.most = float(monitor[0]), float(monitor[1])
+            self.monitor.last = StateSample(*monitor[2])
+
+
+def _as_is(present: Any, given: Any) -> Any:
+    """A plain value of the type that it has at present; one that may be missing is a number."""
+    kind = float if present is None else type(present)
+    return None if given is None and kind is float else kind(given)
 
 
 def _from_to(growth: Growth) -> str:

@@ -95,11 +95,11 @@ def test_a_path_holds_still_before_and_after_and_may_repeat():
     assert turn[1] == pytest.approx(np.array([[0, -1], [1, 0]]), abs=1e-12)  # a quarter of a full turn
     again = collider(ts.Box((0, 0), (1, 1), path=keys, repeat=True)).motion
     assert again.at([4.25, 7.25])[0][:, 0] == pytest.approx([0.5, 0.5])
-    _, _, v, w = motion.steps(1.9, 0.1, 2)
+    _, _, v, w = motion.steps(1.9, 0.1, 0, 2)
     assert v[:, 0] == pytest.approx([2, -1, -1])
     assert w[:, 0] == pytest.approx([2 * np.pi, -np.pi, -np.pi])
     assert collider(ts.Sphere((0, 0), 1.0)).motion.moves is False
-    one, other = motion.steps(0.0, 1e-3, 5), motion.steps(2e-3, 1e-3, 3)
+    one, other = motion.steps(0.0, 1e-3, 0, 5), motion.steps(2e-3, 1e-3, 0, 3)
     assert all(np.array_equal(a[2:], b) for a, b in zip(one, other))  # the same bits wherever a run is divided
 
 

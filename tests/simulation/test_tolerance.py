@@ -52,7 +52,7 @@ def test_what_contacts_hold_goes_with_the_step():
     scene.add_wall((0, 1), 0.0, "rubber")
     with simulate(scene, tolerance=1e-3) as sim:
         sim.step(1)
-        contacts, second = sim.parts.contacts, sim.parts.second_solution
+        contacts, second = sim.parts.contacts, sim.parts.moments
         held = [
             table.get_member_field(name)
             for table in (contacts.pairs.link, contacts.walls.contact)

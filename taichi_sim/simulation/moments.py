@@ -1,0 +1,218 @@
+"""Moments: what a step starts from, stored beside the present fields, to go back to, to compare with, or to write to a file."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.contacts.base import ContactRule
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import phase_type
+from taichi_sim.device.state import State
+from taichi_sim.integrators.base import Integrator
+
+__all__ = ["KEPT", "LIVE", "Moments"]
+
+LIVE, KEPT = -1, 0  # the present fields; the first that is stored: the last state known to be good
+
+
+@ti.data_oriented
+class Moments:
+    """`count` moments of all that a run needs to begin anew where `prime` follows: balls, what rounding left of them, turns, a
+    method's own memory, what contacts hold. What `prime` makes of a moment depends on nothing else, to the last bit.
+
+    h: seconds (count + 1) of the substep in which contacts came to hold what they do; the last is that of the present fields.
+    """
+
+    def __init__(
+        self, state: State, integrator: Integrator, contacts: ContactRule, fields: Fields, serial: bool, count: int = 1
+    ) -> None:
+        self.state, self.integrator, self.serial, self.moments = state, integrator, serial, count
+        self.n = state.n
+        live = [state.ball]
+        live += [state.low] if state.compensated else []
+        live += [state.spin] if state.spins else []
+        self.first = len(live)  # of a method's memory
+        live += integrator.memory()
+        self.count = len(live)
+        self.live, self.stored = live, [self._like(field, fields) for field in live]  # moment k from k n on
+        warm = contacts.plan.warm_starts
+        self.pairs, self.sticks = (contacts.pairs, contacts.sticks) if warm else (None, None)
+        self.held = self._held(contacts)
+        self.held_stored = [_like_table(field, count, fields) for field in self.held]
+        self.sizes = [field.shape[0] for field in self.held]
+        self.scaled = [
+            [name for name in ("impulse", "tangential_impulse") if name in getattr(f, "keys", [])] for f in self.held
+        ]
+        self.h = [0.0] * (count + 1)
+
+    def _like(self, field: Any, fields: Fields) -> Any:
+        n = self.moments * self.n
+        if isinstance(field, ti.StructField):
+            return fields.table(phase_type(self.state.dim, fields.real), n)
+        return fields.vectors(n, field.n) if hasattr(field, "n") else fields.reals(n)
+
+    def _held(self, contacts: ContactRule) -> list[Any]:
+        """Fields that say what contacts hold."""
+        found: list[Any] = []
+        # by number of a table: that of how much of it is used, beyond what always is
+        self.lists: dict[int, tuple[int, int]] = {}
+        if self.pairs is not None:
+            self.lists[1] = (0, self.pairs.pool_start)
+            found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.touching]
+        if self.sticks is not None:
+            self.lists[len(found) + 1] = (len(found), 0)
+            found += [self.sticks.used, self.sticks.contact, self.sticks.begin, self.sticks.length]
+        if contacts.walls is not None:
+            found.append(contacts.walls.contact)
+            if contacts.walls.has_colliders:
+                found += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.filled]
+        return found
+
+    @ti.func
+    def _entries(self, k: ti.template(), tables: ti.template(), moment):
+        """How much of field k is in use: lists have far more room than they need."""
+        entries = 0 * moment + ti.static(self.sizes[k])
+        if ti.static(k in self.lists):
+            entries = ti.min(entries, ti.static(self.lists[k][1]) + tables[ti.static(self.lists[k][0])][moment])
+        return entries
+
+    @ti.kernel
+    def _store(self, into: int):
+        """The present fields into a moment."""
+        for k in ti.static(range(self.count)):
+            ti.loop_config(serialize=self.serial)
+            for i in range(self.n):
+                self.stored[k][into * self.n + i] = self.live[k][i]
+        for k in ti.static(range(len(self.held))):
+            ti.loop_config(serialize=self.serial)
+            for i in range(self._entries(k, self.held, 0)):
+                self.held_stored[k][into * ti.static(self.sizes[k]) + i] = self.held[k][i]
+
+    @ti.kernel
+    def _load(self, out: int, ratio: float):
+        """The reverse, for a step `ratio` times as long: what rests holds as much more."""
+        for k in ti.static(range(self.count)):
+            ti.loop_config(serialize=self.serial)
+            for i in range(self.n):
+                self.live[k][i] = self.stored[k][out * self.n + i]
+        for k in ti.static(range(len(self.held))):
+            ti.loop_config(serialize=self.serial)
+            for i in range(self._entries(k, self.held_stored, out)):
+                held = self.held_stored[k][out * ti.static(self.sizes[k]) + i]
+                if ti.static("impulse" in self.scaled[k]):
+                    held.impulse = ratio * held.impulse
+                if ti.static("tangential_impulse" in self.scaled[k]):
+                    held.tangential_impulse = ratio * held.tangential_impulse
+                self.held[k][i] = held
+
+    @ti.kernel
+    def _copy(self, into: int, out: int):
+        """One stored moment into another."""
+        for k in ti.static(range(self.count)):
+            ti.loop_config(serialize=self.serial)
+            for i in range(self.n):
+                self.stored[k][into * self.n + i] = self.stored[k][out * self.n + i]
+        for k in ti.static(range(len(self.held))):
+            ti.loop_config(serialize=self.serial)
+            for i in range(self._entries(k, self.held_stored, out)):
+                size = ti.static(self.sizes[k])
+                self.held_stored[k][into * size + i] = self.held_stored[k][out * size + i]
+
+    @ti.kernel
+    def _remember(self, out: int):
+        for k in ti.static(range(self.first, self.count)):
+            ti.loop_config(serialize=self.serial)
+            for i in range(self.n):
+                self.live[k][i] = self.stored[k][out * self.n + i]
+
+    def load(self, out: int, h: float) -> None:
+        """A moment into the present fields, for substeps of h seconds."""
+        self._load(out, h / self.h[out])
+        self.h[LIVE] = h
+
+    def store(self, into: int) -> None:
+        """The present fields into a moment."""
+        self._store(into)
+        self.h[into] = self.h[LIVE]
+
+    def copy(self, into: int, out: int) -> None:
+        """One stored moment into another."""
+        self._copy(into, out)
+        self.h[into] = self.h[out]
+
+    def remember(self, out: int) -> None:
+        """Only a method's own memory, from a moment."""
+        self._remember(out)
+
+    # To a file and back ----------------------------------------------------------------------------------------------
+
+    def arrays(self) -> dict[str, NDArray]:
+        """All that is stored, as the fields have it, by number of a field and name of a member: all moments one after another,
+        of lists only what is in use."""
+        found: dict[str, NDArray] = {}
+        for k, field in enumerate(self.stored):
+            found.update(_named(f"ball.{k}", field.to_numpy(), slice(None)))
+        for k, field in enumerate(self.held_stored):
+            values = field.to_numpy()
+            rows: Any = slice(None)
+            if k in self.lists:
+                number, start = self.lists[k]
+                most = min(self.sizes[k], start + int(self.held_stored[number].to_numpy().max()))
+                rows = (np.arange(self.moments)[:, None] * self.sizes[k] + np.arange(most)).ravel()
+            found.update(_named(f"contact.{k}", values, rows))
+        return found
+
+    def write(self, arrays: Mapping[str, NDArray], h: list[float]) -> None:
+        """Put all back as `arrays` gave it; lists may have more room than they had. Raises ValueError where it does not fit."""
+        if len(h) != len(self.h):
+            raise ValueError(f"{len(h)} lengths of steps do not fit; there must be {len(self.h)}")
+        for k, field in enumerate(self.stored):
+            field.from_numpy(_unnamed(f"ball.{k}", field.to_numpy(), arrays, 0))
+        for k, field in enumerate(self.held_stored):
+            moments = self.moments if k in self.lists else 0
+            field.from_numpy(_unnamed(f"contact.{k}", field.to_numpy(), arrays, moments))
+        self.h = [float(one) for one in h]
+
+
+def _named(name: str, values: Any, rows: Any) -> dict[str, NDArray]:
+    """The rows of a field's values by names of their own: those of a struct by its members."""
+    if isinstance(values, Mapping):
+        return {f"{name}.{member}": column[rows] for member, column in values.items()}
+    return {name: values[rows]}
+
+
+def _unnamed(name: str, present: Any, arrays: Mapping[str, NDArray], moments: int) -> Any:
+    """What `_named` gave, in the shape of the values that are present. Lists of several moments lie one behind the other, each
+    with as much room behind it as there is now; moments = 0: no list."""
+    if isinstance(present, Mapping):
+        return {member: _unnamed(f"{name}.{member}", column, arrays, moments) for member, column in present.items()}
+    given = arrays.get(name)
+    if given is None:
+        raise ValueError(f"{name} is missing")
+    if given.dtype != present.dtype or given.shape[1:] != present.shape[1:]:
+        raise ValueError(f"{name} has the wrong type")
+    if given.shape == present.shape:
+        return np.ascontiguousarray(given)
+    each, room = (len(given) // moments, len(present) // moments) if moments else (0, 0)
+    if not moments or each * moments != len(given) or each > room:
+        raise ValueError(f"{name} has {len(given)} entries, which do not fit")
+    values = np.zeros_like(present)
+    for k in range(moments):
+        values[k * room : k * room + each] = given[k * each : (k + 1) * each]
+    return values
+
+
+def _like_table(field: Any, times: int, fields: Fields) -> Any:
+    """A field of the same type as a table or one of integers, so many times as long."""
+    n = times * field.shape[0]
+    if not isinstance(field, ti.StructField):
+        return fields.integers(n)
+    members = {name: field.get_member_field(name) for name in field.keys}
+    return fields.table({name: _type(member) for name, member in members.items()}, n)
+
+
+def _type(member: Any) -> Any:
+    return ti.types.vector(member.n, member.dtype) if hasattr(member, "n") else member.dtype
