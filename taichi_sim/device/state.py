@@ -15,8 +15,9 @@ WORLD_RADIUS = 1e12  # m; a ball beyond this has left the world
 
 @ti.data_oriented
 class State:
-    """`ball` (n) struct with x [m] and v [m/s]. `compensated` keeps what single precision rounds off of x and v in `low` and gives
-    it back with the next change (Kahan's sum). `spin` (n), where balls spin: radius times angular velocity [m/s], a scalar in 2D, a vector in 3D.
+    """`ball` (n) struct with x [m] and v [m/s]. `compensated` keeps what single precision rounds off of x and v in `low` and
+    gives it back with the next change (Kahan's sum). `spin` (n), where balls spin: radius times angular velocity [m/s], a scalar
+    in 2D, a vector in 3D.
 
     order: number in the user's scene of each ball stored here, or None where they are the same. What goes in and out below
     is in the user's order."""
