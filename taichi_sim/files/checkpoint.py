@@ -83,7 +83,13 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
     simulation = kind(scene, **{**settings, **overrides})
     if {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
         snapshot = replace(snapshot, stepping={}, memory={})
-    simulation.resume(snapshot)
+    try:
+        simulation.resume(snapshot)
+    except BaseException as error:
+        simulation.close()
+        if isinstance(error, SceneError) and error.file is None:
+            error.file = path
+        raise
     return simulation
 
 

@@ -21,7 +21,6 @@ start, or where the state was last set from outside, or, with user-defined force
 tolerance cannot be kept: that is said once, and the run goes on with fewer substeps.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -351,12 +350,12 @@ class AdaptiveStepper(Stepper):
         noted = {"noted": [*self._mark[:-1], list(self._mark[-1])]} if self._mark else {}
         return replace(snapshot, stepping={**snapshot.stepping, **noted})
 
-    def _resume_same(self, snapshot: Snapshot) -> bool:
-        self._put_all(snapshot)
+    def _checked(self, snapshot: Snapshot) -> dict[str, Any]:
+        *mark, last = snapshot.stepping["noted"]
+        if len(mark) != 8 or not mark[0] <= snapshot.stepping["steps"]:
+            raise ValueError(f"begun at {mark}")
+        return super()._checked(snapshot) | {"_mark": (*mark, StateSample(*last))}
+
+    def _reaches(self, snapshot: Snapshot) -> bool:
         self._at(FINE, self.time, self.dt / self.many)
         return True
-
-    def _put_back(self, given: Mapping[str, Any], snapshot: Snapshot) -> None:
-        super()._put_back(given, snapshot)
-        *mark, last = given["noted"]
-        self._mark = (*mark, StateSample(*last))

@@ -324,15 +324,28 @@ class Assembly:
             found.update({f"counter.{k}.{name}": column for name, column in field.to_numpy().items()})
         return found
 
+    def check(self, stored: Mapping[str, NDArray], h: list[float]) -> None:
+        """Raise ValueError or KeyError where that is not what `stored` gives here, h: `moments.h`."""
+        self.moments.prepared(stored, h)
+        tearing, walls = self.tearing, self.contacts.walls
+        if tearing is not None and not (
+            stored["torn"].shape == tearing.stiffness.shape and np.isin(stored["torn"], (0, 1)).all()
+        ):
+            raise ValueError("torn does not fit")
+        if walls is not None and walls.probed and stored["received"].shape != walls.received.total.shape:
+            raise ValueError("received does not fit")
+        for k, field in enumerate(self.integrator.counters()):
+            if any(stored[f"counter.{k}.{name}"].shape != (1,) for name in field.keys):
+                raise ValueError(f"counter.{k} does not fit")
+
     def put_back(self, stored: Mapping[str, NDArray], h: list[float]) -> None:
-        """What `stored` gave, h: `moments.h`; a moment has to be loaded then. Raises ValueError or KeyError where that does not
-        fit."""
+        """What `stored` gave, checked; a moment has to be loaded then."""
         self.moments.write(stored, h)
         if self.tearing is not None:
             self.tearing.tear_stored(stored["torn"])
         walls = self.contacts.walls
         if walls is not None and walls.probed:
-            walls.received.set(np.asarray(stored["received"]).reshape(walls.received.total.shape))
+            walls.received.set(stored["received"])
         for k, field in enumerate(self.integrator.counters()):
             field.from_numpy({name: stored[f"counter.{k}.{name}"] for name in field.keys})
 

@@ -13,7 +13,7 @@ from taichi_sim.device.model import phase_type
 from taichi_sim.device.state import State
 from taichi_sim.integrators.base import Integrator
 
-__all__ = ["KEPT", "LIVE", "Moments"]
+__all__ = ["KEPT", "LIVE", "Moments", "named", "unnamed"]
 
 LIVE, KEPT = -1, 0  # the present fields; the first that is stored: the last state known to be good
 
@@ -154,7 +154,7 @@ class Moments:
         of lists only what is in use."""
         found: dict[str, NDArray] = {}
         for k, field in enumerate(self.stored):
-            found.update(_named(f"ball.{k}", field.to_numpy(), slice(None)))
+            found.update(named(f"ball.{k}", field.to_numpy()))
         for k, field in enumerate(self.held_stored):
             values = field.to_numpy()
             rows: Any = slice(None)
@@ -162,33 +162,38 @@ class Moments:
                 number, start = self.lists[k]
                 most = min(self.sizes[k], start + int(self.held_stored[number].to_numpy().max()))
                 rows = (np.arange(self.moments)[:, None] * self.sizes[k] + np.arange(most)).ravel()
-            found.update(_named(f"contact.{k}", values, rows))
+            found.update(named(f"contact.{k}", values, rows))
+        return found
+
+    def prepared(self, arrays: Mapping[str, NDArray], h: list[float]) -> list[tuple[Any, Any]]:
+        """What `arrays` gave, for each field of those stored here. Raises ValueError where it does not fit."""
+        if len(h) != len(self.h) or not all(one >= 0.0 for one in h) or not h[KEPT] > 0.0:
+            raise ValueError(f"{h} are no lengths of steps")
+        found = [(field, unnamed(f"ball.{k}", field.to_numpy(), arrays)) for k, field in enumerate(self.stored)]
+        for k, field in enumerate(self.held_stored):
+            moments = self.moments if k in self.lists else 0
+            found.append((field, unnamed(f"contact.{k}", field.to_numpy(), arrays, moments)))
         return found
 
     def write(self, arrays: Mapping[str, NDArray], h: list[float]) -> None:
-        """Put all back as `arrays` gave it; lists may have more room than they had. Raises ValueError where it does not fit."""
-        if len(h) != len(self.h):
-            raise ValueError(f"{len(h)} lengths of steps do not fit; there must be {len(self.h)}")
-        for k, field in enumerate(self.stored):
-            field.from_numpy(_unnamed(f"ball.{k}", field.to_numpy(), arrays, 0))
-        for k, field in enumerate(self.held_stored):
-            moments = self.moments if k in self.lists else 0
-            field.from_numpy(_unnamed(f"contact.{k}", field.to_numpy(), arrays, moments))
+        """Put all back; lists may have more room than they had."""
+        for field, values in self.prepared(arrays, h):
+            field.from_numpy(values)
         self.h = [float(one) for one in h]
 
 
-def _named(name: str, values: Any, rows: Any) -> dict[str, NDArray]:
+def named(name: str, values: Any, rows: Any = slice(None)) -> dict[str, NDArray]:
     """The rows of a field's values by names of their own: those of a struct by its members."""
     if isinstance(values, Mapping):
         return {f"{name}.{member}": column[rows] for member, column in values.items()}
     return {name: values[rows]}
 
 
-def _unnamed(name: str, present: Any, arrays: Mapping[str, NDArray], moments: int) -> Any:
-    """What `_named` gave, in the shape of the values that are present. Lists of several moments lie one behind the other, each
+def unnamed(name: str, present: Any, arrays: Mapping[str, NDArray], moments: int = 0) -> Any:
+    """What `named` gave, in the shape of the values that are present. Lists of several moments lie one behind the other, each
     with as much room behind it as there is now; moments = 0: no list."""
     if isinstance(present, Mapping):
-        return {member: _unnamed(f"{name}.{member}", column, arrays, moments) for member, column in present.items()}
+        return {member: unnamed(f"{name}.{member}", column, arrays, moments) for member, column in present.items()}
     given = arrays.get(name)
     if given is None:
         raise ValueError(f"{name} is missing")

@@ -1,6 +1,7 @@
 """SecondSolution: a second solution of the same scene, with other steps, stored beside the first, to measure the error by."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.kernels.reductions import each_part, part_size, parts_of
-from taichi_sim.simulation.moments import KEPT, Moments
+from taichi_sim.simulation.moments import KEPT, Moments, named, unnamed
 
 __all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "NEXT", "START", "SecondSolution"]
 
@@ -73,9 +74,8 @@ class SecondSolution(Moments):
 
     def arrays(self) -> dict[str, NDArray]:
         """With where the second solution was shown."""
-        return super().arrays() | {"seen": self.seen.to_numpy()["x"]}
+        return super().arrays() | named("seen", self.seen.to_numpy())
 
-    def write(self, arrays: Mapping[str, NDArray], h: list[float]) -> None:
+    def prepared(self, arrays: Mapping[str, NDArray], h: list[float]) -> list[tuple[Any, Any]]:
         """The same."""
-        super().write(arrays, h)
-        self.seen.from_numpy({"x": arrays["seen"]})
+        return [*super().prepared(arrays, h), (self.seen, unnamed("seen", self.seen.to_numpy(), arrays))]

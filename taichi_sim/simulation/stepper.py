@@ -31,10 +31,8 @@ __all__ = ["Stepper"]
 
 CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two ends of chunks
 WORK = 1 << 21  # balls and springs gone through in a chunk of small scenes: its end costs about a hundredth
-CHUNKS_PER_BOUND = (
-    16  # from one bound for the present shape to the next, in scenes of at most MOST_BOUNDED balls and springs
-)
-MOST_BOUNDED = 20_000
+LOOKS_PER_BOUND = 16  # from one bound for the present shape to the next, in scenes of at most
+MOST_BOUNDED = 20_000  # balls and springs
 MOST_HALVINGS = 6  # of the substep, before a run is given up
 SAME_ENERGY = 2.0  # times the energy by another step: work that was done
 
@@ -62,7 +60,7 @@ class Stepper:
         self, scene: Scene, settings: Settings, parts: Assembly, dt: float, substeps: int, safe: Stability, own: bool
     ) -> None:
         self.scene, self.settings, self.parts, self.safe = scene, settings, parts, safe
-        self.dt, self.substeps = dt, substeps
+        self.dt, self.substeps, self._parts = dt, substeps, substeps
         self.steps, self.begin, self.mark, self.end = 0, 0.0, 0, 0
         self.may_shorten = settings.dt == "auto"
         longest = CHUNK if own else LONGEST_CHUNK
@@ -71,7 +69,7 @@ class Stepper:
         self.own = own
         self.primed = self.remembers = self._begun = False
         self._warned: set[str] = set()
-        self._chunks, self._unseen = 0, 0
+        self._looks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
         driven = bool(scene.moving_pins or scene.gases or scene.wind is not None)
@@ -200,6 +198,7 @@ class Stepper:
 
     def _go_on(self, target: int) -> None:
         """Up to a number of steps, the end of the chunk at most, and a look at the result."""
+        first = self.steps
         sample = self._run(target)
         if sample.bad is not None:
             sample = self._find_again(target)
@@ -217,19 +216,19 @@ class Stepper:
         if target == self.end:
             self._keep(goes_on=True)
             self._begun = False
-            self._check(self.chunk)
             self._new_chunk()
+        self._check((target - first) * self.substeps)
 
     def _check(self, substeps: int) -> None:
-        """What is looked at after so many substeps."""
+        """What is looked at after so many substeps; it changes nothing."""
         self._check_solver()
         if (
             self.strays
-            and self._chunks % CHUNKS_PER_BOUND == 0
+            and self._looks % LOOKS_PER_BOUND == 0
             and self.scene.n_balls + self.scene.n_springs <= MOST_BOUNDED
         ):
             self._check_bound()
-        self._chunks += 1
+        self._looks += 1
         self._unseen += substeps
         if self.squeezes and self._unseen >= CHUNK:
             self._unseen = 0
@@ -446,7 +445,7 @@ class Stepper:
             "room": list(parts.room),
             "monitor": monitor,
             "warned": sorted(self._warned),
-            "looks": [self._chunks, self._unseen],
+            "looks": [self._looks, self._unseen],
         }
         return replace(parts.snapshot(), time=self.time, stepping=stepping, memory=parts.stored())
 
@@ -461,65 +460,70 @@ class Stepper:
         return " ".join(map(str, (*own, parts.contacts.iterations, parts.order_of_sums)))
 
     def resume(self, snapshot: Snapshot) -> None:
-        """Go on from there."""
-        self.set_time(snapshot.time)
-        if not self.scene.n_balls:
+        """Go on from there. Raises SceneError, and changes nothing, for what does not fit."""
+        if not self.scene.n_balls or snapshot.stepping.get("of") != self._kind():
+            self._begin_at(snapshot)
             return
-        if snapshot.stepping.get("of") != self._kind() or not self._resume_same(snapshot):
+        try:
+            values = self._checked(snapshot)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise SceneError("stepping", says=f"is not what Simulation.snapshot gives ({error})") from None
+        self._put_back(values, snapshot)
+        if not self._reaches(snapshot):
+            self._warn(
+                "machine",
+                "what this machine computes differs in the last digits from what was saved: it goes on from the positions saved",
+                4,
+            )
+            self._begin_at(snapshot)
+
+    def _begin_at(self, snapshot: Snapshot) -> None:
+        """Begin a run at the present state of a snapshot."""
+        self.set_time(snapshot.time)
+        if self.scene.n_balls:
             self.parts.resume(snapshot)
             self.parts.contacts.forget()
             self.primed = False
 
-    def _resume_same(self, snapshot: Snapshot) -> bool:
-        """Go on with the same bits from what was kept. Returns whether that leads to where the snapshot is: on the same kind of
-        machine it does."""
-        self._put_all(snapshot)
-        steps = self.steps
-        self._back()
-        if not self.primed:
-            self.steps = steps
-            return True
-        self._run(steps) if steps > self.mark else self._start()
-        same = np.array_equal(self.parts.state.position, snapshot.position)
-        if not same:
-            self.steps = steps
-            self._warn(
-                "machine",
-                "what this machine computes differs in the last digits from what was saved: it goes on from the positions saved",
-                5,
-            )
-        return same
-
-    def _put_all(self, snapshot: Snapshot) -> None:
-        try:
-            self._put_back(snapshot.stepping, snapshot)
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            raise SceneError("stepping", says=f"is not what Simulation.snapshot gives ({error})") from None
-
-    def _put_back(self, given: Mapping[str, Any], snapshot: Snapshot) -> None:
-        """The plain values, and what is kept, of a snapshot."""
-        room = ContactCapacity(*(int(entries) for entries in given["room"]))
-        most = max(1, self.chunk // self.substeps) if self.substeps else 1
-        steps, mark, end, substeps = (given[name] for name in ("steps", "mark", "end", "substeps"))
-        whole = all(isinstance(one, int) and not isinstance(one, bool) for one in (steps, mark, end, substeps))
-        if not whole or not 0 <= mark <= steps <= end <= mark + most or substeps < 1:
-            raise ValueError(f"steps {steps} from {mark} to {end} in {substeps} parts")
-        if not abs(given["begin"] + steps * self.dt - snapshot.time) <= 1e-9 * snapshot.time:
-            raise ValueError(f"{steps} steps since {given['begin']} s end at another time than {snapshot.time} s")
-        monitor = given["monitor"]
+    def _checked(self, snapshot: Snapshot) -> dict[str, Any]:
+        """The plain values of a snapshot of this run."""
+        given = snapshot.stepping
         values = {name: _as_is(getattr(self, name), given[name]) for name in self.saved}
-        chunks, unseen = (int(one) for one in given["looks"])
+        steps, mark, end, substeps = (values[name] for name in ("steps", "mark", "end", "substeps"))
+        most = max(1, self.chunk // self._parts)
+        if not 0 <= mark <= steps <= end <= mark + most or substeps < 1:
+            raise ValueError(f"steps {steps} from {mark} to {end} in {substeps} parts")
+        if not abs(values["begin"] + steps * self.dt - snapshot.time) <= 1e-9 * snapshot.time:
+            raise ValueError(f"{steps} steps since {values['begin']} s end at another time than {snapshot.time} s")
+        values["_warned"] = set(map(str, given["warned"]))
+        values["_looks"], values["_unseen"] = (int(one) for one in given["looks"])
+        room = ContactCapacity(*(int(entries) for entries in given["room"]))
         if any(one > have for one, have in zip(room, self.parts.room)):
             self.parts = self.parts.with_room(room)
+            self.primed = False  # what contacts held is gone
+        self.parts.check(snapshot.memory, given["h"])
+        return values
+
+    def _put_back(self, values: Mapping[str, Any], snapshot: Snapshot) -> None:
+        """The plain values, and what was kept."""
         self.parts.resume(snapshot)
-        self.parts.put_back(snapshot.memory, given["h"])
+        self.parts.put_back(snapshot.memory, snapshot.stepping["h"])
         for name, value in values.items():
             setattr(self, name, value)
         self.parts.set_step(self.h, holds=False)
-        self._warned, self._chunks, self._unseen = set(map(str, given["warned"])), chunks, unseen
+        monitor = snapshot.stepping["monitor"]
         if monitor is not None:
             self.monitor.least, self.monitor.most = float(monitor[0]), float(monitor[1])
             self.monitor.last = StateSample(*monitor[2])
+
+    def _reaches(self, snapshot: Snapshot) -> bool:
+        """Go on from what was kept. Returns whether that leads to where the snapshot is: on the same kind of machine it does."""
+        steps = self.steps
+        self._back()
+        if self.primed:
+            self._run(steps)
+        self.steps = steps
+        return np.array_equal(self.parts.state.position, snapshot.position)
 
 
 def _as_is(present: Any, given: Any) -> Any:

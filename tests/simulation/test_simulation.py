@@ -402,7 +402,7 @@ def test_a_springs_only_scene_has_only_springs(driver):
         ({"velocity": None}, "velocity: None is not a list of 2-vectors"),
         ({"velocity": [[1.0, 2.0], [3.0]]}, "velocity: .* is not a list of 2-vectors"),
         ({"stepping": 3}, "stepping: 3 is not allowed; it must be a mapping"),
-        ({"memory": {"memory.0": [0.0, 0.0]}}, "does not fit"),
+        ({"memory": {"ball.0.x": np.zeros((2, 2))}}, r"ball\.0\.x has (the wrong type|2 entries)"),
     ],
 )
 def test_a_snapshot_that_does_not_fit_changes_nothing(changed, words):
