@@ -278,6 +278,10 @@ class Simulation(Reader):
         """What the control of the error found so far; None without `tolerance`."""
         return self._stepper.report() if isinstance(self._stepper, AdaptiveStepper) else None
 
+    def decisions(self) -> list[str]:
+        """What was decided on the way, each with the time from which on it holds: shorter substeps, more room for contacts."""
+        return list(self._stepper.decisions)
+
     def scales(self) -> Scales:
         """What a run is judged by."""
         return self._stepper.scales()

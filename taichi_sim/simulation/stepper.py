@@ -69,6 +69,7 @@ class Stepper:
         self.own = own
         self.primed = self.remembers = self._begun = False
         self._warned: set[str] = set()
+        self.decisions: list[str] = []  # what was decided on the way, in words, each with its time
         self._looks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
@@ -172,6 +173,10 @@ class Stepper:
         self.parts.state.restore()
         self.parts = self.parts.with_capacity(needed)
         self.parts.moments.load(KEPT, self.h)
+        room = self.parts.room._asdict().items()
+        self.decisions.append(
+            f"from t = {self._marked:.6g} s on room for {' and '.join(f'{n} {name}' for name, n in room if n)} in contact"
+        )
 
     def _back(self) -> None:
         """To what is kept."""
@@ -300,6 +305,7 @@ class Stepper:
         self._fail_by_growth(growth, end)
 
     def _warn_of_shorter(self, what: str, before: int) -> None:
+        self.decisions.append(f"from t = {self._marked:.6g} s on substeps of {self.h:.6g} s: {what}")
         self._warn(
             "shorter",
             f"{what} by t = {self.time:.6g} s at substeps of {self.dt / before:.6g} s; taken back to t = {self._marked:.6g} s and"
@@ -445,6 +451,7 @@ class Stepper:
             "room": list(parts.room),
             "monitor": monitor,
             "warned": sorted(self._warned),
+            "decisions": self.decisions,
             "looks": [self._looks, self._unseen],
         }
         return replace(parts.snapshot(), time=self.time, stepping=stepping, memory=parts.stored())
@@ -496,6 +503,7 @@ class Stepper:
         if not abs(values["begin"] + steps * self.dt - snapshot.time) <= 1e-9 * snapshot.time:
             raise ValueError(f"{steps} steps since {values['begin']} s end at another time than {snapshot.time} s")
         values["_warned"] = set(map(str, given["warned"]))
+        values["decisions"] = list(map(str, given["decisions"]))
         values["_looks"], values["_unseen"] = (int(one) for one in given["looks"])
         room = ContactCapacity(*(int(entries) for entries in given["room"]))
         if any(one > have for one, have in zip(room, self.parts.room)):

@@ -61,7 +61,9 @@ def test_what_a_method_remembers_is_saved(tmp_path, monkeypatch, method):
             assert np.array_equal(again.velocity, sim.velocity)
         name = f"stepping.ball.{sim.parts.moments.first}"
         _edited(path, **{name: 0.5 * np.load(path)[name]})
-        with pytest.warns(UserWarning, match="goes on from the positions saved"), ts.Simulation.restore(path) as again:
+        with pytest.warns(UserWarning, match="goes on from the positions saved"):
+            again = ts.Simulation.restore(path)
+        with again:
             again.step(50)
             assert not np.array_equal(again.velocity, sim.velocity)
         _edited(path, **{name: None})
