@@ -97,7 +97,7 @@ def test_energy_from_nowhere_is_warned_of_once():
 def test_a_shape_that_stiffens_is_warned_of(monkeypatch):
     """The step is below the bound of the first shape, above that for every shape, and the ball then swings aside."""
     scene = net()
-    monkeypatch.setattr(stepper, "CHUNKS_PER_BOUND", 1)
+    monkeypatch.setattr(stepper, "LOOKS_PER_BOUND", 1)
     stretched = scene.position.copy()
     stretched[1:] *= 10.0  # springs that are long are stiff in all directions
     first, later = (present_limit(scene, VERLET, x)[0] for x in (scene.position, stretched))

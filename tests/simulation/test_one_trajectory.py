@@ -1,0 +1,106 @@
+"""Positions after n steps depend on n alone: not on calls, frames, looks, checkpoints, nor on where a saved run went on."""
+
+import warnings
+
+import numpy as np
+import pytest
+import trajectories
+from physics_support import PRECISION, simulate
+
+import taichi_sim as ts
+
+QUICK = {"crowd_gauss_seidel", "led_by_pins"}
+SLOWER = {"sticks_and_colliders", "crowd_with_a_tolerance", "tearing_in_wind"}
+MARKS = {
+    name: [] if name in QUICK else [pytest.mark.slow if name in SLOWER else pytest.mark.long]
+    for name in trajectories.BY_NAME
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS[name]) for name in trajectories.BY_NAME])
+def test_a_run_has_one_trajectory(name, monkeypatch):
+    """In 1, 7 and 50 calls, as frames of 24, 30 and 60 a second, from ten moments and from a file. Chunks are short, so that all
+    this lies across their ends."""
+    trajectories.short_chunks(monkeypatch)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert trajectories.differences(trajectories.BY_NAME[name], PRECISION) == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", list(trajectories.BY_NAME))
+def test_a_run_in_parallel_has_one_trajectory(name, monkeypatch):
+    trajectories.short_chunks(monkeypatch)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert trajectories.differences(trajectories.BY_NAME[name], PRECISION, driver="parallel") == []
+
+
+def swung_too_fast():
+    """An undamped net, and a step beyond what is safe that passes as found by the program."""
+    scene = ts.Scene(dim=2, gravity=(0, -9.81))
+    x = 0.1 * np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(-1, 2)
+    scene.add_balls(x + 0.01 * np.sin(7.0 * x[:, ::-1]), radius=0.01, mass=0.1, pinned=[20, 24])
+    number = np.arange(25).reshape(5, 5)
+    pairs = [np.stack([number[:, :-1], number[:, 1:]], -1), np.stack([number[:-1], number[1:]], -1)]
+    scene.add_springs(np.concatenate([p.reshape(-1, 2) for p in pairs]), stiffness=500.0, rest_length=0.1)
+    return scene
+
+
+@pytest.mark.parametrize("calls", [[400], [1, 3, 60, 70, 66, 150, 50], [37] * 10 + [30]])
+def test_substeps_are_halved_at_the_same_steps_however_these_are_made(calls, monkeypatch):
+    """A ball is lost in the midst of a chunk, or energy grows until its end: what is shown after n steps is the same."""
+    trajectories.short_chunks(monkeypatch)
+    with simulate(swung_too_fast(), contacts="off", substeps=1) as sim:
+        own = sim._stepper
+        sim.dt = own.dt = 2.2 * sim.stability().dt_present
+        sim.parts.set_step(own.h)
+        found = {}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            for n in calls:
+                sim.step(n)
+                found[own.steps] = trajectories.digest(sim)
+        assert own.steps == 400
+        assert sim.substeps > 1
+        decisions = sim.decisions()
+        assert "substeps of" in decisions[0]
+    key = ("halved", sim.dt)
+    first, said = REMEMBERED.setdefault(key, (dict(found), decisions))
+    assert decisions == said
+    assert all(first[step] == found[step] for step in first.keys() & found.keys())
+    first.update(found)
+
+
+REMEMBERED: dict = {}
+
+
+@pytest.mark.slow
+def test_more_room_for_contacts_changes_nothing(monkeypatch):
+    """Lists that overflow are made longer in the midst of a chunk: bits are those of a run that had the room."""
+    trajectories.short_chunks(monkeypatch)
+    scene, settings = trajectories.lists_that_grow()
+    with simulate(scene, **settings) as sim:
+        start = sim.snapshot()
+        first = trajectories.whole(sim, start, 120)
+        grown = sim.decisions()
+        assert "pairs in contact" in grown[0]  # the case is what it says
+        assert trajectories.in_calls(sim, start, 120, 50) == first
+    with simulate(scene, **settings) as sim:
+        assert trajectories.in_calls(sim, sim.snapshot(), 120, 50) == first
+        assert [words.split(" on ")[0] for words in sim.decisions()] == [words.split(" on ")[0] for words in grown]
+
+
+def test_what_follows_depends_on_nothing_but_what_is_kept():
+    """Whatever the fields hold that are no part of a moment: here those of another run."""
+    scene, settings = trajectories.bits.crowd_gauss_seidel()
+    with simulate(scene, **settings) as sim:
+        sim.step(100)
+        snapshot = sim.snapshot()
+        sim.step(60)
+        one = trajectories.digest(sim)
+        sim.resume(ts.Snapshot(scene.position[::-1].copy(), -3.0 * scene.velocity))
+        sim.step(77)
+        sim.resume(snapshot)
+        sim.step(60)
+        assert trajectories.digest(sim) == one
