@@ -17,6 +17,7 @@ import numpy as np
 import reference_bits as bits
 
 import taichi_sim as ts
+from taichi_sim.contacts import pairs
 from taichi_sim.simulation import stepper
 
 STEPS = 300
@@ -50,8 +51,8 @@ def lists_that_grow():
     """A cloud that falls together: more pairs than there was room for."""
     rng = np.random.default_rng(5)
     scene = ts.Scene(dim=2)
-    x = rng.uniform(-3.0, 3.0, (1600, 2))
-    scene.add_balls(x, radius=0.05, velocity=-25.0 * x)
+    x = rng.uniform(-3.0, 3.0, (400, 2))
+    scene.add_balls(x, radius=0.05, velocity=-12.0 * x)
     return scene, {"dt": 1e-3, "contacts": "jacobi", "contact_iterations": 1}
 
 
@@ -119,12 +120,12 @@ def from_moments(sim, start, steps, number, path=None, seed=3):
 
 
 def short_chunks(monkeypatch=None, substeps=64):
-    """Let chunks end often."""
-    for name, value in (("CHUNK", substeps), ("WORK", 0)):
+    """Let chunks end often, and lists be full soon."""
+    for module, name, value in ((stepper, "CHUNK", substeps), (stepper, "WORK", 0), (pairs, "POOL_LINKS", 16)):
         if monkeypatch is None:
-            setattr(stepper, name, value)
+            setattr(module, name, value)
         else:
-            monkeypatch.setattr(stepper, name, value)
+            monkeypatch.setattr(module, name, value)
 
 
 def differences(build, precision, **settings):
