@@ -173,10 +173,9 @@ class Stepper:
         self.parts.state.restore()
         self.parts = self.parts.with_capacity(needed)
         self.parts.moments.load(KEPT, self.h)
-        room = self.parts.room._asdict().items()
-        self.decisions.append(
-            f"from t = {self._marked:.6g} s on room for {' and '.join(f'{n} {name}' for name, n in room if n)} in contact"
-        )
+        said = f"from t = {self._marked:.6g} s on more room for contacts"
+        if said not in self.decisions:
+            self.decisions.append(said)
 
     def _back(self) -> None:
         """To what is kept."""
