@@ -33,7 +33,7 @@ CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two ends of chunks
 WORK = 1 << 21  # balls and springs gone through in a chunk of small scenes: its end costs about a hundredth
 LOOKS_PER_BOUND = 16  # from one bound for the present shape to the next, in scenes of at most
 MOST_BOUNDED = 20_000  # balls and springs
-MOST_HALVINGS = 6  # of the substep, before a run is given up
+MOST_HALVINGS = 6  # of the substep that a run began with, before it is given up
 SAME_ENERGY = 2.0  # times the energy by another step: work that was done
 
 
@@ -67,7 +67,7 @@ class Stepper:
         self.chunk = int(np.clip(WORK // max(1, scene.n_balls + scene.n_springs), CHUNK, longest))
         self.method = settings.integrator.method
         self.own = own
-        self.primed = self.remembers = self._begun = False
+        self.primed = self.remembers = self._begun = self._halfway = False
         self._warned: set[str] = set()
         self.decisions: list[str] = []  # what was decided on the way, in words, each with its time
         self._looks, self._unseen = 0, 0
@@ -111,10 +111,8 @@ class Stepper:
 
     def step(self, n: int) -> None:
         """Advance by n steps; 0 only compiles."""
-        if self.own and self.primed and self.steps > self.mark:
-            self._keep(
-                goes_on=True
-            )  # the user's forces may have changed: what was before them is not repeated with them
+        if self.own and self.primed and self.steps > self.mark and not self._halfway:
+            self._keep(goes_on=True)  # the user's forces may have changed: steps before are not repeated with them
         self.prime()
         if n == 0:
             self._start()
@@ -139,6 +137,11 @@ class Stepper:
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.monitor.begin(sample)
         self.primed, self.moved = True, False
+
+    @property
+    def _most(self) -> int:
+        """Substeps of a step, the most that are tried."""
+        return self._parts << MOST_HALVINGS
 
     @property
     def _marked(self) -> float:
@@ -170,7 +173,8 @@ class Stepper:
         self._begun = True
 
     def _make_room(self, needed: ContactCapacity) -> None:
-        self.parts.state.restore()
+        """To what is kept, with room for what is needed. Raises SceneError where there is none."""
+        self._back()
         self.parts = self.parts.with_capacity(needed)
         self.parts.moments.load(KEPT, self.h)
         said = f"from t = {self._marked:.6g} s on more room for contacts"
@@ -181,24 +185,26 @@ class Stepper:
         """To what is kept."""
         self.parts.state.restore()
         self.parts.moments.load(KEPT, self.h)
-        self.steps, self._begun = self.mark, False
+        self.steps, self._begun, self._halfway = self.mark, False, False
 
     def _run(self, target: int) -> StateSample:
         """Up to a number of steps. Where contacts did not fit, from what is kept again with more room, to the same bits as if it
         had been there from the beginning."""
+        if self._halfway:  # interrupted, perhaps in the midst of a step
+            self._back()
         self._start()
         self._launch(target)
         while (needed := self.parts.lacking()) is not None:
             self._make_room(needed)
-            self.steps, self._begun = self.mark, False
             self._start()
             self._launch(target)
-        self.steps = target
         return self.parts.state_probe.sample()
 
     def _launch(self, target: int) -> None:
         first = (self.steps - self.mark) * self.substeps
+        self._halfway = True
         self.parts.run(first, (target - self.steps) * self.substeps, self.h, self._marked)
+        self.steps, self._halfway = target, False
 
     def _go_on(self, target: int) -> None:
         """Up to a number of steps, the end of the chunk at most, and a look at the result."""
@@ -272,7 +278,7 @@ class Stepper:
         springs nor user-defined forces limit the method, a shorter step is no cure for a ball that left the world."""
         before = self.substeps
         if self.may_shorten and (self.driven or 0.0 < self.safe.dt_any_shape < np.inf):
-            for _ in range(MOST_HALVINGS):
+            while self.substeps < self._most:
                 self._divide(2 * self.substeps)
                 sample = self._run(target)
                 if sample.bad is None:
@@ -284,7 +290,7 @@ class Stepper:
     def _shorten(self, growth: Growth) -> None:
         """Repeat the chunk with substeps halved until it behaves, and stay there."""
         before, last, end = self.substeps, growth.after, self.steps
-        for _ in range(MOST_HALVINGS):
+        while self.substeps < self._most:
             self._divide(2 * self.substeps)
             self.monitor.begin(self.monitor.last)  # what was gained before the chunk is not given back by shorter steps
             sample = self._run(end)
@@ -353,7 +359,7 @@ class Stepper:
         end = self.begin + step * self.dt
         safe = self.safe.dt_any_shape
         raise UnstableError(
-            f"energy grows {_from_to(growth)} by t = {end:.6g} s, also with substeps of {self.h / 2**MOST_HALVINGS:.6g} s, and"
+            f"energy grows {_from_to(growth)} by t = {end:.6g} s, also with substeps of {self.dt / self._most:.6g} s, and"
             f" nothing explains it; ball {ball} is the fastest; the last good state, t = {self.time:.6g} s, is kept",
             end,
             ball,
