@@ -111,8 +111,7 @@ class Stepper:
 
     def step(self, n: int) -> None:
         """Advance by n steps; 0 only compiles."""
-        if self.own and self.primed and self.steps > self.mark and not self._halfway:
-            self._keep(goes_on=True)  # the user's forces may have changed: steps before are not repeated with them
+        self._keep_own()
         self.prime()
         if n == 0:
             self._start()
@@ -120,6 +119,11 @@ class Stepper:
         target = self.steps + n
         while self.steps < target:
             self._go_on(min(target, self.end))
+
+    def _keep_own(self) -> None:
+        """A user's forces may be changed now: steps before are not repeated with them."""
+        if self.own and self.primed and self.steps > self.mark and not self._halfway:
+            self._keep(goes_on=True)
 
     def prime(self) -> None:
         """Make what a step expects, where positions were set from outside."""
@@ -462,6 +466,7 @@ class Stepper:
         return replace(parts.snapshot(), time=self.time, stepping=stepping, memory=parts.stored())
 
     def _before_snapshot(self) -> None:
+        self._keep_own()
         if not self.primed:
             self._keep(goes_on=False)
 
