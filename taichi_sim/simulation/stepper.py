@@ -197,7 +197,8 @@ class Stepper:
         if self._halfway:  # interrupted, perhaps in the midst of a step
             self._back()
         self._start()
-        self._launch(target)
+        if target > self.steps:
+            self._launch(target)
         while (needed := self.parts.lacking()) is not None:
             self._make_room(needed)
             self._start()
@@ -466,6 +467,8 @@ class Stepper:
         return replace(parts.snapshot(), time=self.time, stepping=stepping, memory=parts.stored())
 
     def _before_snapshot(self) -> None:
+        if self._halfway:
+            self._run(self.steps)
         self._keep_own()
         if not self.primed:
             self._keep(goes_on=False)

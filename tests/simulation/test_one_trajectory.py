@@ -98,3 +98,30 @@ def test_what_follows_depends_on_nothing_but_what_is_kept():
         sim.resume(snapshot)
         sim.step(60)
         assert trajectories.digest(sim) == one
+
+
+@pytest.mark.parametrize("saves", [False, True])
+def test_an_interrupted_call_changes_nothing(saves, monkeypatch):
+    """As by Ctrl-C in the midst of a call: what was made of it is made again."""
+    scene, settings = trajectories.bits.crowd_gauss_seidel()
+    with simulate(scene, ("ordered", "parallel"), **settings) as sim:
+        start = sim.snapshot()
+        whole = trajectories.whole(sim, start, 40)
+        sim.resume(start)
+        sim.step(10)
+        launch, launched = sim.parts.drivers.parallel, []
+
+        def interrupted(*arguments):
+            launched.append(arguments)
+            if len(launched) == 7:
+                raise KeyboardInterrupt
+            launch(*arguments)
+
+        with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+            patched.setattr(sim.parts.drivers, "parallel", interrupted, raising=False)
+            sim.step(10)
+        assert sim.time == pytest.approx(10 * sim.dt)
+        if saves:
+            sim.resume(sim.snapshot())
+        sim.step(30)
+        assert trajectories.digest(sim) == whole
