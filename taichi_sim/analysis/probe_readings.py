@@ -78,7 +78,7 @@ class Readings:
 
 
 class Reader:
-    """The part of a Simulation that reads them."""
+    """The part of a Simulation that reads them. readings: what it remembers of that."""
 
     def probes(self: Any) -> dict[str, float]:
         """Every number of every probe of the scene by its name, `load.tension`, in SI units; see `Scene.add_probe`. Forces on
@@ -87,7 +87,7 @@ class Reader:
         if late:
             says = f"{', '.join(late)} came after the simulation was made, and nothing was measured for it"
             raise SceneError("probes", says=says)
-        return self._readings.read(self.time, self._sample()) if self._probed else {}
+        return self.readings.read(self.time, self._sample()) if self._probed else {}
 
     def probe(self: Any, name: str) -> Any:
         """One number, `load.tension`, or `load` where it has no other: a float; a vector, `tip`: (dim,). Reads them all. Raises
@@ -97,9 +97,9 @@ class Reader:
 
     def _begin_readings(self: Any) -> None:
         """Means count from now on."""
-        self._readings = Readings(self._probed)
+        self.readings = Readings(self._probed)
         if self._probed:
-            self._readings.begin(self.time, self._sample())
+            self.readings.begin(self.time, self._sample())
 
     def _sample(self: Any) -> ProbeSample:
         x, v, low = self.position, self.velocity, self._state.rounded_off

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from taichi_sim import __version__
-from taichi_sim.cli.options import pixels, positive, share, step, takes_only
+from taichi_sim.cli.options import interval, pixels, positive, share, step, takes_only
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
 
@@ -72,12 +72,22 @@ def _options(version: Annotated[bool, _flag("version", "Show it.")] = False) -> 
 def run(
     scene: SceneName,
     out: Annotated[
-        str | None, typer.Option("--out", "-o", help="x.mp4, x.webm, x.gif, x.npz, or folder/ for PNG frames.")
+        str | None,
+        typer.Option("--out", "-o", help="x.mp4, x.webm, x.gif, x.npz, x.ply, x.obj or folder/ for PNG frames."),
     ] = None,
     overwrite: Annotated[bool, _flag("overwrite", "Replace the frames in a folder that is not empty.")] = False,
     resume: Annotated[
-        bool, _flag("resume", "Go on with a video or a folder that was cut off, with the frames that are finished.")
+        bool,
+        _flag(
+            "resume", "Go on with an output that was cut off, from its last checkpoint, with the frames that are kept."
+        ),
     ] = False,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            help="Wall time between checkpoints, like 60s or 5m, or off; 60s from the second minute on otherwise."
+        ),
+    ] = None,
     codec: Annotated[
         str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")
     ] = None,
@@ -93,21 +103,21 @@ def run(
         raise ValueError("fps times duration is less than one frame; raise one of them")
     if transparent:
         job.output["style"]["transparent"] = True
-    target = None
+    target, every = None, interval("--checkpoint", checkpoint)
     if out is not None:
         target = open_output(out, fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-    elif overwrite or resume or codec or transparent:
-        raise ValueError("--overwrite, --resume, --codec and --transparent need --out")
+    elif overwrite or resume or codec or transparent or checkpoint:
+        raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
         with job.simulation() as sim:
-            summary = export(sim, target, progress=not quiet, **job.output)
+            summary = export(sim, target, progress=not quiet, checkpoint=every, **job.output)
     except BaseException as error:
         if target is not None and isinstance(error, UnstableError) and target.frames:
             typer.echo(f"{out}: holds the {target.frames} frames until then", err=True)
         elif target is not None:
             target.discard()
-            if target.resumable and target.frames:
-                typer.echo(f"{out}: {target.frames} frames are kept; --resume continues with them", err=True)
+            if target.frames:
+                typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
         raise
     if not quiet:
         typer.echo("\n".join([*summary.lines(), *([f"written      {target.pattern or out}"] if target else [])]))

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0}  # s
 SHARED: dict[str, Any] = {
     "size": Annotated[str | None, typer.Option(help="Size of the pictures in pixels, like 1280x720.")],
     "arch": Annotated[str | None, typer.Option(help="auto, cpu, cuda, vulkan or metal.")],
@@ -57,6 +58,19 @@ def positive(option: str, value: float | None) -> float | None:
     if value is not None and not 0 < value < float("inf"):
         raise ValueError(f"{option}: {value:g} is not allowed; it must be a number greater than 0")
     return value
+
+
+def interval(option: str, text: str | None) -> float | Literal["auto"] | None:
+    """Seconds from 90, 90s, 1.5m or 2h, None for off, "auto" where the option was not given. Raises ValueError."""
+    if text is None:
+        return "auto"
+    if text == "off":
+        return None
+    unit = UNITS.get(text[-1:])
+    try:
+        return positive(option, float(text[:-1] if unit else text) * (unit or 1.0))
+    except ValueError:
+        raise ValueError(f"{option}: {text!r} is not allowed; it must be like 90, 90s, 5m or 1h, or off") from None
 
 
 def step(text: str | None) -> float | Literal["auto"] | None:

@@ -1,9 +1,10 @@
 """Files that appear under their final name only when they are complete, and arrays from those that are there."""
 
+import errno
 import glob
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -12,17 +13,23 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["PartFile", "arrays_in", "replacing"]
+try:
+    import fcntl
+except ImportError:  # Windows, where a file that is open cannot be deleted
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["PartFile", "arrays_in", "locked", "naming", "replacing", "require_place", "sweep", "synced"]
 
 
 class PartFile:
     """A file under construction: a hidden temporary file in the final folder, so that the last move is atomic.
 
     It is made at once, so a missing parent folder (which is never created), a folder in its place or a lack of rights
-    is an OSError with one sentence before any work is done.
+    is an OSError with one sentence before any work is done. What killed runs into the same name left is deleted, where `swept`
+    does not say that this was done already.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, swept: bool = False) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
         parent = self.path.parent
@@ -30,37 +37,99 @@ class PartFile:
             raise FileNotFoundError(f"{self.path}: there is no folder {str(parent)!r}; make it first")
         if self.path.is_dir():
             raise IsADirectoryError(f"{self.path}: is a folder; give the name of a file")
+        if not swept:
+            sweep(parent, glob.escape(self.path.name))
         try:
             self.file: IO[bytes] = open(self.part, "w+b")  # noqa: SIM115  # closed by finish or discard
         except OSError as error:
             raise OSError(f"{self.path}: cannot be written: {error.strerror}") from error
-
-    def sweep(self) -> None:
-        """Delete what runs into the same name left that were killed."""
-        for part in self.path.parent.glob(f".{glob.escape(self.path.name)}.*.part"):
-            if part != self.part:
-                part.unlink(missing_ok=True)
+        locked(self.file)
 
     def finish(self) -> None:
-        """Close the file and move it to its final name."""
-        self.file.close()
-        os.replace(self.part, self.path)
+        """Close the file, once it is on the disk, and move it to its final name."""
+        with naming(self.path):
+            synced(self.file)
+            self.file.close()
+            try:
+                os.replace(self.part, self.path)
+            except FileNotFoundError as error:
+                gone = "what was written of it was removed before it was complete"
+                raise FileNotFoundError(errno.ENOENT, gone, str(self.path)) from error
+            _sync_folder(self.path.parent)
 
     def discard(self) -> None:
         """Close and delete it; whatever lies under the final name stays as it was. Does nothing after finish."""
-        self.file.close()
+        with suppress(OSError):  # what a full disk did not take is not wanted any more
+            self.file.close()
         self.part.unlink(missing_ok=True)
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+def replacing(path: str | os.PathLike[str], *, swept: bool = False) -> Iterator[IO[bytes]]:
     """A binary file to write that takes the place of `path` when the block ends, and vanishes when it raises."""
-    part = PartFile(path)
+    part = PartFile(path, swept=swept)
     try:
-        yield part.file
+        with naming(path):
+            yield part.file
         part.finish()
     finally:
         part.discard()
+
+
+def require_place(path: str | os.PathLike[str]) -> None:
+    """Raises OSError, with one sentence, where no file of that name can be written."""
+    PartFile(path).discard()
+
+
+@contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Errors of the system name this file where they name none, as that of a full disk does, or one of ours."""
+    try:
+        yield
+    except BrokenPipeError:  # about standard output
+        raise
+    except OSError as error:
+        nameless = error.filename is None or str(error.filename).endswith(".part")
+        if error.errno is None or not nameless:
+            raise
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from error
+
+
+def sweep(folder: Path, pattern: str) -> None:
+    """Delete what was left of files under construction, whose final names match a pattern, by runs that were killed."""
+    for part in folder.glob(f".{pattern}.*.part"):
+        with suppress(OSError), open(part, "r+b") as file:  # gone meanwhile, or not ours to delete
+            if locked(file):  # nobody writes it
+                part.unlink()
+
+
+def locked(file: IO[bytes]) -> bool:
+    """Whether the file is ours until it is closed, or this process ends; False where another has it."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
+
+
+def synced(file: IO[bytes]) -> None:
+    """Have all that was written to a file on the disk."""
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk, where the system can."""
+    if os.name == "posix":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def arrays_in(path: Path, prefix: str) -> dict[str, NDArray]:

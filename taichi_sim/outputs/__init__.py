@@ -10,6 +10,7 @@ __all__ = ["Output", "Summary", "export", "open_output"]
 
 
 ENDINGS = {".mp4": ("h264", "h265"), ".webm": ("vp9",)}  # of videos, and their codecs, the usual one first
+FILES = (*ENDINGS, ".gif", ".npz", ".ply", ".obj")
 USE = "use x.mp4, x.webm, x.gif, x.npz, x.ply, x.obj or folder/ for PNG frames"
 
 
@@ -25,14 +26,14 @@ def open_output(
     frame, a name without an ending PNG frames.
 
     It is opened at once: ValueError for another ending, OSError where it cannot be written. overwrite is for a folder of frames
-    that is not empty; a file is replaced when the new one is complete. resume goes on with a folder or a video that was cut off,
-    with the frames that are finished. codec: "h264" or "h265" for
-    x.mp4, "vp9" for x.webm.
+    that is not empty; a file is replaced when the new one is complete. resume goes on with a run into the same name that was cut
+    off: from its last checkpoint, see `export`, with the frames that are finished. codec: "h264" or "h265" for x.mp4, "vp9" for
+    x.webm.
     """
     name = fspath(path)
-    suffix = "" if name.endswith(("/", "\\")) or Path(name).is_dir() else Path(name).suffix.lower()
-    if resume and suffix and suffix not in ENDINGS:
-        raise ValueError(f"{name}: only videos and folders of PNG frames can be resumed")
+    suffix = Path(name).suffix.lower()
+    if name.endswith(("/", "\\")) or (suffix not in FILES and Path(name).is_dir()):
+        suffix = ""
     if resume and overwrite:
         raise ValueError("overwrite and resume exclude each other; give one of them")
     codecs = ENDINGS.get(suffix, ())
@@ -46,15 +47,15 @@ def open_output(
     if suffix == ".gif":
         from taichi_sim.outputs.gif import Gif
 
-        return Gif(name, fps)
+        return Gif(name, fps, resume=resume)
     if suffix == ".npz":
         from taichi_sim.outputs.arrays import Arrays
 
-        return Arrays(name)
+        return Arrays(name, resume=resume)
     if suffix in (".ply", ".obj"):
         from taichi_sim.outputs.geometry import Geometry
 
-        return Geometry(name)
+        return Geometry(name, resume=resume)
     if suffix == "":
         from taichi_sim.outputs.png import PngFolder
 

@@ -1,61 +1,100 @@
 """Positions, velocities, energy and contacts over time as NumPy arrays in an .npz file."""
 
 import shutil
-import tempfile
 import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
+from math import prod
 from os import PathLike
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import PartFile
-from taichi_sim.outputs.base import Image, Output
+from taichi_sim.common.atomic_file import naming, replacing, require_place, synced
+from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.resumable import Resumable
+from taichi_sim.outputs.run_log import Checkpoint
 
 NAMES = ("time", "position", "velocity", "energy", "contacts", "penetration", "residual", "largest_speed")
 
 
 class _Column:
-    """An array that grows along its first axis on disk, so that a long run needs no memory."""
+    """An array of float64 that grows along its first axis on disk, so that a long run needs no memory. shape: of a row; rows:
+    that are there already."""
 
-    def __init__(self, folder: str) -> None:
-        self._file: IO[bytes] = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # closed with the column
-        self._rows = 0
-        self._like: NDArray = np.zeros(0)
+    def __init__(self, path: Path, shape: tuple[int, ...], rows: int = 0) -> None:
+        self.shape, self._rows = shape, rows
+        self._file: IO[bytes] = open(path, "r+b" if rows else "w+b")  # noqa: SIM115  # closed with the column
+        self._file.truncate(rows * bytes_of(shape))
+        self._file.seek(0, 2)
 
-    def append(self, row: Any) -> None:
-        self._like = np.asarray(row)
-        self._file.write(self._like.tobytes())
+    def append(self, row: NDArray[np.float64]) -> None:
+        self._file.write(row.tobytes())
         self._rows += 1
 
+    def hold(self) -> None:
+        synced(self._file)
+
     def copy_to(self, out: IO[bytes]) -> None:
-        descr, shape = np.lib.format.dtype_to_descr(self._like.dtype), (self._rows, *self._like.shape)
-        header = {"descr": descr, "fortran_order": False, "shape": shape}
+        descr = np.lib.format.dtype_to_descr(np.dtype(np.float64))
+        header = {"descr": descr, "fortran_order": False, "shape": (self._rows, *self.shape)}
         np.lib.format.write_array_header_2_0(out, header)
         self._file.seek(0)
         shutil.copyfileobj(self._file, out, 1 << 20)
 
     def close(self) -> None:
-        self._file.close()
+        with suppress(OSError):  # what a full disk did not take is not wanted any more
+            self._file.close()
 
 
-class Arrays(Output):
+def bytes_of(shape: tuple[int, ...]) -> int:
+    """Of a row."""
+    return 8 * prod(shape)
+
+
+class Arrays(Resumable):
     """An .npz with time (f,) s, position (f, n, dim) m, velocity (f, n, dim) m/s, energy (f, 4) J, and of the contacts their
     number contacts (f,), penetration (f, 2) m, residual (f,) m/s and largest_speed (f,) m/s; and (f,) for each number of each
     probe, under its name, `load.tension`.
 
     The columns of energy are kinetic, spring, gravity, total, those of penetration largest and mean; nan where the frame does
-    not know them. Frames wait on disk in the target folder, so the file may be larger than the memory.
+    not know them. Frames wait on disk beside the file, which may be larger than the memory. resume: go on from the last
+    checkpoint of a run into the same name.
     """
 
     needs_image = False
 
-    def __init__(self, path: str | PathLike[str]) -> None:
-        self.path = path
-        self._part = PartFile(path)
-        self._folder = str(self._part.path.parent)
-        self._columns = {name: _Column(self._folder) for name in NAMES}
+    def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
+        super().__init__(path, resume=resume)
+        require_place(path)
+        self._columns: dict[str, _Column] = {}
+
+    def has(self, checkpoint: Checkpoint) -> bool:
+        shapes = checkpoint.own["output"]["columns"].items()
+        files = [(self._place(k), checkpoint.frame * bytes_of(shape)) for k, (_, shape) in enumerate(shapes)]
+        return all(file.is_file() and file.stat().st_size >= size for file, size in files)
+
+    def go_on(self, checkpoint: Checkpoint) -> None:
+        self.frames = checkpoint.frame
+        for name, shape in checkpoint.own["output"]["columns"].items():
+            self._add(name, tuple(shape), checkpoint.frame)
+
+    def hold(self) -> Mapping[str, Any]:
+        for column in self._columns.values():
+            column.hold()
+        return {"columns": {name: column.shape for name, column in self._columns.items()}}
+
+    def kept(self) -> int:
+        return 0 if self.log.checkpoint is None else self.log.checkpoint.frame
+
+    def _place(self, number: int) -> Path:
+        return self.log.folder / f"column_{number:03d}"
+
+    def _add(self, name: str, shape: tuple[int, ...], rows: int = 0) -> None:
+        self._columns[name] = _Column(self._place(len(self._columns)), shape, rows)
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         energy = (np.nan,) * 4 if frame.energy is None else tuple(frame.energy)
@@ -64,21 +103,26 @@ class Arrays(Output):
         if now is not None:
             contacts = (now.number, (now.penetration, now.mean_penetration), now.residual, now.largest_speed)
         rows = (frame.time, frame.position, frame.velocity, energy, *contacts)
-        for name, row in [*zip(NAMES, rows, strict=True), *frame.probes.items()]:
-            if name not in self._columns:
-                self._columns[name] = _Column(self._folder)
-            self._columns[name].append(np.asarray(row, dtype=np.float64))
+        self.log.open()
+        with naming(self.path):
+            for name, value in [*zip(NAMES, rows, strict=True), *frame.probes.items()]:
+                row = np.asarray(value, dtype=np.float64)
+                if name not in self._columns:
+                    self._add(name, row.shape)
+                self._columns[name].append(row)
 
     def finish(self) -> None:
         """Join the columns into one file."""
-        with zipfile.ZipFile(self._part.file, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+        with replacing(self.path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
             for name, column in self._columns.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     column.copy_to(member)
-                column.close()
-        self._part.finish()
-
-    def discard(self) -> None:
         for column in self._columns.values():
             column.close()
-        self._part.discard()
+        self.log.delete()
+
+    def discard(self) -> None:
+        """Give it up; what the last checkpoint needs stays beside it."""
+        for column in self._columns.values():
+            column.close()
+        self.leave()

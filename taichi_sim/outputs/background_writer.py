@@ -28,6 +28,12 @@ class Behind:
             raise self._error
         self._queue.put((index, frame, image))
 
+    def settle(self) -> None:
+        """Wait until all frames are written."""
+        self._queue.join()
+        if self._error is not None:
+            raise self._error
+
     def _work(self) -> None:
         while (entry := self._queue.get()) is not None:
             if self._error is None:
@@ -36,6 +42,7 @@ class Behind:
                     self._output.frames += 1
                 except BaseException as error:  # for the thread that simulates
                     self._error = error
+            self._queue.task_done()
 
     def __enter__(self) -> "Behind":
         self._thread.start()

@@ -45,7 +45,7 @@ class Output:
     needs_image = True  # False: write is called with image None
     apart = False  # True: write may be called in a thread of its own, while the simulation goes on and `wants` is asked
     alpha = False  # whether it takes pictures with alpha
-    resumable = False  # whether a run that was cut off can be resumed
+    resumable = False  # whether a run that was cut off can be resumed; see taichi_sim.outputs.resumable
     pattern = ""  # of the names that it writes, where they are not the one it was given
     frames = 0  # how many it holds so far; `export` counts
 

@@ -3,9 +3,9 @@
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output
+from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of
+from taichi_sim.outputs.resumable import Resumable
+from taichi_sim.outputs.run_log import Checkpoint
 
 
 @dataclass(slots=True)
@@ -43,7 +46,20 @@ class Summary:
     units: dict[str, str] = field(default_factory=dict)  # of probes
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
+    decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
     device: str = ""  # what computed it, in words
+    checkpoints: int = 0
+    checkpointing: float = 0.0
+    resumed: int = 0  # the frame that a resumed run went on with; 0 where there was no checkpoint
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> "Summary":
+        """What `asdict` made, through JSON."""
+        one = cls(**plain)
+        one.contacts = None if one.contacts is None else Contacts(*one.contacts)
+        one.energy_start = tuple(one.energy_start)
+        one.probes = {name: (last, least, most) for name, (last, least, most) in one.probes.items()}
+        return one
 
     def _seen(self, scales: Scales) -> Scales:
         """With the start and the end, which samples between steps may miss."""
@@ -99,6 +115,12 @@ class Summary:
             )
         per = f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration else ""
         parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
+        if self.resumed:
+            lines.append(f"resumed      at frame {self.resumed}, from a checkpoint")
+        if self.checkpoints:
+            share = self.checkpointing / self.wall
+            lines.append(f"checkpoints  {self.checkpoints} in {self.checkpointing:.2g} s, {share:.1%} of the wall time")
+        lines += [f"{'' if k else 'decided':12} {words}" for k, words in enumerate(self.decisions)]
         lines.append(f"device       {self.device}")
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
         return lines
@@ -115,13 +137,13 @@ class _Clock:
     """Adds the time since the last call to one of the summary's fields."""
 
     def __init__(self, summary: Summary) -> None:
-        self._summary = summary
+        self.summary = summary
         self._last = time.perf_counter()
 
     def charge(self, field: str) -> None:
         now = time.perf_counter()
-        setattr(self._summary, field, getattr(self._summary, field) + now - self._last)
-        self._summary.wall += now - self._last
+        setattr(self.summary, field, getattr(self.summary, field) + now - self._last)
+        self.summary.wall += now - self._last
         self._last = now
 
 
@@ -134,6 +156,7 @@ def export(
     size: tuple[int, int] = (1280, 720),
     progress: bool = False,
     style: Mapping[str, Any] | None = None,
+    checkpoint: float | Literal["auto"] | None = "auto",
 ) -> Summary:
     """Run a simulation and give its frames to an output, or to none for the summary alone.
 
@@ -142,31 +165,52 @@ def export(
             the last of them, one frame short of `duration` [s].
         size: of the pictures, (width, height) px. style: further arguments of `Renderer`.
         progress: a bar on standard error with the time left and the speed against real time.
+        checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
+            where they would take over a fiftieth of it. "auto": 60 s, from the second minute on. None: none.
     The output is finished here, also when the simulation becomes unstable, and discarded on any other error.
+
+    An output that was opened with `resume` must be given the simulation, and the arguments, that its run began with (`duration`
+    and `checkpoint` may be others): ValueError otherwise. Where there is a checkpoint the simulation is closed, and another goes
+    on from there. Where there is none it runs from the start, but frames that are kept are not drawn again.
     """
     if output is not None:
         _check_output(output)
     fps, duration = validation.number("fps", fps, positive=True), validation.number("duration", duration, low=0)
+    if checkpoint not in ("auto", None):
+        checkpoint = validation.number("checkpoint", checkpoint, positive=True)
     summary = Summary()
     clock = _Clock(summary)
     style = style or {}
     with ExitStack() as stack:
+        behind = None
         if output is not None:
             stack.enter_context(output)
             if style.get("transparent") and output.needs_image and not output.alpha:
                 name = getattr(output, "path", "this output")
                 raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
-            write = stack.enter_context(Behind(output)).write if output.apart else partial(_write, output)
-        advance = stack.enter_context(_bar(max(1, round(fps * duration)), progress))
+            behind = stack.enter_context(Behind(output)) if output.apart else None
+            write = partial(_write, output) if behind is None else behind.write
+        count, first = round(fps * duration), simulation.frame()
+        log, last = None, None
+        if isinstance(output, Resumable):
+            last = output.begin(run_of(simulation, first, fps, size, style), count)
+            log = Checkpoints(output, checkpoint)
+        if last is not None:
+            simulation = stack.enter_context(restored(simulation, last))
         renderer: Any = None
-        frame: Frame | None = None
-        for index, frame in enumerate(simulation.frames(fps=fps, duration=duration)):
+        if output is not None and output.needs_image:
+            renderer = stack.enter_context(_renderer(first, size, style))
+        begin, frames = 0, simulation.frames(fps=fps, duration=duration)
+        if last is not None:
+            begin, frames = last.frame, frames_from(last.frame, simulation, fps, duration)
+            summary = clock.summary = _recall(last, simulation, renderer)
+        frame, since = None, simulation.time
+        advance = stack.enter_context(_bar(max(1, count), begin, progress))
+        for index, frame in enumerate(frames, begin):
             clock.charge("simulating")
             frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
             _observe(summary, frame)
             if output is not None:
-                if output.needs_image and renderer is None:
-                    renderer = stack.enter_context(_renderer(frame, size, style))
                 if output.wants(index):
                     image = None if renderer is None else renderer.render(frame)
                     clock.charge("drawing")
@@ -175,9 +219,17 @@ def export(
                 elif renderer is not None:
                     renderer.skip(frame)
                     clock.charge("drawing")
-            advance(frame.time)
+            advance(frame.time - since)
+            if log is not None and log.due and index + 1 < count:
+                if behind is not None:
+                    behind.settle()
+                clock.charge("writing")
+                summary.checkpoints += log.make(index + 1, simulation, _own(summary, simulation, renderer))
+                clock.charge("checkpointing")
         summary.duration, summary.units = duration, units_of(simulation.scene)
-        summary.device = str(simulation.backend)
+        summary.device, summary.decisions = str(simulation.backend), simulation.decisions()
+        if frame is None and last is not None:
+            frame = simulation.frame()
         if frame is not None and frame.energy is not None:
             summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()
@@ -189,6 +241,21 @@ def export(
 def _write(output: Output, index: int, frame: Frame, image: Image | None) -> None:
     output.write(index, frame, image)
     output.frames += 1
+
+
+def _own(summary: Summary, simulation: Any, renderer: Any) -> dict[str, Any]:
+    """What an export goes on from, beside the simulation and what is written."""
+    drawn = None if renderer is None else renderer.memory()
+    return {"summary": asdict(summary), "renderer": drawn}
+
+
+def _recall(last: Checkpoint, simulation: Any, renderer: Any) -> Summary:
+    """The reverse."""
+    if renderer is not None:
+        renderer.recall(last.own["renderer"])
+    summary = Summary.of(last.own["summary"])
+    summary.resumed, summary.checkpoints = last.frame, summary.checkpoints + 1
+    return summary
 
 
 def _observe(summary: Summary, frame: Frame) -> None:
@@ -216,8 +283,9 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
 
 
 @contextmanager
-def _bar(total: int, shown: bool) -> Iterator[Any]:
-    """A progress bar on standard error; calling what it yields with the simulated time advances it by one frame."""
+def _bar(total: int, done: int, shown: bool) -> Iterator[Any]:
+    """A progress bar on standard error, of which a part is done; calling what it yields with the simulated time since then
+    advances it by one frame."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -230,7 +298,7 @@ def _bar(total: int, shown: bool) -> Iterator[Any]:
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        task = progress.add_task("", total=total, speed=0.0)
+        task = progress.add_task("", total=total, completed=done, speed=0.0)
         begin = time.perf_counter()
 
         def advance(simulated: float) -> None:

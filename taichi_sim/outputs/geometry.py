@@ -1,45 +1,73 @@
 """Surfaces as OBJ or PLY files, one for each frame, for other programs to render."""
 
-from os import W_OK, PathLike, access
+import glob
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import replacing
-from taichi_sim.outputs.base import Image, Output
+from taichi_sim.common.atomic_file import replacing, require_place, sweep
+from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.resumable import Resumable, require_there
+from taichi_sim.outputs.run_log import Checkpoint
 
 
-class Geometry(Output):
+class Geometry(Resumable):
     """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
 
     Each holds the triangles of the frame, surfaces in place of what they cover, with the vertices that they use; a frame without
     any triangle its balls as points, with their radius in PLY. A file that is there is replaced when the new one is complete;
-    what was written before an error or Ctrl-C stays.
+    what was written before an error or Ctrl-C stays. resume: go on from the last checkpoint of a run into the same name.
     """
 
     needs_image = False
     apart = True
 
-    def __init__(self, path: str | PathLike[str]) -> None:
-        self.path = Path(path)
-        folder = self.path.parent
-        if not folder.is_dir():
-            raise FileNotFoundError(f"{self.path}: there is no folder {str(folder)!r}; make it first")
-        if not access(folder, W_OK):
-            raise PermissionError(f"{self.path}: cannot be written: no rights for the folder {str(folder)!r}")
+    def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
+        super().__init__(path, resume=resume)
+        require_place(path)
+        sweep(self.path.parent, f"{glob.escape(self.path.stem)}_*{self.path.suffix}")
         self.pattern = str(self.path.with_name(f"{self.path.stem}_*{self.path.suffix}"))
         self._ply = self.path.suffix.lower() == ".ply"
+        self._next = 0  # frame
+
+    def has(self, checkpoint: Checkpoint) -> bool:
+        return all(self._file(index).is_file() for index in range(checkpoint.frame))
+
+    def go_on(self, checkpoint: Checkpoint) -> None:
+        self.frames = self._next = checkpoint.frame
+
+    def hold(self) -> Mapping[str, Any]:
+        return {}  # each file is on the disk when it appears
+
+    def kept(self) -> int:
+        return 0 if self.log.checkpoint is None else self.log.checkpoint.frame
+
+    def _file(self, index: int) -> Path:
+        return self.path.with_name(f"{self.path.stem}_{index:05d}{self.path.suffix}")
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         vertices, triangles = surface_of(frame)
         radius = None
         if not len(triangles):
             vertices, radius = _in_3d(frame.position), frame.radius
-        with replacing(self.path.with_name(f"{self.path.stem}_{index:05d}{self.path.suffix}")) as file:
+        self.log.open()
+        with replacing(self._file(index), swept=True) as file:
             (_write_ply if self._ply else _write_obj)(file, vertices, triangles, radius)
+        self._next = index + 1
+
+    def finish(self) -> None:
+        """Raises OSError where a file was removed meanwhile."""
+        require_there(map(self._file, range(self._next)))
+        self.log.delete()
+
+    def discard(self) -> None:
+        """Give it up; files that were written stay."""
+        self.leave()
 
 
 def surface_of(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -1,59 +1,95 @@
 """Animated GIF through Pillow."""
 
 import io
+from collections.abc import Mapping
+from itertools import islice
 from os import PathLike
+from typing import Any
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import PartFile
-from taichi_sim.outputs.base import Image, Output
+from taichi_sim.common.atomic_file import naming, replacing, require_place
+from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.records import Records
+from taichi_sim.outputs.resumable import Resumable
+from taichi_sim.outputs.run_log import Checkpoint
 
 SHORTEST = 2  # 1/100 s; shorter ones are played at a tenth of the speed
 
 
-class Gif(Output):
+class Gif(Resumable):
     """A GIF that repeats for ever; 256 colours per frame.
 
     A GIF counts time in 1/100 s and players show no frame for less than 2/100 s: above 50 frames per second some frames
-    are left out, and the others are shown so long that the whole keeps its duration.
+    are left out, and the others are shown so long that the whole keeps its duration. resume: go on where a run into the same name
+    was cut off.
     """
 
-    def __init__(self, path: str | PathLike[str], fps: float = 25.0) -> None:
-        self.path = path
+    def __init__(self, path: str | PathLike[str], fps: float = 25.0, resume: bool = False) -> None:
+        super().__init__(path, resume=resume)
         self.fps = fps
-        self._part = PartFile(path)
-        self._pictures: list[bytes] = []  # as PNG with a palette: small enough to wait for the end
-        self._starts: list[int] = []  # 1/100 s
+        require_place(path)
+        # as PNG with a palette: small enough to wait for the end
+        self._pictures = Records(self.log.folder / "pictures", self.log.resumes)
+        self._kept = self._pictures.number  # by an earlier run
+        self._starts: list[int] = []  # 1/100 s, of the pictures
         self._end = 0  # 1/100 s, when the last frame, shown or left out, is over
 
+    def has(self, checkpoint: Checkpoint) -> bool:
+        return self._kept >= checkpoint.own["output"]["pictures"]
+
+    def go_on(self, checkpoint: Checkpoint) -> None:
+        for index in range(checkpoint.frame):
+            self.wants(index)
+
+    def hold(self) -> Mapping[str, Any]:
+        self._pictures.hold()
+        return {"pictures": self._pictures.number}
+
+    def kept(self) -> int:
+        return self._pictures.number if self._pictures.path.is_file() else 0
+
     def wants(self, index: int) -> bool:
-        """Whether this frame is not too close to the last one."""
+        """Whether this frame is not too close to the last one, nor kept already."""
         self._end = self._at(index + 1)
-        return not self._starts or self._at(index) - self._starts[-1] >= SHORTEST
+        if self._starts and self._at(index) - self._starts[-1] < SHORTEST:
+            return False
+        if len(self._starts) < self._kept:
+            self._starts.append(self._at(index))
+            self.frames += 1
+            return False
+        return True
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Reduce one picture to 256 colours and keep it."""
         from PIL import Image as Pictures
 
         assert image is not None
+        self.log.open()
         buffer = io.BytesIO()
         Pictures.fromarray(image).quantize(256, dither=Pictures.Dither.NONE).save(buffer, "PNG", compress_level=1)
-        self._pictures.append(buffer.getvalue())
+        with naming(self.path):
+            self._pictures.append(buffer.getvalue())
         self._starts.append(self._at(index))
 
     def finish(self) -> None:
         """Write the file: the first picture opens it, the others follow one at a time."""
         from PIL import Image as Pictures
 
-        if self._pictures:
-            first, *rest = (Pictures.open(io.BytesIO(picture)) for picture in self._pictures)
-            ends = [*self._starts[1:], max(self._end, self._starts[-1] + 1)]
-            shown = [10 * (end - start) for start, end in zip(self._starts, ends)]  # ms
-            first.save(self._part.file, "GIF", save_all=True, append_images=rest, duration=shown, loop=0)
-        self._part.finish()
+        with replacing(self.path) as file:
+            if self._starts:
+                first, *rest = (
+                    Pictures.open(io.BytesIO(picture)) for picture in islice(self._pictures, len(self._starts))
+                )
+                ends = [*self._starts[1:], max(self._end, self._starts[-1] + 1)]
+                shown = [10 * (end - start) for start, end in zip(self._starts, ends)]  # ms
+                first.save(file, "GIF", save_all=True, append_images=rest, duration=shown, loop=0)
+        self._pictures.close()
+        self.log.delete()
 
     def discard(self) -> None:
-        self._pictures.clear()
-        self._part.discard()
+        """Give it up; its frames stay beside it, for resume."""
+        self._pictures.close()
+        self.leave()
 
     def _at(self, index: int) -> int:
         return round(100 * index / self.fps)

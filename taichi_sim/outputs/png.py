@@ -2,53 +2,74 @@
 
 import os
 import re
+from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
+from typing import Any
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import replacing
-from taichi_sim.outputs.base import Image, Output, require_folder_place
+from taichi_sim.common.atomic_file import replacing, require_place, sweep
+from taichi_sim.outputs.base import Image, require_folder_place
+from taichi_sim.outputs.resumable import Resumable, require_there
+from taichi_sim.outputs.run_log import Checkpoint
 
 _FRAME = re.compile(r"frame_\d{5,}\.png")
 
 
-class PngFolder(Output):
+class PngFolder(Resumable):
     """frame_00000.png, frame_00001.png, ... in a folder, which is made when it is not there; its parent is not.
 
     Each file is complete when it appears. A folder that holds anything is an error unless overwrite (its frames are
-    deleted at the first write, other files stay) or resume (frames that are there are kept and neither drawn nor
-    written again; use it with the same scene and options). What was written before an error or Ctrl-C stays, for
-    resume.
+    deleted at the first write, other files stay) or resume (frames of the same run that are there are kept and neither drawn nor
+    written again). What was written before an error or Ctrl-C stays, for resume.
     """
 
     apart = True
     alpha = True
-    resumable = True
 
     def __init__(self, path: str | PathLike[str], *, overwrite: bool = False, resume: bool = False) -> None:
-        self.path = Path(path)
         if overwrite and resume:
             raise ValueError("overwrite and resume exclude each other; give one of them")
+        super().__init__(path, resume=resume, within=True)
         require_folder_place(self.path)
         self._made = not self.path.is_dir()
-        if not self._made and any(self.path.iterdir()) and not (overwrite or resume):
+        entries = [] if self._made else [entry for entry in self.path.iterdir() if entry != self.log.folder]
+        if entries and not (overwrite or resume):
             raise FileExistsError(f"{self.path}: the folder is not empty; use --overwrite, --resume or another name")
+        frames = [entry for entry in entries if _FRAME.fullmatch(entry.name)]
+        if frames and resume and not self.log.resumes:
+            raise FileExistsError(
+                f"{self.path}: nothing says which run its frames are of, and so it cannot be resumed; use --overwrite or another"
+                " name"
+            )
         self._make_writable()
-        frames = [entry for entry in self.path.iterdir() if _FRAME.fullmatch(entry.name)]
         self._stale = frames if overwrite else []  # deleted at the first write, when nothing can be wrong any more
         self._there = {entry.name for entry in frames} if resume else set()
+        self.frames = len(self._there)
+        self._last = -1  # frame that was asked for
 
     def _make_writable(self) -> None:
         try:
             self.path.mkdir(exist_ok=True)
-            with replacing(self.path / "frame_test"):
-                pass
-            (self.path / "frame_test").unlink()
+            require_place(self.path / "frame_test")
+            sweep(self.path, "frame_*.png")
         except OSError as error:
             raise OSError(f"{self.path}: cannot be written: {error.strerror or error}") from error
 
+    def has(self, checkpoint: Checkpoint) -> bool:
+        return self._there.issuperset(map(self._name, range(checkpoint.frame)))
+
+    def go_on(self, checkpoint: Checkpoint) -> None:
+        self._last = checkpoint.frame - 1
+
+    def hold(self) -> Mapping[str, Any]:
+        return {}  # each frame is on the disk when it appears
+
+    def kept(self) -> int:
+        return sum(_FRAME.fullmatch(entry.name) is not None for entry in self.path.iterdir())
+
     def wants(self, index: int) -> bool:
         """Whether the frame is not there yet."""
+        self._last = index
         return self._name(index) not in self._there
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
@@ -57,11 +78,18 @@ class PngFolder(Output):
         assert image is not None
         while self._stale:
             self._stale.pop().unlink(missing_ok=True)
-        with replacing(self.path / self._name(index)) as file:
+        self.log.open()
+        with replacing(self.path / self._name(index), swept=True) as file:
             Pictures.fromarray(image).save(file, "PNG", compress_level=1)
+
+    def finish(self) -> None:
+        """Raises OSError where a frame was removed meanwhile."""
+        require_there(self.path / self._name(index) for index in range(self._last + 1))
+        self.log.delete()
 
     def discard(self) -> None:
         """Remove the folder if this made it and nothing was written; frames stay."""
+        self.leave()
         if self._made and self.path.is_dir() and not any(self.path.iterdir()):
             os.rmdir(self.path)
 

@@ -1,20 +1,23 @@
 """MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from itertools import islice
 from os import PathLike
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import PartFile
-from taichi_sim.outputs.base import Image, Output
-from taichi_sim.outputs.resume_log import Journal
+from taichi_sim.common.atomic_file import PartFile, naming
+from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.records import Records
+from taichi_sim.outputs.resumable import Resumable
+from taichi_sim.outputs.run_log import Checkpoint
 
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
 LIMITED = 1  # studio range, as players expect
+LOSSLESS = {"preset": "ultrafast", "qp": "0", "tune": "zerolatency", "threads": "1"}  # a packet a picture, at once
 
 
 class Codec(NamedTuple):
@@ -34,19 +37,18 @@ CODECS = {
 }
 
 
-class Video(Output):
+class Video(Resumable):
     """A video: yuv420p, colours marked as BT.709. MP4 with H.264, which plays everywhere and has its index at the front, or
     H.265, which takes half the space; WebM with VP9.
 
     Args:
         path: the final name. fps: frames per second of the video. codec: "h264", "h265" or "vp9"; crf: of the codec's own
         scale, from 0 (best) on; 18 of H.264, 20 of H.265, 24 of VP9 look like the original. resume: go on where a run into the
-        same name was cut off; use it with the same scene and options.
+        same name was cut off.
     Frame k is shown at k / fps. Odd sizes grow by one repeated row or column, since yuv420p needs even ones.
     """
 
     apart = True
-    resumable = True
 
     def __init__(
         self,
@@ -56,17 +58,32 @@ class Video(Output):
         codec: str = "h264",
         resume: bool = False,
     ) -> None:
+        super().__init__(path, resume=resume)
         self.codec = CODECS[codec]
-        self.path = path
         self.rate = Fraction(fps).limit_denominator(100_000)
         self.crf = self.codec.crf if crf is None else crf
-        self._journal = Journal(Path(path), fps, resume)
         self._part = PartFile(path)
-        if resume:
-            self._part.sweep()
-        self._kept = self._journal.frames  # by an earlier run
+        self._pictures = Records(self.log.folder / "pictures", self.log.resumes)  # without loss
+        self._kept = self._pictures.number  # by an earlier run
+        self._keeper: Any = None  # encodes them
         self._container: Any = None
         self._stream: Any = None
+
+    def options(self) -> Mapping[str, Any]:
+        return {"codec": self.codec.encoder, "quality": self.crf}
+
+    def has(self, checkpoint: Checkpoint) -> bool:
+        return self._kept >= checkpoint.frame
+
+    def go_on(self, checkpoint: Checkpoint) -> None:
+        self.frames = checkpoint.frame
+
+    def hold(self) -> Mapping[str, Any]:
+        self._pictures.hold()
+        return {}
+
+    def kept(self) -> int:
+        return self._pictures.number if self._pictures.path.is_file() else 0
 
     def wants(self, index: int) -> bool:
         """Whether the frame is not kept already."""
@@ -75,18 +92,37 @@ class Video(Output):
         return index >= self._kept
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
+        """Encode one picture."""
         import av
 
         assert image is not None
-        height, width = image.shape[:2]
-        picture = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-        source = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+        self.log.open()
+        image = np.pad(image, ((0, image.shape[0] % 2), (0, image.shape[1] % 2), (0, 0)), mode="edge")
+        source = av.VideoFrame.from_ndarray(image, format="rgb24")
         converted = source.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
-        if self._container is None:
-            self._open(converted.width, converted.height)
-        converted.time_base, converted.pts = 1 / self.rate, index
-        self._journal.append(converted)
-        self._encode(converted, index)
+        with naming(self.path):
+            if self._container is None:
+                self._open(converted.width, converted.height)
+            self._keep(converted, index)
+            self._encode(converted, index)
+
+    def _keep(self, picture: Any, index: int) -> None:
+        import av
+
+        if self._keeper is None:
+            self._keeper = keeper = av.CodecContext.create("libx264", "w")
+            keeper.width, keeper.height, keeper.pix_fmt = picture.width, picture.height, "yuv420p"
+            keeper.time_base, keeper.options = 1 / self.rate, LOSSLESS
+        picture.time_base, picture.pts = 1 / self.rate, index
+        self._pictures.append(b"".join(bytes(packet) for packet in self._keeper.encode(picture)))
+
+    def _kept_pictures(self) -> Iterator[Any]:
+        import av
+
+        decoder = av.CodecContext.create("h264", "r")
+        for data in self._pictures:
+            yield from decoder.decode(av.Packet(data))
+        yield from decoder.decode(None)
 
     def _encode(self, picture: Any, index: int) -> None:
         picture.time_base, picture.pts = 1 / self.rate, index
@@ -95,13 +131,6 @@ class Video(Output):
     def _open(self, width: int, height: int) -> None:
         """Start the file with the pictures that were kept."""
         import av
-
-        kept = self._journal.size
-        if kept is not None and self._kept and kept != (width, height):
-            raise ValueError(
-                f"{self.path}: the frames kept of it are {kept[0]}x{kept[1]}, not {width}x{height}; resume with the same options,"
-                " or leave --resume out"
-            )
 
         codec = self.codec
         self._container = av.open(
@@ -120,26 +149,28 @@ class Video(Output):
         context.colorspace = context.color_primaries = context.color_trc = BT709
         context.color_range = LIMITED
         self._stream = stream
-        kept_and_asked_for = islice(self._journal.pictures(), self.frames) if self._kept else ()
-        for index, picture in enumerate(kept_and_asked_for):
+        for index, picture in enumerate(islice(self._kept_pictures(), self.frames) if self._kept else ()):
             fresh = av.VideoFrame.from_ndarray(picture.to_ndarray(), format="yuv420p")
             fresh.colorspace, fresh.color_range = BT709, LIMITED
             self._encode(fresh, index)
 
     def finish(self) -> None:
         """Write what the encoder still holds and the index."""
-        if self._container is None and self._kept and self._journal.size is not None:
-            self._open(*self._journal.size)
-        if self._container is not None:
-            self._container.mux(self._stream.encode())
-            self._container.close()
-            self._container = None
+        with naming(self.path):
+            if self._container is None and self._kept:
+                first = next(self._kept_pictures())
+                self._open(first.width, first.height)
+            if self._container is not None:
+                self._container.mux(self._stream.encode())
+                self._container.close()
+                self._container = None
         self._part.finish()
-        self._journal.delete()
+        self._pictures.close()
+        self.log.delete()
 
     def discard(self) -> None:
         """Delete the unfinished file; its frames stay beside it, for resume."""
         self._container = self._stream = None
         self._part.discard()
-        self._journal.close()
-        self.frames = self._journal.frames
+        self._pictures.close()
+        self.leave()

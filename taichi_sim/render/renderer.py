@@ -80,6 +80,14 @@ class Renderer:
         """Take note of a frame that is not drawn, for later ones to look as if it had been."""
         self._open().skip(frame)
 
+    def memory(self) -> dict[str, Any]:
+        """What pictures follow from beside their frame and the first one, as plain values for `recall`."""
+        return self._open().memory()
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on as the renderer of the same first frame and arguments did that this is the memory of."""
+        self._open().recall(memory)
+
     def _open(self) -> Any:
         if self._painter is None:
             raise RuntimeError("this renderer is closed")

@@ -98,6 +98,15 @@ class Renderer2D:
             low = self._begin + self._follower.at(frame) - self._follower.begin
             self.camera = Flat((float(low[0]), float(low[1])), self.camera.scale)
 
+    def memory(self) -> dict[str, Any]:
+        """See `Renderer`."""
+        return {} if self._follower is None else {"follower": self._follower.memory()}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """See `Renderer`."""
+        if self._follower is not None:
+            self._follower.recall(memory["follower"])
+
     def look(self, camera: Flat) -> None:
         """Look there from now on, whatever a CameraPath says."""
         self.camera, self._follower = camera, None

@@ -1,6 +1,7 @@
 """Pictures of 3D frames: balls, rods and triangles with light and shadow, drawn by Taichi kernels alone."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,18 @@ class Renderer3D:
         """Take note of a frame that is not drawn."""
         self._aim(frame)
         self._widen(frame)
+
+    def memory(self) -> dict[str, Any]:
+        """See `Renderer`."""
+        follower = None if self._tracker is None else self._tracker.follower
+        about = {"bounds": [self._bounds.low.tolist(), self._bounds.high.tolist()]}
+        return about if follower is None else about | {"follower": follower.memory()}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """See `Renderer`."""
+        self._bounds = Bounds(*map(np.array, memory["bounds"]))
+        if self._tracker is not None and self._tracker.follower is not None:
+            self._tracker.follower.recall(memory["follower"])
 
     def look(self, camera: Camera) -> None:
         """Look from there from now on, whatever a CameraPath says."""

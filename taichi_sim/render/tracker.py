@@ -1,7 +1,7 @@
 """Tracker: the camera of each frame along a CameraPath."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,15 @@ class Follower:
         if len(frame.velocity):
             self._speed = frame.velocity[self._balls].mean(axis=0)
 
+    def memory(self) -> list[Any]:
+        """What the next place follows from, as plain values for `recall`."""
+        return [self._time, self.place.tolist(), self._goal.tolist(), self._speed.tolist()]
+
+    def recall(self, memory: Sequence[Any]) -> None:
+        """Go on from there."""
+        self._time = memory[0]
+        self.place, self._goal, self._speed = (np.array(one) for one in memory[1:])
+
     def at(self, frame: Frame) -> NDArray[np.float64]:
         """Where it is at a frame (dim,) [m]; frames come in order of time, or all begins again."""
         elapsed = frame.time - self._time
@@ -58,7 +67,7 @@ class Tracker:
     """
 
     def __init__(self, frame: Frame, camera: Any, aspect: float) -> None:
-        self._follower: Follower | None = None
+        self.follower: Follower | None = None
         self._path: CameraPath | None = None
         if isinstance(camera, Camera):
             self.first = camera
@@ -67,8 +76,8 @@ class Tracker:
             camera = CameraPath.of(camera, 3, len(frame.position))
         path = self._path = camera or CameraPath()
         if path.follow is not None:
-            self._follower = Follower(path.follow, frame)
-        self.first = self._along(path.path[0]["time"]) if path.path else _placed(path, frame, aspect, self._follower)
+            self.follower = Follower(path.follow, frame)
+        self.first = self._along(path.path[0]["time"]) if path.path else _placed(path, frame, aspect, self.follower)
         self.first.axes()  # refuses what has no direction
 
     def at(self, frame: Frame) -> Camera:
@@ -81,8 +90,8 @@ class Tracker:
         eye, target = np.array(self.first.eye), np.array(self.first.target)
         if path.orbit:
             eye = target + rotated(eye - target, np.array(path.up), math.radians(path.orbit * frame.time))
-        if self._follower is not None:
-            shift = self._follower.at(frame) - self._follower.begin
+        if self.follower is not None:
+            shift = self.follower.at(frame) - self.follower.begin
             eye, target = eye + shift, target + shift
         return Camera(triple(eye), triple(target), self.first.up, self.first.fov)
 

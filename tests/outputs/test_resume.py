@@ -37,14 +37,14 @@ def test_a_resumed_video_has_the_same_bytes(tmp_path, name, codec):
     (tmp_path / "whole").mkdir()
     make(tmp_path / "whole", name, codec=codec)
     cut_off(tmp_path, name, codec=codec)
-    assert [p.name for p in tmp_path.iterdir() if p.is_file()] == [f".{name}.frames"]
+    assert {p.name for p in tmp_path.iterdir()} == {"whole", f".{name}.resume"}
     cut_off(tmp_path, name, at=21, codec=codec, resume=True)
     out = make(tmp_path, name, codec=codec, resume=True)
     assert out.frames == 30
     assert FakeRenderer.last.first == 0.0  # the camera is placed by the first frame
     assert FakeRenderer.last.skipped == list(range(21))
     assert FakeRenderer.last.drawn == list(range(21, 30))
-    assert [p.name for p in tmp_path.iterdir() if p.is_file()] == [name]
+    assert {p.name for p in tmp_path.iterdir()} == {"whole", name}
     if codec is None and name == "x.mp4":
         assert (tmp_path / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     mine, theirs = pictures(tmp_path / name), pictures(tmp_path / "whole" / name)
@@ -78,7 +78,7 @@ def test_a_killed_run_is_resumed(tmp_path):
 @pytest.mark.parametrize("cut", ["truncated", "damaged", "garbage"])
 def test_what_is_not_whole_is_drawn_again(tmp_path, cut):
     cut_off(tmp_path)
-    journal = tmp_path / ".x.mp4.frames"
+    journal = tmp_path / ".x.mp4.resume" / "pictures"
     data = journal.read_bytes()
     damaged = {"truncated": data[:-3], "damaged": data[:-3] + b"abc", "garbage": data + b"12345678901"}
     journal.write_bytes(damaged[cut])
@@ -88,7 +88,8 @@ def test_what_is_not_whole_is_drawn_again(tmp_path, cut):
 
 
 def test_a_journal_that_is_none_is_not_gone_on_with(tmp_path):
-    (tmp_path / ".x.mp4.frames").write_bytes(b"something else")
+    cut_off(tmp_path)
+    (tmp_path / ".x.mp4.resume" / "pictures").write_bytes(b"something else")
     make(tmp_path, "x.mp4", resume=True)
     assert FakeRenderer.last.skipped == []
     assert [p.name for p in tmp_path.iterdir()] == ["x.mp4"]
@@ -135,11 +136,15 @@ def test_without_resume_a_video_starts_anew(tmp_path):
 
 def test_other_options_are_refused(tmp_path):
     cut_off(tmp_path)
-    with pytest.raises(ValueError, match=r"x\.mp4: the frames kept of it are 60 a second, not 30"):
-        open_output(tmp_path / "x.mp4", fps=30, resume=True)
-    with pytest.raises(ValueError, match=r"x\.mp4: the frames kept of it are 64x48, not 32x24"):
-        make(tmp_path, "x.mp4", size=(32, 24), resume=True)
-    assert [p.name for p in tmp_path.iterdir()] == [".x.mp4.frames"]
+    for differs, options in (
+        (r"fps \(60.0 then, 30.0 now\)", {"fps": 30.0}),
+        (r"size \(\[64, 48\] then, \[32, 24\] now\)", {"size": (32, 24)}),
+        (r"codec \('libx264' then, 'libx265' now\)", {"codec": "h265"}),
+    ):
+        says = rf"x\.mp4: what is kept of it is of another run, which differs in {differs}.*; resume it as it was begun, or"
+        with pytest.raises(ValueError, match=says):
+            make(tmp_path, "x.mp4", resume=True, **options)
+    assert [p.name for p in tmp_path.iterdir()] == [".x.mp4.resume"]
     assert open_output(tmp_path / "x.mp4", resume=True)._kept == 13
 
 

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from taichi_sim import __version__
 from taichi_sim.analysis.methods import VERLET, named
 from taichi_sim.analysis.stability import stability
+from taichi_sim.scene.contents import contents_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings
 
@@ -118,23 +119,9 @@ def key_of(scene: Scene, plan: Plan) -> str:
     """A digest of the scene's content and of all of the plan that rows depend on; methods and precisions may be added later."""
     about: dict[str, Any] = {
         "version": __version__,
-        "dim": scene.dim,
-        "gravity": scene.gravity.tolist(),
-        "materials": [asdict(material) for material in scene.materials],
-        "groups": scene.groups.names,
-        "walls": [asdict(wall) for wall in scene.walls],
+        "scene": contents_of(scene),
         "settings": scene.settings,
-        "elements": scene.elements(),
         "plan": {"duration": plan.duration, "arch": plan.arch, "threads": plan.threads, "most": plan.most}
         | ({} if plan.quantity is None else {"quantity": plan.quantity}),
     }
-    digest = hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode())
-    for name, array in (scene.to_arrays() | scene.element_arrays()).items():
-        digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
-    for collider in scene.colliders:
-        for name, value in collider.given.items():
-            if name != "mesh":
-                digest.update(f"{name} {value!r}".encode())
-        if collider.is_meshed:
-            digest.update(np.ascontiguousarray(collider.vertices).tobytes())
-    return digest.hexdigest()
+    return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()

@@ -1,0 +1,96 @@
+"""Checkpoints of an export: when they are made, what they hold, and how a run goes on from one."""
+
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from importlib import import_module
+from typing import Any, Literal
+
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.device.engine import ENGINE, VERSION
+from taichi_sim.outputs.resumable import Resumable
+from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.scene.contents import contents_of, described
+
+EVERY, FIRST = 60.0, 120.0  # s of wall time: between two, and before the first
+SHARE = 0.02  # of the wall time, at most, that they take
+SAME_BITS = ("threads", "precision", "arch")  # settings that change nothing, or are known from the backend
+
+
+class Checkpoints:
+    """Makes them while a run goes on. interval [s] of wall time, "auto" for EVERY and FIRST, None for none.
+
+    number, seconds: how many were made, and what they took.
+    """
+
+    def __init__(self, output: Resumable, interval: float | Literal["auto"] | None) -> None:
+        self._output = output
+        self._interval, first = (EVERY, FIRST) if interval == "auto" else (interval, interval)
+        self._begin = time.perf_counter()
+        self._next = float("inf") if first is None else self._begin + first
+        self.number, self.seconds = 0, 0.0
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time for one."""
+        return time.perf_counter() >= self._next
+
+    def make(self, frame: int, simulation: Any, own: Mapping[str, Any]) -> bool:
+        """Keep all that goes on with `frame`, before which the simulation stands; own: plain values. Where the simulation cannot
+        be written to a file there is a warning, False, and none from then on."""
+        start = time.perf_counter()
+        held = self._output.hold()
+        try:
+            self._output.log.keep(frame, simulation.save, {**own, "output": held})
+        except ValueError as error:
+            warnings.warn(
+                f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew", stacklevel=3
+            )
+            self._next = float("inf")
+            return False
+        now = time.perf_counter()
+        self.number += 1
+        self.seconds += now - start
+        # so late that with one more, as long as the mean, they take no more than their share
+        cheap = self._begin + self.seconds * (1.0 + 1.0 / self.number) / SHARE
+        self._next = max(now + (self._interval or 0.0), cheap)
+        return True
+
+
+def run_of(simulation: Any, first: Frame, fps: float, size: tuple[int, int], style: Mapping[str, Any]) -> Any:
+    """What decides the frames of a run, as plain values by their names in groups; first: the frame that it begins with."""
+    settings = {one.name: getattr(simulation.settings, one.name) for one in fields(simulation.settings)}
+    settings = {name: value for name, value in settings.items() if name not in SAME_BITS}
+    backend, package = simulation.backend, import_module("taichi_sim")  # by name: it imports this
+    forces = {f"forces[{k}]": force for k, force in enumerate(simulation.parts.arguments[-1])}
+    return {
+        "version": {"taichi_sim": package.__version__, ENGINE: VERSION},
+        "scene": contents_of(simulation.scene),
+        "settings": described({"arch": backend.arch, "precision": backend.precision, **settings, **forces}),
+        "output": {"fps": fps},
+        "pictures": described({"size": list(size), **style}),
+        "start": described(
+            {"start.time": first.time, "start.position": first.position, "start.velocity": first.velocity}
+        ),
+    }
+
+
+@contextmanager
+def restored(simulation: Any, checkpoint: Checkpoint) -> Iterator[Any]:
+    """The simulation at a checkpoint. The one given is closed: it would take memory, and be of no use."""
+    kind, settings = type(simulation), simulation.settings
+    simulation.close()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they were said when the one given was made
+        again = kind.restore(checkpoint.state, arch=settings.arch, threads=settings.threads)
+    with again:
+        yield again
+
+
+def frames_from(first: int, simulation: Any, fps: float, duration: float) -> Iterator[Frame]:
+    """What `Simulation.frames` gives, from frame `first` on, of a simulation that is at the one before."""
+    for k in range(first, round(fps * duration)):
+        simulation.step(round(k / fps / simulation.dt) - round((k - 1) / fps / simulation.dt))
+        yield simulation.frame()

@@ -1,0 +1,67 @@
+"""Resumable: an output whose run can go on where it was cut off."""
+
+import errno
+from collections.abc import Iterable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from taichi_sim.outputs.base import Output
+from taichi_sim.outputs.run_log import Checkpoint, RunLog
+
+
+class Resumable(Output):
+    """What it needs for that waits in the folder of `log` until it is complete. `export` calls `begin`, and `hold` before each
+    checkpoint."""
+
+    resumable = True
+
+    def __init__(self, path: str | PathLike[str], *, resume: bool, within: bool = False) -> None:
+        self.path = Path(path)
+        self.log = RunLog(self.path, resume=resume, within=within)
+
+    def begin(self, about: Mapping[str, Mapping[str, Any]], count: int) -> Checkpoint | None:
+        """Be ready for `count` frames in all: the checkpoint to go on from, or None to begin at the first frame. about: of the
+        run, see RunLog.begin; what it says of pictures counts where there are some."""
+        parts = {group: values for group, values in about.items() if group != "pictures" or self.needs_image}
+        last = self.log.begin({**parts, "format": self.options()})
+        if last is None or last.frame > count or not self.has(last):
+            return None
+        self.go_on(last)
+        return last
+
+    def options(self) -> Mapping[str, Any]:
+        """Plain values that decide what its file looks like."""
+        return {}
+
+    def has(self, checkpoint: Checkpoint) -> bool:
+        """Whether all frames before a checkpoint are there, still."""
+        raise NotImplementedError
+
+    def go_on(self, checkpoint: Checkpoint) -> None:
+        """The next frame is that of a checkpoint."""
+        raise NotImplementedError
+
+    def hold(self) -> Mapping[str, Any]:
+        """Have all that was written on the disk. Plain values for `go_on`, under "output" of a checkpoint's own."""
+        raise NotImplementedError
+
+    def kept(self) -> int:
+        """Frames that another run need not draw again."""
+        return self.frames
+
+    def leave(self) -> None:
+        """Leave for another run what is worth it."""
+        there = self.log.resumes and self.log.folder.is_dir()
+        self.frames = self.kept() if there else 0
+        if not self.frames and self.log.checkpoint is None:
+            self.log.delete()
+        self.log.close()
+
+
+def require_there(files: Iterable[Path]) -> None:
+    """Raises OSError, which names the first, where some of the files that were written are there no more."""
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        more = f", as were {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise FileNotFoundError(errno.ENOENT, f"was removed before the run ended{more}", str(missing[0]))

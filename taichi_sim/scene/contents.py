@@ -1,0 +1,51 @@
+"""Contents: all that a scene is, part by part, as plain values by which two scenes can be compared."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from os import PathLike, fspath
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["contents_of", "described"]
+
+
+def contents_of(scene: Scene) -> dict[str, Any]:
+    """Values by the names of the parts that they are of, `balls.mass`, `walls[0]`. How it is shown is no part of it."""
+    parts: dict[str, Any] = {"dim": scene.dim, "gravity": scene.gravity.tolist(), "groups": scene.groups.names}
+    parts["materials"] = [one.name for one in scene.materials]
+    parts |= {f"materials.{one.name}": asdict(one) for one in scene.materials}
+    parts |= {f"walls[{k}]": asdict(wall) for k, wall in enumerate(scene.walls)}
+    for k, collider in enumerate(scene.colliders):
+        given = {name: value for name, value in collider.given.items() if name != "mesh"}
+        parts[f"colliders[{k}]"] = given | ({"mesh": collider.vertices} if collider.is_meshed else {})
+    parts |= scene.elements() | scene.to_arrays() | scene.element_arrays()
+    return {name: described(value) for name, value in parts.items()}
+
+
+def described(value: Any) -> Any:
+    """Plain values as they are, an array by its shape and SHA-256, an object by its class and those of its attributes that are
+    any of these."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        array = np.ascontiguousarray(value)
+        return f"{array.dtype} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}"
+    if isinstance(value, PathLike):
+        return fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): described(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [described(one) for one in value]
+    if isinstance(value, type) or not hasattr(value, "__dict__"):
+        return getattr(value, "__qualname__", type(value).__qualname__)
+    plain = {name: one for name, one in vars(value).items() if isinstance(one, _PLAIN)}
+    return {"class": type(value).__qualname__, **described(plain)}
+
+
+_PLAIN = (bool, int, float, str, np.generic, np.ndarray, PathLike, type(None))
