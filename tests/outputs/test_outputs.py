@@ -58,6 +58,9 @@ class FakeSimulation:
     def error(self) -> None:
         """Nothing controls it."""
 
+    def decisions(self) -> list[str]:
+        return []
+
     def solver(self) -> None:
         """Nothing to solve."""
 
