@@ -297,7 +297,8 @@ class _Job:
     """A scene, how to simulate it and how to show it: command line over scene file over defaults."""
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
-        from taichi_sim.files.source import checked_output, open_scene, resolve
+        from taichi_sim.files.source import open_scene, resolve
+        from taichi_sim.outputs.quick import output_options
 
         asked = {key: positive(f"--{key}", options[key]) for key in ("fps", "duration")}
         asked["size"] = pixels(options.get("size"))  # type: ignore[assignment]
@@ -306,11 +307,7 @@ class _Job:
         self.scene = open_scene(self.file)
         self.made = self._made() if self.scene is None else None
         shown: Any = self.scene if self.made is None else self.made.scene
-        of_scene = checked_output(shown)
-        chosen = {"fps": 60.0, "duration": 5.0, "size": (1280, 720)} | of_scene
-        chosen |= {key: value for key, value in asked.items() if value is not None}
-        style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}
-        self.output: dict[str, Any] = chosen | {"style": style}
+        self.output = output_options(shown, asked)
 
     def simulation(self, forces: Sequence[Any] = ()) -> Any:
         """The Simulation, with the command line's options over the scene's own; one that a file makes takes no forces."""

@@ -17,6 +17,7 @@ from taichi_sim.scene.columns import Table
 from taichi_sim.scene.elements import Elements
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface, surfaces_from, surfaces_to
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
+from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.scene.toml_writer import save_scene
 
 __all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
@@ -369,6 +370,13 @@ class Scene(Elements):
     def _tables(self) -> dict[str, Table]:
         tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
         return tables | {"cells": self._cells, "bends": self._bends}
+
+    def __repr__(self) -> str:
+        return f"<{in_words(self)}>"
+
+    def _repr_html_(self) -> str:
+        gravity = {"gravity": f"({', '.join(f'{a:g}' for a in self.gravity)}) m/s^2"} if self.gravity.any() else {}
+        return as_html(f"Scene in {self.dim}D", parts_of(self) | gravity)
 
     # Checks --------------------------------------------------------------------------------------------------------
 

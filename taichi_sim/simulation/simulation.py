@@ -5,6 +5,8 @@ import warnings
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib import import_module
+from io import BytesIO
 from os import PathLike
 from typing import Any
 
@@ -32,6 +34,7 @@ from taichi_sim.integrators.base import SolverStatistics
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
+from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import Assembly, compensates
 from taichi_sim.simulation.settings import Settings
@@ -384,6 +387,34 @@ class Simulation(Reader):
         if not self._closed:
             self.parts.free()
             self._closed = True
+
+    def _about(self) -> dict[str, Any]:
+        """What runs, in words by their names."""
+        step = f"{self.dt:g} s" + (f" in {self.substeps} substeps" if self.substeps > 1 else "")
+        contacts = self.parts.contacts
+        rule = f"{contacts.name}, {contacts.iterations} iterations" if contacts.active else "off"
+        return {
+            "time": f"{self.time:.6g} s",
+            "integrator": self.settings.integrator.method.name,
+            "step": step
+            if self.settings.tolerance is None
+            else f"by a tolerance of {self.settings.tolerance:g} a second",
+            "contacts": rule,
+            "device": str(self.backend),
+        }
+
+    def __repr__(self) -> str:
+        if self._closed:
+            return f"<Simulation, closed, of a {in_words(self.scene)}>"
+        return f"<Simulation of a {in_words(self.scene)}; {', '.join(f'{k} {v}' for k, v in self._about().items())}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: a picture of the present moment, and what runs."""
+        if self._closed:
+            return as_html("Simulation, closed", parts_of(self.scene))
+        seen = BytesIO()
+        import_module("taichi_sim").picture(self).save(seen, "png")  # by name: it is an outer room's
+        return as_html("Simulation", self._about() | parts_of(self.scene), seen.getvalue())
 
     def __enter__(self) -> "Simulation":
         return self
