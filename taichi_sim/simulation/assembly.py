@@ -41,7 +41,7 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.drivers import Drivers
-from taichi_sim.simulation.moments import Moments
+from taichi_sim.simulation.moments import KEPT, Moments
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateProbe
 from taichi_sim.simulation.step_doubling import SecondSolution
@@ -392,7 +392,9 @@ class Assembly:
         larger = Assembly(*self.arguments, capacity=capacity)
         larger.set_step(self.h)
         larger.resume(snapshot)
-        larger.moments.write(stored, h)
+        if h[KEPT] > 0.0:  # else nothing was stored yet
+            larger.moments.write(stored, h)
+        larger.moments.h = h
         return larger
 
     @property
