@@ -38,9 +38,8 @@ class Content:
     embedded_surfaces: tuple[EmbeddedSurface, ...]
 
     @classmethod
-    def of(cls, frame: Frame, size: float, subdivide: int = 0, first: NDArray[np.float64] | None = None) -> "Content":
-        """size: of the scene in metres, for rods between balls without a radius. subdivide: surfaces so many times. first: the
-        positions that rods have their thickness from, if not those of the frame."""
+    def of(cls, frame: Frame, size: float, subdivide: int = 0) -> "Content":
+        """size: of the scene in metres, for rods between balls without a radius. subdivide: surfaces so many times."""
         n = len(frame.position)
         covered = np.zeros(n, dtype=bool)
         for one in frame.embedded_surfaces:
@@ -60,7 +59,7 @@ class Content:
             colour=np.concatenate([colour, binding.colours(colour)]),
             rods=rods,
             rod_ends=ends,
-            rod_radius=_rod_radius(frame.radius, first if first is not None and len(first) == n else frame.position, ends, stick, size),
+            rod_radius=_rod_radius(frame, ends, stick, size),
             rod_stick=stick,
             bodies=Bodies.of(frame) if frame.dim == 3 else None,
             colliders=_colliders(frame),
@@ -84,13 +83,11 @@ def _source(frame: Frame) -> tuple[NDArray, ...]:
     return frame.radius, frame.springs, frame.sticks, frame.triangles, frame.colour, frame.pinned
 
 
-def _rod_radius(
-    radius: NDArray, position: NDArray, ends: NDArray, stick: NDArray, size: float
-) -> NDArray[np.float64]:
+def _rod_radius(frame: Frame, ends: NDArray, stick: NDArray, size: float) -> NDArray[np.float64]:
     """A share of the thinner ball, a share of the scene where that is nothing, never more than a part of its length."""
     if len(ends) == 0:
         return np.zeros(0)
-    thin = np.minimum(radius[ends[:, 0]], radius[ends[:, 1]])
-    length = np.linalg.norm(position[ends[:, 0]] - position[ends[:, 1]], axis=1)
+    thin = np.minimum(frame.radius[ends[:, 0]], frame.radius[ends[:, 1]])
+    length = np.linalg.norm(frame.position[ends[:, 0]] - frame.position[ends[:, 1]], axis=1)
     thin = np.where(thin > 0, thin, 0.006 * size)
     return np.minimum(np.where(stick, 0.55, 0.28) * thin, np.where(length > 0, 0.2 * length, np.inf))

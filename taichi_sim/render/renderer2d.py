@@ -66,7 +66,6 @@ class Renderer2D:
         self._wall_colour = wall
         self._look = paint2d.Look(np.stack([self._top, bottom, wall, hatch, edge]).tolist())
         self._content: Any = None
-        self._first = frame.position  # rods keep their thickness, whichever of them tear
         self.buffers: Any = None
         self._capacity = (-1, -1, -1)
         self._out = np.zeros(size[0] * size[1], dtype=np.int32)
@@ -136,7 +135,7 @@ class Renderer2D:
         fixed = (len(frame.walls) if frame.walls.size else 0, len(frame.colliders))
         if self._content is not None and self._content.matches(frame) and fixed == self._capacity[1:]:
             return
-        content = Content.of(frame, self._extent, self._subdivide, self._first)
+        content = Content.of(frame, self._extent, self._subdivide)
         self._content = content
         self._discs = np.flatnonzero(content.radius > 0)
         self._rods = np.argsort(content.rod_stick, kind="stable")  # springs below sticks

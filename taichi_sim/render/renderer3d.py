@@ -54,7 +54,6 @@ class Renderer3D:
         self._lamp, self._fill = _lamp(self.camera), _fill(self.camera)  # they stay when the camera moves
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Any = None
-        self._first = frame.position  # rods keep their thickness, whichever of them tear
         self.buffers: Any = None
         self._canvas: Any = None
         self._prepare(frame)
@@ -139,7 +138,7 @@ class Renderer3D:
         """Take over what changed beyond positions; allocate again where a frame has more of anything."""
         if self._content is not None and self._content.matches(frame):
             return
-        content = Content.of(frame, self._unit, self._subdivide, self._first)
+        content = Content.of(frame, self._unit, self._subdivide)
         self._content = content
         if self.buffers is None or not self.buffers.holds(content):
             if self.buffers is not None:
