@@ -1,4 +1,4 @@
-"""Files that appear under their final name only when they are complete, and arrays from those that are there."""
+"""Files that appear under their final name only when they are complete."""
 
 import glob
 import os
@@ -7,12 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-import numpy as np
-from numpy.typing import NDArray
-
-from taichi_sim.common.errors import SceneError
-
-__all__ = ["PartFile", "arrays_in", "replacing"]
+__all__ = ["PartFile", "replacing"]
 
 
 class PartFile:
@@ -61,17 +56,3 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         part.finish()
     finally:
         part.discard()
-
-
-def arrays_in(path: Path, prefix: str) -> dict[str, NDArray]:
-    """The arrays of an .npz whose names begin with `prefix`, without it."""
-    if not path.is_file():
-        raise SceneError("table.file", path, says="is not there; it must be an existing .npz file")
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            found = {key[len(prefix) :]: data[key] for key in data.files if key.startswith(prefix)}
-    except Exception as error:  # a damaged archive raises whatever its parts raise
-        raise SceneError("table.file", path, says=f"cannot be read as .npz arrays: {error}") from None
-    if not found:
-        raise SceneError("table.file", path, says=f"holds no array whose name begins with {prefix!r}")
-    return found

@@ -135,8 +135,9 @@ def given_surface(shape: str, mesh: Any) -> meshes.Surface:
     return surface
 
 
-def affordable(where: str, value: Any, balls: int, springs: int, cells: int = 0, bends: int = 0) -> None:
+def affordable(where: str, value: Any, balls: float, springs: float, cells: float = 0.0, bends: float = 0.0) -> None:
     """Raise SceneError where building and running a shape of so many parts needs more memory than there is."""
+    balls, springs = float(balls), float(springs)
     need = balls * BALL_BYTES + springs * SPRING_BYTES + cells * CELL_BYTES + bends * BEND_BYTES
     free = available()
     if need > free:
