@@ -13,7 +13,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.scene.colliders import Collider, build
 from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
-from taichi_sim.scene.columns import Table
+from taichi_sim.scene.columns import Names, Table
 from taichi_sim.scene.elements import Elements
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface, surfaces_from, surfaces_to
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
@@ -49,6 +49,7 @@ class Scene(Elements):
         dim = self.dim
         self.gravity = np.zeros(dim) if gravity is None else validation.vector("gravity", gravity, self.dim)
         self.materials: list[Material] = [Material("default")]
+        self._material_names = Names()
         self.walls: list[Wall] = []
         self.colliders: list[Collider] = []
         self.embedded_surfaces: list[EmbeddedSurface] = []
@@ -126,7 +127,7 @@ class Scene(Elements):
         """Add a material and return its name. restitution 0..1, friction >= 0 (Coulomb), viscous_friction >= 0 [1/s]."""
         if not isinstance(name, str) or not name:
             raise SceneError("materials.name", name, "a text")
-        if any(m.name == name for m in self.materials[1:]):
+        if name != "default" and self._material_names.number(self.materials, name) is not None:
             raise SceneError("materials.name", name, says="exists already")
         new = Material(
             name,
@@ -460,9 +461,11 @@ class Scene(Elements):
     # Checks --------------------------------------------------------------------------------------------------------
 
     def _material(self, where: str, name: str) -> int:
-        for index, material in enumerate(self.materials):
-            if material.name == name:
-                return index
+        index = self._material_names.number(self.materials, name) if isinstance(name, str) else None
+        if index is None:
+            index = next((k for k, material in enumerate(self.materials) if material.name == name), None)
+        if index is not None:
+            return index
         known = ", ".join(repr(m.name) for m in self.materials)
         raise SceneError(where, name, says=f"is not a material of this scene; there are {known}")
 
