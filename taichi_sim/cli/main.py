@@ -68,7 +68,7 @@ def _options(version: Annotated[bool, _flag("version", "Show it.")] = False) -> 
 # Commands ----------------------------------------------------------------------------------------------------------
 
 
-@_command("size", *SIMULATION, "fps", "duration", "threads")
+@_command("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
 def run(
     scene: SceneName,
     out: Annotated[
@@ -123,7 +123,7 @@ def run(
         typer.echo("\n".join([*summary.lines(), *([f"written      {target.pattern or out}"] if target else [])]))
 
 
-@_command("size", *SIMULATION, "fps", "duration", "threads")
+@_command("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
 def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
     from taichi_sim.viewer.window import require_display, show
@@ -135,7 +135,7 @@ def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     show(job.simulation, **output, until=options["duration"], say=_quiet if quiet else typer.echo)
 
 
-@_command(*SIMULATION, "fps", "duration", "threads")
+@_command(*SIMULATION, "fps", "duration", "threads", "allow_outside")
 def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Say which time step is safe for SCENE, and what limits it, before anything runs."""
     from taichi_sim.reports import check as stability_report
@@ -144,7 +144,7 @@ def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
         typer.echo("\n".join(stability_report.lines(sim)))
 
 
-@_command("quantity", "arch", "threads")
+@_command("quantity", "arch", "threads", "allow_outside")
 def report(
     context: typer.Context,
     scene: Annotated[str | None, _scene("[SCENE]")] = None,
@@ -191,7 +191,7 @@ def report(
     make(made, plan, folder, meshes=meshes, overwrite=overwrite, progress=not quiet, say=say)
 
 
-@_command("quantity", "arch", "threads")
+@_command("quantity", "arch", "threads", "allow_outside")
 def tune(
     scene: SceneName,
     tolerance: Annotated[str, typer.Option(help="The error that you accept, relative to the motion.")] = "1e-2",
@@ -304,7 +304,7 @@ class _Job:
         asked["size"] = pixels(options.get("size"))  # type: ignore[assignment]
         self.options = {**options, "dt": step(options["dt"])}
         self.file = resolve(name)
-        self.scene = open_scene(self.file)
+        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]))
         self.made = self._made() if self.scene is None else None
         shown: Any = self.scene if self.made is None else self.made.scene
         self.output = output_options(shown, asked)

@@ -1,7 +1,7 @@
 """What a scene can have besides balls, springs and walls: cells that keep their volume, bending, gas, wind, moving pins."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Table
 from taichi_sim.scene.keyframes import Motion, keyframe
@@ -70,6 +71,7 @@ class Elements(Probed):
         self.wind: Wind | None = None
         self.gases: list[Gas] = []
         self.moving_pins: list[MovingPins] = []
+        self._driven_of = 0, np.zeros(0, dtype=bool)  # the first so many of them drive these balls
         self._begin_probes()
 
     cells = property(lambda self: self._cells["corners"], doc="(c, dim + 1) balls of each cell")
@@ -250,8 +252,7 @@ class Elements(Probed):
         index = validation.indices(f"{where}.balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
         if not len(index):
             raise SceneError(f"{where}.balls", says="is empty; name at least one ball")
-        taken = np.concatenate([np.zeros(0, dtype=np.int32), *(pins.balls for pins in self.moving_pins)])
-        both = index[np.isin(index, taken)]
+        both = index[self._driven()[index]]
         if len(both) or len(np.unique(index)) < len(index):
             k = int(both[0]) if len(both) else int(np.sort(index)[:-1][np.diff(np.sort(index)) == 0][0])
             says = f"ball {k} is named twice; a ball can be led along one path only"
@@ -276,6 +277,18 @@ class Elements(Probed):
         self.pinned[index] = True
         self.velocity[index] = 0.0
         self.moving_pins.append(MovingPins(index, motion, {k: v for k, v in given.items() if v is not None}))
+
+    def _driven(self: Any) -> NDArray[np.bool_]:
+        """Which balls (n,) moving pins drive. It grows with them, so that many are added in as many steps."""
+        of, driven = self._driven_of
+        if of > len(self.moving_pins):  # some were taken back
+            of, driven = 0, driven[:0]
+        if len(driven) < self.n_balls:
+            driven = np.concatenate([driven, np.zeros(self.n_balls - len(driven), dtype=bool)])
+        for pins in self.moving_pins[of:]:
+            driven[pins.balls] = True
+        self._driven_of = len(self.moving_pins), driven
+        return driven
 
     def _displacements(self: Any, where: str, path: Sequence[Any]) -> list[dict[str, Any]]:
         """The keyframes of a path as tables of plain values."""
@@ -341,18 +354,35 @@ class Elements(Probed):
             f"probes.{one.name}.{key}": array for one in self.probes for key, array in one.arrays().items()
         }
 
-    def set_elements(self, about: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> None:
-        """Add what `elements` and `element_arrays` gave."""
-        if about["wind"] is not None:
-            self.wind = Wind(**{**about["wind"], "velocity": tuple(about["wind"]["velocity"])})
-        for k, gas in enumerate(about["gases"]):
-            self.gases.append(Gas(arrays[f"gases.{k}.triangles"].astype(np.int32), **gas))
-        for k, given in enumerate(about["moving_pins"]):
-            self.add_moving_pins(arrays[f"moving_pins.{k}.balls"], **given)
-        for given in about.get("probes", []):  # older versions had none
-            start = f"probes.{given['name']}."
-            own: dict[str, Any] = {k.removeprefix(start): array for k, array in arrays.items() if k.startswith(start)}
-            self.add_probe(**given, **own)
+    def set_elements(self: Any, about: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> None:
+        """Add what `elements` and `element_arrays` gave, judged as what is added by hand is. Raises SceneError that names what is
+        wrong, an array by its name among the arrays."""
+        gases, pins = (validation.tables(about, name) for name in ("gases", "moving_pins"))
+        probes = validation.tables(about, "probes") if "probes" in about else []  # older versions had none
+        with self.all_or_nothing():
+            if about.get("wind") is not None:
+                (wind,) = validation.tables({"wind": [about["wind"]]}, "wind")
+                validation.call("wind", self.add_wind, wind)
+            for k, table in enumerate(gases):
+                gas = dict(table)
+                volume = validation.number(f"gases[{k}].volume", gas.pop("volume", None), positive=True)
+                with place_of(f"gases[{k}]"):
+                    validation.call("gases", self.add_gas, gas | {"triangles": _array(arrays, f"gases.{k}.triangles")})
+                self.gases[-1] = replace(self.gases[-1], volume=volume)
+            for k, table in enumerate(pins):
+                balls = {"balls": _array(arrays, f"moving_pins.{k}.balls")}
+                validation.call(f"moving_pins[{k}]", self.add_moving_pins, table | balls)
+            for k, table in enumerate(probes):
+                start = f"probes.{table.get('name')}."
+                own = {key.removeprefix(start): array for key, array in arrays.items() if key.startswith(start)}
+                with place_of(f"probes[{k}]"):
+                    validation.call("probes", self.add_probe, {**table, **own})
+
+
+def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:
+    if name not in arrays:
+        raise SceneError(name, says="is missing")
+    return arrays[name]
 
 
 def cell_volumes(x: NDArray, corners: NDArray) -> NDArray[np.float64]:

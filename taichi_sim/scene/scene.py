@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from os import PathLike
 from typing import Any
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, about
 from taichi_sim.scene.colliders import Collider, build
 from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
-from taichi_sim.scene.columns import Table
+from taichi_sim.scene.columns import Names, Table
 from taichi_sim.scene.elements import Elements
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface, surfaces_from, surfaces_to
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
@@ -23,6 +23,9 @@ from taichi_sim.scene.toml_writer import save_scene
 __all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
 
 
+INT32 = -(2**31), 2**31 - 1
+MOST_BODY = INT32[1]
+UNIT = 1e-12  # how far a normal may be from length 1
 NEWER = {
     "break_strain": np.inf,
     "collides": False,
@@ -47,6 +50,7 @@ class Scene(Elements):
         dim = self.dim
         self.gravity = np.zeros(dim) if gravity is None else validation.vector("gravity", gravity, self.dim)
         self.materials: list[Material] = [Material("default")]
+        self._material_names = Names()
         self.walls: list[Wall] = []
         self.colliders: list[Collider] = []
         self.embedded_surfaces: list[EmbeddedSurface] = []
@@ -124,7 +128,7 @@ class Scene(Elements):
         """Add a material and return its name. restitution 0..1, friction >= 0 (Coulomb), viscous_friction >= 0 [1/s]."""
         if not isinstance(name, str) or not name:
             raise SceneError("materials.name", name, "a text")
-        if any(m.name == name for m in self.materials[1:]):
+        if name != "default" and self._material_names.number(self.materials, name) is not None:
             raise SceneError("materials.name", name, says="exists already")
         new = Material(
             name,
@@ -169,7 +173,7 @@ class Scene(Elements):
         """
         x = validation.vectors("balls.position", validation.many(position, 1), None, self.dim)
         n = len(x)
-        body = validation.whole("balls.body", body, 0, 2**31 - 1)
+        body = validation.whole("balls.body", body, 0, MOST_BODY)
         held = self._pins(pinned, n)
         rest = isinstance(velocity, (int, float)) and velocity == 0
         v = np.zeros_like(x) if rest else validation.vectors("balls.velocity", velocity, n, self.dim)
@@ -188,6 +192,7 @@ class Scene(Elements):
             columns[name] = np.full(n, bits, dtype=np.int32)
         first = self.n_balls
         self._balls.append(n, **columns)
+        self._bodies = max(self._bodies, body)
         return np.arange(first, first + n, dtype=np.int32)
 
     def add_springs(
@@ -310,7 +315,7 @@ class Scene(Elements):
 
     def new_body(self) -> int:
         """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
-        self._bodies = max(self._bodies, int(self.body.max(initial=0))) + 1
+        self._bodies = validation.whole("balls.body", self._bodies + 1, 0, MOST_BODY)
         return self._bodies
 
     def set_group(
@@ -357,15 +362,98 @@ class Scene(Elements):
         return columns | surfaces_to(self.embedded_surfaces)
 
     def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
-        """Add what `to_arrays` gave, without checks."""
-        for name, table in self._tables().items():
-            columns = {key: arrays[f"{name}.{key}"] for key in table.names if f"{name}.{key}" in arrays}
-            if columns:  # an older version had fewer tables and columns
-                rows = len(next(iter(columns.values())))
-                table.append(
-                    rows, **{key: np.full(rows, new) for key, new in NEWER.items() if key in table.names} | columns
-                )
-        self.embedded_surfaces += surfaces_from(arrays)
+        """Add what `to_arrays` gave, judged as what is added by hand is; other names among the arrays do not matter.
+
+        Materials and groups are there already. Raises SceneError that names the array and what is allowed.
+        """
+        add: dict[str, Any] = {"balls": self._add_columns, "springs": self.add_springs, "triangles": self.add_triangles}
+        add.update(cells=self.add_cells, bends=self.add_bending)
+        with self.all_or_nothing():
+            for name, table in self._tables().items():
+                columns = self._columns(name, table.names, arrays)
+                if columns is not None:
+                    with about(name):
+                        add[name](**columns)
+            for surface in surfaces_from(arrays):
+                self.add_embedded_surface(**surface)
+
+    @staticmethod
+    def _columns(name: str, keys: Sequence[str], arrays: Mapping[str, NDArray]) -> dict[str, NDArray] | None:
+        """The columns of a table among arrays, all of one length; None where there is none: an older version had fewer."""
+        given = {key: arrays[f"{name}.{key}"] for key in keys if f"{name}.{key}" in arrays}
+        if not given:
+            return None
+        first, rows = next(iter(given)), np.shape(next(iter(given.values())))[:1]
+        for key in keys:
+            if key in given and np.shape(given[key])[:1] != rows:
+                says = f"shape {np.shape(given[key])} does not fit; it must have as many rows as {name}.{first}, {rows}"
+                raise SceneError(f"{name}.{key}", says=says)
+            if key not in given and key not in NEWER:
+                raise SceneError(f"{name}.{key}", says=f"is missing; {name}.{first} is there")
+        return {key: np.full(rows, new) for key, new in NEWER.items() if key in keys} | given
+
+    def _add_columns(self, **given: NDArray) -> None:
+        """Add balls from all their columns."""
+        n = len(given["position"])
+        columns: dict[str, NDArray] = {
+            "position": validation.vectors("balls.position", given["position"], None, self.dim),
+            "velocity": validation.vectors("balls.velocity", given["velocity"], n, self.dim),
+            "mass": validation.per_item("balls.mass", given["mass"], n, positive=True),
+            "radius": validation.per_item("balls.radius", given["radius"], n, positive=True),
+            "pinned": validation.flags("balls.pinned", given["pinned"], n),
+            "material": validation.indices("balls.material", given["material"], len(self.materials), what="material"),
+            "body": validation.indices("balls.body", given["body"], MOST_BODY + 1, what="body"),
+            "group": validation.bits("balls.group", given["group"]),
+            "mask": validation.bits("balls.mask", given["mask"]),
+            "colour": validation.colours("balls.colour", given["colour"]),
+        }
+        validation.require(
+            "balls.velocity",
+            columns["velocity"],
+            ~columns["pinned"][:, None] | (columns["velocity"] == 0),
+            "0, it is pinned",
+        )
+        self.groups.check_bits("balls", columns["group"], columns["mask"])
+        self._balls.append(n, **columns)
+        self._bodies = max(self._bodies, int(columns["body"].max(initial=0)))
+
+    def plain(self) -> dict[str, Any]:
+        """Materials, groups and walls as plain values, for files."""
+        return {
+            "materials": [asdict(material) for material in self.materials],
+            "groups": list(self.groups.names),
+            "walls": [asdict(wall) for wall in self.walls],
+        }
+
+    def set_plain(self, given: Mapping[str, Any]) -> None:
+        """Take materials, groups and walls as `plain` gave them in place of those there are. Raises SceneError that names what
+        is wrong, and what is allowed."""
+        materials, walls = (validation.tables(given, name) for name in ("materials", "walls"))
+        names = given.get("groups")
+        if not isinstance(names, (list, tuple)) or not names or len(set(map(str, names))) < len(names):
+            raise SceneError("groups", names, "a list of different names")
+        self.groups = Groups(())
+        self.groups.bits("groups", names)
+        self.materials[:] = self.materials[:1]
+        self.walls.clear()
+        for k, table in enumerate(materials):
+            with about(f"materials[{k}]"):
+                validation.call(f"materials[{k}]", self.add_material, table)
+        if len(self.materials) != len(materials):
+            raise SceneError("materials", says=f"are {len(materials)}; the first must be 'default', and no other")
+        for k, table in enumerate(walls):
+            with about(f"walls[{k}]"):
+                validation.call(f"walls[{k}]", self._add_bits, table)
+
+    def _add_bits(self, normal: Any, offset: Any, material: Any, group: Any, mask: Any) -> None:
+        """Add a wall as `Wall` says it."""
+        n = validation.direction("walls.normal", normal, self.dim)
+        if abs(float(np.linalg.norm(n)) - 1.0) > UNIT:
+            raise SceneError("walls.normal", normal, "a vector of length 1")
+        number = validation.whole("walls.material", material, 0, len(self.materials) - 1)
+        bits = [validation.whole(f"walls.{key}", one, *INT32) for key, one in (("group", group), ("mask", mask))]
+        self.groups.check_bits("walls", *bits)
+        self.walls.append(Wall(tuple(n.tolist()), validation.number("walls.offset", offset), number, *bits))
 
     def _tables(self) -> dict[str, Table]:
         tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
@@ -381,9 +469,11 @@ class Scene(Elements):
     # Checks --------------------------------------------------------------------------------------------------------
 
     def _material(self, where: str, name: str) -> int:
-        for index, material in enumerate(self.materials):
-            if material.name == name:
-                return index
+        index = self._material_names.number(self.materials, name) if isinstance(name, str) else None
+        if index is None:
+            index = next((k for k, material in enumerate(self.materials) if material.name == name), None)
+        if index is not None:
+            return index
         known = ", ".join(repr(m.name) for m in self.materials)
         raise SceneError(where, name, says=f"is not a material of this scene; there are {known}")
 
