@@ -239,7 +239,7 @@ REFUSED = [
     (("run", "ball.toml", "--duration", "inf"), "--duration: inf is not allowed"),
     (("run", "ball.toml", "--size", "big"), "--size: 'big' is not allowed; it must be like 1280x720"),
     (("run", "ball.toml", "--size", "0x10"), "--size: '0x10' is not allowed; each side must be from 16 to 8192"),
-    (("run", "ball.toml", "--resume"), "--overwrite, --resume, --codec and --transparent need --out"),
+    (("run", "ball.toml", "--resume"), "--overwrite, --resume, --checkpoint, --codec and --transparent need --out"),
     (
         ("run", "ball.toml", "-o", "x.mp4", "--transparent"),
         "transparent: x.mp4 holds no transparency; write PNG frames",
