@@ -24,7 +24,7 @@ def check_colliders(scene: Scene, h: float) -> None:
 
 
 def _refuse_leaps(scene: Scene, h: float) -> None:
-    """Every triangle would then be near every other on the way of a step: lists of all pairs, and nothing that they could mend."""
+    """On the way of a step every triangle would be near every other: lists of all pairs, and nothing that they could mend."""
     surfaces = scene.triangles[scene.solid]
     if not len(surfaces):
         return

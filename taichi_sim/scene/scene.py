@@ -353,7 +353,7 @@ class Scene(Elements):
 
     @contextmanager
     def in_file(self, given: Collection[str] = ()) -> Iterator[None]:
-        """Let an error in the block name its line in the scene file, where the scene came from one. given: settings that did not."""
+        """Let an error in the block name its line in the scene's file, if it came from one. given: settings that did not."""
         try:
             yield
         except SceneError as error:
