@@ -1,6 +1,6 @@
 """Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from os import PathLike
@@ -331,7 +331,8 @@ class Scene(Elements):
         masks = [("balls", bits) for bits in bits_of(self.mask)]
         masks += [(f"walls[{k}]", wall.mask) for k, wall in enumerate(self.walls)]
         masks += [(f"colliders[{k}]", collider.mask) for k, collider in enumerate(self.colliders)]
-        self.groups.check(groups, masks)
+        with self.in_file():
+            self.groups.check(groups, masks)
         return any(bits != EVERY for _, bits in masks)
 
     @contextmanager
@@ -349,6 +350,22 @@ class Scene(Elements):
             for one, length in zip(lists, lengths):
                 del one[length:]
             self._bodies = bodies
+            raise
+
+    @contextmanager
+    def in_file(self, given: Collection[str] = ()) -> Iterator[None]:
+        """Let an error in the block name its line in the scene's file, if it came from one. given: settings that did not."""
+        try:
+            yield
+        except SceneError as error:
+            name = error.path[0] if error.path else None
+            if self.locate is None or error.file is not None or name in given:
+                raise
+            if name in self.settings:
+                error.path = ("simulation", *error.path)
+            self.locate(error)
+            if error.line is None:  # it was added later
+                error.file = None
             raise
 
     def save(self, path: str | PathLike[str]) -> None:

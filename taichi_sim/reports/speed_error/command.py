@@ -49,7 +49,9 @@ def read(
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
     checked_output(scene)
     process = {"arch": arch, "threads": threads}
-    Settings.resolve(scene, {key: value for key, value in process.items() if value is not None})
+    given = {key: value for key, value in process.items() if value is not None}
+    with scene.in_file(given):
+        Settings.resolve(scene, given)
     title = next((name for name, made in demos().items() if made == file), file.stem)
     most = longest_duration(scene)
     if duration is not None and duration > most * (1.0 + 1e-5):
