@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
+from taichi_sim.scene.objects import SceneObject
 
 __all__ = ["Contacts", "Frame", "Placed"]
 
@@ -81,6 +82,7 @@ class Frame:
     walls: Floats = field(default_factory=lambda: _empty(0, 0))  # (w, dim + 1): unit normal, offset; solid below it
     colliders: tuple[Placed, ...] = ()  # where they are at `time`
     embedded_surfaces: tuple[EmbeddedSurface, ...] = ()  # surfaces drawn in place of balls
+    objects: tuple[SceneObject, ...] = ()  # which balls are one thing, and its name; see `scene.objects.named`
     gravity: Floats = field(default_factory=lambda: _empty(0))  # (dim,) m/s^2; (0,): not known
     energy: tuple[float, float, float, float] | None = None  # J: kinetic, spring, gravity, total
     contacts: Contacts | None = None  # what `Simulation.contacts` said; only exports ask

@@ -17,7 +17,7 @@ class Moment(Frame):
     __slots__ = ("_energy", "_scene", "_spin", "_strain", "_torn")
 
     def __init__(self, scene: Scene, spin: NDArray, torn: NDArray | None, **given: Any) -> None:
-        super().__init__(**given)
+        super().__init__(objects=tuple(scene.objects), **given)
         self._scene, self._spin, self._torn = scene, spin, torn
         self._energy: Any = None  # not asked for yet
         self._strain: Any = None

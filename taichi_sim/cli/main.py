@@ -14,6 +14,10 @@ from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
 
 FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3
+NAMES = (
+    "x.mp4, x.webm or x.gif; folder/ for PNG frames; x.npz arrays; x.usdc or x.usda for Blender and others; x.pvd for ParaView;"
+    " x.gsd for OVITO; x.csv energies and probes; x.ply or x.obj meshes"
+)
 
 main = typer.Typer(
     help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
@@ -72,8 +76,8 @@ def _options(version: Annotated[bool, _flag("version", "Show it.")] = False) -> 
 def run(
     scene: SceneName,
     out: Annotated[
-        str | None,
-        typer.Option("--out", "-o", help="x.mp4, x.webm, x.gif, x.npz, x.ply, x.obj or folder/ for PNG frames."),
+        list[str] | None,
+        typer.Option("--out", "-o", metavar="NAME", help=f"{NAMES}. May be given several times."),
     ] = None,
     overwrite: Annotated[bool, _flag("overwrite", "Replace the frames in a folder that is not empty.")] = False,
     resume: Annotated[
@@ -95,32 +99,33 @@ def run(
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
-    """Simulate SCENE and write a video, pictures or arrays; without --out show the summary only."""
-    from taichi_sim.outputs import export, open_output
+    """Simulate SCENE and write a video, pictures, arrays or files for other programs; without --out show the summary only."""
+    from taichi_sim.outputs import export, open_outputs
 
     job = _Job(scene, options)
     if round(job.output["fps"] * job.output["duration"]) < 1:
         raise ValueError("fps times duration is less than one frame; raise one of them")
     if transparent:
         job.output["style"]["transparent"] = True
-    target, every = None, interval("--checkpoint", checkpoint)
-    if out is not None:
-        target = open_output(out, fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-    elif overwrite or resume or codec or transparent or checkpoint:
+    every = interval("--checkpoint", checkpoint)
+    targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
+    if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
         with job.simulation() as sim:
-            summary = export(sim, target, progress=not quiet, checkpoint=every, **job.output)
+            summary = export(sim, targets, progress=not quiet, checkpoint=every, **job.output)
     except BaseException as error:
-        if target is not None and isinstance(error, UnstableError) and target.frames:
-            typer.echo(f"{out}: holds the {target.frames} frames until then", err=True)
-        elif target is not None:
+        for name, target in zip(out or [], targets):
+            if isinstance(error, UnstableError) and target.frames:
+                typer.echo(f"{name}: holds the {target.frames} frames until then", err=True)
+                continue
             target.discard()
             if target.frames:
-                typer.echo(f"{out}: {target.frames} frames are kept; --resume goes on with them", err=True)
+                typer.echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
         raise
     if not quiet:
-        typer.echo("\n".join([*summary.lines(), *([f"written      {target.pattern or out}"] if target else [])]))
+        written = [target.pattern or name for name, target in zip(out or [], targets)]
+        typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
 
 
 @_command("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")

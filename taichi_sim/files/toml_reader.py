@@ -134,7 +134,7 @@ class Reader:
                     group = arguments.pop("name", None)
                     if "mesh" in arguments and isinstance(arguments["mesh"], str):
                         arguments["mesh"] = self._beside("mesh", arguments["mesh"])
-                    self._name(group, add(scene, **arguments).balls)
+                    self._name(scene, group, add(scene, **arguments).balls)
         self._user_defined(scene)
         self._lists(scene, model, "springs", "pairs", 2, scene.add_springs, "stiffness")
         self._elements(scene, model)
@@ -174,7 +174,7 @@ class Reader:
             with self._at("balls", index):
                 arguments = self._with_file(("balls", index), table, ("position", "radius"))
                 group = arguments.pop("name", None)
-                self._name(group, scene.add_balls(**arguments))
+                self._name(scene, group, scene.add_balls(**arguments))
 
     def _lists(self, scene: Scene, model: Any, name: str, key: str, width: int, add: Any, *needed: str) -> None:
         """Tables whose `key` is a list of so many balls each, within their group."""
@@ -204,7 +204,7 @@ class Reader:
                     except (TypeError, ValueError) as error:
                         raise SceneError((name, index), says=str(error)) from error
                     if isinstance(made, Shape):
-                        self._name(group, made.balls)
+                        self._name(scene, group, made.balls)
                     elif group is not None:
                         raise SceneError("table.name", says="is not allowed; what this table adds is no shape")
 
@@ -264,12 +264,13 @@ class Reader:
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 
-    def _name(self, name: str | None, balls: NDArray[np.int32]) -> None:
+    def _name(self, scene: Scene, name: str | None, balls: NDArray[np.int32]) -> None:
         if name is None:
             return
         if name in self.groups:
             raise SceneError("table.name", name, says="exists already; every group of balls needs its own name")
         self.groups[name] = balls
+        scene.set_name(balls, name)
 
     def _members(self, scene: Scene, where: str, arguments: dict[str, Any], width: int) -> NDArray[np.int32]:
         """The scene's balls that a table of springs or triangles names within its group."""

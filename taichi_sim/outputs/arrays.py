@@ -17,6 +17,8 @@ from taichi_sim.common.atomic_file import naming, replacing, require_place, sync
 from taichi_sim.outputs.base import Image
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.render.palette import body_colours
+from taichi_sim.scene.objects import named
 
 NAMES = ("time", "position", "velocity", "energy", "contacts", "penetration", "residual", "largest_speed")
 
@@ -55,10 +57,30 @@ def bytes_of(shape: tuple[int, ...]) -> int:
     return 8 * prod(shape)
 
 
+def constants_of(first: Frame | None) -> dict[str, NDArray[Any]]:
+    """What all frames share with the first, by name."""
+    if first is None:
+        return {}
+    number, names = named(len(first.position), first.objects)
+    return {
+        "radius": first.radius,
+        "colour": body_colours(first) if len(number) else np.zeros((0, 3)),
+        "pinned": first.pinned,
+        "springs": first.springs,
+        "sticks": first.sticks,
+        "triangles": first.triangles,
+        "object": number,
+        "names": np.array(names, dtype=np.str_),
+    }
+
+
 class Arrays(Resumable):
     """An .npz with time (f,) s, position (f, n, dim) m, velocity (f, n, dim) m/s, energy (f, 4) J, and of the contacts their
     number contacts (f,), penetration (f, 2) m, residual (f,) m/s and largest_speed (f,) m/s; and (f,) for each number of each
     probe, under its name, `load.tension`.
+
+    And what stays the same: radius (n,) m, colour (n, 3) sRGB, pinned (n,), springs (m, 2) and sticks (m,), triangles (t, 3), all
+    as in the first frame, and object (n,), which of names (k,) each ball belongs to.
 
     The columns of energy are kinetic, spring, gravity, total, those of penetration largest and mean; nan where the frame does
     not know them. Frames wait on disk beside the file, which may be larger than the memory. resume: go on from the last
@@ -71,6 +93,10 @@ class Arrays(Resumable):
         super().__init__(path, resume=resume)
         require_place(path)
         self._columns: dict[str, _Column] = {}
+        self._first: Frame | None = None
+
+    def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
+        self._first = first
 
     def has(self, checkpoint: Checkpoint) -> bool:
         shapes = checkpoint.own["output"]["columns"].items()
@@ -104,6 +130,7 @@ class Arrays(Resumable):
             contacts = (now.number, (now.penetration, now.mean_penetration), now.residual, now.largest_speed)
         rows = (frame.time, frame.position, frame.velocity, energy, *contacts)
         self.log.open()
+        self._first = self._first or frame
         with naming(self.path):
             for name, value in [*zip(NAMES, rows, strict=True), *frame.probes.items()]:
                 row = np.asarray(value, dtype=np.float64)
@@ -117,6 +144,9 @@ class Arrays(Resumable):
             for name, column in self._columns.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     column.copy_to(member)
+            for name, array in constants_of(self._first).items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, array, allow_pickle=False)
         for column in self._columns.values():
             column.close()
         self.log.delete()

@@ -13,8 +13,10 @@ Without `needs_image = False` pictures are drawn, and `image` is that of the fra
 anywhere may be given to it, `with Heights() as output: output.write(0, frame, None)`.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +50,10 @@ class Output:
     resumable = False  # whether a run that was cut off can be resumed; see taichi_sim.outputs.resumable
     pattern = ""  # of the names that it writes, where they are not the one it was given
     frames = 0  # how many it holds so far; `export` counts
+
+    def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
+        """What `export` calls before anything else: the frame that the run begins with, also where it is resumed later on, and
+        the arguments of `Renderer`."""
 
     def wants(self, index: int) -> bool:
         """Whether frame `index` is still to be written; when it is not, it is neither drawn nor passed."""

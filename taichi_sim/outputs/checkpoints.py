@@ -1,10 +1,12 @@
 """Checkpoints of an export: when they are made, what they hold, and how a run goes on from one."""
 
+import shutil
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
+from functools import partial
 from importlib import import_module
 from typing import Any, Literal
 
@@ -20,13 +22,13 @@ SAME_BITS = ("threads", "precision", "arch")  # settings that change nothing, or
 
 
 class Checkpoints:
-    """Makes them while a run goes on. interval [s] of wall time, "auto" for EVERY and FIRST, None for none.
+    """Makes them, one for each output, while a run goes on. interval [s] of wall time, "auto" for EVERY and FIRST, None for none.
 
     number, seconds: how many were made, and what they took.
     """
 
-    def __init__(self, output: Resumable, interval: float | Literal["auto"] | None) -> None:
-        self._output = output
+    def __init__(self, outputs: Sequence[Resumable], interval: float | Literal["auto"] | None) -> None:
+        self._outputs = outputs
         self._interval, first = (EVERY, FIRST) if interval == "auto" else (interval, interval)
         self._begin = time.perf_counter()
         self._next = float("inf") if first is None else self._begin + first
@@ -41,9 +43,13 @@ class Checkpoints:
         """Keep all that goes on with `frame`, before which the simulation stands; own: plain values. Where the simulation cannot
         be written to a file there is a warning, False, and none from then on."""
         start = time.perf_counter()
-        held = self._output.hold()
+        save = simulation.save
         try:
-            self._output.log.keep(frame, simulation.save, {**own, "output": held})
+            for output in self._outputs:
+                output.log.keep(frame, save, {**own, "output": output.hold()})
+                checkpoint = output.log.checkpoint
+                assert checkpoint is not None  # just made
+                save = partial(shutil.copyfile, checkpoint.state)
         except ValueError as error:
             warnings.warn(
                 f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew", stacklevel=3
@@ -57,6 +63,18 @@ class Checkpoints:
         cheap = self._begin + self.seconds * (1.0 + 1.0 / self.number) / SHARE
         self._next = max(now + (self._interval or 0.0), cheap)
         return True
+
+
+def shared_checkpoint(outputs: Sequence[Resumable], about: Any, count: int) -> Checkpoint | None:
+    """Be ready for `count` frames of a run in all, and go on from the last checkpoint, where all outputs have the same one; None:
+    begin at the first frame. Of several outputs, each may have been cut off at another."""
+    found = [output.begin(about, count) for output in outputs]
+    if not found or any(one is None or found[0] is None or one.frame != found[0].frame for one in found):
+        return None
+    for output, one in zip(outputs, found):
+        assert one is not None
+        output.go_on(one)
+    return found[0]
 
 
 def run_of(simulation: Any, first: Frame, fps: float, size: tuple[int, int], style: Mapping[str, Any]) -> Any:

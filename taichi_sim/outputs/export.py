@@ -1,10 +1,9 @@
 """From a simulation to an output: the loop over frames, its progress bar and its summary."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +15,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output
-from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of
+from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
 
@@ -133,6 +132,28 @@ def _check_output(output: Any) -> None:
         raise SceneError("output", says=f"{type(output).__name__} has no function write(index, frame, image)")
 
 
+class _Writer:
+    """Gives frames to one output, through a thread where it allows that."""
+
+    def __init__(self, output: Output, stack: ExitStack) -> None:
+        self.output = output
+        stack.enter_context(output)
+        self.behind = stack.enter_context(Behind(output)) if output.apart else None
+
+    def write(self, index: int, frame: Frame, image: Image | None) -> None:
+        image = image if self.output.needs_image else None
+        if self.behind is not None:
+            self.behind.write(index, frame, image)
+        else:
+            self.output.write(index, frame, image)
+            self.output.frames += 1
+
+    def settle(self) -> None:
+        """Wait until all is written."""
+        if self.behind is not None:
+            self.behind.settle()
+
+
 class _Clock:
     """Adds the time since the last call to one of the summary's fields."""
 
@@ -149,7 +170,7 @@ class _Clock:
 
 def export(
     simulation: Any,
-    output: Output | None,
+    output: Output | Sequence[Output] | None,
     *,
     fps: float = 60.0,
     duration: float = 5.0,
@@ -158,7 +179,7 @@ def export(
     style: Mapping[str, Any] | None = None,
     checkpoint: float | Literal["auto"] | None = "auto",
 ) -> Summary:
-    """Run a simulation and give its frames to an output, or to none for the summary alone.
+    """Run a simulation and give its frames to an output, to each of several, or to none for the summary alone.
 
     Args:
         simulation: a `Simulation`; round(fps x duration) frames are made of it, from where it is on. It is left at
@@ -167,14 +188,15 @@ def export(
         progress: a bar on standard error with the time left and the speed against real time.
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
             where they would take over a fiftieth of it. "auto": 60 s, from the second minute on. None: none.
-    The output is finished here, also when the simulation becomes unstable, and discarded on any other error.
+    Outputs are finished here, also when the simulation becomes unstable, and discarded on any other error.
 
-    An output that was opened with `resume` must be given the simulation, and the arguments, that its run began with (`duration`
-    and `checkpoint` may be others): ValueError otherwise. Where there is a checkpoint the simulation is closed, and another goes
-    on from there. Where there is none it runs from the start, but frames that are kept are not drawn again.
+    Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
+    and `checkpoint` may be others): ValueError otherwise. Where all have the same checkpoint the simulation is closed, and another
+    goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again.
     """
-    if output is not None:
-        _check_output(output)
+    outputs: Sequence[Any] = () if output is None else output if isinstance(output, (list, tuple)) else [output]
+    for one in outputs:
+        _check_output(one)
     fps, duration = validation.number("fps", fps, positive=True), validation.number("duration", duration, low=0)
     if checkpoint not in ("auto", None):
         checkpoint = validation.number("checkpoint", checkpoint, positive=True)
@@ -182,23 +204,22 @@ def export(
     clock = _Clock(summary)
     style = style or {}
     with ExitStack() as stack:
-        behind = None
-        if output is not None:
-            stack.enter_context(output)
-            if style.get("transparent") and output.needs_image and not output.alpha:
-                name = getattr(output, "path", "this output")
+        writers = [_Writer(one, stack) for one in outputs]
+        for one in outputs:
+            if style.get("transparent") and one.needs_image and not one.alpha:
+                name = getattr(one, "path", "this output")
                 raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
-            behind = stack.enter_context(Behind(output)) if output.apart else None
-            write = partial(_write, output) if behind is None else behind.write
         count, first = round(fps * duration), simulation.frame()
-        log, last = None, None
-        if isinstance(output, Resumable):
-            last = output.begin(run_of(simulation, first, fps, size, style), count)
-            log = Checkpoints(output, checkpoint)
+        for one in outputs:
+            one.prepare(first, size, style)
+        log, last, resumable = None, None, [one for one in outputs if isinstance(one, Resumable)]
+        if resumable and len(resumable) == len(outputs):
+            last = shared_checkpoint(resumable, run_of(simulation, first, fps, size, style), count)
+            log = Checkpoints(resumable, checkpoint)
         if last is not None:
             simulation = stack.enter_context(restored(simulation, last))
         renderer: Any = None
-        if output is not None and output.needs_image:
+        if any(one.needs_image for one in outputs):
             renderer = stack.enter_context(_renderer(first, size, style))
         begin, frames = 0, simulation.frames(fps=fps, duration=duration)
         if last is not None:
@@ -210,19 +231,19 @@ def export(
             clock.charge("simulating")
             frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
             _observe(summary, frame)
-            if output is not None:
-                if output.wants(index):
-                    image = None if renderer is None else renderer.render(frame)
-                    clock.charge("drawing")
-                    write(index, frame, image)
-                    clock.charge("writing")
-                elif renderer is not None:
-                    renderer.skip(frame)
-                    clock.charge("drawing")
+            wanting = [one for one in writers if one.output.wants(index)]
+            image = None
+            if renderer is not None:
+                drawn = any(one.output.needs_image for one in wanting)
+                image = renderer.render(frame) if drawn else renderer.skip(frame)
+                clock.charge("drawing")
+            for writer in wanting:
+                writer.write(index, frame, image)
+            clock.charge("writing")
             advance(frame.time - since)
             if log is not None and log.due and index + 1 < count:
-                if behind is not None:
-                    behind.settle()
+                for writer in writers:
+                    writer.settle()
                 clock.charge("writing")
                 summary.checkpoints += log.make(index + 1, simulation, _own(summary, simulation, renderer))
                 clock.charge("checkpointing")
@@ -236,11 +257,6 @@ def export(
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
     clock.charge("writing")
     return summary
-
-
-def _write(output: Output, index: int, frame: Frame, image: Image | None) -> None:
-    output.write(index, frame, image)
-    output.frames += 1
 
 
 def _own(summary: Summary, simulation: Any, renderer: Any) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Surfaces as OBJ or PLY files, one for each frame, for other programs to render."""
+"""Meshes as OBJ or PLY files, one for each frame, for other programs to render."""
 
 import glob
 from collections.abc import Mapping
@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing, require_place, sweep
 from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.parts import Parts, Together
 from taichi_sim.outputs.resumable import Resumable, require_there
 from taichi_sim.outputs.run_log import Checkpoint
 
@@ -19,21 +19,28 @@ from taichi_sim.outputs.run_log import Checkpoint
 class Geometry(Resumable):
     """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
 
-    Each holds the triangles of the frame, surfaces in place of what they cover, with the vertices that they use; a frame without
-    any triangle its balls as points, with their radius in PLY. A file that is there is replaced when the new one is complete;
-    what was written before an error or Ctrl-C stays. resume: go on from the last checkpoint of a run into the same name.
+    Each holds all parts of the frame, see `Parts`: surfaces in place of what they cover, loose balls as points (in PLY with their
+    radius), springs between these as edges, colliders; with normals, colours, texture coordinates where there are some, and of
+    each vertex the number of its object, whose names are comments of a PLY; in an OBJ they are its objects. A file that is there is
+    replaced when the new one is complete; what was written before an error or Ctrl-C stays. resume: go on from the last checkpoint
+    of a run into the same name.
     """
 
     needs_image = False
     apart = True
+    suffix = ""  # of the files, where it is not that of the name
 
     def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
         super().__init__(path, resume=resume)
         require_place(path)
-        sweep(self.path.parent, f"{glob.escape(self.path.stem)}_*{self.path.suffix}")
-        self.pattern = str(self.path.with_name(f"{self.path.stem}_*{self.path.suffix}"))
-        self._ply = self.path.suffix.lower() == ".ply"
+        self.suffix = self.suffix or self.path.suffix.lower()
+        sweep(self.path.parent, f"{glob.escape(self.path.stem)}_*{self.suffix}")
+        self.pattern = str(self.path.with_name(f"{self.path.stem}_*{self.suffix}"))
         self._next = 0  # frame
+        self._parts: Parts | None = None
+
+    def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
+        self._parts = Parts(first)
 
     def has(self, checkpoint: Checkpoint) -> bool:
         return all(self._file(index).is_file() for index in range(checkpoint.frame))
@@ -48,17 +55,19 @@ class Geometry(Resumable):
         return 0 if self.log.checkpoint is None else self.log.checkpoint.frame
 
     def _file(self, index: int) -> Path:
-        return self.path.with_name(f"{self.path.stem}_{index:05d}{self.path.suffix}")
+        return self.path.with_name(f"{self.path.stem}_{index:05d}{self.suffix}")
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
-        vertices, triangles = surface_of(frame)
-        radius = None
-        if not len(triangles):
-            vertices, radius = _in_3d(frame.position), frame.radius
         self.log.open()
+        if self._parts is None:
+            self._parts = Parts(frame)
         with replacing(self._file(index), swept=True) as file:
-            (_write_ply if self._ply else _write_obj)(file, vertices, triangles, radius)
+            self.fill(file, Together.of(self._parts, frame))
         self._next = index + 1
+
+    def fill(self, file: IO[bytes], parts: Together) -> None:
+        """Write a frame to its file."""
+        (_write_ply if self.suffix == ".ply" else _write_obj)(file, parts)
 
     def finish(self) -> None:
         """Raises OSError where a file was removed meanwhile."""
@@ -70,40 +79,45 @@ class Geometry(Resumable):
         self.leave()
 
 
-def surface_of(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices (v, 3) [m] and triangles (t, 3), counter-clockwise from outside, of all that a frame shows as a surface."""
-    x = _in_3d(frame.position)
-    covered = np.zeros(len(x), dtype=bool)
-    for skin in frame.embedded_surfaces:
-        covered |= skin.covered(len(x))
-    plain = frame.triangles[~covered[frame.triangles].any(axis=1)] if len(frame.triangles) else frame.triangles
-    used, new = np.unique(plain, return_inverse=True)
-    vertices, first = [x[used]], len(used)
-    triangles: list[NDArray] = [new.reshape(-1, 3)]
-    for skin in frame.embedded_surfaces:
-        vertices.append(np.einsum("sk,ski->si", skin.weights, x[skin.corners]))
-        triangles.append(first + skin.triangles)
-        first += len(skin.corners)
-    return np.concatenate(vertices), np.concatenate(triangles)
-
-
-def _in_3d(x: NDArray) -> NDArray[np.float64]:
-    return x if x.shape[1] == 3 else np.column_stack([x, np.zeros(len(x))])
-
-
-def _write_ply(file: IO[bytes], vertices: NDArray, triangles: NDArray, radius: NDArray | None) -> None:
-    columns = vertices if radius is None else np.column_stack([vertices, radius])
-    names = ("x", "y", "z", "radius")[: columns.shape[1]]
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(columns)}"]
-    head += [f"property float {name}" for name in names]
-    head += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
-    file.write("\n".join(head).encode())
-    file.write(columns.astype("<f4").tobytes())
-    rows = np.empty(len(triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
-    rows["n"], rows["corners"] = 3, triangles
+def _write_ply(file: IO[bytes], parts: Together) -> None:
+    columns = {name: parts.points[:, k] for k, name in enumerate("xyz")}
+    columns |= {f"n{name}": parts.normals[:, k] for k, name in enumerate("xyz")}
+    columns["radius"] = parts.radius
+    if np.isfinite(parts.uv).any():
+        columns |= {name: np.nan_to_num(parts.uv[:, k]) for k, name in enumerate("st")}
+    kinds = [(name, "<f4") for name in columns]
+    columns |= {name: np.rint(255.0 * parts.colour[:, k]) for k, name in enumerate(("red", "green", "blue"))}
+    columns["object"] = parts.number
+    kinds += [("red", "u1"), ("green", "u1"), ("blue", "u1"), ("object", "<i4")]
+    words = {"<f4": "float", "u1": "uchar", "<i4": "int"}
+    head = ["ply", "format binary_little_endian 1.0"]
+    head += [f"comment object {k} {' '.join(name.split())}" for k, name in enumerate(parts.names)]
+    head += [f"element vertex {len(parts.points)}", *(f"property {words[kind]} {name}" for name, kind in kinds)]
+    head += [f"element face {len(parts.triangles)}", "property list uchar int vertex_indices"]
+    if len(parts.springs):
+        head += [f"element edge {len(parts.springs)}", "property int vertex1", "property int vertex2"]
+    file.write("\n".join([*head, "end_header", ""]).encode())
+    vertices = np.empty(len(parts.points), dtype=kinds)
+    for name, column in columns.items():
+        vertices[name] = column
+    file.write(vertices.tobytes())
+    rows = np.empty(len(parts.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
+    rows["n"], rows["corners"] = 3, parts.triangles
     file.write(rows.tobytes())
+    file.write(parts.springs.astype("<i4").tobytes())
 
 
-def _write_obj(file: IO[bytes], vertices: NDArray, triangles: NDArray, radius: NDArray | None) -> None:
-    np.savetxt(file, vertices, fmt="v %.9g %.9g %.9g")
-    np.savetxt(file, triangles + 1, fmt="f %d %d %d")
+def _write_obj(file: IO[bytes], parts: Together) -> None:
+    np.savetxt(file, np.column_stack([parts.points, parts.colour]), fmt="v %.9g %.9g %.9g %.4g %.4g %.4g")
+    np.savetxt(file, parts.normals, fmt="vn %.6g %.6g %.6g")
+    np.savetxt(file, np.nan_to_num(parts.uv), fmt="vt %.6g %.6g")
+    owners = {
+        "f": parts.number[parts.triangles[:, 0]],
+        "p": parts.number[parts.loose],
+        "l": parts.number[parts.springs[:, 0]],
+    }
+    for k, name in enumerate(parts.names):
+        file.write(f"o {'_'.join(name.split())}\n".encode())
+        np.savetxt(file, np.repeat(parts.triangles[owners["f"] == k] + 1, 3, axis=1), fmt="f" + 3 * " %d/%d/%d")
+        np.savetxt(file, parts.loose[owners["p"] == k] + 1, fmt="p %d")
+        np.savetxt(file, parts.springs[owners["l"] == k] + 1, fmt="l %d %d")

@@ -11,8 +11,8 @@ from taichi_sim.outputs.run_log import Checkpoint, RunLog
 
 
 class Resumable(Output):
-    """What it needs for that waits in the folder of `log` until it is complete. `export` calls `begin`, and `hold` before each
-    checkpoint."""
+    """What it needs for that waits in the folder of `log` until it is complete. `export` calls `begin`, where there is a checkpoint
+    `go_on`, and `hold` before each checkpoint."""
 
     resumable = True
 
@@ -21,13 +21,12 @@ class Resumable(Output):
         self.log = RunLog(self.path, resume=resume, within=within)
 
     def begin(self, about: Mapping[str, Mapping[str, Any]], count: int) -> Checkpoint | None:
-        """Be ready for `count` frames in all: the checkpoint to go on from, or None to begin at the first frame. about: of the
+        """Be ready for `count` frames in all: the checkpoint that it can go on from, or None where there is none. about: of the
         run, see RunLog.begin; what it says of pictures counts where there are some."""
         parts = {group: values for group, values in about.items() if group != "pictures" or self.needs_image}
         last = self.log.begin({**parts, "format": self.options()})
         if last is None or last.frame > count or not self.has(last):
             return None
-        self.go_on(last)
         return last
 
     def options(self) -> Mapping[str, Any]:

@@ -11,7 +11,7 @@ from taichi_sim.scene.colliders import BOX, CUSTOM, Collider
 __all__ = ["Bodies", "filled"]
 
 COLLIDER_GREY = (0.64, 0.66, 0.70)  # sRGB
-FACES_AROUND, FACES_PER_CAP = 96, 24  # faces of a round shape about its axis, and along each of its caps
+FACES_AROUND = 96  # faces of a round shape about its axis; a quarter of it along each of its caps
 CREASE_COSINE = 0.77  # cosine of the angle between faces from which their edge is sharp
 
 
@@ -26,9 +26,9 @@ class Bodies(NamedTuple):
     hollow: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, frame: Frame) -> "Bodies":
-        """What the colliders of a 3D frame look like."""
-        parts = [_surface(placed.collider) for placed in frame.colliders]
+    def of(cls, frame: Frame, around: int = FACES_AROUND) -> "Bodies":
+        """What the colliders of a 3D frame look like; around: faces of a round one about its axis, a multiple of 4."""
+        parts = [_surface(placed.collider, around) for placed in frame.colliders]
         sizes = [len(vertices) for vertices, _ in parts]
         first = np.cumsum([0, *sizes])
         shapes = [placed.collider for placed in frame.colliders]
@@ -67,7 +67,7 @@ def filled(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return np.concatenate([np.zeros((0, 3, 2)), *corners]), owner
 
 
-def _surface(collider: Collider) -> tuple[NDArray, NDArray]:
+def _surface(collider: Collider, around: int) -> tuple[NDArray, NDArray]:
     """Vertices and triangles; one vertex for each smooth part of the surface that meets there."""
     if collider.is_meshed:
         return _creased(collider.vertices, collider.triangles)
@@ -78,12 +78,13 @@ def _surface(collider: Collider) -> tuple[NDArray, NDArray]:
         quads = np.arange(24).reshape(6, 4)
         triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
         return signs[corners] * collider.half, triangles
-    rings = np.concatenate([np.linspace(0, 90, FACES_PER_CAP + 1), np.linspace(90, 180, FACES_PER_CAP + 1)])
+    per_cap = around // 4
+    rings = np.concatenate([np.linspace(0, 90, per_cap + 1), np.linspace(90, 180, per_cap + 1)])
     angle = np.radians(rings)[:, None]
-    about = np.linspace(0, 2 * np.pi, FACES_AROUND, endpoint=False)[None]
+    about = np.linspace(0, 2 * np.pi, around, endpoint=False)[None]
     x = np.where(rings > 90, -1.0, 1.0)
-    x[FACES_PER_CAP + 1] = -1.0  # the second ring at 90 degrees lies at the other end
-    middle = np.broadcast_to((x * collider.half[0])[:, None], (len(rings), FACES_AROUND))
+    x[per_cap + 1] = -1.0  # the second ring at 90 degrees lies at the other end
+    middle = np.broadcast_to((x * collider.half[0])[:, None], (len(rings), around))
     r = collider.radius
     points = np.stack(
         [
@@ -93,9 +94,9 @@ def _surface(collider: Collider) -> tuple[NDArray, NDArray]:
         ],
         axis=-1,
     )
-    row, column = np.meshgrid(np.arange(len(rings) - 1), np.arange(FACES_AROUND), indexing="ij")
-    a, b = row * FACES_AROUND + column, row * FACES_AROUND + (column + 1) % FACES_AROUND
-    a_next, b_next = a + FACES_AROUND, b + FACES_AROUND
+    row, column = np.meshgrid(np.arange(len(rings) - 1), np.arange(around), indexing="ij")
+    a, b = row * around + column, row * around + (column + 1) % around
+    a_next, b_next = a + around, b + around
     sides = ((a, a_next, b), (b, a_next, b_next))
     triangles = np.concatenate([np.stack(side, -1).reshape(-1, 3) for side in sides])
     return points.reshape(-1, 3), triangles

@@ -13,6 +13,7 @@ from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Table
 from taichi_sim.scene.keyframes import Motion, keyframe
+from taichi_sim.scene.objects import Objects, saved_object
 from taichi_sim.scene.probes import Probed
 
 __all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
@@ -54,7 +55,7 @@ class MovingPins:
     given: Mapping[str, Any]  # the arguments, for saving
 
 
-class Elements(Probed):
+class Elements(Probed, Objects):
     """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
 
     def _begin_elements(self, dim: int) -> None:
@@ -73,6 +74,7 @@ class Elements(Probed):
         self.moving_pins: list[MovingPins] = []
         self._driven_of = 0, np.zeros(0, dtype=bool)  # the first so many of them drive these balls
         self._begin_probes()
+        self._begin_objects()
 
     cells = property(lambda self: self._cells["corners"], doc="(c, dim + 1) balls of each cell")
     bulk_modulus = property(lambda self: self._cells["bulk_modulus"], doc="(c,) Pa, in 2D N/m")
@@ -338,18 +340,21 @@ class Elements(Probed):
         )
 
     def elements(self) -> dict[str, Any]:
-        """Wind, gases, moving pins and probes as plain values, arrays apart, for files and digests."""
+        """Wind, gases, moving pins, probes and objects as plain values, arrays apart, for files and digests."""
         return {
             "wind": None if self.wind is None else asdict(self.wind),
             "gases": [{"pressure": g.pressure, "outside": g.outside, "volume": g.volume} for g in self.gases],
             "moving_pins": [dict(pins.given) for pins in self.moving_pins],
             "probes": [{"name": one.name, "kind": one.kind, **one.plain()} for one in self.probes],
+            "objects": [{"kind": one.kind, "name": one.name} for one in self.objects],
         }
 
     def element_arrays(self) -> dict[str, NDArray]:
         """The arrays that go with `elements`."""
         arrays = {f"gases.{k}.triangles": gas.triangles for k, gas in enumerate(self.gases)}
         arrays |= {f"moving_pins.{k}.balls": pins.balls for k, pins in enumerate(self.moving_pins)}
+        arrays |= {f"objects.{k}.balls": one.balls for k, one in enumerate(self.objects)}
+        arrays |= {f"objects.{k}.uv": one.uv for k, one in enumerate(self.objects) if one.uv is not None}
         return arrays | {
             f"probes.{one.name}.{key}": array for one in self.probes for key, array in one.arrays().items()
         }
@@ -377,6 +382,8 @@ class Elements(Probed):
                 own = {key.removeprefix(start): array for key, array in arrays.items() if key.startswith(start)}
                 with place_of(f"probes[{k}]"):
                     validation.call("probes", self.add_probe, {**table, **own})
+            for k, table in enumerate(validation.tables(about, "objects") if "objects" in about else []):
+                self.objects.append(saved_object(k, table, arrays, self.n_balls))
 
 
 def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:

@@ -340,7 +340,7 @@ class Scene(Elements):
         """What the block adds to this scene is taken back where it raises: for shapes, which add several things."""
         tables = [(table, table.rows) for table in self._tables().values()]
         lists: list[Any] = [self.materials, self.walls, self.colliders, self.embedded_surfaces, self.gases]
-        lists += [self.moving_pins, self.probes, self.groups.names]
+        lists += [self.moving_pins, self.probes, self.objects, self.groups.names]
         lengths, bodies = [len(one) for one in lists], self._bodies
         try:
             yield

@@ -133,9 +133,13 @@ def _groups(scene: Any, group: int, mask: int) -> dict[str, Any]:
 
 
 def _balls(scene: Any, store: _Arrays) -> list[dict[str, Any]]:
-    """One table for each run of balls that share material, body, groups and colour, which a table has once."""
+    """One table for each run of balls that share material, body, groups, colour and name, which a table has once."""
+    called = np.full(scene.n_balls, -1)
+    for k, one in enumerate(scene.objects):
+        if one.name:
+            called[one.balls] = k
     shared = np.column_stack(
-        [scene.material, scene.body, scene.group, scene.mask, np.nan_to_num(scene.colour, nan=-1.0)]
+        [scene.material, scene.body, scene.group, scene.mask, called, np.nan_to_num(scene.colour, nan=-1.0)]
     )
     starts = np.flatnonzero(np.any(shared[1:] != shared[:-1], axis=1)) + 1
     rows = []
@@ -144,6 +148,9 @@ def _balls(scene: Any, store: _Arrays) -> list[dict[str, Any]]:
             continue
         first = run[0]
         plain: dict[str, Any] = {"material": scene.materials[scene.material[first]].name}
+        one = scene.objects[called[first]] if called[first] >= 0 else None
+        if one is not None and np.array_equal(one.balls, run):
+            plain["name"] = one.name
         if scene.body[first]:
             plain["body"] = int(scene.body[first])
         plain |= _groups(scene, int(scene.group[first]), int(scene.mask[first]))

@@ -12,6 +12,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.memory import available
 from taichi_sim.geometry import mesh as meshes
+from taichi_sim.scene.objects import SceneObject
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -223,11 +224,13 @@ def build(
     bends: tuple[NDArray, NDArray, NDArray] | None = None,
     cells: tuple[NDArray, NDArray, NDArray, NDArray | None] | None = None,
     break_strain: float | None = None,
+    uv: NDArray | None = None,
 ) -> Shape:
     """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls.
 
     stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
-    corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`.
+    corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`. uv: (n, 2) in
+    0..1, of a sheet, for textures.
     """
     n = len(points)
     each = part.mass if isinstance(part.mass, np.ndarray) else part.mass / n
@@ -257,6 +260,7 @@ def build(
             colour=part.colour,
             body=0 if part.self_collision else scene.new_body(),
         )
+        scene.objects.append(SceneObject(shape, "", balls, uv))
         springs = scene.add_springs(
             balls[pairs].reshape(-1, 2),
             stiffness=strength,

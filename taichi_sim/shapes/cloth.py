@@ -142,9 +142,8 @@ def cloth(
             drag = drag / cotton.stretch * np.concatenate([k for _, k in parts.springs])
     points = moved("cloth", surface.vertices, position, rotation, factor)
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
-    return build(
-        scene, "cloth", points, kinds, surface.triangles, part, strength, drag, bends=bends, break_strain=break_strain
-    )
+    more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": None if grid is None else grid[4]}
+    return build(scene, "cloth", points, kinds, surface.triangles, part, strength, drag, **more)
 
 
 def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) -> cloth_material.Fabric:
@@ -162,7 +161,7 @@ def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) 
 
 
 def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None, bends: bool) -> tuple:
-    """The surface of a flat sheet, its balls along x and z, their spacing and its size (2,) [m]."""
+    """The surface of a flat sheet, its balls along x and z, their spacing and its size (2,) [m], and places on it (n, 2) in 0..1."""
     extent = lengths("cloth.size", (1.0, 1.0) if size is None else size, 2)
     number = counts("cloth.resolution", (32, 32) if resolution is None else resolution, 2, 2)
     balls = number[0] * number[1]
@@ -174,7 +173,8 @@ def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None, bends:
     here, right, up, across = index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]
     corners = [here, up, right], [right, up, across]  # seen from +y
     triangles = np.concatenate([np.stack([c.ravel() for c in three], axis=1) for three in corners])
-    return meshes.Surface(points, triangles), number, spacing, extent
+    uv = np.stack([i, j], axis=-1).reshape(-1, 2) / (np.array(number) - 1)
+    return meshes.Surface(points, triangles), number, spacing, extent, uv
 
 
 def _threads(number: tuple[int, int]) -> list[Springs]:

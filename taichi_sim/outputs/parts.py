@@ -1,0 +1,266 @@
+"""Parts: what files for other programs hold of a frame, object by object: surfaces, loose balls, springs, colliders."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.geometry.mesh import holes
+from taichi_sim.render.bodies import COLLIDER_GREY, Bodies
+from taichi_sim.render.palette import body_colours
+from taichi_sim.scene.colliders import BOX, ROUND, Collider
+from taichi_sim.scene.objects import named
+
+__all__ = ["Body", "Parts", "Surface", "Together", "in_3d", "normals_of", "placed"]
+
+Floats = NDArray[np.float64]
+ROUND_FACES = 48  # of a round collider about its axis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A surface of an object. Vertex k lies at the mean, by weights[k], of the balls corners[k]."""
+
+    object: int
+    name: str
+    corners: NDArray[np.int32]  # (v, k)
+    weights: Floats  # (v, k)
+    embedded: NDArray[np.int32] | None  # (t, 3) its own triangles; None: those of the frame between its vertices
+    colour: Floats  # (v, 3) sRGB
+    uv: Floats | None  # (v, 2) in 0..1
+
+    def points(self, x: Floats) -> Floats:
+        """Its vertices (v, 3) for balls at x (n, 3)."""
+        if self.corners.shape[1] == 1:
+            return x[self.corners[:, 0]]
+        return np.einsum("vk,vki->vi", self.weights, x[self.corners])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A collider: its surface in its own frame, in 2D flat in the x-y plane."""
+
+    name: str
+    vertices: Floats  # (v, 3) m
+    triangles: NDArray[np.int32]  # (t, 3)
+    normals: Floats  # (v, 3)
+    colour: tuple[float, float, float]  # sRGB
+
+
+class Parts:
+    """What the frames of one scene have in common, from the first of them.
+
+    number (n,): of the object that each ball belongs to, by which `names` count. A ball is hidden where a surface is shown in
+    place of it, or it is a corner of one, or within the closed one of its object; the others are loose. colour (n, 3): sRGB of the balls.
+    """
+
+    def __init__(self, first: Frame) -> None:
+        n = len(first.position)
+        self.number, self.names = named(n, first.objects)
+        self.colour = body_colours(first) if n else np.zeros((0, 3))
+        self.radius = first.radius
+        covered = np.zeros(n, dtype=bool)
+        for one in first.embedded_surfaces:
+            covered |= one.covered(n)
+        own = first.triangles.reshape(-1, 3)
+        self._shown = ~covered
+        own = own[self._shown[own].all(axis=1)]
+        hidden = covered.copy()
+        hidden[own] = True
+        for k in range(len(self.names)):
+            surface = own[self.number[own[:, 0]] == k]
+            if len(surface) and not len(holes(surface)):
+                low, high = first.position[surface].min(axis=(0, 1)), first.position[surface].max(axis=(0, 1))
+                inside = np.all((first.position >= low) & (first.position <= high), axis=1)
+                hidden |= inside & (self.number == k)
+        self.hidden = hidden
+        self.loose = np.flatnonzero(~hidden)
+        uv = np.full((n, 2), np.nan)
+        for thing in first.objects:
+            if thing.uv is not None:
+                uv[thing.balls] = thing.uv
+        self.surfaces: list[Surface] = []
+        self._vertex = np.full(n, -1, dtype=np.int64)  # which of its surface's vertices a ball is
+        for k, name in enumerate(self.names):
+            balls = np.unique(own[self.number[own[:, 0]] == k])
+            if len(balls):
+                self._vertex[balls] = np.arange(len(balls))
+                self.surfaces.append(self._plain(k, name, balls, uv[balls]))
+        for one in first.embedded_surfaces:
+            k = int(self.number[one.corners[0, 0]])
+            tint = np.einsum("vk,vki->vi", one.weights, self.colour[one.corners])
+            tint = np.clip(tint if one.colour is None else np.tile(one.colour, (len(tint), 1)), 0.0, 1.0)
+            self.surfaces.append(Surface(k, self.names[k], one.corners, one.weights, one.triangles, tint, None))
+        self.bodies = _bodies(first, self.names)
+        self._faces: tuple[Any, list[NDArray]] = (None, [])
+
+    def _plain(self, k: int, name: str, balls: NDArray, uv: Floats) -> Surface:
+        corners = balls[:, None].astype(np.int32)
+        whole = None if np.isnan(uv).any() else uv
+        return Surface(k, name, corners, np.ones(corners.shape), None, self.colour[balls], whole)
+
+    def triangles(self, frame: Frame) -> list[NDArray[np.int32]]:
+        """Of each surface (t, 3), its vertices, counter-clockwise from outside; fewer where springs have torn."""
+        if self._faces[0] is not frame.triangles:
+            own = frame.triangles.reshape(-1, 3)
+            own = own[self._shown[own].all(axis=1)]
+            owner = self.number[own[:, 0]]
+            faces = [
+                self._vertex[own[owner == one.object]].astype(np.int32) if one.embedded is None else one.embedded
+                for one in self.surfaces
+            ]
+            self._faces = (frame.triangles, faces)
+        return self._faces[1]
+
+    def springs(self, frame: Frame) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """The balls (m, 2) of the springs between loose balls, and the object (m,) of each, that of its first ball."""
+        pairs = frame.springs.reshape(-1, 2)
+        pairs = pairs[~self.hidden[pairs].any(axis=1)]
+        return pairs, self.number[pairs[:, 0]]
+
+
+def in_3d(x: NDArray) -> Floats:
+    """Places (n, 3) of 2D ones, which lie in the x-y plane, or of 3D ones as they are."""
+    return x if x.shape[1] == 3 else np.column_stack([x, np.zeros(len(x))])
+
+
+def normals_of(points: Floats, triangles: NDArray) -> Floats:
+    """Unit normals (v, 3) of vertices: the mean of their triangles' by area; 0 where there is none."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    normal, sums = np.cross(b - a, c - a), np.zeros_like(points)
+    for axis in range(3):
+        sums[:, axis] = np.bincount(triangles.ravel(), np.repeat(normal[:, axis], 3), minlength=len(points))
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.divide(sums, length, out=sums, where=length > 0)
+
+
+def placed(frame: Frame) -> list[tuple[Floats, Floats]]:
+    """Where the colliders of a frame are: centre (3,) [m] and rotation (3, 3)."""
+    found = []
+    for one in frame.colliders:
+        rotation = np.eye(3)
+        rotation[: frame.dim, : frame.dim] = one.rotation
+        found.append((in_3d(one.centre[None])[0], rotation))
+    return found
+
+
+def _bodies(first: Frame, taken: Sequence[str]) -> list[Body]:
+    colliders = [one.collider for one in first.colliders]
+    counts, names = dict[str, int](), list[str]()
+    for one in colliders:
+        kind = one.name.lower()
+        while (name := f"{kind}_{counts.get(kind, 0)}") in taken:
+            counts[kind] = counts.get(kind, 0) + 1
+        names.append(name)
+        counts[kind] = counts.get(kind, 0) + 1
+    tints = [one.colour or COLLIDER_GREY for one in colliders]
+    if first.dim == 2:
+        shapes: Sequence[tuple[NDArray, NDArray]] = [_flat(one) for one in colliders]
+    else:
+        all_ = Bodies.of(first, ROUND_FACES)
+        shapes = []
+        for k in range(len(colliders)):
+            mine = np.flatnonzero(all_.owner == k)
+            faces = all_.triangles[all_.owner[all_.triangles[:, 0]] == k]
+            shapes.append((all_.vertices[mine], faces - (mine[0] if len(mine) else 0)))
+    return [
+        Body(name, *shape, _normals(one, *shape), tint)
+        for name, one, shape, tint in zip(names, colliders, shapes, tints)
+    ]
+
+
+def _normals(one: Collider, vertices: Floats, triangles: NDArray) -> Floats:
+    """Of its vertices; smooth ones of what is round."""
+    if one.kind != ROUND or len(one.half) == 2:
+        return normals_of(vertices, triangles)
+    return (vertices - np.clip(vertices, -one.half, one.half)) / one.radius
+
+
+def _flat(one: Collider) -> tuple[Floats, NDArray[np.int32]]:
+    """Vertices (v, 3) and triangles of a collider in 2D, filled."""
+    if one.is_meshed:
+        return in_3d(one.vertices), one.triangles
+    rim = _rim(one, 0.0)
+    if one.hollow == 0.0:
+        inner = np.arange(1, len(rim) - 1)
+        return in_3d(rim), np.stack([0 * inner, inner, inner + 1], axis=1).astype(np.int32)
+    here = np.arange(len(rim))
+    after, out = np.roll(here, -1), here + len(rim)
+    ring = [np.stack([here, out, after], axis=1), np.stack([after, out, after + len(rim)], axis=1)]
+    return in_3d(np.concatenate([rim, _rim(one, one.hollow)])), np.concatenate(ring).astype(np.int32)
+
+
+def _rim(one: Collider, wider: float) -> Floats:
+    """The outline (r, 2) [m] of a round shape or a box, counter-clockwise, so much wider all around."""
+    if one.kind == BOX:
+        return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (one.half + wider)
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ROUND_FACES + 1)
+    right = one.half + (one.radius + wider) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.concatenate([right, -right])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Together:
+    """All parts of one frame in one list of v points: those of surfaces, loose balls, those of colliders. names count objects,
+    and colliders after them."""
+
+    names: list[str]
+    points: Floats  # (v, 3) m
+    velocity: Floats  # (v, 3) m/s; 0 on colliders
+    normals: Floats  # (v, 3); 0 of loose balls
+    colour: Floats  # (v, 3) sRGB in 0..1
+    radius: Floats  # (v,) m; 0 but of loose balls
+    number: NDArray[np.int32]  # (v,) of its object or collider
+    ball: NDArray[np.int32]  # (v,) the ball that it is, or -1
+    uv: Floats  # (v, 2); nan where there is none
+    triangles: NDArray[np.int32]  # (t, 3) points, counter-clockwise from outside
+    springs: NDArray[np.int32]  # (m, 2) points, between loose balls
+    loose: NDArray[np.int32]  # (b,) points that are loose balls
+
+    @classmethod
+    def of(cls, parts: Parts, frame: Frame) -> "Together":
+        """The parts of a frame, where they are."""
+        x, v = in_3d(frame.position), in_3d(frame.velocity)
+        rows: list[dict[str, Any]] = []
+        triangles: list[NDArray] = []
+        first = 0
+        for one, faces in zip(parts.surfaces, parts.triangles(frame)):
+            points = one.points(x)
+            row = {"points": points, "velocity": one.points(v), "normals": normals_of(points, faces)}
+            row |= {"colour": one.colour, "number": one.object, "uv": np.nan if one.uv is None else one.uv}
+            rows.append(row | {"ball": one.corners[:, 0] if one.embedded is None else -1})
+            triangles.append(first + faces)
+            first += len(points)
+        loose, start = parts.loose, first
+        row = {"points": x[loose], "velocity": v[loose], "colour": parts.colour[loose], "number": parts.number[loose]}
+        rows.append(row | {"radius": parts.radius[loose], "ball": loose})
+        first += len(loose)
+        for k, (body, (centre, rotation)) in enumerate(zip(parts.bodies, placed(frame)), len(parts.names)):
+            points, normals = body.vertices @ rotation.T + centre, body.normals @ rotation.T
+            rows.append({"points": points, "normals": normals, "colour": np.array(body.colour), "number": k})
+            triangles.append(first + body.triangles)
+            first += len(points)
+        pairs, _ = parts.springs(frame)
+        lengths = [len(row["points"]) for row in rows]
+
+        def column(name: str, *width: int, default: float = 0.0, kind: type = np.float64) -> NDArray:
+            values = (np.broadcast_to(row.get(name, default), (n, *width)) for row, n in zip(rows, lengths))
+            return np.concatenate(list(values)).astype(kind)
+
+        return cls(
+            [*parts.names, *(body.name for body in parts.bodies)],
+            column("points", 3),
+            column("velocity", 3),
+            column("normals", 3),
+            column("colour", 3),
+            column("radius"),
+            column("number", kind=np.int32),
+            column("ball", default=-1, kind=np.int32),
+            column("uv", 2, default=np.nan),
+            np.concatenate([np.zeros((0, 3)), *triangles]).astype(np.int32),
+            (start + np.searchsorted(loose, pairs)).astype(np.int32).reshape(-1, 2),
+            np.arange(start, start + len(loose), dtype=np.int32),
+        )

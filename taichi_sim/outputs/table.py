@@ -1,0 +1,56 @@
+"""A table of energies, contacts and probes over time, as CSV."""
+
+import csv
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.outputs.growing import Growing
+
+CONTACTS = ("number", "penetration", "mean_penetration", "residual", "largest_speed")
+
+
+class Table(Growing):
+    """A row for each frame: frame, time [s], kinetic, spring, gravity and total energy [J], contacts, penetration and
+    mean_penetration [m], residual and largest_speed [m/s], and each number of each probe under its name, `load.tension`, in SI
+    units. nan where something is not known."""
+
+    def begun(self, part: Path, frame: Frame) -> None:
+        with open(part, "w", newline="", encoding="utf-8") as file:
+            self._write(file, row_of(0, frame), names=True)
+
+    def cut(self, part: Path, frames: int) -> None:
+        with open(self.path, "rb") as old, open(part, "wb") as new:
+            new.writelines(islice(old, frames + 1))
+
+    def length(self) -> int:
+        with open(self.path, "rb") as file:
+            return max(0, sum(line.endswith(b"\n") for line in file) - 1)
+
+    def opened(self) -> Any:
+        return open(self.path, "a", newline="", encoding="utf-8")
+
+    def more(self, index: int, frame: Frame) -> None:
+        self._write(self._file, row_of(index, frame))
+        self._file.flush()
+
+    @staticmethod
+    def _write(file: Any, row: dict[str, Any], names: bool = False) -> None:
+        writer = csv.writer(file, lineterminator="\n")
+        if names:
+            writer.writerow(row)
+        writer.writerow([repr(value) for value in row.values()])
+
+
+def row_of(index: int, frame: Frame) -> dict[str, Any]:
+    """The values of a row by the names of their columns."""
+    energy = (np.nan,) * 4 if frame.energy is None else frame.energy
+    row = {"frame": index, "time": float(frame.time)}
+    row |= {name: float(value) for name, value in zip(("kinetic", "spring", "gravity", "total"), energy)}
+    for name in CONTACTS:
+        value = np.nan if frame.contacts is None else getattr(frame.contacts, name)
+        row["contacts" if name == "number" else name] = value if name == "number" else float(value)
+    return row | {name: float(value) for name, value in frame.probes.items()}
