@@ -259,11 +259,13 @@ class Elements(Probed, Objects):
             k = int(both[0]) if len(both) else int(np.sort(index)[:-1][np.diff(np.sort(index)) == 0][0])
             says = f"ball {k} is named twice; a ball can be led along one path only"
             raise SceneError(f"{where}.balls", says=says)
+        if angular_velocity is not None:
+            angular_velocity = validation.as_array(angular_velocity).tolist()
         given = {
             "velocity": None
             if velocity is None
             else validation.vector(f"{where}.velocity", velocity, self.dim).tolist(),
-            "angular_velocity": np.asarray(angular_velocity).tolist() if angular_velocity is not None else None,
+            "angular_velocity": angular_velocity,
             "pivot": None if pivot is None else validation.vector(f"{where}.pivot", pivot, self.dim).tolist(),
             "path": path,
             "repeat": repeat,
@@ -371,11 +373,12 @@ class Elements(Probed, Objects):
             for k, table in enumerate(gases):
                 gas = dict(table)
                 volume = validation.number(f"gases[{k}].volume", gas.pop("volume", None), positive=True)
+                gas["triangles"] = _array(arrays, "gases", k, "triangles")
                 with place_of(f"gases[{k}]"):
-                    validation.call("gases", self.add_gas, gas | {"triangles": _array(arrays, f"gases.{k}.triangles")})
+                    validation.call("gases", self.add_gas, gas)
                 self.gases[-1] = replace(self.gases[-1], volume=volume)
             for k, table in enumerate(pins):
-                balls = {"balls": _array(arrays, f"moving_pins.{k}.balls")}
+                balls = {"balls": _array(arrays, "moving_pins", k, "balls")}
                 validation.call(f"moving_pins[{k}]", self.add_moving_pins, table | balls)
             for k, table in enumerate(probes):
                 start = f"probes.{table.get('name')}."
@@ -386,9 +389,10 @@ class Elements(Probed, Objects):
                 self.objects.append(saved_object(k, table, arrays, self.n_balls))
 
 
-def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:
+def _array(arrays: Mapping[str, NDArray], *path: str | int) -> NDArray:
+    name = ".".join(map(str, path))
     if name not in arrays:
-        raise SceneError(name, says="is missing")
+        raise SceneError(path, says=f"is missing; there is no array {name!r}")
     return arrays[name]
 
 

@@ -455,12 +455,12 @@ class Scene(Elements):
         self.walls.clear()
         for k, table in enumerate(materials):
             with about(f"materials[{k}]"):
-                validation.call(f"materials[{k}]", self.add_material, table)
+                validation.call("materials", self.add_material, table)
         if len(self.materials) != len(materials):
             raise SceneError("materials", says=f"are {len(materials)}; the first must be 'default', and no other")
         for k, table in enumerate(walls):
             with about(f"walls[{k}]"):
-                validation.call(f"walls[{k}]", self._add_bits, table)
+                validation.call("walls", self._add_bits, table)
 
     def _add_bits(self, normal: Any, offset: Any, material: Any, group: Any, mask: Any) -> None:
         """Add a wall as `Wall` says it."""

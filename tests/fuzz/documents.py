@@ -79,6 +79,10 @@ def _is_number(value):
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
+def _times(value, factor):
+    return value * factor if abs(value) < 1e200 else value
+
+
 @st.composite
 def changed(draw, documents, values=odd_values):
     """One of the documents with up to four things changed in it."""
@@ -93,12 +97,13 @@ def changed(draw, documents, values=odd_values):
         value = inside[key]
         if _is_number(value) and draw(st.booleans()):
             inside[key] = draw(
-                st.sampled_from(NUMBERS) | st.sampled_from([-value, 3 * value, value * 1e30, value * 1e-30])
+                st.sampled_from(NUMBERS)
+                | st.sampled_from([-value, 3 * value, _times(value, 1e30), _times(value, 1e-30)])
             )
             continue
         what = draw(st.sampled_from(["put", "put", "put", "drop", "wrap", "again", "many", "name", "other"]))
         if what == "put":
-            inside[key] = draw(values)
+            inside[key] = copy.deepcopy(draw(values))
         elif what == "drop":
             del inside[key]
         elif what == "wrap":
@@ -130,3 +135,9 @@ def damaged(draw, data):
         if draw(st.integers(0, 9)) == 0:
             data = data[:begin]
     return data
+
+
+@st.composite
+def mostly(draw, usual, seldom, one_in=6):
+    """From the one strategy, and one time in so many from the other."""
+    return draw(seldom if draw(st.integers(1, one_in)) == one_in else usual)
