@@ -2,6 +2,7 @@
 
 import errno
 import glob
+import itertools
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,6 +13,8 @@ try:
     import fcntl
 except ImportError:  # Windows, where a file that is open cannot be deleted
     fcntl = None  # type: ignore[assignment]
+
+NUMBERS = itertools.count()  # of those of this process
 
 __all__ = ["PartFile", "locked", "naming", "replacing", "require_place", "sweep", "synced"]
 
@@ -26,7 +29,7 @@ class PartFile:
 
     def __init__(self, path: str | os.PathLike[str], *, swept: bool = False) -> None:
         self.path = Path(path)
-        self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.{next(NUMBERS)}.part")
         parent = self.path.parent
         if not parent.is_dir():
             raise FileNotFoundError(f"{self.path}: there is no folder {str(parent)!r}; make it first")

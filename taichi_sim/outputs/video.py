@@ -18,6 +18,7 @@ from taichi_sim.outputs.run_log import Checkpoint
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
 LIMITED = 1  # studio range, as players expect
 LOSSLESS = {"preset": "ultrafast", "qp": "0", "tune": "zerolatency", "threads": "1"}  # a packet a picture, at once
+SMALL = 256  # px: up to 160 wide, x264's mbtree reads memory that nobody wrote, and the bytes differ from run to run
 FASTSTART = {"movflags": "faststart"}  # the index at the front
 SAME_BYTES = {"fflags": "+bitexact"}  # no random identifiers
 
@@ -143,6 +144,8 @@ class Video(Resumable):
             options=codec.muxing,
         )
         options = {"crf": str(self.crf), **codec.options}
+        if codec.encoder == "libx264" and width < SMALL:
+            options["x264-params"] = "mbtree=0"
         stream: Any = self._container.add_stream(codec.encoder, rate=self.rate, options=options)
         if codec.tag:
             stream.codec_context.codec_tag = codec.tag

@@ -177,6 +177,16 @@ def test_a_codec_that_does_not_fit_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_small_videos_have_the_same_bytes_in_every_run(tmp_path):
+    """x264's mbtree read memory that nobody wrote."""
+    found = set()
+    for k in range(6):
+        make(tmp_path, f"{k}.mp4", size=(112, 50))
+        found.add((tmp_path / f"{k}.mp4").read_bytes())
+        _ = [bytearray(range(k, 200)) * n for n in range(200)]  # memory that was used
+    assert len(found) == 1
+
+
 class Slow(Output):
     """Takes its time in a thread of its own, and fails at one frame."""
 
