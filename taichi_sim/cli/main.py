@@ -109,7 +109,7 @@ def run(
         job.output["style"]["transparent"] = True
     every = interval("--checkpoint", checkpoint)
     targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-    if not targets and ( overwrite or resume or codec or transparent or checkpoint):
+    if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
         with job.simulation() as sim:

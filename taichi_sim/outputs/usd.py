@@ -37,9 +37,9 @@ UNSAVED = 1 << 26  # bytes that wait in memory
 
 
 class Usd(Resumable):
-    """/World holds an Xform for each object, with its name, and in it a Mesh `surface` (points and normals over time, st where the
-    object has a grid), Points `balls` (widths: diameters) of those that no surface covers, and BasisCurves `springs`; a Mesh for
-    each collider that a transform moves; a square for each wall, in the purpose `guide` where it is no floor; and `camera`.
+    """/World holds an Xform for each object, with its name, and in it a Mesh `surface` (points and normals over time, st where
+    the object has a grid), Points `balls` (widths: diameters) of those that no surface covers, and BasisCurves `springs`; a Mesh
+    for each collider, which a transform moves; a square for each wall, in the purpose `guide` where it is no floor; `camera`.
     Metres, y up, frame k at time code k, `fps` of which are a second. Colours are linear, as displayColor and as materials.
 
     Frames wait on disk beside the file until it is complete. resume: go on where a run into the same name was cut off.
@@ -302,7 +302,9 @@ class _Stage:
         """A frame."""
         assert self._first is not None
         parts, x = self._parts, in_3d(now["position"].astype(np.float64))
-        frame: Any = SimpleNamespace(**{name: now.get(name, getattr(self._first, name)) for name in ("springs", "triangles")})
+        frame: Any = SimpleNamespace(
+            **{name: now.get(name, getattr(self._first, name)) for name in ("springs", "triangles")}
+        )
         for one, mesh, faces in zip(parts.surfaces, self._meshes, parts.triangles(frame)):
             points = one.points(x)
             self._faces(mesh, faces, index)
