@@ -37,8 +37,8 @@ def open_output(
     codec: str | None = None,
 ) -> Output:
     """The output for a name: x.mp4 or x.webm a video, x.gif an animation, x.npz arrays, x.usdc or x.usda a USD scene, x.pvd files
-    for ParaView, x.gsd a trajectory, x.csv a table of energies and probes, x.ply or x.obj a mesh for each frame, a name without an
-    ending PNG frames.
+    for ParaView, x.gsd a trajectory, x.csv a table of energies and probes, x.ply or x.obj a mesh for each frame, a name without
+    an ending PNG frames.
 
     It is opened at once: ValueError for another ending or where a package that it needs is missing, OSError where it cannot be
     written. overwrite is for a folder of frames that is not empty; a file is replaced when the new one is complete, x.gsd and

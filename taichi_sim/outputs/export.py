@@ -191,8 +191,8 @@ def export(
     Outputs are finished here, also when the simulation becomes unstable, and discarded on any other error.
 
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
-    and `checkpoint` may be others): ValueError otherwise. Where all have the same checkpoint the simulation is closed, and another
-    goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again.
+    and `checkpoint` may be others): ValueError otherwise. Where all have the same checkpoint the simulation is closed, and
+    another goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again.
     """
     outputs: Sequence[Any] = () if output is None else output if isinstance(output, (list, tuple)) else [output]
     for one in outputs:

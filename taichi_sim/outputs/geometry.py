@@ -20,10 +20,10 @@ class Geometry(Resumable):
     """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
 
     Each holds all parts of the frame, see `Parts`: surfaces in place of what they cover, loose balls as points (in PLY with their
-    radius), springs between these as edges, colliders; with normals, colours, texture coordinates where there are some, and of
-    each vertex the number of its object, whose names are comments of a PLY; in an OBJ they are its objects. A file that is there is
-    replaced when the new one is complete; what was written before an error or Ctrl-C stays. resume: go on from the last checkpoint
-    of a run into the same name.
+    radius), springs between these as edges, colliders; with normals, colours, and texture coordinates where there are some. An
+    OBJ has objects with names; in a PLY each vertex has the number of its object, and comments their names. A file that is there
+    is replaced when the new one is complete; what was written before an error or Ctrl-C stays. resume: go on from the last
+    checkpoint of a run into the same name.
     """
 
     needs_image = False
@@ -80,7 +80,7 @@ class Geometry(Resumable):
 
 
 def _write_ply(file: IO[bytes], parts: Together) -> None:
-    columns = {name: parts.points[:, k] for k, name in enumerate("xyz")}
+    columns: dict[str, Any] = {name: parts.points[:, k] for k, name in enumerate("xyz")}
     columns |= {f"n{name}": parts.normals[:, k] for k, name in enumerate("xyz")}
     columns["radius"] = parts.radius
     if np.isfinite(parts.uv).any():

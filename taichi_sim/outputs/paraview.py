@@ -100,7 +100,12 @@ def _polygons(time: float, names: NDArray, count: int, parts: Together, point_da
         ends = width * np.arange(1, n + 1, dtype="<i4")
         return f"<{kind}>\n{array('connectivity', corners.astype('<i4').ravel())}{array('offsets', ends)}</{kind}>\n"
 
-    sizes = {"Points": parts.points, "Verts": parts.loose, "Lines": parts.springs, "Polys": parts.triangles}
+    sizes: dict[str, NDArray] = {
+        "Points": parts.points,
+        "Verts": parts.loose,
+        "Lines": parts.springs,
+        "Polys": parts.triangles,
+    }
     text = HEAD.format("PolyData") + "<PolyData>\n<FieldData>\n"
     text += array("TimeValue", np.array([time], dtype="<f8"), NumberOfTuples=1)
     text += array("names", names, NumberOfTuples=count) + "</FieldData>\n<Piece "

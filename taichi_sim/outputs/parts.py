@@ -54,7 +54,8 @@ class Parts:
     """What the frames of one scene have in common, from the first of them.
 
     number (n,): of the object that each ball belongs to, by which `names` count. A ball is hidden where a surface is shown in
-    place of it, or it is a corner of one, or within the closed one of its object; the others are loose. colour (n, 3): sRGB of the balls.
+    place of it, or it is a corner of one, or within the closed one of its object; the others are loose. colour (n, 3): sRGB of
+    the balls.
     """
 
     def __init__(self, first: Frame) -> None:
@@ -229,7 +230,7 @@ class Together:
         first = 0
         for one, faces in zip(parts.surfaces, parts.triangles(frame)):
             points = one.points(x)
-            row = {"points": points, "velocity": one.points(v), "normals": normals_of(points, faces)}
+            row: dict[str, Any] = {"points": points, "velocity": one.points(v), "normals": normals_of(points, faces)}
             row |= {"colour": one.colour, "number": one.object, "uv": np.nan if one.uv is None else one.uv}
             rows.append(row | {"ball": one.corners[:, 0] if one.embedded is None else -1})
             triangles.append(first + faces)

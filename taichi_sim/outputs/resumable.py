@@ -11,8 +11,8 @@ from taichi_sim.outputs.run_log import Checkpoint, RunLog
 
 
 class Resumable(Output):
-    """What it needs for that waits in the folder of `log` until it is complete. `export` calls `begin`, where there is a checkpoint
-    `go_on`, and `hold` before each checkpoint."""
+    """What it needs for that waits in the folder of `log` until it is complete. `export` calls `begin`, `go_on` where there is
+    a checkpoint, and `hold` before each that it makes."""
 
     resumable = True
 

@@ -37,9 +37,9 @@ UNSAVED = 1 << 26  # bytes that wait in memory
 
 
 class Usd(Resumable):
-    """/World holds an Xform for each object, with its name, and in it a Mesh `surface` (points and normals over time, st where the
-    object has a grid), Points `balls` (widths: diameters) of those that no surface covers, and BasisCurves `springs`; a Mesh for
-    each collider that a transform moves; a square for each wall, in the purpose `guide` where it is no floor; and `camera`.
+    """/World holds an Xform for each object, with its name, and in it a Mesh `surface` (points and normals over time, st where
+    the object has a grid), Points `balls` (widths: diameters) of those that no surface covers, and BasisCurves `springs`; a Mesh
+    for each collider, which a transform moves; a square for each wall, in the purpose `guide` where it is no floor; `camera`.
     Metres, y up, frame k at time code k, `fps` of which are a second. Colours are linear, as displayColor and as materials.
 
     Frames wait on disk beside the file until it is complete. resume: go on where a run into the same name was cut off.

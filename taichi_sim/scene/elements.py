@@ -353,7 +353,7 @@ class Elements(Probed, Objects):
 
     def element_arrays(self) -> dict[str, NDArray]:
         """The arrays that go with `elements`."""
-        arrays = {f"gases.{k}.triangles": gas.triangles for k, gas in enumerate(self.gases)}
+        arrays: dict[str, Any] = {f"gases.{k}.triangles": gas.triangles for k, gas in enumerate(self.gases)}
         arrays |= {f"moving_pins.{k}.balls": pins.balls for k, pins in enumerate(self.moving_pins)}
         arrays |= {f"objects.{k}.balls": one.balls for k, one in enumerate(self.objects)}
         arrays |= {f"objects.{k}.uv": one.uv for k, one in enumerate(self.objects) if one.uv is not None}

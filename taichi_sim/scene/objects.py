@@ -74,8 +74,8 @@ def named(n: int, objects: Sequence[SceneObject]) -> tuple[NDArray[np.int32], li
     number = np.full(n, len(objects), dtype=np.int32)
     for k, one in enumerate(objects):
         number[one.balls] = k
-    used, number = np.unique(number, return_inverse=True)
+    used, inverse = np.unique(number, return_inverse=True)
     loose = LOOSE
     while loose in names:
         loose += "_"
-    return number.astype(np.int32), [[*names, loose][k] for k in used.tolist()]
+    return inverse.astype(np.int32), [[*names, loose][k] for k in used.tolist()]

@@ -229,8 +229,8 @@ def build(
     """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls.
 
     stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
-    corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`. uv: (n, 2) in
-    0..1, of a sheet, for textures.
+    corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`. uv: (n, 2),
+    places on a sheet in 0..1.
     """
     n = len(points)
     each = part.mass if isinstance(part.mass, np.ndarray) else part.mass / n

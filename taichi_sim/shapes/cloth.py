@@ -161,7 +161,7 @@ def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) 
 
 
 def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None, bends: bool) -> tuple:
-    """The surface of a flat sheet, its balls along x and z, their spacing and its size (2,) [m], and places on it (n, 2) in 0..1."""
+    """The surface of a flat sheet, its balls along x and z, their spacing, its size (2,) [m] and places on it (n, 2)."""
     extent = lengths("cloth.size", (1.0, 1.0) if size is None else size, 2)
     number = counts("cloth.resolution", (32, 32) if resolution is None else resolution, 2, 2)
     balls = number[0] * number[1]

@@ -115,9 +115,9 @@ def test_who_stops_reading_gets_no_error(tmp_path, arguments):
 
 
 def test_run_writes_arrays_and_a_summary(folder):
-    done = command(folder, "run", "ball.toml", "-o", "ball.npz")
+    done = command(folder, "run", "ball.toml", "-o", "ball.npz", "-o", "ball.csv")
     assert (done.returncode, done.stderr) == (0, "")
-    for word in ("frames       10", "energy", "momentum", "per simulated second", "ball.npz"):
+    for word in ("frames       10", "energy", "momentum", "per simulated second", "ball.npz", "ball.csv"):
         assert word in done.stdout
     assert "penetration" not in done.stdout  # one ball alone has no contacts
     with np.load(folder / "ball.npz") as data:
@@ -125,6 +125,17 @@ def test_run_writes_arrays_and_a_summary(folder):
         assert t == pytest.approx(np.arange(10) / 20)
         assert data["position"][:, 0, 1] == pytest.approx(1 - 5 * t**2, abs=1e-9)
         assert data["energy"][:, 3] == pytest.approx(np.full(10, 10.0))
+        table = np.genfromtxt(folder / "ball.csv", delimiter=",", names=True)
+        assert np.array_equal(table["total"], data["energy"][:, 3])
+    assert names(folder) == ["ball.csv", "ball.npz", "ball.toml", "stiff.toml"]
+
+
+def test_help_names_every_format(tmp_path):
+    from taichi_sim.outputs import CODECS, OTHERS
+
+    done = command(tmp_path, "run", "--help")
+    for ending in (*CODECS, *OTHERS, "folder/"):
+        assert ending in done.stdout, ending
 
 
 def test_options_go_over_the_file_and_quiet_is_quiet(folder):
@@ -244,11 +255,19 @@ REFUSED = [
         ("run", "ball.toml", "-o", "x.mp4", "--transparent"),
         "transparent: x.mp4 holds no transparency; write PNG frames",
     ),
-    (("run", "ball.toml", "-o", "x.gif", "--resume"), "x.gif: only videos and folders of PNG frames can be resumed"),
     (
         ("run", "ball.toml", "-o", "x.avi"),
-        "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.npz, x.ply, x.obj or folder/",
+        "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.npz, x.usdc, x.usda, x.pvd, x.gsd, x.csv, x.ply, x.obj or",
     ),
+    (
+        ("run", "ball.toml", "-o", "x.npz", "-o", "full/../x.npz"),
+        "full/../x.npz: is given twice; give every output a name of its own",
+    ),
+    (
+        ("run", "ball.toml", "-o", "x.npz", "-o", "x.usdc"),
+        'x.usdc: .usdc needs one more package: pip install "taichi-sim[usd]"',
+    ),
+    (("run", "ball.toml", "-o", "x.csv", "-o", "x.avi"), "x.avi: '.avi' is not allowed"),
     (("run", "ball.toml", "-o", "none/x.mp4"), "none/x.mp4: there is no folder 'none'; make it first"),
     (("run", "ball.toml", "-o", "full"), "full: the folder is not empty; use --overwrite, --resume or another name"),
     (("view", "ball.toml"), "there is no display for a window; use `taichi-sim run SCENE -o x.mp4` instead"),
@@ -297,6 +316,7 @@ def write_bad_files(folder: Path) -> None:
         "import taichi_sim as ts\ndef scene():\n    scene = ts.Scene()\n    scene.add_balls([[0, 0]], radius=1)\n"
         "    scene.output = {'fps': 'fast'}\n    return scene\n"
     )
+    (folder / "pxr.py").write_text("raise ImportError")  # as if it were not installed
     (folder / "full").mkdir()
     (folder / "full" / "notes.txt").write_text("mine")
 

@@ -2,17 +2,27 @@
 run, and read back by the libraries that people use."""
 
 import csv
+import json
+import signal
+import subprocess
 import sys
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
+from test_outputs import FakeSimulation
 
 import taichi_sim as ts
+from taichi_sim.analysis.frame import Placed
 from taichi_sim.outputs import Output, export, open_output, open_outputs
 from taichi_sim.outputs.parts import Parts
 from taichi_sim.render.palette import to_linear
 
 pytestmark = pytest.mark.once
+
+export_module = import_module("taichi_sim.outputs.export")
 
 FPS, FRAMES = 30.0, 5
 RED, BLUE, GREEN = (0.9, 0.2, 0.1), (0.2, 0.4, 0.9), (0.0, 1.0, 0.0)
@@ -56,7 +66,8 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     there = [name for name in FORMATS if missing(name) is None or _has(missing(name))]
     seen = Seen()
-    with ts.Simulation(world(), dt=1e-3, contacts="off", arch="cpu") as simulation:
+    method = {"integrator": "symplectic_euler", "contacts": "off"}  # which compile soonest
+    with ts.Simulation(world(), dt=1e-3, arch="cpu", **method) as simulation:
         outputs = open_outputs([folder / name for name in there], fps=FPS)
         export(simulation, [*outputs, seen], fps=FPS, duration=FRAMES / FPS, style={"camera": {"orbit": 40.0}})
     return folder, seen.seen
@@ -369,10 +380,9 @@ def test_flat_scenes(tmp_path, name):
     scene.add_balls([[0.0, 1.0], [2.0, 3.0]], radius=[0.1, 0.2])
     scene.add_collider(ts.Box((0, 0), (2, 1), hollow=0.1))
     scene.add_collider(ts.Capsule((0, 0), (1, 1), 0.2))
-    scene.add_wall((0, 1))
-    with ts.Simulation(scene, dt=1e-3, contacts="off", arch="cpu") as simulation:
-        frame = simulation.frame()
-    written(tmp_path / name, [frame])
+    colliders = tuple(Placed(one, *(part[0] for part in one.motion.at(0.0))) for one in scene.colliders)
+    given = {"colliders": colliders, "walls": np.array([[0.0, 1.0, -1.0]])}
+    written(tmp_path / name, [ts.Frame(0.0, scene.position, scene.velocity, scene.radius, **given)])
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
     if name == "x.usda":
         from pxr import Usd, UsdGeom
@@ -403,10 +413,10 @@ def test_names_come_from_scene_files_and_go_back(tmp_path):
     scene.save(tmp_path / "b.toml")
     again = ts.load_scene(tmp_path / "b.toml")
     assert [one.name for one in again.objects] == ["stones", "line"]
-    with ts.Simulation(scene, dt=1e-3, contacts="off", arch="cpu") as simulation:
-        simulation.save(tmp_path / "state.npz")
-    with ts.Simulation.restore(tmp_path / "state.npz") as simulation:
-        assert named(scene.n_balls, simulation.frame().objects)[1] == names
+    kept = ts.Scene(dim=3)  # as a state file has it
+    kept.from_arrays(scene.to_arrays())
+    kept.set_elements(json.loads(json.dumps(scene.elements())), scene.element_arrays())
+    assert named(kept.n_balls, kept.objects)[1] == names
 
 
 def test_bad_names_are_refused():
@@ -444,3 +454,87 @@ def test_two_outputs_with_one_name_are_refused(tmp_path):
         with pytest.raises(ValueError, match=rf"{names[-1]}: is given twice; give every output a name of its own"):
             open_outputs([f"{tmp_path}/{name}" for name in names])
     assert [path.name for path in tmp_path.iterdir()] == ["sub"]
+
+
+# Cut off ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_killed_run_leaves_files_that_open(tmp_path):
+    """Those that grow, and those of one file for each frame."""
+    hoomd = pytest.importorskip("gsd.hoomd", reason="gsd is not installed")
+    code = f"""if True:
+        import os, signal, sys
+        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        import test_outputs as t
+        from taichi_sim.outputs import export, open_outputs
+        class Killed(t.FakeSimulation):
+            def contacts(self):
+                if getattr(self, "asked", 0) == 20:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return super().contacts()
+        names = ["x.gsd", "x.csv", "x.pvd"]
+        export(Killed(), open_outputs([{str(tmp_path)!r} + "/" + name for name in names]), duration=0.5)
+    """
+    ended = subprocess.run([sys.executable, "-c", code], check=False)
+    assert ended.returncode == -signal.SIGKILL
+    with hoomd.open(str(tmp_path / "x.gsd")) as file:
+        assert len(file) == 20
+        assert file[19].particles.position[1, 1] == 19
+    rows = (tmp_path / "x.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["frame", *map(str, range(20))]
+    pvd = (tmp_path / "x.pvd").read_text()
+    assert pvd.endswith("</VTKFile>\n")
+    assert pvd.count("<DataSet") >= 20 - 5  # but those that waited for the writer
+
+
+class Saved(FakeSimulation):
+    """Its state can be kept, and its contacts are always the same."""
+
+    def contacts(self):
+        self.asked = 4
+        return super().contacts()
+
+    def save(self, path):
+        path.write_text("a state")
+
+
+@pytest.mark.parametrize("names", [FORMATS[:1], FORMATS[2:6], ("x.csv", "x.usdc")], ids=" ".join)
+def test_a_run_goes_on_from_its_checkpoint(tmp_path, monkeypatch, names):
+    for name in names:
+        pytest.importorskip(missing(name) or "numpy", reason="its library is not installed")
+    from taichi_sim.outputs import checkpoints
+
+    def going_on(first, simulation, fps, duration):
+        for k in range(first, round(fps * duration)):
+            yield simulation.frame(k / fps, k)
+
+    @contextmanager
+    def as_it_was(simulation, checkpoint):
+        assert checkpoint.state.read_text() == "a state"
+        yield Saved()
+
+    monkeypatch.setattr(export_module, "frames_from", going_on)
+    monkeypatch.setattr(export_module, "restored", as_it_was)
+    monkeypatch.setattr(checkpoints, "SHARE", 1e9)
+    (tmp_path / "whole").mkdir()
+    how = {"duration": 0.5, "checkpoint": 1e-9}
+    export(Saved(), open_outputs([tmp_path / "whole" / name for name in names]), **how)
+    with pytest.raises(KeyboardInterrupt):
+        export(Saved(13, KeyboardInterrupt()), open_outputs([tmp_path / name for name in names]), **how)
+    summary = export(Saved(), open_outputs([tmp_path / name for name in names], resume=True), **how)
+    assert summary.resumed == 13
+    files = [path.name for path in (tmp_path / "whole").iterdir()]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*files, "whole"])
+    for name in files:
+        mine, theirs = ((folder / name).read_bytes() for folder in (tmp_path, tmp_path / "whole"))
+        if name != "x.gsd":
+            assert mine == theirs, name
+            continue
+        import gsd.hoomd
+
+        with gsd.hoomd.open(str(tmp_path / name)) as one, gsd.hoomd.open(str(tmp_path / "whole" / name)) as other:
+            assert len(one) == len(other) == 30
+            for a, b in zip(one, other):
+                assert a.configuration.step == b.configuration.step
+                assert np.array_equal(a.particles.position, b.particles.position)
+                assert a.log.keys() == b.log.keys()

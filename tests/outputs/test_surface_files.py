@@ -1,5 +1,7 @@
 """Surfaces as OBJ and PLY files: what another reader finds in them."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from taichi_sim import Scene, SceneError, shapes
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.mesh import Surface, read_surface, volume
 from taichi_sim.outputs import open_output
-from taichi_sim.outputs.geometry import surface_of
+from taichi_sim.outputs.parts import Parts, Together
 from taichi_sim.shapes.balloon import _sphere
 
 pytestmark = pytest.mark.once
@@ -52,19 +54,24 @@ def test_loose_balls_are_points(tmp_path):
     written(tmp_path, "x.ply", frame(scene))
     head, _, body = (tmp_path / "x_00000.ply").read_bytes().partition(b"end_header\n")
     assert b"element vertex 2" in head
-    assert b"property float radius" in head
-    assert np.frombuffer(body, "<f4").reshape(2, 4) == pytest.approx(np.array([[0, 1, 0, 0.1], [2, 3, 0, 0.2]]))
+    assert re.findall(rb"property float (\w+)", head) == [b"x", b"y", b"z", b"nx", b"ny", b"nz", b"radius"]
+    rows = np.frombuffer(body, "u1").reshape(2, -1)[:, :28].copy().view("<f4")
+    assert rows[:, [0, 1, 2, 6]] == pytest.approx(np.array([[0, 1, 0, 0.1], [2, 3, 0, 0.2]]))
     written(tmp_path, "x.obj", frame(scene))
-    assert (tmp_path / "x_00000.obj").read_text() == "v 0 1 0\nv 2 3 0\n"
+    lines = (tmp_path / "x_00000.obj").read_text().splitlines()
+    assert [line.split()[:4] for line in lines if line.startswith("v ")] == [["v", "0", "1", "0"], ["v", "2", "3", "0"]]
+    assert lines[-3:] == ["o balls", "p 1", "p 2"]
 
 
 def test_only_vertices_that_are_used():
     scene = Scene(dim=3)
     scene.add_balls([[9.0, 9, 9]], radius=0.1)
     shapes.cloth(scene, resolution=(3, 4))
-    vertices, triangles = surface_of(frame(scene))
-    assert len(vertices) == 12
-    assert triangles.max() == 11
+    one = frame(scene)
+    parts = Together.of(Parts(one), one)
+    assert len(parts.points) == 12 + 1
+    assert parts.triangles.max() == 11
+    assert parts.loose.tolist() == [12]
 
 
 def test_a_folder_that_is_missing(tmp_path):
