@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 import taichi_sim as ts
 from taichi_sim.analysis.collider_checks import check_colliders
 from taichi_sim.cli.main import main
+from taichi_sim.common.memory import available
 from taichi_sim.common.npz import read_npz
 from taichi_sim.geometry.mesh import read_surface
 from taichi_sim.reports.speed_error import command
@@ -200,6 +201,23 @@ def with_header(path, header, size=80):
     ],
     ids=str,
 )
+def test_what_cannot_be_sought_is_refused(tmp_path):
+    """The first member begins before the file does."""
+    np.savez(tmp_path / "x.npz", a=np.arange(3))
+    data = bytearray((tmp_path / "x.npz").read_bytes())
+    data[-6:-2] = (2**31).to_bytes(4, "little")  # where the list of members begins
+    (tmp_path / "x.npz").write_bytes(data)
+    with pytest.raises(ts.SceneError, match=r"x.npz: cannot be read as .npz arrays"):
+        read_npz(tmp_path / "x.npz")
+
+
+def test_a_limit_of_the_process_counts(monkeypatch):
+    resource = pytest.importorskip("resource")
+    assert available() > 0
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (1 << 20, resource.RLIM_INFINITY))
+    assert available() == 0
+
+
 def test_headers_that_lie_are_refused(tmp_path, header):
     with_header(tmp_path / "x.npz", header)
     with pytest.raises(ts.SceneError, match=r"x.npz: cannot be read as .npz arrays: 'x' "):
