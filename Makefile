@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee kills clean
+.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee kills fuzz clean
 
 help:
-	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | kills | clean"
+	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | kills | fuzz | clean"
 
 env: $(STAMP)
 
@@ -68,6 +68,11 @@ referee: env
 KILLS ?= 200
 kills: env
 	$(BIN)/python -m tests.support.kills --kills $(KILLS) --seed $(SEED)
+
+# thousands of scene files, states and meshes that something happened to: each is read, or refused in one sentence
+CASES ?= 10000
+fuzz: env
+	$(BIN)/python -m tests.fuzz --cases $(CASES)
 
 bench: env
 	$(BIN)/taichi-sim bench

@@ -44,9 +44,11 @@ def read_npz(path: str | os.PathLike[str], prefix: str = "") -> dict[str, NDArra
                     raise ValueError(f"{member.filename!r} is no .npy, or there twice")
                 with archive.open(member) as stream:
                     arrays[name] = _array(name, stream, member.file_size)
-    except (SceneError, OSError):
+    except SceneError:
         raise
     except Exception as error:  # a damaged archive raises whatever its parts raise
+        if isinstance(error, OSError) and error.filename is not None:  # it cannot be opened
+            raise
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise SceneError((), says=f"cannot be read as .npz arrays: {reason}", file=file) from None
     return {name[len(prefix) :]: array for name, array in arrays.items()}

@@ -41,6 +41,11 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     faces = np.asarray(getattr(loaded, "faces", ()), dtype=np.int64)
     if faces.size == 0 or vertices.size == 0:
         raise SceneError("mesh", file, says="has no faces; a surface needs at least one triangle")
+    wrong = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
+    if wrong.any():
+        bad = int(np.argmax(wrong))
+        says = f"has face {bad} (from 0) of vertices {faces[bad].tolist()}, and there are {len(vertices)}"
+        raise SceneError("mesh", file, says=says)
     finite = np.isfinite(vertices).all(axis=1)
     if not finite.all():
         bad = int(np.argmin(finite))

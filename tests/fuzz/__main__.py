@@ -4,8 +4,6 @@ Says what was found: one line for each place in the program that broke, with the
 """
 
 import argparse
-import contextlib
-import io
 import resource
 import sys
 import tempfile
@@ -60,7 +58,8 @@ class Found:
 
 
 def _where(error):
-    last = [entry for entry in traceback.extract_tb(error.__traceback__) if "taichi_sim" in entry.filename][-1]
+    entries = traceback.extract_tb(error.__traceback__)
+    last = ([entry for entry in entries if "taichi_sim" in entry.filename] or entries)[-1]
     return f"{Path(last.filename).name}:{last.lineno} {last.name}"
 
 
@@ -112,8 +111,7 @@ def run(found, kind, strategy, judge, cases, number):
     def each(case):
         found.take(kind, judge, case)
 
-    with contextlib.redirect_stderr(io.StringIO()):
-        each()
+    each()
 
 
 def _shown(case):

@@ -39,6 +39,33 @@ TEXTS = [
     "sphere",
     "file",
 ]
+WORDS = [
+    "verlet",
+    "rk4",
+    "xpbd",
+    "implicit_euler",
+    "tr_bdf2",
+    "explicit_euler",
+    "sum",
+    "off",
+    "gauss_seidel",
+    "f64",
+    "rubber",
+]
+WORDS += [
+    "pair",
+    "skin",
+    "wheel",
+    "mesh.obj",
+    "arrays.npz",
+    "far_",
+    "position",
+    "length",
+    "force",
+    "impulse",
+    "flux",
+    "box",
+]
 OTHERS = [
     True,
     False,
@@ -54,7 +81,12 @@ OTHERS = [
 ]
 
 odd_values = st.recursive(
-    st.sampled_from(NUMBERS) | st.sampled_from(TEXTS) | st.sampled_from(OTHERS) | st.floats() | st.integers(-5, 20),
+    st.sampled_from(NUMBERS)
+    | st.sampled_from(TEXTS)
+    | st.sampled_from(WORDS)
+    | st.sampled_from(OTHERS)
+    | st.floats()
+    | st.integers(-5, 20),
     lambda inner: st.lists(inner, max_size=4) | st.tuples(inner, inner, inner).map(list),
     max_leaves=6,
 )
@@ -80,7 +112,7 @@ def _is_number(value):
 
 
 def _times(value, factor):
-    return value * factor if abs(value) < 1e200 else value
+    return value * factor if abs(value) < 1e200 else -value
 
 
 @st.composite
@@ -98,7 +130,9 @@ def changed(draw, documents, values=odd_values):
         if _is_number(value) and draw(st.booleans()):
             inside[key] = draw(
                 st.sampled_from(NUMBERS)
-                | st.sampled_from([-value, 3 * value, _times(value, 1e30), _times(value, 1e-30)])
+                | st.sampled_from(
+                    [_times(value, factor) for factor in (-1, 2, 3, 0.5, 10, 1e3, 1e-3, 1e7, 1e-7, 1e30, 1e-30)]
+                )
             )
             continue
         what = draw(st.sampled_from(["put", "put", "put", "drop", "wrap", "again", "many", "name", "other"]))
