@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -256,6 +257,30 @@ def test_two_runs_do_not_write_the_same_output(tmp_path, name):
     run(tmp_path, name, kind=Second)
     Steady.ends = -1
     assert not [file for file in files(tmp_path) if "resume" in file or "part" in file]
+
+
+def test_means_of_probes_go_on():
+    """They count since the reading before, which may be one of another process."""
+
+    class Impulse:
+        name = "push"
+        total = staticmethod(lambda sample: np.array([sample.total]))
+        mean = staticmethod(lambda growth: {"force": float(growth[0])})
+        read = staticmethod(lambda sample: {})
+        numbers = staticmethod(lambda dim: ("force",))
+
+    def sample(total):
+        return SimpleNamespace(total=total, scene=SimpleNamespace(dim=2))
+
+    readings, again = Readings([Impulse()]), Readings([Impulse()])
+    readings.begin(0.0, sample(1.0))
+    assert np.isnan(readings.read(0.0, sample(1.0))["push.force"])
+    assert readings.read(0.5, sample(4.0)) == {"push.force": 6.0}
+    again.begin(0.5, sample(4.0))
+    again.recall(json.loads(json.dumps(readings.memory())))
+    for one in (readings, again):
+        assert one.read(0.5, sample(4.0)) == {"push.force": 6.0}
+        assert one.read(1.5, sample(5.0)) == {"push.force": 1.0}
 
 
 # What they cost ----------------------------------------------------------------------------------------------------
