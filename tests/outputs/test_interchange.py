@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_outputs import FakeSimulation
+from test_outputs import FakeRenderer, FakeSimulation, draw_with, pictures
 
 import taichi_sim as ts
 from taichi_sim.analysis.frame import Placed
@@ -561,3 +561,31 @@ def test_the_page_names_every_format():
     page = (Path(__file__).parents[2] / "docs" / "files.md").read_text()
     for ending in (*CODECS, *OTHERS):
         assert f"`x{ending}`" in page, ending
+
+
+def test_what_grows_replaces_a_file_at_its_first_frame(tmp_path):
+    (tmp_path / "x.csv").write_text("old")
+    output = open_output(tmp_path / "x.csv")
+    with pytest.raises(RuntimeError):
+        export(FakeSimulation(0, RuntimeError()), output, duration=0.1)
+    assert (tmp_path / "x.csv").read_text() == "old"
+    with pytest.raises(RuntimeError):
+        export(FakeSimulation(3, RuntimeError()), open_output(tmp_path / "x.csv"), duration=0.1)
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 3
+    assert [path.name for path in tmp_path.iterdir()] == ["x.csv"]
+
+
+def test_of_several_outputs_each_keeps_what_it_can(tmp_path, monkeypatch):
+    """A video that was cut off without a checkpoint is not drawn again up to there, while a table begins anew."""
+    draw_with(monkeypatch, FakeRenderer)
+    names = [tmp_path / "x.mp4", tmp_path / "x.csv"]
+    how = {"duration": 0.2, "size": (64, 48)}
+    with pytest.raises(KeyboardInterrupt):
+        export(FakeSimulation(5, KeyboardInterrupt()), open_outputs(names), **how)
+    export(FakeSimulation(), open_outputs(names, resume=True), **how)
+    assert FakeRenderer.last.drawn == list(range(5, 12))
+    assert FakeRenderer.last.skipped == list(range(5))
+    rows = (tmp_path / "x.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["frame", *map(str, range(12))]
+    assert len(pictures(tmp_path / "x.mp4")) == 12
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.mp4"]
