@@ -108,16 +108,15 @@ def _write_ply(file: IO[bytes], parts: Together) -> None:
 
 
 def _write_obj(file: IO[bytes], parts: Together) -> None:
+    mapped = bool(np.isfinite(parts.uv).any())
     np.savetxt(file, np.column_stack([parts.points, parts.colour]), fmt="v %.9g %.9g %.9g %.4g %.4g %.4g")
     np.savetxt(file, parts.normals, fmt="vn %.6g %.6g %.6g")
-    np.savetxt(file, np.nan_to_num(parts.uv), fmt="vt %.6g %.6g")
-    owners = {
-        "f": parts.number[parts.triangles[:, 0]],
-        "p": parts.number[parts.loose],
-        "l": parts.number[parts.springs[:, 0]],
-    }
+    if mapped:
+        np.savetxt(file, np.nan_to_num(parts.uv), fmt="vt %.6g %.6g")
+    corner, times = (" %d/%d/%d", 3) if mapped else (" %d//%d", 2)
+    corners = {"f": np.repeat(parts.triangles, times, axis=1), "p": parts.loose[:, None], "l": parts.springs}
+    words = {"f": "f" + 3 * corner, "p": "p %d", "l": "l %d %d"}
     for k, name in enumerate(parts.names):
         file.write(f"o {'_'.join(name.split())}\n".encode())
-        np.savetxt(file, np.repeat(parts.triangles[owners["f"] == k] + 1, 3, axis=1), fmt="f" + 3 * " %d/%d/%d")
-        np.savetxt(file, parts.loose[owners["p"] == k] + 1, fmt="p %d")
-        np.savetxt(file, parts.springs[owners["l"] == k] + 1, fmt="l %d %d")
+        for kind, ends in corners.items():
+            np.savetxt(file, ends[parts.number[ends[:, 0]] == k] + 1, fmt=words[kind])

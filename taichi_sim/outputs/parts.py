@@ -1,6 +1,6 @@
 """Parts: what files for other programs hold of a frame, object by object: surfaces, loose balls, springs, colliders."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -148,15 +148,16 @@ def placed(frame: Frame) -> list[tuple[Floats, Floats]]:
     return found
 
 
-def _bodies(first: Frame, taken: Sequence[str]) -> list[Body]:
+def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
     colliders = [one.collider for one in first.colliders]
     counts, names = dict[str, int](), list[str]()
+    taken = {*taken, *(one.label for one in colliders)}
     for one in colliders:
-        kind = one.name.lower()
-        while (name := f"{kind}_{counts.get(kind, 0)}") in taken:
-            counts[kind] = counts.get(kind, 0) + 1
+        kind, name = one.name.lower(), one.label
+        while not name or (name in taken and not one.label):
+            count = counts.get(kind, 0)
+            name, counts[kind] = f"{kind}_{count}", count + 1
         names.append(name)
-        counts[kind] = counts.get(kind, 0) + 1
     tints = [one.colour or COLLIDER_GREY for one in colliders]
     if first.dim == 2:
         shapes: Sequence[tuple[NDArray, NDArray]] = [_flat(one) for one in colliders]

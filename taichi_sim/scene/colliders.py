@@ -68,6 +68,7 @@ class Collider:
     group: int = ONLY  # bits, see Scene.groups
     mask: int = EVERY  # bits of the groups that it collides with
     shape: "ColliderShape | None" = None  # of a CUSTOM one
+    label: str = ""  # the name that it was given
 
     @property
     def is_meshed(self) -> bool:
@@ -115,7 +116,8 @@ class _Placed:
     """What every collider takes.
 
     Args:
-        material: name of a material added before. colour: sRGB in 0..1. group, collides_with: as for balls.
+        material: name of a material added before. colour: sRGB in 0..1. group, collides_with: as for balls. name: what files for
+            other programs call it.
         rotation: about its centre at the start: degrees (one number in 2D, three about x, y and z in 3D), or a matrix.
         velocity: (dim,) m/s. angular_velocity: 1/s, counter-clockwise in 2D, (3,) in 3D, about `pivot` (dim,) [m], which
             moves along and is the centre if left out.
@@ -135,6 +137,7 @@ class _Placed:
     colour: Any = None
     group: Any = "default"
     collides_with: Any = None
+    name: Any = None
 
 
 @dataclass(frozen=True)
@@ -274,11 +277,13 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     colour = None
     if shape.colour is not None:
         colour = tuple(validation.per_item(f"{where}.colour", shape.colour, 3, low=0, high=1).tolist())
+    if shape.name is not None and (not isinstance(shape.name, str) or not shape.name):
+        raise SceneError(f"{where}.name", shape.name, "a text")
     if len(motion.times) > 1:
         given["path"] = [keyframe("", key) for key in shape.path]
     plain = {"shape": name} | {key: _plain(value) for key, value in given.items() if not _left_out(shape, key, value)}
     collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface, plain)
-    return replace(collider, shape=shape) if kind == CUSTOM else collider
+    return replace(collider, label=shape.name or "", shape=shape if kind == CUSTOM else None)
 
 
 def _turned(motion: Motion, turn: Floats) -> Motion:

@@ -274,6 +274,8 @@ class Scene(Elements):
         where = f"colliders[{len(self.colliders)}]"
         material = self._material(f"{where}.material", getattr(shape, "material", "default"))
         collider = build(shape, self.dim, where, material)
+        if collider.label and any(one.label == collider.label for one in self.colliders):
+            raise SceneError(f"{where}.name", collider.label, says="exists already; every collider needs its own name")
         group, mask = self._groups(where, shape.group, shape.collides_with)
         self.colliders.append(replace(collider, group=group, mask=mask))
         return len(self.colliders) - 1

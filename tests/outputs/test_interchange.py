@@ -3,6 +3,7 @@ run, and read back by the libraries that people use."""
 
 import csv
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -12,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_outputs import FakeSimulation
+from test_outputs import FakeRenderer, FakeSimulation, draw_with, pictures
 
 import taichi_sim as ts
 from taichi_sim.analysis.frame import Placed
-from taichi_sim.outputs import Output, export, open_output, open_outputs
+from taichi_sim.outputs import CODECS, OTHERS, Output, export, open_output, open_outputs
 from taichi_sim.outputs.parts import Parts
 from taichi_sim.render.palette import to_linear
 
@@ -49,7 +50,7 @@ def world():
     ts.shapes.jelly(scene, (0.4, 0.3, 0.3), (3, 3, 3), position=(2, 0.5, 0), colour=RED)
     ts.shapes.rope(scene, (0, 2, 3), (1, 2, 3), 4)
     scene.add_balls([[0, 3, 0], [0.5, 3, 0.2]], radius=[0.1, 0.15], colour=GREEN)
-    scene.add_collider(ts.Sphere((5, 0, 0), 0.3, velocity=(0, 0.6, 0), colour=RED))
+    scene.add_collider(ts.Sphere((5, 0, 0), 0.3, velocity=(0, 0.6, 0), colour=RED, name="moon"))
     scene.add_collider(ts.Box((7, 0, 0), (1, 2, 3), angular_velocity=(0, 0, 1.0)))
     scene.add_wall((0, 1, 0), -1)
     scene.add_probe("top", "position", balls=[0])
@@ -99,12 +100,12 @@ def test_usd_has_its_units_names_and_colours(stage):
     assert (stage.GetTimeCodesPerSecond(), stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (FPS, 0, FRAMES - 1)
     things = [prim for prim in stage.GetDefaultPrim().GetChildren() if prim.GetName() != "materials"]
     shown = [prim.GetDisplayName() or prim.GetName() for prim in things]
-    assert shown == [*NAMES, "sphere_0", "box_0", "wall_0", "camera"]
+    assert shown == [*NAMES, "moon", "box_0", "wall_0", "camera"]
     for path, colour in (
         ("left_flag/surface", BLUE),
         ("jelly_0/surface", RED),
         ("balls/balls", GREEN),
-        ("sphere_0", RED),
+        ("moon", RED),
     ):
         prim = stage.GetPrimAtPath(f"/World/{path}")
         assert np.array_equal(UsdGeom.Gprim(prim).GetDisplayColorAttr().Get(), [single(to_linear(colour))])
@@ -128,7 +129,7 @@ def test_usd_moves_as_the_simulation_does(stage, run):
         assert np.array_equal(at("balls/balls").GetPointsAttr().Get(k), x[43:])
         assert np.abs(np.linalg.norm(at("left_flag/surface").GetNormalsAttr().Get(k), axis=1) - 1).max() < 1e-6
         cache = UsdGeom.XformCache(k)
-        ball = cache.GetLocalToWorldTransform(stage.GetPrimAtPath("/World/sphere_0"))
+        ball = cache.GetLocalToWorldTransform(stage.GetPrimAtPath("/World/moon"))
         assert np.array_equal(ball.ExtractTranslation(), frame.colliders[0].centre)
         box = np.array(cache.GetLocalToWorldTransform(stage.GetPrimAtPath("/World/box_0")))
         assert np.array_equal(box[:3, :3].T, frame.colliders[1].rotation)
@@ -253,7 +254,7 @@ def test_vtp(run, vtp):
     folder, frames = run
     for k, frame in enumerate(frames):
         data = vtp(folder / f"x_{k:05d}.vtp")
-        assert data["names"] == [*NAMES, "sphere_0", "box_0"]
+        assert data["names"] == [*NAMES, "moon", "box_0"]
         ball = data["ball"]
         mine = ball >= 0
         assert sorted(ball[mine]) == sorted(set(range(45)) - {25})  # all but the one in the middle of the jelly
@@ -298,7 +299,7 @@ def test_ply_has_all_its_columns(run):
     head, _, body = (folder / "x_00004.ply").read_bytes().partition(b"end_header\n")
     lines = head.decode().splitlines()
     names = [line.split(" ", 3)[3] for line in lines if line.startswith("comment object")]
-    assert names == [*NAMES, "sphere_0", "box_0"]
+    assert names == [*NAMES, "moon", "box_0"]
     kinds = {"float": "<f4", "uchar": "u1", "int": "<i4"}
     columns = [line.split() for line in lines[: lines.index(next(x for x in lines if x.startswith("element face")))]]
     vertex = np.dtype([(words[2], kinds[words[1]]) for words in columns if words[0] == "property"])
@@ -320,7 +321,7 @@ def test_obj_has_objects_by_name(run):
         "jelly_0",
         "rope_0",
         "balls",
-        "sphere_0",
+        "moon",
         "box_0",
     ]
     assert sum(line.startswith("p ") for line in text.splitlines()) == 6
@@ -403,6 +404,7 @@ def test_names_come_from_scene_files_and_go_back(tmp_path):
         'format = 1\ndim = 3\n[[balls]]\nname = "stones"\nposition = [[9.0, 0.0, 0.0], [9.0, 1.0, 0.0]]\nradius = 0.1\n'
         '[[rope]]\nstart = [0.0, 0.0, 0.0]\nend = [1.0, 0.0, 0.0]\nn = 4\nname = "line"\n'
         "[[rope]]\nstart = [0.0, 1.0, 0.0]\nend = [1.0, 1.0, 0.0]\nn = 4\n"
+        '[[colliders]]\nshape = "sphere"\ncenter = [0.0, 5.0, 0.0]\nradius = 1.0\nname = "moon"\n'
     )
     from taichi_sim.scene.objects import named
 
@@ -413,6 +415,7 @@ def test_names_come_from_scene_files_and_go_back(tmp_path):
     scene.save(tmp_path / "b.toml")
     again = ts.load_scene(tmp_path / "b.toml")
     assert [one.name for one in again.objects] == ["stones", "line"]
+    assert [one.label for one in again.colliders] == ["moon"]
     kept = ts.Scene(dim=3)  # as a state file has it
     kept.from_arrays(scene.to_arrays())
     kept.set_elements(json.loads(json.dumps(scene.elements())), scene.element_arrays())
@@ -431,6 +434,9 @@ def test_bad_names_are_refused():
             scene.set_name([43], name)
     with pytest.raises(ts.SceneError, match="balls"):
         scene.set_name([45], "new")
+    for name, says in (("moon", r"colliders\[2\].name: 'moon' exists already"), (3, "must be a text")):
+        with pytest.raises(ts.SceneError, match=says):
+            scene.add_collider(ts.Sphere((0, 0, 0), 1.0, name=name))
     assert [one.name for one in scene.objects] == before
 
 
@@ -517,12 +523,12 @@ def test_a_run_goes_on_from_its_checkpoint(tmp_path, monkeypatch, names):
     monkeypatch.setattr(export_module, "restored", as_it_was)
     monkeypatch.setattr(checkpoints, "SHARE", 1e9)
     (tmp_path / "whole").mkdir()
-    how = {"duration": 0.5, "checkpoint": 1e-9}
+    how = {"duration": 0.2, "checkpoint": 1e-9}
     export(Saved(), open_outputs([tmp_path / "whole" / name for name in names]), **how)
     with pytest.raises(KeyboardInterrupt):
-        export(Saved(13, KeyboardInterrupt()), open_outputs([tmp_path / name for name in names]), **how)
+        export(Saved(5, KeyboardInterrupt()), open_outputs([tmp_path / name for name in names]), **how)
     summary = export(Saved(), open_outputs([tmp_path / name for name in names], resume=True), **how)
-    assert summary.resumed == 13
+    assert summary.resumed == 5
     files = [path.name for path in (tmp_path / "whole").iterdir()]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*files, "whole"])
     for name in files:
@@ -533,8 +539,53 @@ def test_a_run_goes_on_from_its_checkpoint(tmp_path, monkeypatch, names):
         import gsd.hoomd
 
         with gsd.hoomd.open(str(tmp_path / name)) as one, gsd.hoomd.open(str(tmp_path / "whole" / name)) as other:
-            assert len(one) == len(other) == 30
+            assert len(one) == len(other) == 12
             for a, b in zip(one, other):
                 assert a.configuration.step == b.configuration.step
                 assert np.array_equal(a.particles.position, b.particles.position)
                 assert a.log.keys() == b.log.keys()
+
+
+@pytest.mark.parametrize("library", ["gsd", "pandas"])
+def test_the_examples_of_the_page_run(run, monkeypatch, library):
+    pytest.importorskip(library, reason=f"{library} is not installed")
+    monkeypatch.chdir(run[0])
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    page = (Path(__file__).parents[2] / "docs" / "files.md").read_text()
+    blocks = [code for code in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if f"import {library}" in code]
+    assert len(blocks) == 1
+    exec(compile(blocks[0], "files.md", "exec"), {})
+
+
+def test_the_page_names_every_format():
+    page = (Path(__file__).parents[2] / "docs" / "files.md").read_text()
+    for ending in (*CODECS, *OTHERS):
+        assert f"`x{ending}`" in page, ending
+
+
+def test_what_grows_replaces_a_file_at_its_first_frame(tmp_path):
+    (tmp_path / "x.csv").write_text("old")
+    output = open_output(tmp_path / "x.csv")
+    with pytest.raises(RuntimeError):
+        export(FakeSimulation(0, RuntimeError()), output, duration=0.1)
+    assert (tmp_path / "x.csv").read_text() == "old"
+    with pytest.raises(RuntimeError):
+        export(FakeSimulation(3, RuntimeError()), open_output(tmp_path / "x.csv"), duration=0.1)
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 3
+    assert [path.name for path in tmp_path.iterdir()] == ["x.csv"]
+
+
+def test_of_several_outputs_each_keeps_what_it_can(tmp_path, monkeypatch):
+    """A video that was cut off without a checkpoint is not drawn again up to there, while a table begins anew."""
+    draw_with(monkeypatch, FakeRenderer)
+    names = [tmp_path / "x.mp4", tmp_path / "x.csv"]
+    how = {"duration": 0.2, "size": (64, 48)}
+    with pytest.raises(KeyboardInterrupt):
+        export(FakeSimulation(5, KeyboardInterrupt()), open_outputs(names), **how)
+    export(FakeSimulation(), open_outputs(names, resume=True), **how)
+    assert FakeRenderer.last.drawn == list(range(5, 12))
+    assert FakeRenderer.last.skipped == list(range(5))
+    rows = (tmp_path / "x.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["frame", *map(str, range(12))]
+    assert len(pictures(tmp_path / "x.mp4")) == 12
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.mp4"]
