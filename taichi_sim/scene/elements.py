@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.scene.columns import Table
+from taichi_sim.scene.columns import Table, sealed
 from taichi_sim.scene.keyframes import Motion, keyframe
 from taichi_sim.scene.probes import Probed
 
@@ -168,6 +168,14 @@ class Elements(Probed):
         loss = validation.per_item("bending.damping", damping, len(ij), low=0)
         self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss)
 
+    def set_bending(self: Any, *, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
+        """Change all b bending elements: stiffness [N/m], damping [N s/m], one or one per element; what is left None stays."""
+        new = {}
+        for name, given in (("stiffness", stiffness), ("damping", damping)):
+            if given is not None:
+                new[name] = validation.per_item(f"bending.{name}", given, self._bends.rows, low=0)
+        self._bends.replace(slice(None), **new)
+
     def add_wind(
         self: Any,
         velocity: ArrayLike,
@@ -224,7 +232,7 @@ class Elements(Probed):
             says = f"enclose {volume:.4g} m^3; give them counter-clockwise seen from outside"
             raise SceneError("gases.triangles", says=says)
         p = validation.number("gases.pressure", pressure, low=0)
-        self.gases.append(Gas(t, p, validation.number("gases.outside", outside, low=0), volume))
+        self.gases.append(sealed(Gas(t, p, validation.number("gases.outside", outside, low=0), volume)))
 
     def add_moving_pins(
         self: Any,
@@ -273,9 +281,10 @@ class Elements(Probed):
         if not motion.moves:
             says = "does not move; give a velocity, an angular_velocity or a path, or use `pinned`"
             raise SceneError(where, says=says)
-        self.pinned[index] = True
-        self.velocity[index] = 0.0
-        self.moving_pins.append(MovingPins(index, motion, {k: v for k, v in given.items() if v is not None}))
+        self._balls.replace(index, pinned=True, velocity=0.0)
+        self.moving_pins.append(
+            MovingPins(sealed(index), sealed(motion), {k: v for k, v in given.items() if v is not None})
+        )
 
     def _displacements(self: Any, where: str, path: Sequence[Any]) -> list[dict[str, Any]]:
         """The keyframes of a path as tables of plain values."""
