@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
+from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
 from taichi_sim.device.trees import Tree, forget, take, take_back
 
@@ -28,6 +29,7 @@ class Fields:
     """
 
     def __init__(self, real: Any, wide: bool = True) -> None:
+        backend.check_thread()
         self.real, self.has_wide_numbers = real, wide
         self._builder = ti.FieldsBuilder()
         self._declared: list[Any] = []
@@ -161,5 +163,6 @@ class Fields:
     def free(self) -> None:
         """Give the memory back. The fields must not be used after that."""
         if self._tree is not None:
+            backend.check_thread()
             take_back(self._tree)
             self._tree = None
