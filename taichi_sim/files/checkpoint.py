@@ -2,26 +2,23 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.npz import read_npz
 from taichi_sim.scene.colliders import shape_of
-from taichi_sim.scene.collision_groups import Groups
-from taichi_sim.scene.scene import Scene, Wall
+from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["restore_state", "save_state"]
 
 FORMAT = 3
 MESH = ("vertices", "triangles")
-UNIT = 1e-6  # a normal may be off by that from length 1
 
 
 def save_state(simulation: Any, path: str | PathLike[str]) -> None:
@@ -41,9 +38,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "format": FORMAT,
         "dim": scene.dim,
         "gravity": scene.gravity.tolist(),
-        "materials": [asdict(material) for material in scene.materials],
-        "groups": scene.groups.names,
-        "walls": [asdict(wall) for wall in scene.walls],
+        **scene.plain(),
         "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in colliders],
         "settings": settings,
         "output": scene.output,
@@ -96,10 +91,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
 
 def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
     scene = Scene(about["dim"], about["gravity"])
-    for material in about["materials"]:
-        scene.add_material(**material)
-    scene.groups = Groups(about["groups"])
-    scene.walls.extend(_wall(wall, scene) for wall in about["walls"])
+    scene.set_plain(about)
     for k, given in enumerate(about["colliders"]):
         mesh = {name: arrays[f"colliders.{k}.{name}"] for name in MESH} if given["shape"] == "mesh" else {}
         scene.add_collider(shape_of(given | mesh))
@@ -108,15 +100,3 @@ def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
         scene.set_elements(about["elements"], arrays)
     scene.output = about["output"]
     return scene
-
-
-def _wall(given: dict[str, Any], scene: Scene) -> Wall:
-    """As it was saved, to the last bit."""
-    normal = validation.vector("walls.normal", given["normal"], scene.dim)
-    if not abs(float(np.linalg.norm(normal)) - 1.0) < UNIT:
-        raise SceneError("walls.normal", given["normal"], "of length 1")
-    offset = validation.number("walls.offset", given["offset"])
-    number = [given["material"]]
-    (material,) = validation.indices("walls.material", number, len(scene.materials), what="material").tolist()
-    group, mask = validation.bits("walls.group", [given["group"], given["mask"]]).tolist()
-    return Wall(tuple(normal.tolist()), offset, material, group, mask)

@@ -11,7 +11,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.scene.columns import Table
+from taichi_sim.scene.columns import Table, sealed
 from taichi_sim.scene.keyframes import Motion, keyframe
 from taichi_sim.scene.objects import Objects, saved_object
 from taichi_sim.scene.probes import Probed
@@ -172,6 +172,14 @@ class Elements(Probed, Objects):
         loss = validation.per_item("bending.damping", damping, len(ij), low=0)
         self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss)
 
+    def set_bending(self: Any, *, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
+        """Change all b bending elements: stiffness [N/m], damping [N s/m], one or one per element; what is left None stays."""
+        new = {}
+        for name, given in (("stiffness", stiffness), ("damping", damping)):
+            if given is not None:
+                new[name] = validation.per_item(f"bending.{name}", given, self._bends.rows, low=0)
+        self._bends.replace(slice(None), **new)
+
     def add_wind(
         self: Any,
         velocity: ArrayLike,
@@ -228,7 +236,7 @@ class Elements(Probed, Objects):
             says = f"enclose {volume:.4g} m^3; give them counter-clockwise seen from outside"
             raise SceneError("gases.triangles", says=says)
         p = validation.number("gases.pressure", pressure, low=0)
-        self.gases.append(Gas(t, p, validation.number("gases.outside", outside, low=0), volume))
+        self.gases.append(sealed(Gas(t, p, validation.number("gases.outside", outside, low=0), volume)))
 
     def add_moving_pins(
         self: Any,
@@ -278,9 +286,10 @@ class Elements(Probed, Objects):
         if not motion.moves:
             says = "does not move; give a velocity, an angular_velocity or a path, or use `pinned`"
             raise SceneError(where, says=says)
-        self.pinned[index] = True
-        self.velocity[index] = 0.0
-        self.moving_pins.append(MovingPins(index, motion, {k: v for k, v in given.items() if v is not None}))
+        self._balls.replace(index, pinned=True, velocity=0.0)
+        self.moving_pins.append(
+            MovingPins(sealed(index), sealed(motion), {k: v for k, v in given.items() if v is not None})
+        )
 
     def _driven(self: Any) -> NDArray[np.bool_]:
         """Which balls (n,) moving pins drive. It grows with them, so that many are added in as many steps."""

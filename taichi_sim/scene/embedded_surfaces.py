@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import sealed
 
 __all__ = ["EmbeddedSurface", "build_surface", "surfaces_from", "surfaces_to"]
 
@@ -59,7 +60,7 @@ def build_surface(
         raise SceneError(f"{where}.weights[{row}]", shares[row], "numbers that sum up to 1")
     faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the surface")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
-    return EmbeddedSurface(balls, shares, faces, hidden, colour)
+    return sealed(EmbeddedSurface(balls, shares, faces, hidden, colour))
 
 
 def surfaces_to(surfaces: Sequence[EmbeddedSurface]) -> dict[str, NDArray]:

@@ -76,7 +76,7 @@ class Simulation(Reader):
         if not isinstance(scene, Scene):
             says = "is no Scene; ts.load_scene reads one from a file"
             raise SceneError("scene", scene, says=says)
-        self.scene = scene
+        self.scene = scene = scene.frozen()
         with _from_file(scene, settings):
             self.settings = Settings.resolve(scene, settings)
         scene.has_groups()  # a mistyped name is an error, whatever collides
