@@ -351,7 +351,7 @@ class Simulation(Reader):
         """All that it goes on from, at the present time."""
         assert self.parts is not None  # not closed
         found = self._stepper.snapshot()
-        return replace(found, stepping={**found.stepping, "readings": self.readings.state()})
+        return replace(found, stepping={**found.stepping, "readings": self.readings.memory()})
 
     def resume(self, snapshot: Snapshot) -> None:
         """Go on from a snapshot of this scene. Raises SceneError for what does not fit."""
@@ -360,7 +360,7 @@ class Simulation(Reader):
         assert self.parts is not None  # not closed
         self._stepper.resume(snapshot.checked(self.scene))
         self._begin_readings()
-        self.readings.set_state(snapshot.stepping.get("readings"))
+        self.readings.recall(snapshot.stepping.get("readings"))
 
     def _write(self, x: NDArray, v: NDArray, *, moved: bool = False) -> None:
         if not self._still:
