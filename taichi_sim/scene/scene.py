@@ -321,7 +321,7 @@ class Scene(Elements):
         self, balls: ArrayLike, group: str | Sequence[str], collides_with: str | Sequence[str] | None = None
     ) -> None:
         """Put balls (k,) that were added before, a shape's for instance, into other collision groups."""
-        index = validation.indices("balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
+        index = validation.indices("balls", np.atleast_1d(validation.as_array(balls)), self.n_balls)
         self.group[index], self.mask[index] = self._groups("balls", group, collides_with)
 
     def has_groups(self) -> bool:
