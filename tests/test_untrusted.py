@@ -449,7 +449,7 @@ WALL, GAS, PINS = WHOLE.plain()["walls"][0], WHOLE.elements()["gases"][0], WHOLE
         ({"walls": [WALL | {"more": 1}]}, "walls[0]: got an unexpected keyword argument 'more'"),
         ({"walls": 3}, "walls: 3 is not allowed; it must be a list of tables"),
         ({"materials": [{"name": "default", "friction": -1}]}, "materials[0].friction: -1.0 is not allowed"),
-        ({"materials": [{"name": "rubber"}]}, "materials: are 1; the first must be 'default'"),
+        ({"materials": [{"name": "rubber"}]}, "materials: must begin with the one called 'default'"),
         ({"groups": ["a", "a"]}, "groups: ['a', 'a'] is not allowed; it must be a list of different names"),
         ({"groups": [3]}, "groups: [3] is not allowed"),
     ],
