@@ -13,6 +13,8 @@ from taichi_sim.analysis.collider_checks import check_colliders
 from taichi_sim.cli.main import main
 from taichi_sim.common.memory import available
 from taichi_sim.common.npz import read_npz
+from taichi_sim.contacts import distance_grid
+from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.geometry.mesh import read_surface
 from taichi_sim.reports.speed_error import command
 from taichi_sim.scene.columns import Table
@@ -116,6 +118,62 @@ def test_what_only_a_simulation_finds_has_its_line(tmp_path, text, line):
     assert "scene.toml, line" in str(caught.value)
 
 
+def test_grids_of_meshes_fit_into_memory_together(tmp_path, monkeypatch):
+    mesh = '[[colliders]]\nshape = "mesh"\nmesh = "m.obj"\nresolution = 20\n'
+    written(tmp_path, OBJ, "m.obj")
+    scene = ts.load_scene(written(tmp_path, HEAD + BALL + mesh * 3))
+    corners = distance_grids(scene)[0].value.size
+    monkeypatch.setattr(distance_grid, "available", lambda: int(2.5 * 24 * corners))
+    with pytest.raises(ts.SceneError, match=r"line 17: colliders\[2\].resolution: 20 is not allowed; the grids"):
+        distance_grids(scene)
+
+
+RAGGED = [[0], [1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        (f"[output.camera]\nazimuth = 1.0\ndistance = 2.0\nfollow = {RAGGED}", "output.camera.follow"),
+        (
+            f"[[moving_pins]]\nballs = [0]\npath = [[0.0, [0, 0, 0], {RAGGED}], [1.0, [0, 0, 1]]]",
+            "moving_pins[0].path[0]",
+        ),
+        (
+            f"[[moving_pins]]\nballs = [0]\npath = [[0.0, [0, 0, 0]], [1.0, [0, 0, 1], {RAGGED}]]",
+            "moving_pins[0].path[1].rotation",
+        ),
+        (
+            '[[colliders]]\nshape = "sphere"\nradius = 1.0\ncenter = [9, 9, 9]\n'
+            f"path = [[0.0, [9, 9, 9], {RAGGED}], [1.0, [0, 0, 1], {RAGGED}]]",
+            "colliders[0].path[0].rotation",
+        ),
+    ],
+)
+def test_lists_of_different_lengths_have_their_place(tmp_path, text, place):
+    with pytest.raises(ts.SceneError) as caught:
+        ts.load_scene(written(tmp_path, HEAD + BALL + text + "\n"))
+    assert f": {place}" in str(caught.value)
+    assert caught.value.line
+
+
+@pytest.mark.parametrize(
+    "add",
+    [
+        lambda s: s.add_moving_pins(RAGGED, velocity=(1, 0)),
+        lambda s: s.add_moving_pins([0], angular_velocity=RAGGED),
+        lambda s: s.attach(RAGGED, [0], stiffness=1.0),
+        lambda s: s.set_group(RAGGED, "a"),
+        lambda s: s.add_probe("p", "position", balls=RAGGED),
+    ],
+)
+def test_lists_of_different_lengths_in_python(add):
+    scene = ts.Scene()
+    scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1)
+    with pytest.raises(ts.SceneError):
+        add(scene)
+
+
 def test_what_was_added_later_has_no_line(tmp_path):
     scene = ts.load_scene(written(tmp_path, HEAD + BALL))
     scene.add_collider(ts.Sphere((0, 0, 0), 2.0))
@@ -189,18 +247,6 @@ def with_header(path, header, size=80):
         file.write(bytes(size))
 
 
-@pytest.mark.parametrize(
-    "header",
-    [
-        {"descr": "<f8", "shape": (10**12,)},
-        {"descr": "<f8", "shape": (11,)},
-        {"descr": "<f8", "shape": (-1,)},
-        {"descr": "|O", "shape": (10,)},
-        {"descr": "|V0", "shape": (10**18,)},
-        {"descr": [("a", "<f8")], "shape": (10,)},
-    ],
-    ids=str,
-)
 def test_what_cannot_be_sought_is_refused(tmp_path):
     """The first member begins before the file does."""
     np.savez(tmp_path / "x.npz", a=np.arange(3))
@@ -218,6 +264,18 @@ def test_a_limit_of_the_process_counts(monkeypatch):
     assert available() == 0
 
 
+@pytest.mark.parametrize(
+    "header",
+    [
+        {"descr": "<f8", "shape": (10**12,)},
+        {"descr": "<f8", "shape": (11,)},
+        {"descr": "<f8", "shape": (-1,)},
+        {"descr": "|O", "shape": (10,)},
+        {"descr": "|V0", "shape": (10**18,)},
+        {"descr": [("a", "<f8")], "shape": (10,)},
+    ],
+    ids=str,
+)
 def test_headers_that_lie_are_refused(tmp_path, header):
     with_header(tmp_path / "x.npz", header)
     with pytest.raises(ts.SceneError, match=r"x.npz: cannot be read as .npz arrays: 'x' "):
@@ -391,7 +449,7 @@ WALL, GAS, PINS = WHOLE.plain()["walls"][0], WHOLE.elements()["gases"][0], WHOLE
         ({"walls": [WALL | {"more": 1}]}, "walls[0]: got an unexpected keyword argument 'more'"),
         ({"walls": 3}, "walls: 3 is not allowed; it must be a list of tables"),
         ({"materials": [{"name": "default", "friction": -1}]}, "materials[0].friction: -1.0 is not allowed"),
-        ({"materials": [{"name": "rubber"}]}, "materials: are 1; the first must be 'default'"),
+        ({"materials": [{"name": "rubber"}]}, "materials: must begin with the one called 'default'"),
         ({"groups": ["a", "a"]}, "groups: ['a', 'a'] is not allowed; it must be a list of different names"),
         ({"groups": [3]}, "groups: [3] is not allowed"),
     ],

@@ -87,7 +87,7 @@ def _parsed(file: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _too_deep(file: Path, text: str, path: KeyPath) -> SceneError:
-    says = f"has lists or tables within each other, more than {MOST_NESTED} deep; a scene needs 4"
+    says = f"has lists or tables within each other, more than {MOST_NESTED} deep"
     error = located(file, text, SceneError(path[:2], says=says))
     error.line = error.line or deepest_line(text)
     return error

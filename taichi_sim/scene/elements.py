@@ -259,7 +259,7 @@ class Elements(Probed, Objects):
                 unless the path repeats.
         """
         where = f"moving_pins[{len(self.moving_pins)}]"
-        index = validation.indices(f"{where}.balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
+        index = validation.indices(f"{where}.balls", np.atleast_1d(validation.as_array(balls)), self.n_balls)
         if not len(index):
             raise SceneError(f"{where}.balls", says="is empty; name at least one ball")
         both = index[self._driven()[index]]
@@ -312,14 +312,15 @@ class Elements(Probed, Objects):
             by = validation.vector(f"{where}.path[{k}].position", key.get("position", np.zeros(self.dim)), self.dim)
             time = validation.number(f"{where}.path[{k}].time", key["time"])
             if k == 0 and (
-                np.any(by != 0) or (key.get("rotation") is not None and np.any(np.asarray(key["rotation"]) != 0))
+                np.any(by != 0)
+                or (key.get("rotation") is not None and np.any(validation.as_array(key["rotation"]) != 0))
             ):
                 says = f"begins at {by.tolist()} from where the balls are, and they would jump; it must begin at 0"
                 raise SceneError(f"{where}.path[0]", says=says)
             turn = key.get("rotation")
             if turn is None and turns and k == 0:  # so that the next one is seen to turn from there
                 turn = 0.0 if self.dim == 2 else [0.0, 0.0, 0.0]
-            turned = {} if turn is None else {"rotation": np.asarray(turn).tolist()}
+            turned = {} if turn is None else {"rotation": validation.as_array(turn).tolist()}
             result.append({"time": time, "position": by.tolist(), **turned})
         return result
 
@@ -337,8 +338,8 @@ class Elements(Probed, Objects):
 
         Args: one, other: (k,) balls; the rest as for `add_springs`. Balls that a spring joins do not collide.
         """
-        a = validation.indices("attachments.one", np.atleast_1d(np.asarray(one)), self.n_balls)
-        b = validation.indices("attachments.other", np.atleast_1d(np.asarray(other)), self.n_balls)
+        a = validation.indices("attachments.one", np.atleast_1d(validation.as_array(one)), self.n_balls)
+        b = validation.indices("attachments.other", np.atleast_1d(validation.as_array(other)), self.n_balls)
         if len(a) != len(b):
             says = f"names {len(b)} balls and attachments.one {len(a)}; each needs its partner"
             raise SceneError("attachments.other", says=says)
