@@ -128,6 +128,16 @@ def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, name):
     assert again.lines()[:5] == summary.lines()[:5]
 
 
+def test_arrays_beyond_the_checkpoint_are_written_again(tmp_path):
+    cut_off(tmp_path, "x.npz", 13)
+    for column in tmp_path.glob(".x.npz.resume/column_*"):
+        column.write_bytes(column.read_bytes() + b"rows since then, the last cut off")
+    run(tmp_path, "x.npz", resume=True)
+    found = (tmp_path / "x.npz").read_bytes()
+    run(tmp_path, "x.npz")
+    assert (tmp_path / "x.npz").read_bytes() == found
+
+
 def test_gif_frames_that_are_left_out_are_counted(tmp_path):
     """60 frames a second are more than a GIF shows; the last of them are left out here, and one is cut off at each."""
     (whole := tmp_path / "whole").mkdir()

@@ -2,8 +2,8 @@
 
     python -m tests.support.kills --kills 200 --seed 1
 
-Each run is killed at a moment between its first frame and its end, then resumed, where one time in three it may finish and
-otherwise is killed again. Judged: nothing lies under the final name before the end (files of frames are whole when they appear);
+Each run is killed at a moment between its start and its end, then resumed, where one time in three it may finish and otherwise is
+killed again. Judged: nothing lies under the final name before the end (files of frames are whole when they appear);
 the finished output has the same bytes; nothing else is left; the last checkpoint is no older than the interval and a little more.
 """
 
@@ -45,6 +45,7 @@ camera = {follow = [900]}
 """
 FORMATS = ("x.mp4", "x.webm", "x.gif", "frames", "x.npz", "x.obj", "x.ply")
 INTERVAL = 0.2  # s, between checkpoints, however long they take
+LATE = 0.8  # of the kills come when there is a checkpoint of the same run
 SLACK = 1.0  # s that a frame, a checkpoint and a busy machine may add
 COMMAND = """
 import sys
@@ -81,6 +82,13 @@ def files(folder: Path) -> dict[str, bytes]:
 def kept(folder: Path, name: str) -> list[Path]:
     """The files of that name in the log of an unfinished output."""
     return [*folder.glob(f".*.resume/{name}"), *folder.glob(f"*/.resume/{name}")]
+
+
+def since(folder: Path, begin: float) -> float:
+    """When the last checkpoint was made by a run that began then, 0 where it has made none."""
+    return max(
+        (file.stat().st_mtime for file in kept(folder, "checkpoint.json") if file.stat().st_mtime > begin), default=0.0
+    )
 
 
 def campaign(
@@ -125,19 +133,24 @@ def chain(
     (folder := root / "killed").mkdir()
     options: tuple[str, ...] = ()
     while True:
-        process, steps = start(folder, name, *options), time.time() + 0.8 * times[0]
+        process, begin = start(folder, name, *options), time.time()
         if left == 0 or (options and chance.random() < 1 / 3):
             break
+        wait = chance.uniform(0.0, times[0])
+        if chance.random() < LATE:  # once it makes checkpoints
+            while process.poll() is None and not since(folder, begin):
+                time.sleep(0.002)
+            wait = chance.uniform(0.0, times[1] - times[0])
         try:
-            process.wait(chance.uniform(0.8 * times[0], times[1]))
+            process.wait(wait)
             break  # done before
         except subprocess.TimeoutExpired:
             process.kill()
+        now = time.time()
         process.communicate()
         tally.kills, left = tally.kills + 1, left - 1
-        since = [steps, *(file.stat().st_mtime for file in kept(folder, "checkpoint.json"))]
-        if kept(folder, "run.json"):
-            tally.lost = max(tally.lost, time.time() - max(since))
+        if last := since(folder, begin):
+            tally.lost = max(tally.lost, now - last)
         partly = {key: data for key, data in files(folder).items() if not key.rpartition("/")[2].startswith(".")}
         partly = {key: data for key, data in partly.items() if ".resume/" not in key}
         if any(whole.get(key) != data for key, data in partly.items()):
