@@ -68,7 +68,7 @@ def has_wide_numbers() -> bool:
 
 
 def check_thread() -> None:
-    """Raise BackendError in any other thread, or a forked process, than that which started Taichi. Costs less than a microsecond."""
+    """Raise BackendError in another thread, or a forked process, than that which started Taichi. Costs less than 1 us."""
     if _owner is None or (threading.get_ident() == _owner[1] and os.getpid() == _owner[0]):
         return
     if os.getpid() != _owner[0]:

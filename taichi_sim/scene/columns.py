@@ -28,14 +28,14 @@ class Table:
     """Columns of one length, by name."""
 
     def __init__(self, **columns: NDArray) -> None:
-        self._parts = {name: [sealed(column)] for name, column in columns.items()}
+        self._parts = {name: [_held(column)] for name, column in columns.items()}
         self.names = tuple(columns)
         self.rows = 0
 
     def append(self, n: int, **columns: NDArray) -> None:
         """Add n rows. The arrays are the table's from now on."""
         for name, column in columns.items():
-            self._parts[name].append(sealed(column))
+            self._parts[name].append(_held(column))
         self.rows += n
 
     def cut(self, n: int) -> None:
@@ -48,7 +48,7 @@ class Table:
         for name, values in columns.items():
             column = self[name].copy()
             column[rows] = values
-            self._parts[name] = [sealed(column)]
+            self._parts[name] = [_held(column)]
 
     def copy(self) -> "Table":
         """Another table with the same rows; arrays are shared, for nobody can write to them."""
@@ -59,5 +59,10 @@ class Table:
     def __getitem__(self, name: str) -> NDArray:
         parts = self._parts[name]
         if len(parts) > 1:
-            parts[:] = [sealed(np.concatenate(parts))]
-        return parts[0].view()  # which cannot be made writeable again
+            parts[:] = [_held(np.concatenate(parts))]
+        return parts[0]
+
+
+def _held(column: NDArray) -> NDArray:
+    """A read-only view, which cannot be made writeable again."""
+    return sealed(column).view()
