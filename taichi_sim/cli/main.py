@@ -22,7 +22,7 @@ NAMES = (
 main = typer.Typer(
     help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
     " simulation(), or the name of a demo.",
-    epilog="Exit status: 0 done, 1 a hard case failed or tune found nothing, 2 bad input,"
+    epilog="Exit status: 0 done, 1 a hard case failed, tune found nothing or verify found a fault, 2 bad input,"
     " 3 the simulation became unstable, 130 interrupted.",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -250,6 +250,26 @@ def devices() -> None:
         memory = f"{device.memory / 2**30:.1f} GiB" if device.memory else "?"
         table.add_row(arch, name, memory, "f32, f64" if arch in backend.WIDE_ARCHES else "f32", said)
     Console().print(table)
+
+
+@_command("arch")
+def verify(**options: Any) -> None:
+    """Test an installation: small scenes against stored results. To be sent with a bug report."""
+    from taichi_sim.reports import verify as verification
+
+    off = []
+    for result in verification.results(options["arch"]):
+        if result.failed:
+            said = result.failed
+        elif result.deviation is None:
+            said = "runs on a CPU alone"
+        else:
+            said = f"off by {result.deviation:.1e}, allowed {verification.TOLERANCE:.0e}"
+        typer.echo(f"{'passed' if result.passed else 'WRONG':7} {result.name}: {said}")
+        off += [] if result.passed else [result.name]
+    typer.echo(verification.installation())
+    if off:
+        _fail(f"{len(off)} of {len(verification.CASES)} scenes are not what they should be: {'; '.join(off)}", FAILED)
 
 
 @_command("arch")

@@ -41,7 +41,9 @@ class Table:
         for name, new in columns.items():
             old = self._columns[name]
             if self.rows == 0:
-                self._columns[name] = sealed(new)
+                self._columns[name] = sealed(
+                    new if new.base is None else new.copy()
+                )  # else its owner could be written to
                 continue
             if len(old) < rows:
                 room = np.empty((max(rows, int(ROOM * self.rows)), *old.shape[1:]), dtype=old.dtype)
