@@ -12,7 +12,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Table
 from taichi_sim.scene.keyframes import Motion, keyframe
-from taichi_sim.scene.objects import Objects, SceneObject
+from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.probes import Probed
 
 __all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
@@ -359,8 +359,7 @@ class Elements(Probed, Objects):
             own: dict[str, Any] = {k.removeprefix(start): array for k, array in arrays.items() if k.startswith(start)}
             self.add_probe(**given, **own)
         for k, given in enumerate(about.get("objects", [])):
-            balls = arrays[f"objects.{k}.balls"].astype(np.int32)
-            self.objects.append(SceneObject(**given, balls=balls, uv=arrays.get(f"objects.{k}.uv")))
+            self.objects.append(self._object(f"objects[{k}]", given, arrays, f"objects.{k}"))
 
 
 def cell_volumes(x: NDArray, corners: NDArray) -> NDArray[np.float64]:

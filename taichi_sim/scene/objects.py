@@ -1,6 +1,6 @@
 """Objects: which balls are one thing, and what it is called: for files that other programs open."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -44,6 +44,21 @@ class Objects:
                 self.objects[k] = replace(one, name=name)
                 return
         self.objects.append(SceneObject(LOOSE, name, index))
+
+    def _object(
+        self: Any, where: str, given: Mapping[str, Any], arrays: Mapping[str, NDArray], prefix: str
+    ) -> SceneObject:
+        """One as a file has it. Raises SceneError."""
+        kind, name = given["kind"], given["name"]
+        if not isinstance(kind, str) or not isinstance(name, str):
+            raise SceneError(where, [kind, name], "two texts")
+        balls, uv = (
+            validation.indices(f"{where}.balls", arrays[f"{prefix}.balls"], self.n_balls),
+            arrays.get(f"{prefix}.uv"),
+        )
+        if uv is not None:
+            uv = validation.vectors(f"{where}.uv", uv, len(balls), 2)
+        return SceneObject(kind, name, balls, uv)
 
 
 def named(n: int, objects: Sequence[SceneObject]) -> tuple[NDArray[np.int32], list[str]]:
