@@ -12,6 +12,11 @@ from taichi_sim.outputs.growing import Growing
 from taichi_sim.outputs.parts import Parts, in_3d
 from taichi_sim.render.palette import body_colours
 
+ORDER = [  # in which gsd.hoomd writes what there is of a frame, before its log
+    *(f"configuration/{name}" for name in ("step", "box")),
+    *(f"particles/{name}" for name in ("N", "types", "typeid", "diameter", "position", "velocity")),
+    *(f"bonds/{name}" for name in ("N", "types", "typeid", "group")),
+]
 BOX = 4.0  # of the longest side of the scene: bonds across half a box would be shown the other way around
 
 
@@ -39,20 +44,26 @@ class Trajectory(Growing):
             file.append(one)
 
     def cut(self, part: Path, frames: int) -> None:
-        with self._open("r") as old, self._open("w", part) as new:
-            for k in range(frames):
-                for name in old.find_matching_chunk_names(""):
+        with self._hoomd.open(str(self.path), "r") as file:
+            self._box = float(file[frames - 1].configuration.box[0])
+        with self._fl.open(name=str(self.path), mode="r") as old:
+            about = {name: getattr(old, name) for name in ("application", "schema", "schema_version")}
+            names = old.find_matching_chunk_names("")
+            names.sort(key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+            for k in range(frames):  # opened and in the order as when they were written, for the same bytes
+                if k < 2:
+                    new = self._fl.open(name=str(part), mode="r+" if k else "w", **about)
+                for name in names:
                     if old.chunk_exists(frame=k, name=name):
                         new.write_chunk(name, old.read_chunk(frame=k, name=name))
                 new.end_frame()
-
-    def _open(self, mode: str, path: Path | None = None) -> Any:
-        words = {"application": "taichi_sim", "schema": "hoomd", "schema_version": [1, 4]}
-        return self._fl.open(name=str(path or self.path), mode=mode, **({} if mode == "r" else words))
+                new.flush()
+                if k == 0 or k == frames - 1:
+                    new.close()
 
     def length(self) -> int:
         try:
-            with self._open("r") as file:
+            with self._fl.open(name=str(self.path), mode="r") as file:
                 return int(file.nframes)
         except (OSError, RuntimeError):  # another kind of file, or a damaged one
             return 0
@@ -70,12 +81,15 @@ class Trajectory(Growing):
         assert self._parts is not None
         x = in_3d(frame.position)
         one = self._hoomd.Frame()
-        self._box = max(self._box, BOX * float(np.abs(x).max(initial=0.0) + frame.radius.max(initial=0.0)) or 1.0)
+        reach = BOX * float(np.abs(x).max(initial=0.0) + frame.radius.max(initial=0.0))
+        self._box = float(
+            np.float32(max(self._box, reach or 1.0))
+        )  # what equals the first frame's is not written again
         one.configuration.step, one.configuration.box = index, [self._box] * 3 + [0.0] * 3
         one.configuration.dimensions = 3  # also of a flat scene, whose balls OVITO shows as such
         balls, bonds = one.particles, one.bonds
         balls.N, balls.position, balls.velocity = len(x), x, in_3d(frame.velocity)
-        balls.diameter = 2.0 * frame.radius
+        balls.diameter = np.float32(2.0 * frame.radius)
         balls.types, balls.typeid = [_plain(name) for name in self._parts.names] or ["balls"], self._parts.number
         bonds.N, bonds.group, bonds.types = len(frame.springs), frame.springs.reshape(-1, 2), ["spring", "stick"]
         bonds.typeid = frame.sticks if len(frame.sticks) else np.zeros(bonds.N, dtype=np.uint32)

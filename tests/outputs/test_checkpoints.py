@@ -307,7 +307,7 @@ class Clock:
 def moments(monkeypatch, tmp_path, interval, cost, until):
     """When checkpoints are made that cost so much [s], in a run of frames of 0.5 s."""
     clock, found = Clock(monkeypatch), []
-    log = checkpoints.Checkpoints(open_output(tmp_path / "x.npz"), interval)
+    log = checkpoints.Checkpoints([open_output(tmp_path / "x.npz")], interval)
 
     class Costly(Steady):
         def save(self, path) -> None:

@@ -420,6 +420,9 @@ def test_names_come_from_scene_files_and_go_back(tmp_path):
     kept.from_arrays(scene.to_arrays())
     kept.set_elements(json.loads(json.dumps(scene.elements())), scene.element_arrays())
     assert named(kept.n_balls, kept.objects)[1] == names
+    for damaged in ({"objects.0.balls": np.array([99])}, {"objects.0.uv": np.zeros((1, 3))}):
+        with pytest.raises(ts.SceneError, match=r"objects\[0\]"):
+            kept.set_elements(scene.elements(), scene.element_arrays() | damaged)
 
 
 def test_bad_names_are_refused():
@@ -533,17 +536,7 @@ def test_a_run_goes_on_from_its_checkpoint(tmp_path, monkeypatch, names):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*files, "whole"])
     for name in files:
         mine, theirs = ((folder / name).read_bytes() for folder in (tmp_path, tmp_path / "whole"))
-        if name != "x.gsd":
-            assert mine == theirs, name
-            continue
-        import gsd.hoomd
-
-        with gsd.hoomd.open(str(tmp_path / name)) as one, gsd.hoomd.open(str(tmp_path / "whole" / name)) as other:
-            assert len(one) == len(other) == 12
-            for a, b in zip(one, other):
-                assert a.configuration.step == b.configuration.step
-                assert np.array_equal(a.particles.position, b.particles.position)
-                assert a.log.keys() == b.log.keys()
+        assert mine == theirs, name
 
 
 @pytest.mark.parametrize("library", ["gsd", "pandas"])
