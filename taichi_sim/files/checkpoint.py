@@ -11,6 +11,7 @@ import numpy as np
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.npz import read_npz
+from taichi_sim.files.source import checked_output
 from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
@@ -99,4 +100,5 @@ def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
     if "elements" in about:
         scene.set_elements(about["elements"], arrays)
     scene.output = about["output"]
+    checked_output(scene)
     return scene

@@ -53,7 +53,10 @@ FINEST_ROUNDING = 1e-11  # of a radius: rounding of positions that adds up to 1e
 MEMORY_SHARE = 0.5  # of what the machine has free, or a GPU has in all: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same where a GPU does not say what it has
 PAIR_BYTES = 64  # about what a listed pair takes
-SPARE_CAPACITY = 1.5  # made, in units of what was found too much
+SPARE_CAPACITY, LARGE_SPARE_CAPACITY = (
+    1.5,
+    4.0,
+)  # made, in units of what was found too much: once, and if that happens again
 
 
 class ContactCapacity(NamedTuple):
@@ -380,7 +383,8 @@ class Assembly:
                         f"contacts: {part.what} need {entries} entries, but there is memory for {limit}"
                         f" ({limit * part.bytes_each / 2**30:.3g} GiB): too many balls lie in each other"
                     )
-                entries = min(limit, int(SPARE_CAPACITY * entries))
+                spare = SPARE_CAPACITY if self.capacity == NO_CAPACITY_KNOWN else LARGE_SPARE_CAPACITY
+                entries = min(limit, int(spare * entries))
             enough[name] = entries
         return self.with_room(ContactCapacity(**enough))
 

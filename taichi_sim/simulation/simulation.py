@@ -2,8 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib import import_module
 from io import BytesIO
@@ -77,13 +76,13 @@ class Simulation(Reader):
             says = "is no Scene; ts.load_scene reads one from a file"
             raise SceneError("scene", scene, says=says)
         self.scene = scene = scene.frozen()
-        with _from_file(scene, settings):
+        with scene.in_file(settings):
             self.settings = Settings.resolve(scene, settings)
         scene.has_groups()  # a mistyped name is an error, whatever collides
         self.force_rates = declared_rates(scene, checked_forces(scene, forces))
         self._forces = tuple(forces)
         self._stability = stability(scene, self.settings.integrator.method, None, self.force_rates)
-        with _from_file(scene, settings):
+        with scene.in_file(settings):
             self.dt, substeps = self.settings.time_step(scene, self._stability)
         h = self.dt / substeps
         self._warn(h)
@@ -95,7 +94,7 @@ class Simulation(Reader):
         self.has_custom_parts = bool(forces) or own
         diagnostics.check_tearing(scene)
         if s.tolerance is not None:
-            with _from_file(scene, settings):
+            with scene.in_file(settings):
                 self._check_tolerance(s.tolerance, substeps)
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else AdaptiveStepper
@@ -134,6 +133,7 @@ class Simulation(Reader):
     def parts(self) -> Assembly:
         """What was put together for this scene: model, state, forces, contacts, plan, integrator. To look inside, as tests do: it
         may differ in the next version. `print(sim.parts.plan)` says what contacts it has, and why."""
+        backend.check_thread()
         if self._closed:  # its memory is gone: touching it would end the process
             raise RuntimeError("this simulation is closed; make a new one")
         return self._stepper.parts
@@ -421,17 +421,3 @@ class Simulation(Reader):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-@contextmanager
-def _from_file(scene: Scene, given: Collection[str]) -> Iterator[None]:
-    """Let an error about a setting that is none of the given ones name its place in the scene file, where it came from one."""
-    try:
-        yield
-    except SceneError as error:
-        name = error.path[0] if error.path else None
-        if name in scene.settings and name not in given:
-            error.path = ("simulation", *error.path)
-            if scene.locate is not None:
-                scene.locate(error)
-        raise
