@@ -25,6 +25,7 @@ from taichi_sim.device.devices import find
 from taichi_sim.device.engine import another
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.device.shared_kernels import share_kernels
 from taichi_sim.device.spatial_sort import in_order, spatial_order
 from taichi_sim.device.state import State
 from taichi_sim.forces.driven_pins import DrivenPins
@@ -53,6 +54,9 @@ MEMORY_SHARE = 0.5  # of what the machine has free, or a GPU has in all: the mos
 GPU_MEMORY = 1 << 30  # bytes, the same where a GPU does not say what it has
 PAIR_BYTES = 64  # about what a listed pair takes
 SPARE_CAPACITY = 1.5  # made, in units of what was found too much
+
+
+NOT_COMPILED = ("arguments", "h", "capacity", "backend", "_grids")  # of an assembly, nothing that kernels read
 
 
 class ContactCapacity(NamedTuple):
@@ -89,6 +93,9 @@ class Assembly:
         try:
             self._assemble(scene, settings, backend, h, forces)
             self.fields.build()
+            share_kernels(
+                {name: part for name, part in vars(self).items() if name not in NOT_COMPILED}, (Scene, Fields)
+            )
             self.integrator.set_step(h)
         except BaseException:
             self.fields.abandon()
