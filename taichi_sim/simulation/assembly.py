@@ -25,6 +25,7 @@ from taichi_sim.device.devices import find
 from taichi_sim.device.engine import another
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.device.shared_kernels import share_kernels
 from taichi_sim.device.spatial_sort import in_order, spatial_order
 from taichi_sim.device.state import State
 from taichi_sim.forces.driven_pins import DrivenPins
@@ -57,6 +58,9 @@ SPARE_CAPACITY, LARGE_SPARE_CAPACITY = (
     1.5,
     4.0,
 )  # made, in units of what was found too much: once, and if that happens again
+
+
+NOT_COMPILED = ("arguments", "h", "capacity", "backend", "_grids")  # of an assembly, nothing that kernels read
 
 
 class ContactCapacity(NamedTuple):
@@ -93,6 +97,9 @@ class Assembly:
         try:
             self._assemble(scene, settings, backend, h, forces)
             self.fields.build()
+            share_kernels(
+                {name: part for name, part in vars(self).items() if name not in NOT_COMPILED}, (Scene, Fields)
+            )
             self.integrator.set_step(h)
         except BaseException:
             self.fields.abandon()
