@@ -79,7 +79,7 @@ def take_back(tree: Tree) -> None:
 def forget(builder: Any) -> None:
     """Let the engine not wait for a builder whose fields nobody will use."""
     runtime = ti.lang.impl.get_runtime()
-    runtime.finalize_fields_builder(builder)
+    runtime.unfinalized_fields_builder.pop(builder, None)
     for waiting in (runtime.global_vars, runtime.grad_vars, runtime.dual_vars, runtime.matrix_fields):
         waiting.clear()
 

@@ -31,6 +31,7 @@ class Table:
 
     def __init__(self, **columns: NDArray) -> None:
         self._columns = {name: sealed(column) for name, column in columns.items()}
+        self._views: dict[str, NDArray] = {}  # what was read since the last change
         self.names = tuple(columns)
         self.rows = 0
 
@@ -38,6 +39,7 @@ class Table:
         """Add n rows: every column, each of shape (n, ...). A table that was empty takes the arrays, which are its own from now
         on."""
         rows = self.rows + n
+        self._views.clear()
         for name, new in columns.items():
             old = self._columns[name]
             if self.rows == 0:
@@ -57,6 +59,7 @@ class Table:
     def cut(self, n: int) -> None:
         """Keep the first n rows; those after them may have been read, so what is added next goes elsewhere."""
         self._columns = {name: column[:n] for name, column in self._columns.items()}
+        self._views.clear()
         self.rows = n
 
     def replace(self, rows: Any, **columns: Any) -> None:
@@ -65,6 +68,7 @@ class Table:
             column = self[name].copy()
             column[rows] = values
             self._columns[name] = sealed(column)
+        self._views.clear()
 
     def copy(self) -> "Table":
         """Another table with the same rows; arrays are shared, for nobody can write to them."""
@@ -73,7 +77,10 @@ class Table:
         return table
 
     def __getitem__(self, name: str) -> NDArray:
-        return self._columns[name][: self.rows]  # a view, which cannot be made writeable again
+        view = self._views.get(name)
+        if view is None:  # one that cannot be made writeable again
+            view = self._views[name] = self._columns[name][: self.rows]
+        return view
 
 
 class Names:

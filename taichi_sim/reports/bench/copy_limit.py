@@ -1,6 +1,7 @@
 """How fast the device copies memory: what bounds any kernel that has to go through its data once."""
 
 import functools
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +22,15 @@ class Copy:
 
     def __init__(self, size: int) -> None:
         self.n = size // 4
-        self._fields = [Fields(ti.f32) for _ in range(2)]  # a tree each: some devices bind less than both at once
-        self.source, self.target = (fields.reals(self.n) for fields in self._fields)
-        for fields in self._fields:
-            fields.build()
+        self._fields: list[Fields] = []  # a tree each: some devices bind less than both at once
+        self.source, self.target = (self._field() for _ in range(2))
+
+    def _field(self) -> Any:
+        fields = Fields(ti.f32)
+        field = fields.reals(self.n)
+        fields.build()
+        self._fields.append(fields)
+        return field
 
     @ti.kernel
     def _copy(self):
