@@ -333,7 +333,7 @@ class Elements(Probed, Objects):
             "gases": [{"pressure": g.pressure, "outside": g.outside, "volume": g.volume} for g in self.gases],
             "moving_pins": [dict(pins.given) for pins in self.moving_pins],
             "probes": [{"name": one.name, "kind": one.kind, **one.plain()} for one in self.probes],
-            "objects": [{"kind": one.kind, "name": one.name} for one in self.objects],
+            "objects": [one.name for one in self.objects],
         }
 
     def element_arrays(self) -> dict[str, NDArray]:
@@ -358,8 +358,8 @@ class Elements(Probed, Objects):
             start = f"probes.{given['name']}."
             own: dict[str, Any] = {k.removeprefix(start): array for k, array in arrays.items() if k.startswith(start)}
             self.add_probe(**given, **own)
-        for k, given in enumerate(about.get("objects", [])):
-            self.objects.append(self._object(f"objects[{k}]", given, arrays, f"objects.{k}"))
+        for k, name in enumerate(about.get("objects", [])):
+            self.set_name(arrays[f"objects.{k}.balls"], name, arrays.get(f"objects.{k}.uv"))
 
 
 def cell_volumes(x: NDArray, corners: NDArray) -> NDArray[np.float64]:
