@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee clean
+.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee kills fuzz clean
 
 help:
-	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | clean"
+	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | kills | fuzz | clean"
 
 env: $(STAMP)
 
@@ -63,6 +63,16 @@ SEED ?= 1
 referee: env
 	@mkdir -p out
 	$(BIN)/python -m tests.referee --scenes $(SCENES) --seed $(SEED) --shrink --json out/referee_$(SEED).json
+
+# exports that are killed at random moments and resumed: KILLS=200 SEED=1; some seconds each
+KILLS ?= 200
+kills: env
+	$(BIN)/python -m tests.support.kills --kills $(KILLS) --seed $(SEED)
+
+# thousands of scene files, states and meshes that something happened to: each is read, or refused in one sentence
+CASES ?= 10000
+fuzz: env
+	$(BIN)/python -m tests.fuzz --cases $(CASES)
 
 bench: env
 	$(BIN)/taichi-sim bench

@@ -32,7 +32,7 @@ def scene():
     for hub, struts in zip(hubs, ((0, 1, 3), (1, 2, 6))):
         scene.attach([hub] * 3, body[list(struts)], stiffness=2500, damping=30)
     scene.output["camera"] = {"follow": body.tolist(), "width": 8.0}
-    scene.velocity[~scene.pinned] = (2.0, -0.44)
+    scene.set_balls(~scene.pinned, velocity=(2.0, -0.44))
     return scene
 
 

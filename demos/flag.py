@@ -24,7 +24,7 @@ def scene():
     strength = np.random.default_rng(7).uniform(0.1, 0.3, len(flag.springs))  # cloth is not as strong everywhere
     along, down = np.divmod(scene.pairs[flag.springs].max(axis=1), NUMBER[1])
     strength[(along < 6) & (down < 6)] = np.inf  # the upper corner is sewn on
-    scene.break_strain[flag.springs] = strength
+    scene.set_springs(flag.springs, break_strain=strength)
     scene.add_collider(ts.Capsule((-0.06, 0.0, 0), (-0.06, 2.4, 0), 0.025))
     scene.add_wall((0, 1, 0))
     scene.add_wind((10, 0, 1.5), gust=0.8, gust_length=2.0)

@@ -42,7 +42,7 @@ def scene():
         colour=(0.95, 0.85, 0.8),
     )
     scene.output["camera"] = {"azimuth": 32, "elevation": 20, "distance": 6.5, "follow": cow.balls.tolist()}
-    scene.velocity[:] = (2.2, 0, 0.1)
+    scene.set_balls(velocity=(2.2, 0, 0.1))
     return scene
 
 

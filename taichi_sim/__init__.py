@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from taichi_sim.forces.pointer import Pointer
     from taichi_sim.integrators import Integrator
     from taichi_sim.outputs import Output, export, open_output
+    from taichi_sim.outputs.quick import picture, video
     from taichi_sim.simulation.simulation import Simulation
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces itself on standard output
@@ -62,8 +63,10 @@ __all__ = [
     "largest_rate",
     "load_scene",
     "open_output",
+    "picture",
     "shapes",
     "spring_from_rates",
+    "video",
 ]
 
 _LAZY = {
@@ -76,6 +79,8 @@ _LAZY = {
     "export": "taichi_sim.outputs",
     "load_scene": "taichi_sim.files.toml_reader",
     "open_output": "taichi_sim.outputs",
+    "picture": "taichi_sim.outputs.quick",
+    "video": "taichi_sim.outputs.quick",
 }
 
 

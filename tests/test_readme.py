@@ -54,6 +54,21 @@ def test_the_example_of_scene_files_loads(tmp_path):
         assert table in TABLES
 
 
+@pytest.mark.slow
+def test_the_page_on_python_runs(tmp_path, monkeypatch, capsys):
+    page = (Path(__file__).parent.parent / "docs" / "python.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for code in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(compile(code, "python.md", "exec"), names)
+    said = capsys.readouterr().out
+    assert "<Scene in 3D: 64 balls" in said
+    assert "wall time" in said
+    assert (tmp_path / "falls.mp4").stat().st_size > 1000
+    assert names["image"].size == (320, 180)
+    assert len(names["scene"].colliders) == 1
+
+
 def anchors(page: Path) -> set[str]:
     """What headings of a page are called in links."""
     titles = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)

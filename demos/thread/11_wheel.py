@@ -15,7 +15,7 @@ def scene():
     scene.output = {"fps": 60, "duration": 5, "size": (720, 720)}
     shape = {"stiffness": rod["stiffness"], "damping": rod["damping"], "mass": SPOKES + 1, "ball_radius": 0.07}
     wheel = ts.shapes.wheel(scene, (0, 0), RADIUS, SPOKES, pinned=[0], **shape)
-    scene.velocity[wheel.balls] = SPIN * scene.position[wheel.balls][:, ::-1] * [-1, 1]
+    scene.set_balls(wheel.balls, velocity=SPIN * scene.position[wheel.balls][:, ::-1] * [-1, 1])
     return scene
 
 

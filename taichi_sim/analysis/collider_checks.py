@@ -15,8 +15,38 @@ FASTEST = 4.0  # radii of the smallest ball in a step: what pushes faster throws
 
 
 def check_colliders(scene: Scene, h: float) -> None:
-    """Raise SceneError where a collider starts around the centres of balls; warn where one moves too far in h seconds, and where
-    a wall does so: it puts balls out at once."""
+    """Raise SceneError where a collider starts around the centres of balls, and where pins tear a surface that collides across
+    the whole scene in h seconds; warn where a collider moves too far in them, and where a wall starts around balls: it puts them
+    out at once."""
+    with scene.in_file():
+        _refuse_leaps(scene, h)
+        _check_each(scene, h)
+
+
+def _refuse_leaps(scene: Scene, h: float) -> None:
+    """On the way of a step every triangle would be near every other: lists of all pairs, and nothing that they could mend."""
+    surfaces = scene.triangles[scene.solid]
+    if not len(surfaces):
+        return
+    wide = float(np.linalg.norm(np.ptp(scene.position, axis=0))) + 2.0 * float(scene.radius.max())
+    for k, pins in enumerate(scene.moving_pins):
+        led = np.isin(surfaces, pins.balls)
+        if not (led.any(axis=1) & ~led.all(axis=1)).any():  # no triangle, or as a whole
+            continue
+        with np.errstate(over="ignore", invalid="ignore"):
+            arm = float(np.linalg.norm(scene.position[pins.balls] - pins.motion.at(0.0)[0][0], axis=1).max())
+            way = pins.motion.fastest(arm)[0] * h
+            if len(pins.motion.times) > 1:
+                way = min(way, float(np.linalg.norm(np.ptp(pins.motion.positions, axis=0))) + 2.0 * arm)
+        if not way <= wide:
+            says = (
+                f"leads some balls of a surface that collides {way:.3g} m in one step of {h:.3g} s, farther than the scene is"
+                f" wide, {wide:.3g} m; give more time, or a smaller dt"
+            )
+            raise SceneError(f"moving_pins[{k}]", says=says)
+
+
+def _check_each(scene: Scene, h: float) -> None:
     free = ~scene.pinned
     _warn_of_walls(scene)
     for k, collider in enumerate(scene.colliders):
@@ -43,7 +73,7 @@ def check_colliders(scene: Scene, h: float) -> None:
             warnings.warn(
                 f"colliders[{k}] ({collider.name}){where}: moves at up to {speed:.4g} m/s, {speed * h / smallest:.3g} radii"
                 f" of the smallest ball in one step of {h:.4g} s: it jumps rather than pushes; take more time, or a smaller dt",
-                stacklevel=4,
+                stacklevel=5,
             )
 
 
@@ -58,5 +88,5 @@ def _warn_of_walls(scene: Scene) -> None:
             warnings.warn(
                 f"walls[{k}]: ball {deepest}{others} start{'' if others else 's'} with the centre in the solid, up to"
                 f" {depth[deepest]:.4g} m deep: the wall puts them out at once, which adds what energy that takes",
-                stacklevel=5,
+                stacklevel=6,
             )

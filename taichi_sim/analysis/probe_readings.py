@@ -43,23 +43,23 @@ class Readings:
             found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(sample.scene.dim)})
         return found
 
-    def state(self) -> list[Any]:
-        """The two totals that are remembered, as plain values."""
+    def memory(self) -> list[Any]:
+        """The totals that means are taken between, as plain values for `recall`."""
         return [
             None if one is None else [one[0], {name: total.tolist() for name, total in one[1].items()}]
             for one in (self._before, self._now)
         ]
 
-    def set_state(self, state: Any) -> None:
-        """Go on from what `state` gave; None: from the beginning. Raises SceneError for what does not fit."""
-        if state is None:
+    def recall(self, memory: Any) -> None:
+        """Go on from there; None: from the beginning. Raises SceneError for what does not fit."""
+        if memory is None:
             return
         try:
             before, now = (
                 None
                 if one is None
                 else (float(one[0]), {name: np.array(total, float) for name, total in one[1].items()})
-                for one in state
+                for one in memory
             )
         except (TypeError, ValueError, IndexError, KeyError, AttributeError) as error:
             raise SceneError("stepping", says=f"has no readings of probes ({error})") from None

@@ -22,7 +22,7 @@ NAMES = (
 main = typer.Typer(
     help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
     " simulation(), or the name of a demo.",
-    epilog="Exit status: 0 done, 1 a hard case failed or tune found nothing, 2 bad input,"
+    epilog="Exit status: 0 done, 1 a hard case failed, tune found nothing or verify found a fault, 2 bad input,"
     " 3 the simulation became unstable, 130 interrupted.",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -72,7 +72,7 @@ def _options(version: Annotated[bool, _flag("version", "Show it.")] = False) -> 
 # Commands ----------------------------------------------------------------------------------------------------------
 
 
-@_command("size", *SIMULATION, "fps", "duration", "threads")
+@_command("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
 def run(
     scene: SceneName,
     out: Annotated[
@@ -128,7 +128,7 @@ def run(
         typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
 
 
-@_command("size", *SIMULATION, "fps", "duration", "threads")
+@_command("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
 def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
     from taichi_sim.viewer.window import require_display, show
@@ -140,7 +140,7 @@ def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     show(job.simulation, **output, until=options["duration"], say=_quiet if quiet else typer.echo)
 
 
-@_command(*SIMULATION, "fps", "duration", "threads")
+@_command(*SIMULATION, "fps", "duration", "threads", "allow_outside")
 def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Say which time step is safe for SCENE, and what limits it, before anything runs."""
     from taichi_sim.reports import check as stability_report
@@ -149,7 +149,7 @@ def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
         typer.echo("\n".join(stability_report.lines(sim)))
 
 
-@_command("quantity", "arch", "threads")
+@_command("quantity", "arch", "threads", "allow_outside")
 def report(
     context: typer.Context,
     scene: Annotated[str | None, _scene("[SCENE]")] = None,
@@ -196,7 +196,7 @@ def report(
     make(made, plan, folder, meshes=meshes, overwrite=overwrite, progress=not quiet, say=say)
 
 
-@_command("quantity", "arch", "threads")
+@_command("quantity", "arch", "threads", "allow_outside")
 def tune(
     scene: SceneName,
     tolerance: Annotated[str, typer.Option(help="The error that you accept, relative to the motion.")] = "1e-2",
@@ -253,6 +253,26 @@ def devices() -> None:
 
 
 @_command("arch")
+def verify(**options: Any) -> None:
+    """Test an installation: small scenes against stored results. To be sent with a bug report."""
+    from taichi_sim.reports import verify as verification
+
+    off = []
+    for result in verification.results(options["arch"]):
+        if result.failed:
+            said = result.failed
+        elif result.deviation is None:
+            said = "runs on a CPU alone"
+        else:
+            said = f"off by {result.deviation:.1e}, allowed {verification.TOLERANCE:.0e}"
+        typer.echo(f"{'passed' if result.passed else 'WRONG':7} {result.name}: {said}")
+        off += [] if result.passed else [result.name]
+    typer.echo(verification.installation())
+    if off:
+        _fail(f"{len(off)} of {len(verification.CASES)} scenes are not what they should be: {'; '.join(off)}", FAILED)
+
+
+@_command("arch")
 def bench(
     names: Annotated[list[str] | None, typer.Argument(metavar="[CASE ...]")] = None,
     quick: Annotated[bool, _flag("quick", "Tiny sizes, to try it out.")] = False,
@@ -302,20 +322,17 @@ class _Job:
     """A scene, how to simulate it and how to show it: command line over scene file over defaults."""
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
-        from taichi_sim.files.source import checked_output, open_scene, resolve
+        from taichi_sim.files.source import open_scene, resolve
+        from taichi_sim.outputs.quick import output_options
 
         asked = {key: positive(f"--{key}", options[key]) for key in ("fps", "duration")}
         asked["size"] = pixels(options.get("size"))  # type: ignore[assignment]
         self.options = {**options, "dt": step(options["dt"])}
         self.file = resolve(name)
-        self.scene = open_scene(self.file)
+        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]))
         self.made = self._made() if self.scene is None else None
         shown: Any = self.scene if self.made is None else self.made.scene
-        of_scene = checked_output(shown)
-        chosen = {"fps": 60.0, "duration": 5.0, "size": (1280, 720)} | of_scene
-        chosen |= {key: value for key, value in asked.items() if value is not None}
-        style = {key: chosen.pop(key) for key in list(chosen) if key not in asked}
-        self.output: dict[str, Any] = chosen | {"style": style}
+        self.output = output_options(shown, asked)
 
     def simulation(self, forces: Sequence[Any] = ()) -> Any:
         """The Simulation, with the command line's options over the scene's own; one that a file makes takes no forces."""

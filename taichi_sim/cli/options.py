@@ -25,6 +25,10 @@ SHARED: dict[str, Any] = {
     "fps": Annotated[float | None, typer.Option(help="Frames per simulated second.")],
     "duration": Annotated[float | None, typer.Option(help="Simulated seconds.")],
     "threads": Annotated[int | None, typer.Option(help="CPU threads.")],
+    "allow_outside": Annotated[
+        bool | None,
+        typer.Option("--allow-outside", help="Let the scene file name arrays and meshes outside its own folder."),
+    ],
     "quantity": Annotated[
         str | None, typer.Option(help="What errors are of: a probe's number, like load.tension; positions otherwise.")
     ],

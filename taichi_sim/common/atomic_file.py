@@ -1,24 +1,22 @@
-"""Files that appear under their final name only when they are complete, and arrays from those that are there."""
+"""Files that appear under their final name only when they are complete."""
 
 import errno
 import glob
+import itertools
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-import numpy as np
-from numpy.typing import NDArray
-
-from taichi_sim.common.errors import SceneError
-
 try:
     import fcntl
 except ImportError:  # Windows, where a file that is open cannot be deleted
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["PartFile", "arrays_in", "locked", "naming", "replacing", "require_place", "sweep", "synced"]
+NUMBERS = itertools.count()  # of those of this process
+
+__all__ = ["PartFile", "locked", "naming", "replacing", "require_place", "sweep", "synced"]
 
 
 class PartFile:
@@ -31,7 +29,7 @@ class PartFile:
 
     def __init__(self, path: str | os.PathLike[str], *, swept: bool = False) -> None:
         self.path = Path(path)
-        self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.part")
+        self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.{next(NUMBERS)}.part")
         parent = self.path.parent
         if not parent.is_dir():
             raise FileNotFoundError(f"{self.path}: there is no folder {str(parent)!r}; make it first")
@@ -130,17 +128,3 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-def arrays_in(path: Path, prefix: str) -> dict[str, NDArray]:
-    """The arrays of an .npz whose names begin with `prefix`, without it."""
-    if not path.is_file():
-        raise SceneError("table.file", path, says="is not there; it must be an existing .npz file")
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            found = {key[len(prefix) :]: data[key] for key in data.files if key.startswith(prefix)}
-    except Exception as error:  # a damaged archive raises whatever its parts raise
-        raise SceneError("table.file", path, says=f"cannot be read as .npz arrays: {error}") from None
-    if not found:
-        raise SceneError("table.file", path, says=f"holds no array whose name begins with {prefix!r}")
-    return found

@@ -1,6 +1,7 @@
 """How much memory this process may still take."""
 
 import os
+import sys
 from pathlib import Path
 
 __all__ = ["available"]
@@ -13,14 +14,26 @@ GROUPS = (  # a container's limit and what it uses, in the two ways that Linux h
 
 
 def available() -> int:
-    """Bytes that can be taken before the machine swaps or the container's limit is met."""
-    free = [_machine()]
+    """Bytes that can be taken before the machine swaps, or the container's limit or that of the process is met."""
+    free = [_machine(), _process()]
     for limit, used in GROUPS:
         try:
             free.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
         except (OSError, ValueError):  # no such group, or no limit ("max")
             continue
     return max(0, min(free))
+
+
+def _process() -> int:
+    """What `ulimit -v` leaves."""
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except (ImportError, AttributeError, OSError, ValueError):
+        return sys.maxsize
+    return sys.maxsize if limit == resource.RLIM_INFINITY else limit - used
 
 
 def _machine() -> int:

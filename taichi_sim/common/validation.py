@@ -3,7 +3,7 @@
 import ast
 import inspect
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,9 @@ from taichi_sim.common.errors import SceneError
 __all__ = [
     "as_array",
     "attributes_read",
+    "bits",
+    "call",
+    "colours",
     "direction",
     "flags",
     "indices",
@@ -21,8 +24,10 @@ __all__ = [
     "number",
     "one_of",
     "per_item",
+    "require",
     "strained",
     "strains",
+    "tables",
     "vector",
     "vectors",
     "whole",
@@ -32,6 +37,8 @@ FUNCTION_MARKS = ("_is_taichi_function", "_is_quadrants_function")  # what eithe
 MOST_MAGNITUDE = (
     1e50  # products and powers of such numbers, as shapes and bounds form them, stay finite in double precision
 )
+LEAST_POSITIVE = 1 / MOST_MAGNITUDE  # and do not vanish
+MOST_WHOLE = 2**63 - 1
 
 
 def as_array(value: Any) -> NDArray[Any]:
@@ -52,14 +59,15 @@ def _array(where: str, value: ArrayLike, what: str, most: float = MOST_MAGNITUDE
         array = array.astype(np.float64)
     except (TypeError, ValueError):
         raise SceneError(where, value, says=f"is not {what}") from None
-    _require(where, array, np.isfinite(array), "a finite number")
-    _require(where, array, np.abs(array) <= most, f"at most {most:g} in magnitude")
+    require(where, array, np.isfinite(array), "a finite number")
+    require(where, array, np.abs(array) <= most, f"at most {most:g} in magnitude")
     return array
 
 
-def _require(where: str, array: NDArray, good: NDArray[np.bool_], allowed: str) -> None:
+def require(where: str, value: Any, good: Any, allowed: str) -> None:
     """Raise SceneError about the first bad item: `mass[3]` of many, `mass` where it is a lone number."""
     if not np.all(good):
+        array = np.asarray(value)
         first = np.unravel_index(int(np.argmin(good)), array.shape)
         raise SceneError(where + "".join(f"[{i}]" for i in first), array[first], allowed)
 
@@ -71,11 +79,12 @@ def _shape(where: str, array: NDArray, good: bool, allowed: str) -> None:
 
 def _bounds(where: str, array: NDArray, low: float | None, high: float | None, positive: bool) -> None:
     if positive:
-        _require(where, array, array > 0, "greater than 0")
+        require(where, array, array > 0, "greater than 0")
+        require(where, array, array >= LEAST_POSITIVE, f"at least {LEAST_POSITIVE:g}")
     if low is not None and high is not None:
-        _require(where, array, (array >= low) & (array <= high), f"from {low:g} to {high:g}")
+        require(where, array, (array >= low) & (array <= high), f"from {low:g} to {high:g}")
     elif low is not None:
-        _require(where, array, array >= low, f"at least {low:g}")
+        require(where, array, array >= low, f"at least {low:g}")
 
 
 def number(
@@ -92,7 +101,7 @@ def number(
 def whole(where: str, value: Any, low: int, high: int | None = None) -> int:
     """One whole number within its bounds. Raises SceneError."""
     fits = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not fits or value < low or (high is not None and value > high):
+    if not fits or value < low or value > (MOST_WHOLE if high is None else high):
         allowed = f"of at least {low}" if high is None else f"from {low} to {high}"
         raise SceneError(where, value, f"a whole number {allowed}")
     return int(value)
@@ -199,6 +208,44 @@ def indices(
         allowed = f"from 0 to {limit - 1}" if limit else "but there is none"
         raise SceneError(f"{where}[{first}]", array[first], says=f"is not allowed; it must name a {what}, {allowed}")
     return array.astype(np.int32)
+
+
+def bits(where: str, value: ArrayLike) -> NDArray[np.int32]:
+    """Integers of 32 bits with a sign, (k,). Raises SceneError."""
+    array = as_array(value)
+    if array.dtype.kind not in "iu":
+        raise SceneError(where, value, says="is not a list of integers")
+    _shape(where, array, array.ndim == 1, "(k,)")
+    require(where, array, (array >= -(2**31)) & (array < 2**31), "an integer of 32 bits")
+    return array.astype(np.int32)
+
+
+def colours(where: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Colours (k, 3) from 0 to 1, those that are left to the renderer nan. Raises SceneError."""
+    array = as_array(value)
+    if array.dtype.kind != "f":
+        raise SceneError(where, value, says="is not a list of colours")
+    _shape(where, array, array.ndim == 2 and array.shape[1] == 3, "(k, 3)")
+    none = np.isnan(array).all(axis=1, keepdims=True)
+    require(where, array, none | ((array >= 0) & (array <= 1)), "from 0 to 1, or all three nan")
+    return array.astype(np.float64)
+
+
+def tables(given: Any, name: str) -> list[dict[str, Any]]:
+    """The list of tables of that name in plain values from a file. Raises SceneError."""
+    value = given.get(name) if isinstance(given, Mapping) else None
+    if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
+        raise SceneError(name, value, "a list of tables")
+    return value
+
+
+def call(where: str, function: Callable[..., Any], arguments: Mapping[str, Any]) -> Any:
+    """Call a function with arguments from a file. Raises SceneError where it does not take them, or needs more."""
+    try:
+        inspect.signature(function).bind(**arguments)
+    except TypeError as error:
+        raise SceneError(where, says=str(error)) from None
+    return function(**arguments)
 
 
 def flags(where: str, value: bool | Sequence[bool] | NDArray, n: int) -> NDArray[np.bool_]:

@@ -1,26 +1,31 @@
 """The only place that starts Taichi. Arch, precision and threads hold for the whole process.
 
-A second `ti.init` would silently invalidate every field that exists, so a request that differs from what runs is refused.
+A second `ti.init` would silently invalidate every field that exists, so a request that differs from what runs is refused. Taichi
+serves one thread, that which started it; in another its kernels fail or compute nonsense, so use from there is refused, too.
 """
 
-import contextlib
-import io
 import os
 import sys
+import threading
+import time
 import warnings
+from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.devices import find, verdict
 from taichi_sim.device.engine import ENGINE, VERSION, finds, ti
 
-__all__ = ["ARCHES", "PRECISIONS", "Backend", "has_wide_numbers", "running", "start"]
+__all__ = ["ARCHES", "PRECISIONS", "Backend", "check_thread", "has_wide_numbers", "running", "start"]
 
 ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
 AUTOMATIC = ("cuda", "metal", "vulkan", "cpu")  # in the order in which they are tried
 WIDE_ARCHES = ("cpu", "cuda")  # with 64-bit numbers
+LOCK = "ticache.lock"  # Taichi holds it while it reads or writes its list of compiled kernels: for a second at most
+STALE = 600.0  # s; older than that, its owner has been killed
 CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
 
 
@@ -48,6 +53,8 @@ class Backend(NamedTuple):
 
 
 _running: Backend | None = None
+_owner: tuple[int, int, str] | None = None  # process, thread and its name that started it
+_starting = threading.Lock()
 
 
 def running() -> Backend | None:
@@ -60,13 +67,30 @@ def has_wide_numbers() -> bool:
     return _running is None or _running.has_wide_numbers
 
 
+def check_thread() -> None:
+    """Raise BackendError in any other thread, or a forked process, than that which started Taichi; takes less than a
+    microsecond."""
+    if _owner is None or (threading.get_ident() == _owner[1] and os.getpid() == _owner[0]):
+        return
+    if os.getpid() != _owner[0]:
+        raise BackendError(
+            "process: this one was forked from one in which simulations already ran, and shares its Taichi, which cannot work;"
+            ' start processes by "spawn": multiprocessing.get_context("spawn")'
+        )
+    here = threading.current_thread().name
+    raise BackendError(
+        f"thread: simulations and renderers of this process belong to the thread {_owner[2]!r}, in which the first one was made,"
+        f" and this is {here!r}; make, step, read and close them there, or give each thread's work a process of its own"
+    )
+
+
 def start(arch: str | None = None, precision: str | None = None, threads: int | None = None) -> Backend:
     """Start Taichi, or return what runs already when it fits.
 
     Args: what is left None takes what runs, or else arch "auto" (a GPU if one works, else the CPU), precision "f32" and
     all CPU threads. Raises ValueError for an unknown word, BackendError for a missing device or a second, different start.
     """
-    global _running
+    global _running, _owner
     if arch is not None and arch not in ARCHES:
         raise ValueError(f"arch: {arch!r} is not allowed; it must be one of {', '.join(ARCHES)}")
     if precision is not None and precision not in PRECISIONS:
@@ -77,9 +101,12 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
         raise BackendError(
             f"precision: 'f64' was asked for, which {arch} devices may lack; use 'f32', or arch 'cpu' or 'cuda'"
         )
-    if _running is None:
-        _running = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
-        return _running
+    with _starting:
+        if _running is None:
+            _running = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
+            _owner = (os.getpid(), threading.get_ident(), threading.current_thread().name)
+            return _running
+    check_thread()
     for name, asked, runs in (
         ("arch", None if arch == "auto" else arch, _running.arch),
         ("precision", precision, _running.precision),
@@ -102,7 +129,9 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
     if name is None:
         raise BackendError(f"arch: {arch!r} was asked for, but no such device works here; use 'cpu' or 'auto'")
     real = ti.f64 if precision == "f64" else ti.f32
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner that no option turns off
+    _free_cache(Path(str(ti.lang.impl.default_cfg().offline_cache_file_path)))
+    # it prints a banner that no option turns off; what other threads print meanwhile is none of its
+    with patch.object(ti.lang.misc, "print", lambda *_, **__: None, create=True):
         quicken()
         ti.init(
             arch=getattr(ti, name),
@@ -115,6 +144,23 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
             advanced_optimization=False,  # Taichi's own passes: LLVM repeats them; compiling takes a third, running the same
         )
     return Backend(name, precision, threads if name == "cpu" else 0)
+
+
+def _free_cache(folder: Path) -> None:
+    """Remove the lock that a killed process left on the cache of compiled kernels: Taichi keeps and finds nothing while it is
+    there, and says so only in its log."""
+    lock = Path(os.environ.get("TI_OFFLINE_CACHE_FILE_PATH", folder)) / LOCK
+    try:
+        age = time.time() - lock.stat().st_mtime
+        if age < STALE:
+            return
+        lock.unlink()
+        done = "it was removed"
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        done = f"remove it ({error.strerror}): until then everything is compiled anew in each process"
+    warnings.warn(f"{lock}: a killed process has locked the cache of compiled kernels; {done}", stacklevel=5)
 
 
 def _is_trusted(arch: str) -> bool:

@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
+from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
+from taichi_sim.device.trees import Tree, forget, take, take_back
 
 __all__ = ["NUMPY_TYPES", "Fields", "fill"]
 
@@ -21,28 +23,31 @@ def fill(field: Any, values: NDArray) -> None:
 class Fields:
     """Collects fields with their first values; `build()` allocates and fills them, `free()` gives the memory back.
 
-    Taichi frees memory only by whole trees, and a process holds few hundred of them: so one per simulation.
-    A field that would be empty gets one unused element, because Taichi has no empty fields.
+    Taichi frees memory only by whole trees, and a process holds few hundred of them: so one per simulation. What is freed
+    serves later fields of the same types and lengths, see `trees`. A field that would be empty gets one unused element, because
+    Taichi has no empty fields.
     """
 
     def __init__(self, real: Any, wide: bool = True) -> None:
+        backend.check_thread()
         self.real, self.has_wide_numbers = real, wide
         self._builder = ti.FieldsBuilder()
-        self._first: list[tuple[Any, Any]] = []
-        self._tree: Any = None
+        self._declared: list[Any] = []
+        self._layout: list[tuple[Any, ...]] = []  # type, length and way of storage of each
+        self._first: list[tuple[int, Any]] = []  # number of the field, values
+        self._tree: Tree | None = None
         self._bytes: dict[int, int] = {}  # by the identity of a field
 
-    def _place(self, field: Any, n: int, data: Any, item_bytes: int) -> Any:
-        if n == 0:
-            self._builder.place(field)
-        else:
-            self._builder.dense(ti.i, max(1, n)).place(field)
-        return self._note(field, data, max(1, n) * item_bytes)
-
-    def _note(self, field: Any, data: Any, size: int) -> Any:
+    def _place(self, field: Any, kind: object, n: int, data: Any, item_bytes: int, by_column: bool = False) -> Any:
+        """Declare a field of n entries, each of a kind and so many bytes, that begins with data, or with zeros."""
+        n = max(1, n)
+        for part in [field.get_member_field(name) for name in field.keys] if by_column else [field]:
+            self._builder.dense(ti.i, n).place(part)
         if data is not None:
-            self._first.append((field, data))
-        self._bytes[id(field)] = size
+            self._first.append((len(self._declared), data))
+        self._declared.append(field)
+        self._layout.append((kind, n, by_column))
+        self._bytes[id(field)] = n * item_bytes
         return field
 
     @property
@@ -79,23 +84,25 @@ class Fields:
     def reals(self, data: int | NDArray) -> Any:
         """A field of reals: n of them, zero, or a copy of data, shape (n,) or (n, dim)."""
         if isinstance(data, int):
-            return self._place(ti.field(self.real), max(1, data), None, self._size)
+            return self._place(ti.field(self.real), str(self.real), data, None, self._size)
         array = self._cast(data)
         width = array.shape[1] if array.ndim == 2 else 0
         field = ti.Vector.field(width, self.real) if width else ti.field(self.real)
-        return self._place(field, max(1, len(array)), array if len(array) else None, self._size * max(1, width))
+        first = array if len(array) else None
+        return self._place(field, (str(self.real), width), len(array), first, self._size * max(1, width))
 
     def doubles(self, n: int) -> Any:
         """n zeros in double precision, for sums; in single precision where the device has no other."""
-        return self._place(ti.field(self.wide), max(1, n), None, 8 if self.has_wide_numbers else self._size)
+        return self._place(ti.field(self.wide), str(self.wide), n, None, 8 if self.has_wide_numbers else self._size)
 
     def vectors(self, n: int, dim: int) -> Any:
         """n zero vectors."""
-        return self._place(ti.Vector.field(dim, self.real), max(1, n), None, self._size * dim)
+        return self._place(ti.Vector.field(dim, self.real), (str(self.real), dim), n, None, self._size * dim)
 
     def matrices(self, n: int, dim: int) -> Any:
         """n zero matrices (dim, dim)."""
-        return self._place(ti.Matrix.field(dim, dim, self.real), max(1, n), None, self._size * dim * dim)
+        kind = (str(self.real), dim, dim)
+        return self._place(ti.Matrix.field(dim, dim, self.real), kind, n, None, self._size * dim * dim)
 
     def spins(self, n: int, dim: int) -> Any:
         """n zero spins: a scalar each in 2D, a vector in 3D."""
@@ -105,15 +112,15 @@ class Fields:
         """A field of 32-bit integers: n zeros, or a copy of data, shape (n,)."""
         n = data if isinstance(data, int) else len(data)
         array = None if isinstance(data, int) or n == 0 else np.ascontiguousarray(data, dtype=np.int32)
-        return self._place(ti.field(ti.i32), max(1, n), array, 4)
+        return self._place(ti.field(ti.i32), "i32", n, array, 4)
 
     def keys(self, n: int) -> Any:
         """n zeros of 64-bit integers."""
-        return self._place(ti.field(ti.i64), max(1, n), None, 8)
+        return self._place(ti.field(ti.i64), "i64", n, None, 8)
 
     def cells(self, n: int, dim: int) -> Any:
         """n zero vectors of 32-bit integers."""
-        return self._place(ti.Vector.field(dim, ti.i32), max(1, n), None, 4 * dim)
+        return self._place(ti.Vector.field(dim, ti.i32), ("i32", dim), n, None, 4 * dim)
 
     def table(
         self, columns: dict[str, Any], n: int, data: dict[str, NDArray] | None = None, *, by_column: bool = False
@@ -130,26 +137,22 @@ class Fields:
         field = ti.Struct.field(
             columns
         )  # not before the cast, which may refuse: an unplaced field stops every later build
-        if by_column:
-            for name in columns:
-                self._builder.dense(ti.i, max(1, n)).place(field.get_member_field(name))
-            return self._note(field, typed, max(1, n) * width)
-        return self._place(field, max(1, n), typed, width)
+        kind = tuple((name, str(getattr(t, "dtype", t)), getattr(t, "n", 0)) for name, t in columns.items())
+        return self._place(field, kind, n, typed, width, by_column)
 
     def build(self) -> None:
-        """Allocate everything and copy the first values in."""
-        self._tree = self._builder.finalize()
-        for field, data in self._first:
-            field.from_numpy(data)
+        """Allocate everything, or take over what was freed of the same layout, and copy the first values in."""
+        layout = tuple(self._layout)
+        tree = take(layout, self._declared, self._builder)
+        self._tree = tree or Tree(layout, self._declared, self._builder, self.bytes)
+        for number, data in self._first:
+            self._tree.fields[number].from_numpy(data)
         self._first.clear()
 
     def abandon(self) -> None:
         """Undo a construction that failed: a builder left open would make every later simulation fail."""
         if self._tree is None:
-            field = ti.field(ti.i32)
-            self._builder.place(field)
-            self._tree = self._builder.finalize()
-            field[None] = 0  # a tree that no kernel has touched must not be destroyed
+            forget(self._builder)
         self.free()
 
     @property
@@ -160,5 +163,6 @@ class Fields:
     def free(self) -> None:
         """Give the memory back. The fields must not be used after that."""
         if self._tree is not None:
-            self._tree.destroy()
+            backend.check_thread()
+            take_back(self._tree)
             self._tree = None

@@ -2,18 +2,18 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from os import PathLike
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.npz import read_npz
+from taichi_sim.files.source import checked_output
 from taichi_sim.scene.colliders import shape_of
-from taichi_sim.scene.collision_groups import Groups
-from taichi_sim.scene.scene import Material, Scene, Wall
+from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["restore_state", "save_state"]
@@ -39,9 +39,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "format": FORMAT,
         "dim": scene.dim,
         "gravity": scene.gravity.tolist(),
-        "materials": [asdict(material) for material in scene.materials],
-        "groups": scene.groups.names,
-        "walls": [asdict(wall) for wall in scene.walls],
+        **scene.plain(),
         "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in colliders],
         "settings": settings,
         "output": scene.output,
@@ -61,12 +59,11 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
 def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, Any]) -> Any:
     """A `kind` (Simulation) as `save_state` left it, with some arguments replaced. Raises SceneError for another file."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays = read_npz(path)
     except FileNotFoundError:
         raise SceneError((), says="there is no such file", file=path) from None
-    except (BadZipFile, ValueError, EOFError, OSError):
-        raise SceneError((), says="is not a state that Simulation.save wrote", file=path) from None
+    except SceneError as error:
+        raise SceneError((), says=f"is not a state that Simulation.save wrote; it {error.says}", file=path) from None
     try:
         about = json.loads(str(arrays["about"]))
         found = about["format"]
@@ -95,19 +92,13 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
 
 def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
     scene = Scene(about["dim"], about["gravity"])
-    for material in about["materials"]:
-        material["colour"] = material["colour"] and tuple(material["colour"])
-    scene.materials[:] = [Material(**material) for material in about["materials"]]
-    scene.groups = Groups(about["groups"])
-    scene.walls.extend(Wall(**{**wall, "normal": tuple(wall["normal"])}) for wall in about["walls"])
+    scene.set_plain(about)
     for k, given in enumerate(about["colliders"]):
         mesh = {name: arrays[f"colliders.{k}.{name}"] for name in MESH} if given["shape"] == "mesh" else {}
         scene.add_collider(shape_of(given | mesh))
     scene.from_arrays(arrays)
     if "elements" in about:
         scene.set_elements(about["elements"], arrays)
-    named = [*scene.material.tolist(), *(wall.material for wall in scene.walls)]
-    if any(not 0 <= index < len(scene.materials) for index in set(named)):
-        raise SceneError("material", says=f"one is named that is none of the {len(scene.materials)} there are")
     scene.output = about["output"]
+    checked_output(scene)
     return scene

@@ -47,12 +47,12 @@ def resolve(name: str) -> Path:
     raise FileNotFoundError(f"{name}: is neither a file nor a built-in demo; {hint}")
 
 
-def open_scene(file: Path) -> Scene | None:
-    """The scene in a file; None for a Python file that makes its own simulation()."""
+def open_scene(file: Path, *, allow_outside: bool = False) -> Scene | None:
+    """The scene in a file; None for a Python file that makes its own simulation(). allow_outside: see `load_scene`."""
     if file.suffix == ".toml":
         from taichi_sim.files.toml_reader import load_scene
 
-        return load_scene(file)
+        return load_scene(file, allow_outside=allow_outside)
     if file.suffix != ".py":
         raise ValueError(f"{file}: {file.suffix!r} is not allowed; a scene is a .toml or a .py file")
     module = _module(file)

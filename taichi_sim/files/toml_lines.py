@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 
-__all__ = ["line_of"]
+__all__ = ["deepest_line", "line_of"]
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
 
@@ -22,6 +22,12 @@ def line_of(text: str, path: Sequence[str | int]) -> int | None:
         if key.match(lines[number]):
             return _element(lines, number, rest[1:]) if len(rest) > 1 else number + 1
     return first or None
+
+
+def deepest_line(text: str) -> int:
+    """The line, counted from 1, in which most brackets, braces and dots stand: what nests too deeply to be read."""
+    lines = text.splitlines()
+    return 1 + max(range(len(lines)), key=lambda number: sum(map(lines[number].count, "[{.")), default=0)
 
 
 def _dotted(lines: list[str], path: Sequence[str | int]) -> Sequence[str | int]:

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.atomic_file import arrays_in
 from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, unknown_key
-from taichi_sim.files.toml_lines import line_of
+from taichi_sim.common.npz import read_npz
+from taichi_sim.files.toml_lines import deepest_line, line_of
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.scene import Scene
@@ -38,8 +38,19 @@ if TYPE_CHECKING:
 __all__ = ["Reader", "load_scene"]
 
 
-def load_scene(path: str | os.PathLike[str], *, tables: Mapping[str, Callable[..., Any]] | None = None) -> Scene:
+MOST_NESTED = 16  # lists and tables within each other
+
+
+def load_scene(
+    path: str | os.PathLike[str],
+    *,
+    tables: Mapping[str, Callable[..., Any]] | None = None,
+    allow_outside: bool = False,
+) -> Scene:
     """Read a scene file. `scene.settings` then holds its [simulation] table, `scene.output` its [output] table.
+
+    A scene file can do no more than describe a scene: it reads arrays and meshes from its own folder and the folders in it. With
+    allow_outside it may name files anywhere. What is too large for the memory that is free is refused before it is made.
 
     tables: user-defined ones, name to a function that is called with the scene and the keys of each `[[name]]`, after balls and
     shapes are there. A `ts.shapes.Shape` that it returns gets the key `name`, if there is one, as other shapes do.
@@ -50,25 +61,53 @@ def load_scene(path: str | os.PathLike[str], *, tables: Mapping[str, Callable[..
     file = Path(path)
     if not file.is_file():
         raise FileNotFoundError(f"{file}: there is no such scene file")
+    return Reader(file, *_parsed(file), tables, allow_outside).scene()
+
+
+def _parsed(file: Path) -> tuple[str, dict[str, Any]]:
+    """The text of a file and what it says in TOML. Raises SceneError."""
     try:
         text = file.read_text(encoding="utf-8")
         document = tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise SceneError((), says=f"is not a text in UTF-8: {error.reason} at byte {error.start}", file=file) from None
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        raise _too_deep(file, text, ()) from None
+    except ValueError as error:  # TOMLDecodeError, or one of a number or a date that Python does not make
         raise SceneError((), says=f"is not valid TOML: {error}", file=file) from None
-    return Reader(file, text, document, tables).scene()
+    deep: list[tuple[KeyPath, Any]] = [((), document)]
+    while deep:
+        path, value = deep.pop()
+        if isinstance(value, (dict, list)):
+            if len(path) > MOST_NESTED:
+                raise _too_deep(file, text, path[:MOST_NESTED])
+            items = value.items() if isinstance(value, dict) else enumerate(value)
+            deep += [((*path, key), item) for key, item in items if isinstance(item, (dict, list))]
+    return text, document
+
+
+def _too_deep(file: Path, text: str, path: KeyPath) -> SceneError:
+    says = f"has lists or tables within each other, more than {MOST_NESTED} deep"
+    error = located(file, text, SceneError(path[:2], says=says))
+    error.line = error.line or deepest_line(text)
+    return error
 
 
 class Reader:
     """Builds a Scene from one parsed document; every error leaves it with the file, the line and the key's path."""
 
     def __init__(
-        self, file: Path, text: str, document: dict[str, Any], tables: Mapping[str, Callable[..., Any]] | None = None
+        self,
+        file: Path,
+        text: str,
+        document: dict[str, Any],
+        tables: Mapping[str, Callable[..., Any]] | None = None,
+        allow_outside: bool = False,
     ) -> None:
         from taichi_sim.files.toml_schema import Document
 
         self.file, self.text, self.document, self.tables = file, text, document, tables or {}
+        self.allow_outside = allow_outside
         known = {"format", "dim", "gravity", "simulation", "output", *Document.model_fields}
         for name, function in self.tables.items():
             if name in known or not callable(function):
@@ -94,7 +133,7 @@ class Reader:
                     arguments = _given(table)
                     group = arguments.pop("name", None)
                     if "mesh" in arguments and isinstance(arguments["mesh"], str):
-                        arguments["mesh"] = self.file.parent / arguments["mesh"]
+                        arguments["mesh"] = self._beside("mesh", arguments["mesh"])
                     self._name(scene, group, add(scene, **arguments).balls)
         self._user_defined(scene)
         self._lists(scene, model, "springs", "pairs", 2, scene.add_springs, "stiffness")
@@ -104,7 +143,7 @@ class Reader:
             with self._at("colliders", index):
                 arguments = self._with_file(("colliders", index), table, ())
                 if "mesh" in arguments:
-                    arguments["mesh"] = self.file.parent / arguments["mesh"]
+                    arguments["mesh"] = self._beside("mesh", arguments["mesh"])
                 scene.add_collider(shape_of(arguments))
         self._lists(scene, model, "triangles", "triangles", 3, scene.add_triangles)
         for index, table in enumerate(model.objects):
@@ -134,9 +173,6 @@ class Reader:
         return scene
 
     def _balls(self, scene: Scene, tables: "Sequence[BaseModel]") -> None:
-        highest = max((table.body for table in tables), default=0)  # type: ignore[attr-defined]
-        while highest > 0 and scene.new_body() < highest:
-            pass  # so that no shape in the same scene takes a number that the file uses
         for index, table in enumerate(tables):
             with self._at("balls", index):
                 arguments = self._with_file(("balls", index), table, ("position", "radius"))
@@ -260,7 +296,7 @@ class Reader:
             named = place[0] in ("moving_pins", "probes", "objects")  # there `balls` may be numbers
             own = ("file", "prefix", "name") if named else ("file", "prefix", "name", "balls")
             known = [key for key in type(table).model_fields if key not in own]
-            for key, array in arrays_in(self.file.parent / name, prefix).items():
+            for key, array in self._arrays(name, prefix).items():
                 if key not in known:
                     says = f"holds the array {prefix + key!r}; {did_you_mean(key, known)}"
                     raise SceneError("table.file", name, says=says)
@@ -271,6 +307,34 @@ class Reader:
             if arguments.get(key) is None:
                 raise SceneError(("table", key), says="is missing; give it here or in a `file`")
         return arguments
+
+    def _arrays(self, name: str, prefix: str) -> dict[str, NDArray]:
+        """The arrays of an .npz beside the scene file whose names begin with `prefix`, without it."""
+        file = self._beside("file", name)
+        try:
+            found = read_npz(file, prefix)
+        except FileNotFoundError:
+            raise SceneError("table.file", file, says="is not there; it must be an existing .npz file") from None
+        except SceneError as error:
+            raise SceneError("table.file", file, says=error.says) from None
+        if not found:
+            raise SceneError("table.file", file, says=f"holds no array whose name begins with {prefix!r}")
+        return found
+
+    def _beside(self, key: str, name: str) -> Path:
+        """A file that the scene file names, from its own folder on."""
+        folder, file = self.file.parent, self.file.parent / name
+        try:
+            outside = not file.resolve().is_relative_to(folder.resolve())
+        except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a zero byte
+            raise SceneError(("table", key), name, says=f"is no name of a file: {error}") from None
+        if outside and not self.allow_outside:
+            says = (
+                "lies outside the folder of the scene; if you trust the scene, allow it with --allow-outside, in Python"
+                " ts.load_scene(..., allow_outside=True)"
+            )
+            raise SceneError(("table", key), name, says=says)
+        return file
 
     # Errors --------------------------------------------------------------------------------------------------------
 

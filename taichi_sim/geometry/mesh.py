@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.geometry.mesh_file import SUFFIXES, load
 
-SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf")
 PLACES_NAMED = 3  # in a message
 THINNEST_TRIANGLE = 1e-6  # twice its area over the square of its longest side: a triangle of less has none
 
@@ -36,11 +36,16 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
         raise SceneError("mesh", file, f"a file that ends in {' '.join(SUFFIXES)}")
     if not file.is_file():
         raise SceneError("mesh", file, says=f"is not there; it must be an existing {file.suffix} file")
-    loaded = _load(file)
+    loaded = load(file)
     vertices = np.asarray(getattr(loaded, "vertices", ()), dtype=np.float64)
     faces = np.asarray(getattr(loaded, "faces", ()), dtype=np.int64)
     if faces.size == 0 or vertices.size == 0:
         raise SceneError("mesh", file, says="has no faces; a surface needs at least one triangle")
+    wrong = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
+    if wrong.any():
+        bad = int(np.argmax(wrong))
+        says = f"has face {bad} (from 0) of vertices {faces[bad].tolist()}, and there are {len(vertices)}"
+        raise SceneError("mesh", file, says=says)
     finite = np.isfinite(vertices).all(axis=1)
     if not finite.all():
         bad = int(np.argmin(finite))
@@ -51,19 +56,6 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     if not len(surface.triangles):
         raise SceneError("mesh", file, says="has no face with an area; a surface needs at least one triangle")
     return surface
-
-
-def _load(file: Path) -> Any:
-    try:
-        import trimesh
-    except ImportError:
-        raise SceneError("mesh", says='reading meshes needs one more package: pip install "taichi-sim[mesh]"') from None
-    try:
-        return trimesh.load_mesh(file, process=False, skip_materials=True)
-    except Exception as error:  # a parser for foreign files may raise anything
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        says = f"cannot be read as {file.suffix[1:].upper()} with faces: {reason}"
-        raise SceneError("mesh", file, says=says) from error
 
 
 def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:

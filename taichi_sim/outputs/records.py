@@ -2,6 +2,7 @@
 
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from struct import Struct
 from typing import IO
@@ -55,8 +56,9 @@ class Records:
     def close(self) -> None:
         """Leave the file as it is."""
         if self._file is not None:
-            file, self._file = self._file, None
-            file.close()
+            with suppress(OSError):  # what a full disk did not take is cut off when the file is opened again
+                self._file.close()
+            self._file = None
 
 
 def _whole(file: IO[bytes]) -> Iterator[bytes]:

@@ -18,22 +18,26 @@ from taichi_sim.outputs.run_log import Checkpoint
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
 LIMITED = 1  # studio range, as players expect
 LOSSLESS = {"preset": "ultrafast", "qp": "0", "tune": "zerolatency", "threads": "1"}  # a packet a picture, at once
+SMALL = 256  # px: up to 160 wide, x264's mbtree reads memory that nobody wrote, and the bytes differ from run to run
+FASTSTART = {"movflags": "faststart"}  # the index at the front
+SAME_BYTES = {"fflags": "+bitexact"}  # no random identifiers
 
 
 class Codec(NamedTuple):
-    """An encoder, the container it goes into, its quality (crf) and further options."""
+    """An encoder, the container it goes into, its quality (crf) and further options of both."""
 
     encoder: str
     container: str
     crf: int
     options: dict[str, str]
+    muxing: dict[str, str]
     tag: str = ""  # by which players know it
 
 
 CODECS = {
-    "h264": Codec("libx264", "mp4", 18, {}),
-    "h265": Codec("libx265", "mp4", 20, {"x265-params": "log-level=error"}, "hvc1"),
-    "vp9": Codec("libvpx-vp9", "webm", 24, {"b": "0", "row-mt": "1", "cpu-used": "4", "deadline": "good"}),
+    "h264": Codec("libx264", "mp4", 18, {}, FASTSTART),
+    "h265": Codec("libx265", "mp4", 20, {"x265-params": "log-level=error"}, FASTSTART, "hvc1"),
+    "vp9": Codec("libvpx-vp9", "webm", 24, {"b": "0", "row-mt": "1", "cpu-used": "4", "deadline": "good"}, SAME_BYTES),
 }
 
 
@@ -137,9 +141,11 @@ class Video(Resumable):
             str(self._part.part),
             "w",
             format=codec.container,
-            options={"movflags": "faststart"} if codec.container == "mp4" else {},
+            options=codec.muxing,
         )
         options = {"crf": str(self.crf), **codec.options}
+        if codec.encoder == "libx264" and width < SMALL:
+            options["x264-params"] = "mbtree=0"
         stream: Any = self._container.add_stream(codec.encoder, rate=self.rate, options=options)
         if codec.tag:
             stream.codec_context.codec_tag = codec.tag

@@ -91,6 +91,7 @@ class Renderer:
     def _open(self) -> Any:
         if self._painter is None:
             raise RuntimeError("this renderer is closed")
+        backend.check_thread()
         return self._painter
 
     def close(self) -> None:

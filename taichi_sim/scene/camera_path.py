@@ -102,7 +102,7 @@ def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
     if key in ("azimuth", "orbit"):
         return validation.number(where, value)
     if key == "follow":
-        balls = validation.indices(where, np.atleast_1d(np.asarray(value)), n_balls)
+        balls = validation.indices(where, np.atleast_1d(validation.as_array(value)), n_balls)
         if not len(balls):
             raise SceneError(where, value, "one ball or more")
         return balls

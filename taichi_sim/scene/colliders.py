@@ -376,7 +376,8 @@ def _plain(value: Any) -> Any:
 def shape_of(given: Mapping[str, Any]) -> Any:
     """The shape that `Collider.given`, or a table of a scene file, describes. Raises SceneError for keys that it has not."""
     arguments = dict(given)
-    name = arguments.pop("shape")
+    name = arguments.pop("shape", None)
+    validation.one_of("colliders.shape", name, SHAPES)
     kind = SHAPES[name]
     if "vertices" in arguments or "triangles" in arguments:
         arguments["mesh"] = (arguments.pop("vertices", ()), arguments.pop("triangles", ()))

@@ -1,10 +1,12 @@
 """Collision groups: names that users type, bits of 32 that contacts compare."""
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 
 __all__ = ["EVERY", "ONLY", "Groups", "bits_of", "meet"]
@@ -36,6 +38,15 @@ class Groups:
     def listed(self, bits: int) -> list[str]:
         """The names of bits."""
         return [name for k, name in enumerate(self.names) if bits >> k & 1]
+
+    def check_bits(self, owner: str, group: Any, mask: Any) -> None:
+        """Raise SceneError where bits of group or mask, integers or arrays (k,) of them, are of no group there is."""
+        there_are = f"bits of the {len(self.names)} groups there are"
+        others = ~self.bits("", self.names)
+        validation.require(f"{owner}.group", group, (group != 0) & (group & others == 0), f"{there_are}, one or more")
+        validation.require(
+            f"{owner}.mask", mask, (mask == EVERY) | (mask & others == 0), f"{there_are}, or {EVERY} for all"
+        )
 
     def check(self, groups: Iterable[int], masks: Iterable[tuple[str, int]]) -> None:
         """Raise SceneError where a mask, given with the name of its owner, names a group that nothing is in."""

@@ -1,32 +1,95 @@
-"""Tables: columns that grow by whole calls and are joined when read."""
+"""Tables: columns of one length that grow, and cannot be written to when read; and names of what is in a list that grows."""
 
-from numpy import concatenate
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Table"]
+__all__ = ["Names", "Table", "sealed"]
+
+ROOM = 1.5  # times as many rows as there are: a table that grows has room for, so that it is copied seldom
+Held = TypeVar("Held")
+
+
+def sealed(held: Held) -> Held:
+    """The same object, of which nobody can change an element from now on: an array, or a dataclass, whose arrays, which may be
+    somebody's, are copied."""
+    if isinstance(held, np.ndarray):
+        held.flags.writeable = False
+    elif hasattr(held, "__dataclass_fields__"):
+        for field in fields(held):  # type: ignore[arg-type]
+            value = getattr(held, field.name)
+            if isinstance(value, np.ndarray) and value.flags.writeable:
+                object.__setattr__(held, field.name, sealed(value.copy()))
+    return held
 
 
 class Table:
-    """Columns of one length, by name."""
+    """Columns of one length, by name. Arrays that were read stay as they are, whatever is added or changed later."""
 
     def __init__(self, **columns: NDArray) -> None:
-        self._parts = {name: [column] for name, column in columns.items()}
+        self._columns = {name: sealed(column) for name, column in columns.items()}
         self.names = tuple(columns)
         self.rows = 0
 
     def append(self, n: int, **columns: NDArray) -> None:
-        """Add n rows."""
-        for name, column in columns.items():
-            self._parts[name].append(column)
-        self.rows += n
+        """Add n rows: every column, each of shape (n, ...). A table that was empty takes the arrays, which are its own from now
+        on."""
+        rows = self.rows + n
+        for name, new in columns.items():
+            old = self._columns[name]
+            if self.rows == 0:
+                self._columns[name] = sealed(
+                    new if new.base is None else new.copy()
+                )  # else its owner could be written to
+                continue
+            if len(old) < rows:
+                room = np.empty((max(rows, int(ROOM * self.rows)), *old.shape[1:]), dtype=old.dtype)
+                room[: self.rows] = old[: self.rows]
+                self._columns[name] = old = room
+            old.flags.writeable = True  # rows that nobody has read
+            old[self.rows : rows] = new
+            sealed(old)
+        self.rows = rows
 
     def cut(self, n: int) -> None:
-        """Keep the first n rows."""
-        self._parts = {name: [self[name][:n]] for name in self.names}
+        """Keep the first n rows; those after them may have been read, so what is added next goes elsewhere."""
+        self._columns = {name: column[:n] for name, column in self._columns.items()}
         self.rows = n
 
+    def replace(self, rows: Any, **columns: Any) -> None:
+        """Give rows, an index of NumPy's, other values in some columns. Arrays read before keep what they have."""
+        for name, values in columns.items():
+            column = self[name].copy()
+            column[rows] = values
+            self._columns[name] = sealed(column)
+
+    def copy(self) -> "Table":
+        """Another table with the same rows; arrays are shared, for nobody can write to them."""
+        table = Table(**{name: self[name] for name in self.names})
+        table.rows = self.rows
+        return table
+
     def __getitem__(self, name: str) -> NDArray:
-        parts = self._parts[name]
-        if len(parts) > 1:
-            parts[:] = [concatenate(parts)]
-        return parts[0]
+        return self._columns[name][: self.rows]  # a view, which cannot be made writeable again
+
+
+class Names:
+    """The names of the items of a list that grows, each looked at once: many are added in as many steps."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+        self._items: Sequence[Any] = ()
+        self._seen = 0
+
+    def number(self, items: Sequence[Any], name: str) -> int | None:
+        """Of the first item of that name; None where there is none, or an item was replaced by it meanwhile."""
+        if items is not self._items or self._seen > len(items):  # another list, or some were taken back
+            self._numbers, self._items, self._seen = {}, items, 0
+        for k in range(self._seen, len(items)):
+            self._numbers.setdefault(items[k].name, k)
+        self._seen = len(items)
+        found = self._numbers.get(name)
+        return found if found is not None and items[found].name == name else None

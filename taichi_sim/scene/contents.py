@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from os import PathLike, fspath
 from typing import Any
 
@@ -42,6 +42,8 @@ def described(value: Any) -> Any:
         return {str(key): described(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
         return [described(one) for one in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return {"class": type(value).__qualname__, **{f.name: described(getattr(value, f.name)) for f in fields(value)}}
     if isinstance(value, type) or not hasattr(value, "__dict__"):
         return getattr(value, "__qualname__", type(value).__qualname__)
     plain = {name: one for name, one in vars(value).items() if isinstance(one, _PLAIN)}

@@ -1,7 +1,7 @@
 """What a scene can have besides balls, springs and walls: cells that keep their volume, bending, gas, wind, moving pins."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.scene.columns import Table
+from taichi_sim.scene.columns import Table, sealed
 from taichi_sim.scene.keyframes import Motion, keyframe
 from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.probes import Probed
@@ -71,6 +72,7 @@ class Elements(Probed, Objects):
         self.wind: Wind | None = None
         self.gases: list[Gas] = []
         self.moving_pins: list[MovingPins] = []
+        self._driven_of = 0, np.zeros(0, dtype=bool)  # the first so many of them drive these balls
         self._begin_probes()
         self._begin_objects()
 
@@ -170,6 +172,14 @@ class Elements(Probed, Objects):
         loss = validation.per_item("bending.damping", damping, len(ij), low=0)
         self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss)
 
+    def set_bending(self: Any, *, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
+        """Change all b bending elements: stiffness [N/m], damping [N s/m], one or one per element; what is left None stays."""
+        new = {}
+        for name, given in (("stiffness", stiffness), ("damping", damping)):
+            if given is not None:
+                new[name] = validation.per_item(f"bending.{name}", given, self._bends.rows, low=0)
+        self._bends.replace(slice(None), **new)
+
     def add_wind(
         self: Any,
         velocity: ArrayLike,
@@ -226,7 +236,7 @@ class Elements(Probed, Objects):
             says = f"enclose {volume:.4g} m^3; give them counter-clockwise seen from outside"
             raise SceneError("gases.triangles", says=says)
         p = validation.number("gases.pressure", pressure, low=0)
-        self.gases.append(Gas(t, p, validation.number("gases.outside", outside, low=0), volume))
+        self.gases.append(sealed(Gas(t, p, validation.number("gases.outside", outside, low=0), volume)))
 
     def add_moving_pins(
         self: Any,
@@ -249,20 +259,21 @@ class Elements(Probed, Objects):
                 unless the path repeats.
         """
         where = f"moving_pins[{len(self.moving_pins)}]"
-        index = validation.indices(f"{where}.balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
+        index = validation.indices(f"{where}.balls", np.atleast_1d(validation.as_array(balls)), self.n_balls)
         if not len(index):
             raise SceneError(f"{where}.balls", says="is empty; name at least one ball")
-        taken = np.concatenate([np.zeros(0, dtype=np.int32), *(pins.balls for pins in self.moving_pins)])
-        both = index[np.isin(index, taken)]
+        both = index[self._driven()[index]]
         if len(both) or len(np.unique(index)) < len(index):
             k = int(both[0]) if len(both) else int(np.sort(index)[:-1][np.diff(np.sort(index)) == 0][0])
             says = f"ball {k} is named twice; a ball can be led along one path only"
             raise SceneError(f"{where}.balls", says=says)
+        if angular_velocity is not None:
+            angular_velocity = validation.as_array(angular_velocity).tolist()
         given = {
             "velocity": None
             if velocity is None
             else validation.vector(f"{where}.velocity", velocity, self.dim).tolist(),
-            "angular_velocity": np.asarray(angular_velocity).tolist() if angular_velocity is not None else None,
+            "angular_velocity": angular_velocity,
             "pivot": None if pivot is None else validation.vector(f"{where}.pivot", pivot, self.dim).tolist(),
             "path": path,
             "repeat": repeat,
@@ -275,9 +286,22 @@ class Elements(Probed, Objects):
         if not motion.moves:
             says = "does not move; give a velocity, an angular_velocity or a path, or use `pinned`"
             raise SceneError(where, says=says)
-        self.pinned[index] = True
-        self.velocity[index] = 0.0
-        self.moving_pins.append(MovingPins(index, motion, {k: v for k, v in given.items() if v is not None}))
+        self._balls.replace(index, pinned=True, velocity=0.0)
+        self.moving_pins.append(
+            MovingPins(sealed(index), sealed(motion), {k: v for k, v in given.items() if v is not None})
+        )
+
+    def _driven(self: Any) -> NDArray[np.bool_]:
+        """Which balls (n,) moving pins drive. It grows with them, so that many are added in as many steps."""
+        of, driven = self._driven_of
+        if of > len(self.moving_pins):  # some were taken back
+            of, driven = 0, driven[:0]
+        if len(driven) < self.n_balls:
+            driven = np.concatenate([driven, np.zeros(self.n_balls - len(driven), dtype=bool)])
+        for pins in self.moving_pins[of:]:
+            driven[pins.balls] = True
+        self._driven_of = len(self.moving_pins), driven
+        return driven
 
     def _displacements(self: Any, where: str, path: Sequence[Any]) -> list[dict[str, Any]]:
         """The keyframes of a path as tables of plain values."""
@@ -288,14 +312,15 @@ class Elements(Probed, Objects):
             by = validation.vector(f"{where}.path[{k}].position", key.get("position", np.zeros(self.dim)), self.dim)
             time = validation.number(f"{where}.path[{k}].time", key["time"])
             if k == 0 and (
-                np.any(by != 0) or (key.get("rotation") is not None and np.any(np.asarray(key["rotation"]) != 0))
+                np.any(by != 0)
+                or (key.get("rotation") is not None and np.any(validation.as_array(key["rotation"]) != 0))
             ):
                 says = f"begins at {by.tolist()} from where the balls are, and they would jump; it must begin at 0"
                 raise SceneError(f"{where}.path[0]", says=says)
             turn = key.get("rotation")
             if turn is None and turns and k == 0:  # so that the next one is seen to turn from there
                 turn = 0.0 if self.dim == 2 else [0.0, 0.0, 0.0]
-            turned = {} if turn is None else {"rotation": np.asarray(turn).tolist()}
+            turned = {} if turn is None else {"rotation": validation.as_array(turn).tolist()}
             result.append({"time": time, "position": by.tolist(), **turned})
         return result
 
@@ -313,8 +338,8 @@ class Elements(Probed, Objects):
 
         Args: one, other: (k,) balls; the rest as for `add_springs`. Balls that a spring joins do not collide.
         """
-        a = validation.indices("attachments.one", np.atleast_1d(np.asarray(one)), self.n_balls)
-        b = validation.indices("attachments.other", np.atleast_1d(np.asarray(other)), self.n_balls)
+        a = validation.indices("attachments.one", np.atleast_1d(validation.as_array(one)), self.n_balls)
+        b = validation.indices("attachments.other", np.atleast_1d(validation.as_array(other)), self.n_balls)
         if len(a) != len(b):
             says = f"names {len(b)} balls and attachments.one {len(a)}; each needs its partner"
             raise SceneError("attachments.other", says=says)
@@ -346,20 +371,43 @@ class Elements(Probed, Objects):
             f"probes.{one.name}.{key}": array for one in self.probes for key, array in one.arrays().items()
         }
 
-    def set_elements(self, about: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> None:
-        """Add what `elements` and `element_arrays` gave."""
-        if about["wind"] is not None:
-            self.wind = Wind(**{**about["wind"], "velocity": tuple(about["wind"]["velocity"])})
-        for k, gas in enumerate(about["gases"]):
-            self.gases.append(Gas(arrays[f"gases.{k}.triangles"].astype(np.int32), **gas))
-        for k, given in enumerate(about["moving_pins"]):
-            self.add_moving_pins(arrays[f"moving_pins.{k}.balls"], **given)
-        for given in about.get("probes", []):  # older versions had none
-            start = f"probes.{given['name']}."
-            own: dict[str, Any] = {k.removeprefix(start): array for k, array in arrays.items() if k.startswith(start)}
-            self.add_probe(**given, **own)
-        for k, name in enumerate(about.get("objects", [])):
-            self.set_name(arrays[f"objects.{k}.balls"], name, arrays.get(f"objects.{k}.uv"))
+    def set_elements(self: Any, about: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> None:
+        """Add what `elements` and `element_arrays` gave, judged as what is added by hand is. Raises SceneError that names what is
+        wrong, an array by its name among the arrays."""
+        gases, pins = (validation.tables(about, name) for name in ("gases", "moving_pins"))
+        probes = validation.tables(about, "probes") if "probes" in about else []  # older versions had none
+        with self.all_or_nothing():
+            if about.get("wind") is not None:
+                (wind,) = validation.tables({"wind": [about["wind"]]}, "wind")
+                validation.call("wind", self.add_wind, wind)
+            for k, table in enumerate(gases):
+                gas = dict(table)
+                volume = validation.number(f"gases[{k}].volume", gas.pop("volume", None), positive=True)
+                gas["triangles"] = _array(arrays, "gases", k, "triangles")
+                with place_of(f"gases[{k}]"):
+                    validation.call("gases", self.add_gas, gas)
+                self.gases[-1] = replace(self.gases[-1], volume=volume)
+            for k, table in enumerate(pins):
+                balls = {"balls": _array(arrays, "moving_pins", k, "balls")}
+                validation.call(f"moving_pins[{k}]", self.add_moving_pins, table | balls)
+            for k, table in enumerate(probes):
+                start = f"probes.{table.get('name')}."
+                own = {key.removeprefix(start): array for key, array in arrays.items() if key.startswith(start)}
+                with place_of(f"probes[{k}]"):
+                    validation.call("probes", self.add_probe, {**table, **own})
+            names = about.get("objects", [])
+            if not isinstance(names, (list, tuple)):
+                raise SceneError("objects", names, "a list of names")
+            for k, name in enumerate(names):
+                with place_of(f"objects[{k}]"):
+                    self.set_name(_array(arrays, "objects", k, "balls"), name, arrays.get(f"objects.{k}.uv"))
+
+
+def _array(arrays: Mapping[str, NDArray], *path: str | int) -> NDArray:
+    name = ".".join(map(str, path))
+    if name not in arrays:
+        raise SceneError(path, says=f"is missing; there is no array {name!r}")
+    return arrays[name]
 
 
 def cell_volumes(x: NDArray, corners: NDArray) -> NDArray[np.float64]:

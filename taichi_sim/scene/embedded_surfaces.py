@@ -2,15 +2,18 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import sealed
 
 __all__ = ["EmbeddedSurface", "build_surface", "surfaces_from", "surfaces_to"]
 
+COLUMNS = ("corners", "weights", "triangles", "covers", "colour")
 SUM_TOLERANCE = 1e-6  # how far the weights of a vertex may sum up to something else than 1
 
 
@@ -57,14 +60,14 @@ def build_surface(
         raise SceneError(f"{where}.weights[{row}]", shares[row], "numbers that sum up to 1")
     faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the surface")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
-    return EmbeddedSurface(balls, shares, faces, hidden, colour)
+    return sealed(EmbeddedSurface(balls, shares, faces, hidden, colour))
 
 
 def surfaces_to(surfaces: Sequence[EmbeddedSurface]) -> dict[str, NDArray]:
     """All columns of surfaces under "embedded_surfaces.0.corners" and the like."""
     columns = {}
     for k, surface in enumerate(surfaces):
-        for name in ("corners", "weights", "triangles", "covers"):
+        for name in COLUMNS[:-1]:
             columns[f"embedded_surfaces.{k}.{name}"] = getattr(surface, name)
         columns[f"embedded_surfaces.{k}.colour"] = np.array(
             () if surface.colour is None else surface.colour, dtype=np.float64
@@ -72,14 +75,17 @@ def surfaces_to(surfaces: Sequence[EmbeddedSurface]) -> dict[str, NDArray]:
     return columns
 
 
-def surfaces_from(arrays: Mapping[str, NDArray]) -> list[EmbeddedSurface]:
-    """The surfaces that `surfaces_to` wrote, without checks."""
-    surfaces: list[EmbeddedSurface] = []
-    while f"embedded_surfaces.{len(surfaces)}.corners" in arrays:
-        own = {
-            name: arrays[f"embedded_surfaces.{len(surfaces)}.{name}"]
-            for name in ("corners", "weights", "triangles", "covers")
-        }
-        colour = arrays[f"embedded_surfaces.{len(surfaces)}.colour"].tolist()
-        surfaces.append(EmbeddedSurface(**own, colour=tuple(colour) if colour else None))
+def surfaces_from(arrays: Mapping[str, NDArray]) -> list[dict[str, Any]]:
+    """Arguments of `Scene.add_embedded_surface` for each of the surfaces that `surfaces_to` wrote. Raises SceneError where one
+    is missing."""
+    surfaces: list[dict[str, Any]] = []
+    while any(f"embedded_surfaces.{len(surfaces)}.{name}" in arrays for name in COLUMNS):
+        place = f"embedded_surfaces.{len(surfaces)}"
+        for name in COLUMNS:
+            if f"{place}.{name}" not in arrays:
+                raise SceneError(
+                    ("embedded_surfaces", len(surfaces), name), says="is missing, and others of it are there"
+                )
+        own: dict[str, Any] = {name: arrays[f"{place}.{name}"] for name in COLUMNS}
+        surfaces.append(own if np.size(own["colour"]) else own | {"colour": None})
     return surfaces

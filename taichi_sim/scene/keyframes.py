@@ -188,7 +188,7 @@ def keyframe(where: str, given: Any) -> Mapping[str, Any]:
 def _check_turn(place: str, before: Any, turned: Any) -> None:
     """Raise SceneError where angles in 3D say a turn by half or more: which way around, no two rotations tell."""
     last = None if before is None else keyframe(place, before).get("rotation")
-    if last is None or turned is None or np.ndim(last) != 1 or np.ndim(turned) != 1:
+    if last is None or turned is None or any(validation.as_array(one).ndim != 1 for one in (last, turned)):
         return
     by = np.abs(
         validation.vector(f"{place}.rotation", turned, 3) - validation.vector(f"{place}.rotation", last, 3)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import Names
 
 __all__ = ["KINDS", "Probe", "ProbeSample", "Probed", "add", "bodies_of"]
 
@@ -266,7 +267,7 @@ def add(scene: Any, name: str, kind: str, asked: Mapping[str, Any]) -> Probe:
     """A probe with the arguments that were given. Raises SceneError that names the argument and what is allowed."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise SceneError("probes.name", name, "a word of letters, digits, _ and -")
-    if any(probe.name == name for probe in scene.probes):
+    if scene.probe_names.number(scene.probes, name) is not None:
         raise SceneError("probes.name", name, says="exists already; every probe needs its own name")
     validation.one_of("probes.kind", kind, KINDS)
     made = KINDS[kind]
@@ -310,6 +311,7 @@ class Probed:
 
     def _begin_probes(self) -> None:
         self.probes: list[Probe] = []
+        self.probe_names = Names()
 
     def add_probe(
         self: Any,

@@ -1,10 +1,12 @@
 """Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy, deepcopy
 from dataclasses import replace
+from functools import partial
 from os import PathLike
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,29 +15,25 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.colliders import Collider, build
 from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
-from taichi_sim.scene.columns import Table
+from taichi_sim.scene.columns import Names, Table, sealed
 from taichi_sim.scene.elements import Elements
-from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface, surfaces_from, surfaces_to
+from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
+from taichi_sim.scene.stored import MOST_BODY, Stored
+from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.scene.toml_writer import save_scene
 
 __all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
 
 
-NEWER = {
-    "break_strain": np.inf,
-    "collides": False,
-    "together": np.int32(-1),
-}  # columns that files of older versions may lack
-
-
-class Scene(Elements):
+class Scene(Stored, Elements):
     """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
     Args:
         dim: 2 or 3.
         gravity: acceleration (dim,) [m/s^2]; none by default. In 3D the y axis points up.
 
+    Arrays that it hands out are read-only: `add_` methods add rows, `set_` methods change them, and both check what they get.
     Raises SceneError for anything that is not allowed, naming the field and the index; the scene is then unchanged.
     """
 
@@ -44,8 +42,9 @@ class Scene(Elements):
             raise SceneError("dim", dim, "2 or 3")
         self.dim = int(dim)
         dim = self.dim
-        self.gravity = np.zeros(dim) if gravity is None else validation.vector("gravity", gravity, self.dim)
+        self.gravity = np.zeros(dim) if gravity is None else gravity
         self.materials: list[Material] = [Material("default")]
+        self._material_names = Names()
         self.walls: list[Wall] = []
         self.colliders: list[Collider] = []
         self.embedded_surfaces: list[EmbeddedSurface] = []
@@ -78,6 +77,16 @@ class Scene(Elements):
         self._begin_elements(dim)
 
     # What there is -------------------------------------------------------------------------------------------------
+
+    @property
+    def gravity(self) -> NDArray[np.float64]:
+        """(dim,) m/s^2"""
+        return self._gravity
+
+    @gravity.setter
+    def gravity(self, gravity: ArrayLike) -> None:
+        self._may_change("gravity")
+        self._gravity = sealed(validation.vector("gravity", gravity, self.dim))
 
     @property
     def n_balls(self) -> int:
@@ -123,7 +132,7 @@ class Scene(Elements):
         """Add a material and return its name. restitution 0..1, friction >= 0 (Coulomb), viscous_friction >= 0 [1/s]."""
         if not isinstance(name, str) or not name:
             raise SceneError("materials.name", name, "a text")
-        if any(m.name == name for m in self.materials[1:]):
+        if name != "default" and self._material_names.number(self.materials, name) is not None:
             raise SceneError("materials.name", name, says="exists already")
         new = Material(
             name,
@@ -168,7 +177,7 @@ class Scene(Elements):
         """
         x = validation.vectors("balls.position", validation.many(position, 1), None, self.dim)
         n = len(x)
-        body = validation.whole("balls.body", body, 0, 2**31 - 1)
+        body = validation.whole("balls.body", body, 0, MOST_BODY)
         held = self._pins(pinned, n)
         rest = isinstance(velocity, (int, float)) and velocity == 0
         v = np.zeros_like(x) if rest else validation.vectors("balls.velocity", velocity, n, self.dim)
@@ -187,6 +196,7 @@ class Scene(Elements):
             columns[name] = np.full(n, bits, dtype=np.int32)
         first = self.n_balls
         self._balls.append(n, **columns)
+        self._bodies = max(self._bodies, body)
         return np.arange(first, first + n, dtype=np.int32)
 
     def add_springs(
@@ -227,11 +237,7 @@ class Scene(Elements):
             "collides": validation.flags("springs.collides", collides, m),
             "break_strain": validation.strains("springs.break_strain", break_strain, m),
         }
-        both = columns["collides"] & np.isfinite(columns["break_strain"])
-        if both.any():
-            k = int(np.argmax(both))
-            raise SceneError(f"springs.break_strain[{k}]", says="a stick, which collides, cannot tear")
-        validation.strained(columns["break_strain"], columns["rest_length"])
+        self._may_tear(columns["collides"], columns["break_strain"], rest)
         first = self.n_springs
         self._springs.append(m, **columns)
         return np.arange(first, first + m, dtype=np.int32)
@@ -271,7 +277,8 @@ class Scene(Elements):
         if collider.label and any(one.label == collider.label for one in self.colliders):
             raise SceneError(f"{where}.name", collider.label, says="exists already; every collider needs its own name")
         group, mask = self._groups(where, shape.group, shape.collides_with)
-        self.colliders.append(replace(collider, group=group, mask=mask))
+        motion = sealed(collider.motion)
+        self.colliders.append(sealed(replace(collider, group=group, mask=mask, motion=motion)))
         return len(self.colliders) - 1
 
     def add_triangles(self, triangles: ArrayLike, collides: bool | Sequence[bool] | NDArray = False) -> None:
@@ -311,15 +318,101 @@ class Scene(Elements):
 
     def new_body(self) -> int:
         """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
-        self._bodies = max(self._bodies, int(self.body.max(initial=0))) + 1
+        self._bodies = validation.whole("balls.body", self._bodies + 1, 0, MOST_BODY)
         return self._bodies
+
+    # What can be changed -------------------------------------------------------------------------------------------
+
+    def set_balls(
+        self,
+        balls: Any = slice(None),
+        *,
+        position: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        mass: ArrayLike | None = None,
+        radius: ArrayLike | None = None,
+        pinned: bool | Sequence[int] | Sequence[bool] | NDArray | None = None,
+        material: str | Sequence[str] | None = None,
+        body: int | ArrayLike | None = None,
+    ) -> None:
+        """Change balls that were added before; what is left None stays.
+
+        Args:
+            balls: indices (k,), a bool for each ball of the scene, or a slice; all by default.
+            position, velocity, mass, radius, pinned, material, body: as for `add_balls`, of these k balls; material and body:
+                one, or one per ball. Pinned balls keep velocity 0. Rest lengths of springs stay as they are.
+        """
+        index = _rows("balls", balls, self.n_balls)
+        k = len(index)
+        new: dict[str, NDArray] = {}
+        if position is not None:
+            new["position"] = validation.vectors("balls.position", position, k, self.dim)
+        if mass is not None:
+            new["mass"] = validation.per_item("balls.mass", mass, k, positive=True)
+        if radius is not None:
+            new["radius"] = validation.per_item("balls.radius", radius, k, positive=True)
+        if material is not None:
+            names = [material] * k if isinstance(material, str) else list(material)
+            if len(names) != k:
+                raise SceneError("balls.material", says=f"gives {len(names)} names; it must be one, or {k} of them")
+            new["material"] = np.array([self._material("balls.material", name) for name in names], dtype=np.int32)
+        if body is not None:
+            bodies = validation.per_item("balls.body", body, k, low=0, high=2**31 - 1)
+            for at in np.flatnonzero(bodies != np.round(bodies)):
+                raise SceneError(f"balls.body[{at}]", bodies[at], "a whole number")
+            new["body"] = bodies.astype(np.int32)
+        held = self.pinned[index] if pinned is None else self._pins(pinned, k)
+        for pins in self.moving_pins:
+            loose = index[~held & np.isin(index, pins.balls)]
+            if len(loose):
+                raise SceneError("balls.pinned", says=f"ball {loose[0]} is led along a path; it stays pinned")
+        if pinned is not None or velocity is not None:
+            v = (
+                self.velocity[index]
+                if velocity is None
+                else validation.vectors("balls.velocity", velocity, k, self.dim)
+            )
+            v[held] = 0.0
+            new |= {"pinned": held, "velocity": v}
+        self._balls.replace(index, **new)
+
+    def set_springs(
+        self,
+        springs: Any = slice(None),
+        *,
+        stiffness: ArrayLike | None = None,
+        damping: ArrayLike | None = None,
+        rest_length: ArrayLike | None = None,
+        break_strain: ArrayLike | None = None,
+    ) -> None:
+        """Change springs that were added before; what is left None stays.
+
+        Args:
+            springs: indices (k,), a bool for each spring of the scene, or a slice; all by default.
+            stiffness, damping, rest_length, break_strain: as for `add_springs`, of these k springs.
+        """
+        index = _rows("springs", springs, self.n_springs)
+        k = len(index)
+        new: dict[str, NDArray] = {}
+        for name, given in (("stiffness", stiffness), ("damping", damping), ("rest_length", rest_length)):
+            if given is not None:
+                new[name] = validation.per_item(f"springs.{name}", given, k, low=0)
+        if break_strain is not None:
+            new["break_strain"] = validation.strains("springs.break_strain", break_strain, k)
+        self._may_tear(
+            self.collides[index],
+            new.get("break_strain", self.break_strain[index]),
+            new.get("rest_length", self.rest_length[index]),
+        )
+        self._springs.replace(index, **new)
 
     def set_group(
         self, balls: ArrayLike, group: str | Sequence[str], collides_with: str | Sequence[str] | None = None
     ) -> None:
         """Put balls (k,) that were added before, a shape's for instance, into other collision groups."""
-        index = validation.indices("balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
-        self.group[index], self.mask[index] = self._groups("balls", group, collides_with)
+        index = validation.indices("balls", np.atleast_1d(validation.as_array(balls)), self.n_balls)
+        group_bits, mask_bits = self._groups("balls", group, collides_with)
+        self._balls.replace(index, group=group_bits, mask=mask_bits)
 
     def has_groups(self) -> bool:
         """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
@@ -327,12 +420,14 @@ class Scene(Elements):
         masks = [("balls", bits) for bits in bits_of(self.mask)]
         masks += [(f"walls[{k}]", wall.mask) for k, wall in enumerate(self.walls)]
         masks += [(f"colliders[{k}]", collider.mask) for k, collider in enumerate(self.colliders)]
-        self.groups.check(groups, masks)
+        with self.in_file():
+            self.groups.check(groups, masks)
         return any(bits != EVERY for _, bits in masks)
 
     @contextmanager
     def all_or_nothing(self) -> Iterator[None]:
         """What the block adds to this scene is taken back where it raises: for shapes, which add several things."""
+        self._may_change("anything")
         tables = [(table, table.rows) for table in self._tables().values()]
         lists: list[Any] = [self.materials, self.walls, self.colliders, self.embedded_surfaces, self.gases]
         lists += [self.moving_pins, self.probes, self.objects, self.groups.names]
@@ -347,37 +442,75 @@ class Scene(Elements):
             self._bodies = bodies
             raise
 
+    @contextmanager
+    def in_file(self, given: Collection[str] = ()) -> Iterator[None]:
+        """Let an error in the block name its line in the scene's file, if it came from one. given: settings that did not."""
+        try:
+            yield
+        except SceneError as error:
+            name = error.path[0] if error.path else None
+            if self.locate is None or error.file is not None or name in given:
+                raise
+            if name in self.settings:
+                error.path = ("simulation", *error.path)
+            self.locate(error)
+            if error.line is None:  # it was added later
+                error.file = None
+            raise
+
+    def frozen(self) -> "Scene":
+        """A copy that stays as it is: what is done to this scene does not reach it, and its own `add_` and `set_` methods raise
+        SceneError. What a Simulation holds. Costs no memory for balls and springs, which both share."""
+        if isinstance(self.walls, tuple):
+            return self
+        held = copy(self)
+        for name in ("_balls", "_springs", "_triangles", "_cells", "_bends"):
+            setattr(held, name, getattr(self, name).copy())
+        for name in (
+            "materials",
+            "walls",
+            "colliders",
+            "embedded_surfaces",
+            "gases",
+            "moving_pins",
+            "probes",
+            "objects",
+        ):
+            setattr(held, name, tuple(getattr(self, name)))
+        held.groups, held._material_names = Groups(self.groups.names), Names()
+        held.settings, held.output = deepcopy(self.settings), deepcopy(self.output)
+        for name in dir(self):
+            if name.startswith(("add_", "set_", "new_")):
+                setattr(held, name, partial(_refuse, name))
+        return held
+
+    def _may_change(self, name: str) -> None:
+        if isinstance(getattr(self, "walls", None), tuple):
+            _refuse(name)
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene as TOML; large arrays go to an .npz beside it."""
         save_scene(self, path)
-
-    def to_arrays(self) -> dict[str, NDArray]:
-        """All columns of balls, springs, triangles, cells, bends and embedded surfaces under "balls.mass" and the like: what a
-        state file keeps."""
-        columns = {f"{name}.{key}": table[key] for name, table in self._tables().items() for key in table.names}
-        return columns | surfaces_to(self.embedded_surfaces)
-
-    def from_arrays(self, arrays: Mapping[str, NDArray]) -> None:
-        """Add what `to_arrays` gave, without checks."""
-        for name, table in self._tables().items():
-            columns = {key: arrays[f"{name}.{key}"] for key in table.names if f"{name}.{key}" in arrays}
-            if columns:  # an older version had fewer tables and columns
-                rows = len(next(iter(columns.values())))
-                table.append(
-                    rows, **{key: np.full(rows, new) for key, new in NEWER.items() if key in table.names} | columns
-                )
-        self.embedded_surfaces += surfaces_from(arrays)
 
     def _tables(self) -> dict[str, Table]:
         tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
         return tables | {"cells": self._cells, "bends": self._bends}
 
+    def __repr__(self) -> str:
+        return f"<{in_words(self)}>"
+
+    def _repr_html_(self) -> str:
+        gravity = {"gravity": f"({', '.join(f'{a:g}' for a in self.gravity)}) m/s^2"} if self.gravity.any() else {}
+        return as_html(f"Scene in {self.dim}D", parts_of(self) | gravity)
+
     # Checks --------------------------------------------------------------------------------------------------------
 
     def _material(self, where: str, name: str) -> int:
-        for index, material in enumerate(self.materials):
-            if material.name == name:
-                return index
+        index = self._material_names.number(self.materials, name) if isinstance(name, str) else None
+        if index is None:
+            index = next((k for k, material in enumerate(self.materials) if material.name == name), None)
+        if index is not None:
+            return index
         known = ", ".join(repr(m.name) for m in self.materials)
         raise SceneError(where, name, says=f"is not a material of this scene; there are {known}")
 
@@ -391,6 +524,15 @@ class Scene(Elements):
             return member, self.groups.bits(f"{where}.collides_with", collides_with)
 
     @staticmethod
+    def _may_tear(collides: NDArray[np.bool_], strain: NDArray[np.float64], rest_length: NDArray[np.float64]) -> None:
+        """Raise SceneError for the first spring (k,) that cannot tear at its strain."""
+        both = collides & np.isfinite(strain)
+        if both.any():
+            k = int(np.argmax(both))
+            raise SceneError(f"springs.break_strain[{k}]", says="a stick, which collides, cannot tear")
+        validation.strained(strain, rest_length)
+
+    @staticmethod
     def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:
         array = validation.as_array(pinned)
         if array.dtype == object:
@@ -400,6 +542,21 @@ class Scene(Elements):
         held = np.zeros(n, dtype=bool)
         held[validation.indices("balls.pinned", array, n)] = True
         return held
+
+
+def _rows(where: str, rows: Any, n: int) -> NDArray[np.int64]:
+    """Indices (k,) of rows named by indices, by a bool each or by a slice."""
+    if isinstance(rows, slice):
+        return np.arange(n)[rows]
+    array = np.atleast_1d(validation.as_array(rows))
+    if array.dtype == np.bool_:
+        return np.flatnonzero(validation.flags(where, array, n))
+    return validation.indices(where, array, n).astype(np.int64)
+
+
+def _refuse(name: str, *_: object, **__: object) -> NoReturn:
+    says = "this scene belongs to a simulation and stays as it is; change your own, and make another simulation"
+    raise SceneError(name, says=says)
 
 
 def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:

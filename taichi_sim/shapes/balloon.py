@@ -16,6 +16,7 @@ __all__ = ["balloon"]
 
 RUBBER_DENSITY = 0.2  # kg/m^2
 RUBBER_STIFFNESS = 100.0  # N/m
+MOST_CUTS = 30  # more balls than any memory holds
 STRAIN = 0.1  # of the skin, by default
 MOST_STRETCH = 0.5  # part of the present length by which the skin may be stretched
 
@@ -51,7 +52,7 @@ def balloon(
         raise SceneError("balloon", says="needs a scene with dim = 3")
     middle = validation.vectors("balloon.centre", centre, 1, 3)[0]
     reach = validation.number("balloon.radius", radius, positive=True)
-    cuts = validation.whole("balloon.subdivisions", subdivisions, 0)
+    cuts = validation.whole("balloon.subdivisions", subdivisions, 0, MOST_CUTS)
     balls = 10 * 4**cuts + 2
     affordable("balloon.subdivisions", subdivisions, balls, 3 * balls)
     stretch = validation.number("balloon.stretch_stiffness", stretch_stiffness, positive=True)

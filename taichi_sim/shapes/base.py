@@ -41,6 +41,7 @@ SURFACE_PART = (
 SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
 SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
 BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = 800, 130, 250, 400  # at most, while built and made to run
+LITTLE = 100_000  # bytes that there always are
 DAMPING_RATIO = 0.1  # of critical, for the pair of balls at each spring
 
 
@@ -135,9 +136,12 @@ def given_surface(shape: str, mesh: Any) -> meshes.Surface:
     return surface
 
 
-def affordable(where: str, value: Any, balls: int, springs: int, cells: int = 0, bends: int = 0) -> None:
+def affordable(where: str, value: Any, balls: float, springs: float, cells: float = 0.0, bends: float = 0.0) -> None:
     """Raise SceneError where building and running a shape of so many parts needs more memory than there is."""
+    balls, springs = float(balls), float(springs)
     need = balls * BALL_BYTES + springs * SPRING_BYTES + cells * CELL_BYTES + bends * BEND_BYTES
+    if need < LITTLE:
+        return
     free = available()
     if need > free:
         raise SceneError(

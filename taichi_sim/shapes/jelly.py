@@ -1,5 +1,6 @@
 """Jelly: a block, or a closed mesh that is filled."""
 
+import math
 import warnings
 from collections.abc import Sequence
 from os import PathLike
@@ -167,7 +168,7 @@ def _block(dim: int, size: Any, resolution: Any) -> tuple[NDArray[np.float64], t
     """Size (dim,) [m] and balls per axis."""
     extent = lengths("jelly.size", (0.4,) * dim if size is None else size, dim)
     number = counts("jelly.resolution", (8,) * dim if resolution is None else resolution, dim, 2)
-    balls = int(np.prod(number, dtype=object))
+    balls = math.prod(number)
     affordable("jelly.resolution", resolution, balls, balls * (4 if dim == 2 else 13), cells=balls * 2)
     return extent, number
 
@@ -232,7 +233,7 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid,
     number = np.maximum(1, np.ceil(extent / step - 1e-9))
     boxes = float(np.prod(number))
     part = min(1.0, abs(meshes.volume(surface)) / max(1e-300, float(np.prod(extent))))
-    balls = int(boxes * max(part, 0.05))
+    balls = boxes * max(part, 0.05)
     affordable("jelly.spacing", step, balls, 13 * balls, cells=2 * balls)
     shape = tuple(int(n) for n in number)
     low = low - 0.5 * (number * step - extent)
@@ -260,7 +261,7 @@ def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[jelly_material.So
         raise SceneError("jelly.mesh", says=says)
     if meshes.volume(surface) < 0:
         surface = meshes.Surface(surface.vertices, surface.triangles[:, ::-1])
-    balls = int(abs(meshes.volume(surface)) / step**3)
+    balls = abs(meshes.volume(surface)) / step / step / step  # the cube of a tiny step would be 0
     affordable("jelly.spacing", step, balls, 7 * balls, cells=6 * balls)
     points, cells = jelly_material.tetrahedra("jelly", surface, step)
     return jelly_material.springs_of(points, cells), jelly_material.skin_of_tetrahedra(points, cells, surface.vertices)

@@ -1,5 +1,6 @@
 """Pile and tower."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -50,6 +51,7 @@ def pile(
     dim = scene.dim
     number = counts("pile.resolution", resolution, dim, 1)
     size = validation.number("pile.radius", radius, positive=True)
+    affordable("pile.resolution", resolution, math.prod(number), 0)
     step = or_default("pile.spacing", spacing, 2.2 * size)
     shake = validation.number("pile.jitter", jitter, low=0, high=1) * size
     points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * step
@@ -90,7 +92,8 @@ def tower(
     reach = or_default("tower.radius", radius, 0.45 * float((extent / (np.array(many) - 1)).min()))
     step = float(extent[1]) + 2 * reach + at_least_0("tower.gap", gap, 0.0)
     low = np.zeros(dim) if position is None else validation.vectors("tower.position", position, 1, dim)[0]
-    affordable("tower.levels", levels, number * int(np.prod(many)), 13 * number * int(np.prod(many)))
+    balls = number * math.prod(many)
+    affordable("tower.levels", levels, balls, 13 * balls)
     blocks = []
     with scene.all_or_nothing(), about("tower"):
         for level in range(number):

@@ -12,6 +12,7 @@ from taichi_sim.shapes.base import (
     Pins,
     Shape,
     Springs,
+    affordable,
     at_least_0,
     build,
     lattice_pairs,
@@ -51,6 +52,7 @@ def rope(
     a = validation.vectors("rope.start", start, 1, scene.dim)[0]
     b = validation.vectors("rope.end", end, 1, scene.dim)[0]
     number = (validation.whole("rope.n", n, 2),)
+    affordable("rope.n", n, number[0], 2 * number[0])
     length = float(np.linalg.norm(b - a))
     if length == 0:
         raise SceneError("rope.end", b, "another point than start")
@@ -98,6 +100,7 @@ def wheel(
     """
     reach = validation.number("wheel.radius", radius, positive=True)
     number = validation.whole("wheel.spokes", spokes, 3)
+    affordable("wheel.spokes", spokes, number, 2 * number)
     middle = validation.vectors("wheel.centre", centre, 1, scene.dim)[0]
     angle = 2 * np.pi * np.arange(number) / number
     points = np.zeros((number + 1, scene.dim))

@@ -25,6 +25,7 @@ from taichi_sim.device.devices import find
 from taichi_sim.device.engine import another
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.device.shared_kernels import share_kernels
 from taichi_sim.device.spatial_sort import in_order, spatial_order
 from taichi_sim.device.state import State
 from taichi_sim.forces.driven_pins import DrivenPins
@@ -41,7 +42,7 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.drivers import Drivers
-from taichi_sim.simulation.moments import Moments
+from taichi_sim.simulation.moments import KEPT, Moments
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateProbe
 from taichi_sim.simulation.step_doubling import SecondSolution
@@ -53,7 +54,13 @@ FINEST_ROUNDING = 1e-11  # of a radius: rounding of positions that adds up to 1e
 MEMORY_SHARE = 0.5  # of what the machine has free, or a GPU has in all: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same where a GPU does not say what it has
 PAIR_BYTES = 64  # about what a listed pair takes
-SPARE_CAPACITY = 1.5  # made, in units of what was found too much
+SPARE_CAPACITY, LARGE_SPARE_CAPACITY = (
+    1.5,
+    4.0,
+)  # made, in units of what was found too much: once, and if that happens again
+
+
+NOT_COMPILED = ("arguments", "h", "capacity", "backend", "_grids")  # of an assembly, nothing that kernels read
 
 
 class ContactCapacity(NamedTuple):
@@ -90,6 +97,9 @@ class Assembly:
         try:
             self._assemble(scene, settings, backend, h, forces)
             self.fields.build()
+            share_kernels(
+                {name: part for name, part in vars(self).items() if name not in NOT_COMPILED}, (Scene, Fields)
+            )
             self.integrator.set_step(h)
         except BaseException:
             self.fields.abandon()
@@ -380,7 +390,8 @@ class Assembly:
                         f"contacts: {part.what} need {entries} entries, but there is memory for {limit}"
                         f" ({limit * part.bytes_each / 2**30:.3g} GiB): too many balls lie in each other"
                     )
-                entries = min(limit, int(SPARE_CAPACITY * entries))
+                spare = SPARE_CAPACITY if self.capacity == NO_CAPACITY_KNOWN else LARGE_SPARE_CAPACITY
+                entries = min(limit, int(spare * entries))
             enough[name] = entries
         return self.with_room(ContactCapacity(**enough))
 
@@ -392,7 +403,9 @@ class Assembly:
         larger = Assembly(*self.arguments, capacity=capacity)
         larger.set_step(self.h)
         larger.resume(snapshot)
-        larger.moments.write(stored, h)
+        if h[KEPT] > 0.0:  # else nothing was stored yet
+            larger.moments.write(stored, h)
+        larger.moments.h = h
         return larger
 
     @property

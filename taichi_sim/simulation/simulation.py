@@ -2,9 +2,10 @@
 
 import math
 import warnings
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from importlib import import_module
+from io import BytesIO
 from os import PathLike
 from typing import Any
 
@@ -32,6 +33,7 @@ from taichi_sim.integrators.base import SolverStatistics
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
+from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import Assembly, compensates
 from taichi_sim.simulation.settings import Settings
@@ -73,14 +75,14 @@ class Simulation(Reader):
         if not isinstance(scene, Scene):
             says = "is no Scene; ts.load_scene reads one from a file"
             raise SceneError("scene", scene, says=says)
-        self.scene = scene
-        with _from_file(scene, settings):
+        self.scene = scene = scene.frozen()
+        with scene.in_file(settings):
             self.settings = Settings.resolve(scene, settings)
         scene.has_groups()  # a mistyped name is an error, whatever collides
         self.force_rates = declared_rates(scene, checked_forces(scene, forces))
         self._forces = tuple(forces)
         self._stability = stability(scene, self.settings.integrator.method, None, self.force_rates)
-        with _from_file(scene, settings):
+        with scene.in_file(settings):
             self.dt, substeps = self.settings.time_step(scene, self._stability)
         h = self.dt / substeps
         self._warn(h)
@@ -92,7 +94,7 @@ class Simulation(Reader):
         self.has_custom_parts = bool(forces) or own
         diagnostics.check_tearing(scene)
         if s.tolerance is not None:
-            with _from_file(scene, settings):
+            with scene.in_file(settings):
                 self._check_tolerance(s.tolerance, substeps)
         parts = Assembly(scene, s, self.backend, h, forces)
         kind = Stepper if s.tolerance is None else AdaptiveStepper
@@ -131,6 +133,7 @@ class Simulation(Reader):
     def parts(self) -> Assembly:
         """What was put together for this scene: model, state, forces, contacts, plan, integrator. To look inside, as tests do: it
         may differ in the next version. `print(sim.parts.plan)` says what contacts it has, and why."""
+        backend.check_thread()
         if self._closed:  # its memory is gone: touching it would end the process
             raise RuntimeError("this simulation is closed; make a new one")
         return self._stepper.parts
@@ -348,7 +351,7 @@ class Simulation(Reader):
         """All that it goes on from, at the present time."""
         assert self.parts is not None  # not closed
         found = self._stepper.snapshot()
-        return replace(found, stepping={**found.stepping, "readings": self.readings.state()})
+        return replace(found, stepping={**found.stepping, "readings": self.readings.memory()})
 
     def resume(self, snapshot: Snapshot) -> None:
         """Go on from a snapshot of this scene. Raises SceneError for what does not fit."""
@@ -357,7 +360,7 @@ class Simulation(Reader):
         assert self.parts is not None  # not closed
         self._stepper.resume(snapshot.checked(self.scene))
         self._begin_readings()
-        self.readings.set_state(snapshot.stepping.get("readings"))
+        self.readings.recall(snapshot.stepping.get("readings"))
 
     def _write(self, x: NDArray, v: NDArray, *, moved: bool = False) -> None:
         if not self._still:
@@ -385,22 +388,36 @@ class Simulation(Reader):
             self.parts.free()
             self._closed = True
 
+    def _about(self) -> dict[str, Any]:
+        """What runs, in words by their names."""
+        step = f"{self.dt:g} s" + (f" in {self.substeps} substeps" if self.substeps > 1 else "")
+        contacts = self.parts.contacts
+        rule = f"{contacts.name}, {contacts.iterations} iterations" if contacts.active else "off"
+        return {
+            "time": f"{self.time:.6g} s",
+            "integrator": self.settings.integrator.method.name,
+            "step": step
+            if self.settings.tolerance is None
+            else f"by a tolerance of {self.settings.tolerance:g} a second",
+            "contacts": rule,
+            "device": str(self.backend),
+        }
+
+    def __repr__(self) -> str:
+        if self._closed:
+            return f"<Simulation, closed, of a {in_words(self.scene)}>"
+        return f"<Simulation of a {in_words(self.scene)}; {', '.join(f'{k} {v}' for k, v in self._about().items())}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: a picture of the present moment, and what runs."""
+        if self._closed:
+            return as_html("Simulation, closed", parts_of(self.scene))
+        seen = BytesIO()
+        import_module("taichi_sim").picture(self).save(seen, "png")  # by name: it is an outer room's
+        return as_html("Simulation", self._about() | parts_of(self.scene), seen.getvalue())
+
     def __enter__(self) -> "Simulation":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-@contextmanager
-def _from_file(scene: Scene, given: Collection[str]) -> Iterator[None]:
-    """Let an error about a setting that is none of the given ones name its place in the scene file, where it came from one."""
-    try:
-        yield
-    except SceneError as error:
-        name = error.path[0] if error.path else None
-        if name in scene.settings and name not in given:
-            error.path = ("simulation", *error.path)
-            if scene.locate is not None:
-                scene.locate(error)
-        raise

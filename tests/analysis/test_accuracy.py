@@ -195,9 +195,9 @@ def test_cloth_lets_through_what_is_said_and_shows_what_is_said_of_the_rest():
             scene.add_collider(ts.Box(middle - [0, 0.4, 0], (2 * blade[k - 3][0], 0.5, 1.9)))
         else:
             scene.set_group(sheet.balls, "silk", ["ball"])
-            scene.radius[sheet.balls] = 0.002
+            scene.set_balls(sheet.balls, radius=0.002)
             scene.add_collider(ts.Sphere(middle - [0, ball + 0.1, 0], ball, group="ball"))
-    scene.body[:] = 1  # nothing but colliders to touch
+    scene.set_balls(body=1)  # nothing but colliders to touch
     goes = [through for _, through in (*post, *blade)] + [False]
     found = {int(s.what.split("[")[1].split("]")[0]) for s in accuracy.sieves(scene)}
     assert found == set(np.flatnonzero(goes))

@@ -52,6 +52,6 @@ def test_single_precision_far_from_the_origin_is_warned_of():
     scene.add_balls([[1000.0, R]], radius=R)
     scene.add_wall((0, 1))
     for far, warned in ((1000.0, True), (10.0, False)):
-        scene.position[:] = [[far, R]]
+        scene.set_balls(position=[[far, R]])
         setup = accuracy.Setup(VERLET, 1e-3, "f32", "gauss_seidel")
         assert accuracy.single_precision(scene, setup)[1] == warned

@@ -63,8 +63,8 @@ def test_present_bound_of_a_hanging_cloth(side):
     """Nine tenths of the exact step, masses over two decades."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(side, side), stiffness=1e3, damping=0.0)
-    scene.mass[:] *= 10.0 ** np.random.default_rng(side).uniform(-1, 1, scene.n_balls)
-    scene.pinned[sheet.balls[:side]] = True
+    scene.set_balls(mass=scene.mass * 10.0 ** np.random.default_rng(side).uniform(-1, 1, scene.n_balls))
+    scene.set_balls(sheet.balls[:side], pinned=True)
     exact = 2.0 / np.sqrt(np.linalg.eigvalsh(matrices(scene, scene.position)[0])[-1])
     found = stability(scene, named("verlet"), scene.position)
     assert 1.0 <= exact / found.dt_present < 1.25
@@ -136,7 +136,7 @@ def test_check_of_scenes_without_springs_or_motion():
     with simulate(scene) as sim:
         assert "no spring moves a ball: every step is stable" in "\n".join(check.lines(sim))
     scene.add_springs([b], stiffness=100.0)
-    scene.pinned[:] = True
+    scene.set_balls(pinned=True)
     with simulate(scene) as sim:
         assert "no spring moves a ball: every step is stable" in "\n".join(check.lines(sim))
 

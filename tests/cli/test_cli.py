@@ -252,8 +252,20 @@ REFUSED = [
     (("run", "ball.toml", "--size", "0x10"), "--size: '0x10' is not allowed; each side must be from 16 to 8192"),
     (("run", "ball.toml", "--resume"), "--overwrite, --resume, --checkpoint, --codec and --transparent need --out"),
     (
+        ("run", "ball.toml", "--checkpoint", "off"),
+        "--overwrite, --resume, --checkpoint, --codec and --transparent need --out",
+    ),
+    (
         ("run", "ball.toml", "-o", "x.mp4", "--transparent"),
         "transparent: x.mp4 holds no transparency; write PNG frames",
+    ),
+    (
+        ("run", "ball.toml", "-o", "x.gif", "--checkpoint", "5x"),
+        "--checkpoint: '5x' is not allowed; it must be like 90,",
+    ),
+    (
+        ("run", "ball.toml", "-o", "x.gif", "--checkpoint", "0s"),
+        "--checkpoint: '0s' is not allowed; it must be like 90,",
     ),
     (
         ("run", "ball.toml", "-o", "x.avi"),
@@ -380,7 +392,7 @@ def test_cuda_without_a_gpu(folder):
 )
 def test_an_interrupt_leaves_no_half_file(folder, number, status, words):
     running = subprocess.Popen(
-        [sys.executable, "-m", "taichi_sim", "run", "ball.toml", "-o", "x.npz", "--duration", "1e5"],
+        [sys.executable, "-m", "taichi_sim", "run", "ball.toml", "-o", "x.mp4", "--duration", "1e5"],
         cwd=folder,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job of a shell ignores it
         stdout=subprocess.PIPE,

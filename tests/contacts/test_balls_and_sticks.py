@@ -68,7 +68,7 @@ def collision_scene(dim):
     scene.add_springs([at.spring], stiffness=0.0)
     at.body = pair(n, closing, (1.0, 1.0), body=scene.new_body())
     at.pinned = pair(n, closing, (1.0, 1.0), ("e1.0", "e1.0"))
-    scene.pinned[at.pinned[0]], scene.velocity[at.pinned[0]] = True, 0.0
+    scene.set_balls(at.pinned[0], pinned=True)
     at.both_pinned = pair(n, closing, (1.0, 1.0), pinned=True)
     at.same_place = pair(n, closing, (1.0, 3.0), depth=2 * R)  # coincident
     at.same_place_at_rest = pair(n, (0 * n, 0 * n), (1.0, 3.0), depth=2 * R)

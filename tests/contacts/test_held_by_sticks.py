@@ -96,7 +96,7 @@ def test_what_falls_on_a_stick_gains_nothing(restitution):
 @pytest.mark.slow
 def test_momentum_of_a_stick_that_is_hit():
     scene = bridge(30.0, 0.3, drop=2.0)
-    scene.pinned[:] = False
+    scene.set_balls(pinned=False)
     sim = ts.Simulation(scene, arch="cpu", integrator="verlet", dt=1e-3)
     p = scene.mass @ scene.velocity
     for k in range(1, 101):

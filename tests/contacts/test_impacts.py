@@ -151,7 +151,7 @@ def test_springs_in_an_elastic_crowd_take_nothing_from_it(method, ratio):
     velocity at that instant."""
     rng = np.random.default_rng(21)
     scene = crowd(2, 50, 0.12, 6.0, 2.0, seed=11)
-    scene.mass[:] = ratio ** rng.uniform(0.0, 1.0, 50)
+    scene.set_balls(mass=ratio ** rng.uniform(0.0, 1.0, 50))
     scene.add_springs(np.arange(12).reshape(6, 2), stiffness=70.0)
     with simulate(scene, integrator=method, dt=1e-3) as sim:
         before, kinetic = sim.energy().total, sim.energy().kinetic
@@ -177,7 +177,7 @@ def test_lossless_balls_that_overlap_at_rest_come_apart():
 def test_light_balls_between_walls_and_heavy_ones_keep_their_energy():
     """Without gravity, masses 1 to 2000: what a corner and a heavy ball close in bounces in turn, and is not stopped there."""
     scene = crowd(3, 24, 0.12, 0.0, 12.0, seed=3)
-    scene.mass[:] = 2000.0 ** np.random.default_rng(5).uniform(0.0, 1.0, 24)
+    scene.set_balls(mass=2000.0 ** np.random.default_rng(5).uniform(0.0, 1.0, 24))
     with simulate(scene, dt=1e-3, substeps=1) as sim:
         _, before = energy(scene, sim)
         sim.step(100)
@@ -197,7 +197,7 @@ def test_nothing_comes_back_where_nothing_bounces():
         at = [(k, (2 * j + 1) * radius) for j in range(below)]
         at.append((k, (2 * below + 1) * radius + 0.013))
         ball = scene.add_balls(at, radius=radius, mass=[1.0] * below + [mass])
-        scene.velocity[ball[-1], 1] = -speed
+        scene.set_balls(ball[-1], velocity=(0.0, -speed))
         columns.append(ball)
     top = np.array([ball[-1] for ball in columns])
     scale = 0.5 * scene.mass[top] * speed**2
@@ -279,7 +279,7 @@ def test_without_gravity_everything_bounces():
     scene.add_wall((1, 0), 0.0, "glass")
     scene.add_balls([(radius + 1e-4, 0.0)], radius=radius, velocity=(-3e-3, 0.0), material="glass")
     scene.add_balls([(1.0, 0.0), (1.0 + 2 * radius + 1e-4, 0.0)], radius=radius, material="glass")
-    scene.velocity[2, 0] = -3e-3
+    scene.set_balls(2, velocity=(-3e-3, 0.0))
     with simulate(scene, dt=1e-3) as sim:
         sim.step(100)
         v = sim.velocity[:, 0]

@@ -194,7 +194,7 @@ def test_what_spins_is_saved(tmp_path):
 def test_settings_of_the_solver():
     smooth, rough = box_of_balls(2, 2, 2), box_of_balls(2, 2, 2, friction=0.1)
     lively, weightless = box_of_balls(2, 2, 2, restitution=0.9), box_of_balls(2, 2, 2, restitution=0.9)
-    weightless.gravity[:] = 0.0
+    weightless.gravity = np.zeros(2)
     weightless.add_material("unused", friction=0.0)
     for scene, settings, rule, spins in (
         (smooth, {}, "gauss_seidel", False),

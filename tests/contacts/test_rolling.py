@@ -80,7 +80,7 @@ def test_a_loose_ball_rolls_on_one_that_does_not(dim, contacts):
     at = np.zeros((3, dim))
     at[1:, 0] = r + R + 1e-4, 5.0
     loose, held, far = scene.add_balls(at, mass=[m, M, 1.0], radius=[r, R, r], material="sticky")
-    scene.velocity[loose, :2] = 2.0, 0.6
+    scene.set_balls(loose, velocity=[2.0, 0.6, 0.0][:dim])
     scene.add_springs([(held, far)], stiffness=1e-9)
     with simulate(scene, contacts=contacts, dt=1e-4, contact_iterations=4) as sim:
         sim.step(20)

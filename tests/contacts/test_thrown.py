@@ -102,7 +102,7 @@ def test_what_follows_something_that_is_cut_short():
     upper = scene.add_balls(0.1 * x + np.array([-0.5, 0.02, -0.5]), radius=0.002)
     scene.add_triangles([upper, lower], collides=True)
     last = scene.add_balls([[0.2, -0.0035, 0.2]], radius=0.001)  # aside of the thrown one
-    scene.velocity[lower] = scene.velocity[last] = [0.0, 10.0, 0.0]
+    scene.set_balls([*lower, *last], velocity=[0.0, 10.0, 0.0])
     with thrown(scene, throw) as sim:
         way = np.zeros((7, 3))
         way[upper, 1] = -0.2
@@ -124,7 +124,7 @@ def test_what_comes_from_afar_at_its_own_speed():
     x = np.random.default_rng(2).uniform(0.1, 0.9, (40, 3))
     x[:, 1] = np.linspace(0.05, 0.25, 40)
     shot = scene.add_balls(x, radius=0.002, velocity=(0, -200, 0))
-    scene.mass[:] = 1.0
+    scene.set_balls(mass=1.0)
     with thrown(scene, throw) as sim:
         for _ in range(3):
             sim.step()

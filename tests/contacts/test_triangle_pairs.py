@@ -256,12 +256,12 @@ def hall():
     shot = scene.add_balls(x, radius=0.25 / (N - 1), velocity=v, mass=1e-3, material="rubber")
     fold = ts.shapes.cloth(scene, **sheet, material="cotton")
     shift = np.array([5.0, -0.8, 0.0])
-    scene.position[fold.balls] = shift + folded(scene.position[fold.balls], 3, 0.08, rng)
+    scene.set_balls(fold.balls, position=shift + folded(scene.position[fold.balls], 3, 0.08, rng))
     scene.add_wall((0, 1, 0), offset=-1.0, material="cotton")
     one = ts.shapes.cloth(scene, **sheet, position=(10.0, 0.3, 0.0))
     two = ts.shapes.cloth(scene, **sheet, position=(10.06, 0.5, 0.03), rotation=(4.0, 20.0, 3.0))
-    scene.velocity[one.balls] = [0.0, 3.5, 0.0]
-    scene.velocity[two.balls] = [0.0, -1.5, 0.0]
+    scene.set_balls(one.balls, velocity=[0.0, 3.5, 0.0])
+    scene.set_balls(two.balls, velocity=[0.0, -1.5, 0.0])
     return scene, net, shot
 
 

@@ -44,7 +44,7 @@ def test_neighbours_lie_near_each_other():
 @each_dim
 def test_a_pile_moves_the_same_in_either_order(dim, monkeypatch):
     scene = physics_bits.pile(dim)
-    scene.pinned[7], scene.velocity[7] = True, 0.0
+    scene.set_balls(7, pinned=True)
     ends = []
     for first in (spatial_sort.FEWEST_SORTED, 1):
         monkeypatch.setattr(spatial_sort, "FEWEST_SORTED", first)

@@ -47,7 +47,7 @@ def test_restored_run_continues_with_the_same_bits(tmp_path):
 def test_what_a_method_remembers_is_saved(tmp_path, monkeypatch, method):
     """Accelerations at predicted velocities, slopes; TR-BDF2 solves its first stage from another guess."""
     scene = small_scene()
-    scene.damping[:] = 0.1
+    scene.set_springs(damping=0.1)
     assert predicts_damping(scene)
     path = tmp_path / "state.npz"
     with ts.Simulation(scene, dt=2e-3, integrator=method, contacts="off") as sim:

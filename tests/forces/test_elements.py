@@ -48,7 +48,7 @@ def box(seed: int = 1) -> ts.Scene:
     scene.add_triangles(balls[np.array(faces)])
     scene.add_gas(faces, pressure=40.0, outside=5.0)
     scene.add_wind((3.0, 1.0, -2.0), gust=0.5, gust_length=0.7)
-    scene.position[:] += rng.normal(size=(8, 3)) * 0.15
+    scene.set_balls(position=scene.position + rng.normal(size=(8, 3)) * 0.15)
     return scene
 
 
@@ -58,7 +58,7 @@ def square() -> ts.Scene:
     scene = ts.Scene(dim=2)
     scene.add_balls([[0, 0], [1, 0], [1, 1], [0, 1]], radius=0.1, mass=[1.0, 2.0, 1.5, 0.5])
     scene.add_cells([[0, 1, 2], [0, 3, 2]], bulk_modulus=[20.0, 30.0])
-    scene.position[:] += rng.normal(size=(4, 2)) * 0.2
+    scene.set_balls(position=scene.position + rng.normal(size=(4, 2)) * 0.2)
     return scene
 
 
@@ -139,7 +139,7 @@ def test_damped_bending_lets_a_folded_sheet_turn(method):
     )
     pairs = [[i, j] for i in balls for j in balls if i < j and np.linalg.norm(x[i] - x[j]) < 0.65]
     scene.add_springs(pairs, stiffness=300.0)
-    scene.velocity[:] = np.cross([0.5, 2.0, -1.0], x) + 0.1 * np.random.default_rng(0).normal(size=x.shape)
+    scene.set_balls(velocity=np.cross([0.5, 2.0, -1.0], x) + 0.1 * np.random.default_rng(0).normal(size=x.shape))
     with simulate(scene, integrator=method, dt=5e-4, substeps=1, contacts="off") as sim:
         start, energy = sim.angular_momentum(), sim.energy()
         sim.step(2000)
@@ -218,7 +218,7 @@ def closed(dim: int) -> ts.Scene:
     """Cells, in 3D bending and gas too, without wind, damping or pins."""
     scene = square() if dim == 2 else box()
     scene.wind = None
-    scene.pinned[:] = False
+    scene.set_balls(pinned=False)
     if dim == 3:
         scene.bend_damping[:] = 0.0
     return scene
@@ -260,7 +260,7 @@ def test_a_cell_turned_inside_out_comes_back(dim):
     scene.add_balls(corners, radius=0.01)
     scene.add_cells([list(range(dim + 1))], bulk_modulus=50.0)
     scene.add_springs([[i, j] for i in range(dim + 1) for j in range(i)], stiffness=1.0, damping=2.0)
-    scene.position[0] = 0.8  # through the opposite side
+    scene.set_balls(0, position=[0.8] * dim)  # through the opposite side
     assert diagnostics.inverted(scene, scene.position) == 1
     with simulate(scene, contacts="off") as sim:
         sim.run(6.0)
@@ -287,9 +287,9 @@ def test_the_bound_is_above_the_exact_eigenvalue_at_rest(dim):
     scene = closed(dim)
     if dim == 3:  # at rest but for the gas, whose pressure is bounded coarsely
         scene.gases[0] = replace(scene.gases[0], pressure=1.0, outside=40.0)
-        scene.position[:] = [[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+        scene.set_balls(position=[[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     else:
-        scene.position[:] = [[0, 0], [1, 0], [1, 1], [0, 1]]
+        scene.set_balls(position=[[0, 0], [1, 0], [1, 1], [0, 1]])
     root = np.repeat(1.0 / np.sqrt(scene.mass), dim)
     exact = np.linalg.eigvalsh(root[:, None] * hessian(scene, scene.position) * root)[-1]
     bound = element_rates(scene).elastic

@@ -27,7 +27,7 @@ def test_a_turning_balloon_keeps_its_angular_momentum(method):
     """But for what the method itself takes: turning at W, implicit Euler leaves 1 / (1 + h^2 W^2) of it in a step. Gas that acts
     at old places took 1 / (1 + 3 h^2 p R / (M R^2 / (4 pi R^2))), nine tenths of it in half a second."""
     spin, scene = 4.0, balloon(1, 0.25, pressure=120.0, mass=0.06)
-    scene.velocity[:] = np.cross([0.0, spin, 0.0], scene.position)
+    scene.set_balls(velocity=np.cross([0.0, spin, 0.0], scene.position))
     with simulate(scene, integrator=method, contacts="off") as sim:
         start, h = sim.angular_momentum()[1], sim.dt / sim.substeps
         sim.run(0.5)
@@ -45,7 +45,7 @@ def test_a_balloon_held_at_its_side_falls_as_by_verlet(method):
     for name in ("verlet", method):
         scene = balloon(1, 0.12, pressure=500.0, mass=0.004)
         scene.gravity = np.array([0.0, -9.81, 0.0])
-        scene.pinned[np.argmax(scene.position[:, 0])] = True
+        scene.set_balls(np.argmax(scene.position[:, 0]), pinned=True)
         with simulate(scene, integrator=name, contacts="off") as sim:
             sim.run(0.2)
             lowest[name] = float(sim.position[:, 1].mean())
@@ -59,9 +59,9 @@ def test_a_step_of_implicit_euler_solves_its_equations_with_gas():
     scene = balloon(0, 0.2, pressure=300.0, mass=0.002)
     faces = scene.gases[0].triangles
     scene.add_gas(faces, pressure=50.0, outside=1e4)
-    scene.damping[:] = 0.0  # no part of the energy
+    scene.set_springs(damping=0.0)  # no part of the energy
     rng = np.random.default_rng(3)
-    scene.velocity[:] = rng.normal(size=scene.velocity.shape)
+    scene.set_balls(velocity=rng.normal(size=scene.velocity.shape))
     h = 10.0 * stability(scene, named("verlet")).dt_any_shape
     v = scene.velocity.copy()
     with simulate(scene, integrator=ImplicitEuler(1e-9 if F64 else 1e-4), dt=h, substeps=1, contacts="off") as sim:

@@ -216,7 +216,7 @@ def test_what_a_torn_spring_held_together_lets_go(driver):
     scene = ts.Scene(dim=3)
     sheet = ts.shapes.cloth(scene, size=(1, 0.2), resolution=(6, 2), stretch_stiffness=50.0, bending_rigidity=0.01)
     x = scene.position[scene.pairs[sheet.springs]][:, :, 0]
-    scene.break_strain[sheet.springs[(x.min(axis=1) < 0.5) & (x.max(axis=1) > 0.5)]] = 0.1
+    scene.set_springs(sheet.springs[(x.min(axis=1) < 0.5) & (x.max(axis=1) > 0.5)], break_strain=0.1)
     scene.add_wind((0.0, 0.0, 0.0))
     scene.add_moving_pins(sheet.balls[:2], velocity=(-1.0, 0.0, 0.0))
     scene.add_moving_pins(sheet.balls[-2:], velocity=(1.0, 0.0, 0.0))
@@ -248,7 +248,7 @@ def test_tolerance_and_tearing_exclude_each_other():
 def test_what_collides_cannot_tear():
     scene = ts.Scene(dim=3)
     sheet = ts.shapes.cloth(scene, resolution=(3, 3), surface_collision=True)
-    scene.break_strain[sheet.springs[0]] = 0.5
+    scene.set_springs(sheet.springs[0], break_strain=0.5)
     with pytest.raises(ts.SceneError, match=r"springs.break_strain: a side of triangle \d+, which collides"):
         ts.Simulation(scene, precision=PRECISION)
 

@@ -123,7 +123,7 @@ def test_stages_are_stable_and_make_no_ball_lighter():
         b = scene.add_balls(np.outer(np.arange(5.0), [1.0, 0.0]), radius=0.1, mass=[1.0, 2.0, 1.0, 0.5, 4.0])
         scene.add_springs(np.stack([b[:-1], b[1:]], axis=1), stiffness=1.0, damping=[3.0, 1.0, 0.2, 2.0])
         both, soft = stages(scene, 0.5 * h), softened(scene, 0.5 * h)
-        scene.damping[:] = soft
+        scene.set_springs(damping=soft)
         values = np.linalg.eigvals(motion_of_all(scene))
         assert np.all((soft == [3.0, 1.0, 0.2, 2.0]) | (h > 100.0))
         z = np.linspace(1e-4, 1.0, 2000) * np.abs(values).max() * 0.5 * h
@@ -210,7 +210,7 @@ def test_slow_decays_are_what_a_run_shows():
         0
     ]  # not motion across the chain
     assert rounded.exact == pytest.approx(right.exact, rel=1e-3)
-    scene.damping[:] *= 1e5
+    scene.set_springs(damping=scene.damping * 1e5)
     beyond = slow_decays(scene, VERLET, h, place)[0]
     assert beyond.found > 1.5 * beyond.exact
     assert "take tr_bdf2" in "".join(check.damping(scene, VERLET, h, place))

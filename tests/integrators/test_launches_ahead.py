@@ -19,7 +19,7 @@ def hanging_cloth():
 def thrown_jelly():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     ts.shapes.jelly(scene, size=(0.6, 0.2, 0.2), resolution=(8, 3, 3), mass=2.0, position=(0, 0.3, 0))
-    scene.velocity[:] = 3.0 * np.random.default_rng(0).normal(size=scene.velocity.shape)
+    scene.set_balls(velocity=3.0 * np.random.default_rng(0).normal(size=scene.velocity.shape))
     scene.add_wall((0, 1, 0), 0.0)
     return scene
 

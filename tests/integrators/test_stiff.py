@@ -112,7 +112,7 @@ def test_free_fall(method):
 def test_momentum(method):
     scene = random_net(3, 5)
     scene.gravity = np.zeros(3)
-    scene.pinned[:] = False
+    scene.set_balls(pinned=False)
     with simulate(scene, integrator=exactly(method), dt=2e-3, contacts="off") as sim:
         p, L = sim.momentum(), sim.angular_momentum()
         sim.step(200)
@@ -126,9 +126,9 @@ def free_net(kind, power, h):
     """A net without gravity and pins whose springs have K h^2, or C h, of ten to that power; and the slowest of its springs."""
     scene = random_net(2, 7)
     scene.gravity = np.zeros(2)
-    scene.pinned[:] = False
-    scene.stiffness[:] = 10.0**power / h**2 if kind == "elastic" else 1.0
-    scene.damping[:] = 10.0**power / h if kind == "damping" else 0.0
+    scene.set_balls(pinned=False)
+    scene.set_springs(stiffness=10.0**power / h**2 if kind == "elastic" else 1.0)
+    scene.set_springs(damping=10.0**power / h if kind == "damping" else 0.0)
     return scene
 
 
@@ -205,7 +205,7 @@ def test_both_drivers_give_the_same_bits(method):
     """A net of four blocks."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(16, 16))
-    scene.pinned[sheet.balls[:2]] = True
+    scene.set_balls(sheet.balls[:2], pinned=True)
     found = []
     for variant in (FUSED, PARALLEL):
         with simulate(scene, variant, integrator=method, dt=5e-3, contacts="off") as sim:
@@ -311,7 +311,7 @@ def test_small_steps_keep_single_precision():
     """A sheet at ten times smaller steps is no further from its end than at larger ones: velocities are no differences."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(6, 6), stiffness=100.0, damping=0.05, mass=0.3)
-    scene.pinned[sheet.balls[:6]] = True
+    scene.set_balls(sheet.balls[:6], pinned=True)
     x, _ = ref.run("rk4", net_of(scene), scene.position, scene.velocity, 5e-4, 600)
     e = []
     for n in (300, 3000, 30000):
@@ -327,7 +327,7 @@ def test_patches_save_passes(monkeypatch):
     """Aggregates condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(20, 20), stiffness=1e4, mass=0.3)
-    scene.pinned[sheet.balls[:20]] = True
+    scene.set_balls(sheet.balls[:20], pinned=True)
     found = []
     for fewest in (32, 10**6):
         monkeypatch.setattr(coarse_preconditioner, "FEWEST_BALLS", fewest)

@@ -423,7 +423,7 @@ def test_names_come_from_scene_files_and_go_back(tmp_path):
     assert named(kept.n_balls, kept.objects)[1] == names
     kept.objects.clear()
     for damaged in ({"objects.0.balls": np.array([99])}, {"objects.0.uv": np.zeros((1, 3))}):
-        with pytest.raises(ts.SceneError, match=r"objects\.(balls|uv)"):
+        with pytest.raises(ts.SceneError, match=r"objects\[0\].(balls|uv)"):
             kept.set_elements(scene.elements(), scene.element_arrays() | damaged)
 
 

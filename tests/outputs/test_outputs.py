@@ -177,6 +177,21 @@ def test_a_codec_that_does_not_fit_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_small_videos_have_the_same_bytes_in_every_run(tmp_path):
+    """x264's mbtree read memory that nobody wrote."""
+    found, random = set(), np.random.default_rng(0)
+    pictures = np.zeros((24, 64, 112, 3), dtype=np.uint8)
+    for k, image in enumerate(pictures):
+        image[:, : 2 + 3 * k, 0], image[:, 2 + 3 * k :, 2], image[:k, :, 1] = 255, 255, 255
+    for k in range(6):
+        _ = [random.integers(0, 255, size, dtype=np.uint8) for size in random.integers(100, 20_000, 500)]  # used memory
+        with open_output(tmp_path / f"{k}.mp4") as out:
+            for index, image in enumerate(pictures):
+                out.write(index, FakeSimulation().frame(), image)
+        found.add((tmp_path / f"{k}.mp4").read_bytes())
+    assert len(found) == 1
+
+
 class Slow(Output):
     """Takes its time in a thread of its own, and fails at one frame."""
 

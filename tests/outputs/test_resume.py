@@ -45,11 +45,7 @@ def test_a_resumed_video_has_the_same_bytes(tmp_path, name, codec):
     assert FakeRenderer.last.skipped == list(range(21))
     assert FakeRenderer.last.drawn == list(range(21, 30))
     assert {p.name for p in tmp_path.iterdir()} == {"whole", name}
-    if codec is None and name == "x.mp4":
-        assert (tmp_path / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    mine, theirs = pictures(tmp_path / name), pictures(tmp_path / "whole" / name)
-    assert [t for t, _ in mine] == [t for t, _ in theirs]
-    assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(mine, theirs, strict=True))
+    assert (tmp_path / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
 def test_a_killed_run_is_resumed(tmp_path):

@@ -86,8 +86,8 @@ def _jelly_slides(rng: Rng, n: int) -> list[Case]:
         made = {"young_modulus": 2e4, "poisson_ratio": 0.35, "damping": 2.0} if fabric else {}
         # by its centre of mass, a touch above the ground
         body = ts.shapes.jelly(scene, size, (5, 3, 3)[:dim], material="m", position=(0.0, 0.06, 0.0)[:dim], **made)
-        scene.velocity[body.balls, 0] = rng.uniform(8.0, 20.0)
-        scene.velocity[body.balls, 1] = -rng.uniform(0.5, 3.0)
+        v = [rng.uniform(8.0, 20.0), -rng.uniform(0.5, 3.0), 0.0][:dim]
+        scene.set_balls(body.balls, velocity=v)
         ground(scene, kind, "m")
         cases.append(Case(scene, {"integrator": method}, 0.15, 4))
     return cases
@@ -127,7 +127,7 @@ def _chains(rng: Rng, n: int) -> list[Case]:
         value, _, right = slowest(scene, components(scene)[0])
         speed = right[scene.n_balls * dim :]
         speed = np.real(speed / speed[np.argmax(np.abs(speed))])
-        scene.velocity[:] = 0.01 * abs(value) * speed.reshape(-1, dim)  # it moves by a tenth of a link
+        scene.set_balls(velocity=0.01 * abs(value) * speed.reshape(-1, dim))  # it moves by a tenth of a link
         drawn.append((scene, -value.real))
     longest = min(8.0, float(np.median([2.0 / decay for _, decay in drawn])))
     return [Case(scene, {"integrator": method}, longest, 60) for scene, _ in drawn]
@@ -150,7 +150,7 @@ def _balloons(rng: Rng, n: int) -> list[Case]:
             ball_radius=0.02,
         )
         axis = rng.normal(size=3)
-        scene.velocity[body.balls] = np.cross(0.5 * axis / np.linalg.norm(axis), scene.position[body.balls])
+        scene.set_balls(body.balls, velocity=np.cross(0.5 * axis / np.linalg.norm(axis), scene.position[body.balls]))
         cases.append(Case(scene, {"integrator": method}, 0.5, 4))
     return cases
 
@@ -171,7 +171,7 @@ def _hung_balloons(rng: Rng, n: int) -> list[Case]:
             ball_radius=0.02,
         )
         top = body.balls[np.argmax(scene.position[body.balls, 1])]
-        scene.pinned[top] = True
+        scene.set_balls(top, pinned=True)
         cases.append(Case(scene, {"integrator": method}, 0.2, 4))
     return cases
 
@@ -203,10 +203,10 @@ def _sheets(rng: Rng, n: int) -> list[Case]:
         x[:, 1] += np.sin(fold) * np.abs(x[:, 0])
         x[:, 0] *= np.cos(fold)
         x -= x.mean(axis=0)
-        scene.position[body.balls] = x
-        scene.bend_damping[:] = 10.0 ** rng.uniform(-3, -1)
+        scene.set_balls(body.balls, position=x)
+        scene.set_bending(damping=10.0 ** rng.uniform(-3, -1))
         axis = rng.normal(size=3)
-        scene.velocity[body.balls] = np.cross(2.0 * axis / np.linalg.norm(axis), x)
+        scene.set_balls(body.balls, velocity=np.cross(2.0 * axis / np.linalg.norm(axis), x))
         cases.append(Case(scene, {"integrator": "verlet"}, 0.5, 4))
     return cases
 
@@ -227,9 +227,9 @@ def _nets(rng: Rng, n: int) -> list[Case]:
             damping=0.0,
             radius=0.01,
         )
-        scene.damping[:] = float(log(rng, 1e-3, 1e2))
-        scene.bend_damping[:] = 1e-3
-        scene.pinned[body.balls[: int(rng.integers(1, 5))]] = True
+        scene.set_springs(damping=float(log(rng, 1e-3, 1e2)))
+        scene.set_bending(damping=1e-3)
+        scene.set_balls(body.balls[: int(rng.integers(1, 5))], pinned=True)
         if windy:
             scene.add_wind((1.0, 0.5, 2.0))
         cases.append(Case(scene, {"integrator": method, "contacts": "off", "dt": 2.0**-11, "substeps": 1}, 0.25, 4))
@@ -262,7 +262,7 @@ def _hanging(rng: Rng, n: int) -> list[Case]:
     sheet = ts.shapes.cloth(
         scene, (1.0, 1.0), (k, k), stiffness=float(log(rng, 100, 1000)), damping=float(log(rng, 3e-3, 0.1))
     )
-    scene.pinned[[sheet.balls[0], sheet.balls[k - 1]]] = True
+    scene.set_balls([sheet.balls[0], sheet.balls[k - 1]], pinned=True)
     tolerance = float(rng.choice([1e-3, 1e-4]))
     return [Case(scene, {"integrator": "verlet", "tolerance": tolerance}, 0.5, 1, alone=True)]
 

@@ -88,11 +88,9 @@ class _Adding:
         )
         self.number[self.keep] = new
         names = {k: self.material(int(k)) for k in np.unique(scene.material[self.keep])}
-        index = {m.name: k for k, m in enumerate(to.materials)}
-        to.material[new] = [index[names[k]] for k in scene.material[self.keep]]
-        to.body[new] = scene.body[
-            self.keep
-        ]  # far apart, two scenes may share a number: no more is compiled than for one
+        # far apart, two scenes may share a number of bodies: no more is compiled than for one
+        materials = [names[k] for k in scene.material[self.keep].tolist()]
+        to.set_balls(new, material=materials, body=scene.body[self.keep])
         if self.group is not None:
             to.set_group(new, self.group)
 
@@ -288,7 +286,7 @@ def embedded(scene: ts.Scene) -> ts.Scene:
         velocity=flat(scene.velocity),
         pinned=scene.pinned,
     )
-    out.material[new], out.body[new] = scene.material, scene.body
+    out.set_balls(new, material=[scene.materials[k].name for k in scene.material], body=scene.body)
     if scene.n_springs:
         columns = {k: getattr(scene, k) for k in ("stiffness", "damping", "rest_length", "collides", "break_strain")}
         out.add_springs(scene.pairs, **columns)

@@ -45,7 +45,7 @@ def _thrown(rng: Rng, n: int) -> list[Case]:
         x = np.zeros((6, dim))
         x[:, 1] = rng.choice([0.0, 1.0], 6) * rng.uniform(0.0, 0.5, 6)
         _balls(rng, scene, x, v)
-        scene.position[:, 1] += scene.radius
+        scene.set_balls(position=scene.position + np.outer(scene.radius, np.eye(dim)[1]))
         scene.add_wall(np.eye(dim)[1], 0.0, "m")
         cases.append(Case(scene, STEPS, 0.35, 14))
     return cases

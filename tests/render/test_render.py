@@ -1,5 +1,6 @@
 """Pictures: what is seen where, and that the same frame gives the same picture. Small sizes: compile time dominates."""
 
+import json
 import math
 
 import numpy as np
@@ -329,6 +330,30 @@ def test_what_tears_is_drawn_without_new_fields(dim):
         assert np.array_equal(renderer.render(frame(4, 3)), whole)
     with Renderer(frame(2, 1), size=SIZE) as renderer:
         assert np.array_equal(renderer.render(frame(2, 1)), torn)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_renderer_goes_on_from_what_another_remembers(dim):
+    """The camera follows, the light's box has grown, and a spring has torn."""
+    random = np.random.default_rng(3)
+    start, drift = random.uniform(-1, 1, (9, dim)), random.uniform(-1, 1, (9, dim))
+    springs = np.array([[0, 1], [1, 2], [2, 3]], dtype=np.int32)
+
+    def frame(k: int) -> Frame:
+        kept = springs[: 3 if k < 4 else 2]
+        rods = {"springs": kept, "sticks": np.zeros(len(kept), dtype=bool), "strain": np.zeros(len(kept))}
+        return Frame(0.1 * k, start + 0.1 * k * k * drift, drift, np.full(9, 0.3), **rods)
+
+    options = {"size": SIZE, "camera": {"follow": [4, 5]}}
+    with Renderer(frame(0), **options) as renderer:
+        drawn = [renderer.render(frame(k)) for k in range(4)]
+        memory = json.loads(json.dumps(renderer.memory()))
+        drawn += [renderer.render(frame(k)) for k in range(4, 7)]
+    with Renderer(frame(0), **options) as renderer:
+        renderer.recall(memory)
+        renderer.skip(frame(4))
+        assert np.array_equal(renderer.render(frame(5)), drawn[5])
+        assert np.array_equal(renderer.render(frame(6)), drawn[6])
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_check_knows_what_an_undamped_spring_allows():
 
 def test_the_longest_safe_step_is_tried_first_and_an_unstable_one_is_not_the_last(monkeypatch):
     scene = pair()
-    scene.stiffness[:] *= 100.0
+    scene.set_springs(stiffness=scene.stiffness * 100.0)
     safe = 0.4 * 2 / np.sqrt(2e4)  # s, of an undamped spring
     workers = MadeUp(scene)
     run = workers.run

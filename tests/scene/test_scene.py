@@ -131,3 +131,12 @@ def test_a_refused_call_changes_nothing():
 def test_scene_and_shapes_import_no_taichi():
     code = "import sys, taichi_sim.shapes, taichi_sim.files.toml_reader; print('taichi' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
+
+
+def test_a_scene_says_what_it_holds():
+    scene = Scene(dim=2, gravity=(0, -9.81))
+    assert repr(Scene()) == "<Scene in 2D: empty>"
+    scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1, pinned=[0])
+    scene.add_springs([(0, 1)], stiffness=10.0)
+    assert repr(scene) == "<Scene in 2D: 3 balls, 1 pinned, 1 spring; gravity (0, -9.81) m/s^2>"
+    assert "<th>balls</th><td>3</td>" in scene._repr_html_()

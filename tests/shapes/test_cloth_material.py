@@ -140,7 +140,7 @@ def hanging(n):
     """A cloth that hangs flat from its edge: how far it reaches, and the period of its slowest bounce."""
     scene, _ = sheet((1.0, 1.0), (n, n), pinned=list(range(n)), bending_rigidity=1e-5)
     x = scene.position
-    scene.position[:] = np.stack([0 * x[:, 0], -x[:, 0], x[:, 2]], axis=1)
+    scene.set_balls(position=np.stack([0 * x[:, 0], -x[:, 0], x[:, 2]], axis=1))
     x, matrix = at_rest(scene)
     free = np.repeat(scene.mass[~scene.pinned], 3)
     rate, mode = np.linalg.eigh(matrix / np.sqrt(np.outer(free, free)))

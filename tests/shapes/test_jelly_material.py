@@ -96,8 +96,8 @@ def test_a_bar_sags_as_a_slender_beam(dim, length, ratio, high):
     side = 1.0 / high
     size, resolution = (float(length), 1.0, side)[:dim], (length * high + 1, high + 1, 2)[:dim]
     scene, _ = block(dim, ratio, size, resolution, density=1.0)
-    scene.gravity[1] = -1e-5
-    scene.pinned[scene.position[:, 0] == 0] = True
+    scene.gravity = (0.0, -1e-5, 0.0)[:dim]
+    scene.set_balls(scene.position[:, 0] == 0, pinned=True)
     x, _ = at_rest(scene, most=1e-6)
     tip = scene.position[:, 0] > length - 1e-9
     sag = (scene.position - x)[tip, 1].mean()

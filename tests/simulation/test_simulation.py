@@ -427,3 +427,14 @@ def test_a_closed_simulation_takes_no_snapshot():
         start = sim.snapshot()
     with pytest.raises(RuntimeError, match="is closed"):
         sim.resume(start)
+
+
+def test_a_simulation_says_what_it_is():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 0.0]], radius=0.1)
+    with simulate(scene, contacts="off", dt=1e-3) as sim:
+        sim.step(5)
+        for part in ("Scene in 2D: 1 ball", "time 0.005 s", "integrator verlet", "step 0.001 s", "contacts off"):
+            assert part in repr(sim)
+        assert '<img alt="" src="data:image/png;base64,' in sim._repr_html_()
+    assert repr(sim).startswith("<Simulation, closed")

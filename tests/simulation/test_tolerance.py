@@ -71,7 +71,7 @@ def swinging():
     """A damped net of 25 balls in 3D with verlet, whose damping depends on the step."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(5, 5), stiffness=200.0, damping=0.005)
-    scene.pinned[sheet.balls[:5]] = True
+    scene.set_balls(sheet.balls[:5], pinned=True)
     return scene
 
 

@@ -163,7 +163,7 @@ def cloth(rng: Generator) -> ts.Scene:
     scene, n = ts.Scene(dim=3, gravity=_down(3)), int(rng.integers(4, 11))
     stiffness, damping = 10 ** rng.uniform(2, 3.3), rng.choice([0.0, 0.01, 0.1])
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(n, n), stiffness=stiffness, damping=damping)
-    scene.pinned[sheet.balls[:n]] = True
+    scene.set_balls(sheet.balls[:n], pinned=True)
     return scene
 
 
@@ -245,9 +245,9 @@ def rows(name: str, builds: int, starts: int, seed: int, integrator: str | None 
             method, built = sim.settings.integrator, scene.position.copy()
             for start in range(starts):
                 tolerance = float(10 ** rng.uniform(kind.least, -2))
-                scene.position[:] = built
+                scene.set_balls(position=built)
                 x, v = kind.start(rng, scene)
-                scene.position[:] = x
+                scene.set_balls(position=x)
                 settings = replace(Settings.resolve(scene, given | {"tolerance": tolerance}), integrator=method)
                 begin = time.perf_counter()
                 with warnings.catch_warnings(record=True) as warned:

@@ -90,7 +90,7 @@ def surfaces():
 
 def tearing_in_wind():
     scene, settings = bits.tearing_in_wind()
-    scene.break_strain[:] = 0.25 * scene.break_strain
+    scene.set_springs(break_strain=0.25 * scene.break_strain)
     return scene, settings
 
 
@@ -106,7 +106,8 @@ def network(method, dt=1e-3, **settings):
 
 def jelly():
     scene, settings = bits.jelly_on_floor()
-    scene.position[:, 1] -= 0.03 + scene.position[:, 1].min()  # on the floor, in by 3 cm
+    in_by = 0.03 + scene.position[:, 1].min()  # m, into the floor
+    scene.set_balls(position=scene.position - in_by * np.eye(scene.dim)[1])
     return scene, settings | {"contacts": "jacobi"}
 
 

@@ -166,7 +166,7 @@ def surfaces():
 def tearing_in_wind():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     flag = ts.shapes.cloth(scene, size=(0.6, 0.4), resolution=(13, 9), rotation=(90, 0, 0), pinned=np.arange(9))
-    scene.break_strain[flag.springs] = np.random.default_rng(7).uniform(0.02, 0.3, len(flag.springs))
+    scene.set_springs(flag.springs, break_strain=np.random.default_rng(7).uniform(0.02, 0.3, len(flag.springs)))
     scene.add_wind((12, 0, 2), gust=0.8, gust_length=1.0)
     return scene, {"dt": 1e-3}
 

@@ -125,7 +125,9 @@ def sheet(scene, side, damped, scale=1.0):
         scale=scale**2,
         pinned=range(0, side**2, side),
     )
-    scene.mass[start:] *= 10.0 ** np.random.default_rng(side).uniform(-1, 1, side**2)
+    scene.set_balls(
+        slice(start, None), mass=scene.mass[start:] * 10.0 ** np.random.default_rng(side).uniform(-1, 1, side**2)
+    )
     return scene
 
 
@@ -207,7 +209,7 @@ def test_advised_step_of_a_hanging_cloth(method, side, damped):
 def add_resting_network(scene, seed, damped, unit):
     add_network(scene, np.random.default_rng(seed), 12, damped, unit)
     i, j = scene.pairs.T
-    scene.rest_length[:] = np.linalg.norm(scene.position[i] - scene.position[j], axis=1)
+    scene.set_springs(rest_length=np.linalg.norm(scene.position[i] - scene.position[j], axis=1))
     return scene
 
 

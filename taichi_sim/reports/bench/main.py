@@ -8,7 +8,6 @@ import json
 import os
 import platform
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.atomic_file import replacing, require_place
 from taichi_sim.common.errors import BackendError
 from taichi_sim.common.memory import available
 from taichi_sim.device import backend
@@ -303,27 +302,28 @@ def main(
         raise ValueError(f"--json: {file!r} names no file")
     if checks and arch == "cpu":
         raise ValueError("--checks: tests a device; give --arch cuda, metal or vulkan")
-    with ExitStack() as stack:
-        target = None if file is None else stack.enter_context(replacing(file))  # before the work, which takes long
-        print(head_line(), end="\n\n")
-        if arch != "cpu":
-            print(f"{' '.join(str(part) for part in (find(arch) or (arch,))[:3])}", end="\n\n")
-        found = check_device(arch, quick) if checks else None
-        if found is not None:
-            print("\n".join(found.lines()), end="\n\n")
-        tables: list[dict[str, Any]] = []
-        for name in chosen:
-            try:
-                report = CASES[name](quick) if arch == "cpu" else CASES[name](quick, arch)
-            except CASE_FAILURES as error:  # the others are worth having all the same
-                print(f"{name}: not measured. {type(error).__name__}: {error}", end="\n\n")
-                tables.append({"case": name, "error": f"{type(error).__name__}: {error}"})
-                continue
-            if quick:
-                report.goals.clear()  # they belong to the full sizes
-            report.show()
-            tables.append({"case": name, "title": report.title, "rows": report.records(), "notes": report.notes})
-        if target is not None:
-            record = _record(arch, quick, found, tables)
+    if file is not None:
+        require_place(file)  # before the work, which takes long
+    print(head_line(), end="\n\n")
+    if arch != "cpu":
+        print(f"{' '.join(str(part) for part in (find(arch) or (arch,))[:3])}", end="\n\n")
+    found = check_device(arch, quick) if checks else None
+    if found is not None:
+        print("\n".join(found.lines()), end="\n\n")
+    tables: list[dict[str, Any]] = []
+    for name in chosen:
+        try:
+            report = CASES[name](quick) if arch == "cpu" else CASES[name](quick, arch)
+        except CASE_FAILURES as error:  # the others are worth having all the same
+            print(f"{name}: not measured. {type(error).__name__}: {error}", end="\n\n")
+            tables.append({"case": name, "error": f"{type(error).__name__}: {error}"})
+            continue
+        if quick:
+            report.goals.clear()  # they belong to the full sizes
+        report.show()
+        tables.append({"case": name, "title": report.title, "rows": report.records(), "notes": report.notes})
+    if file is not None:
+        record = _record(arch, quick, found, tables)
+        with replacing(file) as target:
             target.write(json.dumps(record, indent=1, allow_nan=False).encode())
     return (found is None or found.passed) and not any("error" in table for table in tables)

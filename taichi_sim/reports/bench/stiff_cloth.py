@@ -58,8 +58,8 @@ def stiff_scene(stiffness: float) -> Scene:
     """A sheet of 1 m and 0.3 kg, 1378 springs of one stiffness [N/m], damped by a hundredth of sqrt(k m), one edge pinned."""
     scene = Scene(dim=3, gravity=(0, -10, 0))
     cloth(scene, size=(1, 1), resolution=(SIDE, SIDE), mass=MASS, stiffness=stiffness, pinned=range(SIDE))
-    scene.stiffness[:] = stiffness
-    scene.damping[:] = 0.01 * np.sqrt(stiffness * MASS / SIDE**2)
+    scene.set_springs(stiffness=stiffness)
+    scene.set_springs(damping=0.01 * np.sqrt(stiffness * MASS / SIDE**2))
     return scene
 
 

@@ -125,7 +125,7 @@ def inverted(method: str, short: bool) -> Verdict:
     number = (7, 5)
     scene = Scene(dim=2)
     shapes.jelly(scene, size=(0.6, 0.4), resolution=number)
-    scene.position[-5:, 0] -= 0.15
+    scene.set_balls(slice(-5, None), position=scene.position[-5:] - [0.15, 0.0])
     with heeding(scene, method, contacts="off") as sim:
         before = _inverted(sim.position, number)
         (most,) = largest(sim, 1.0, 20, energy_part(sim))
@@ -164,7 +164,7 @@ def jelly_at_50(method: str, short: bool) -> Verdict:
     dim, fast = 2 if short else 3, 50.0
     scene = on_floor(dim, restitution=0.5, friction=0.3)
     shapes.jelly(scene, resolution=(6,) * dim, position=(0.0, 0.1, 0.0)[:dim], material="it")
-    scene.velocity[:, 1] = -fast
+    scene.set_balls(velocity=[0.0, -fast, 0.0][:dim])
     with heeding(scene, method) as sim:
         part = energy_part(sim)
         most, sunk = largest(sim, 0.1, 50, part, lambda: -np.min(sim.position[:, 1]) / scene.radius[0])

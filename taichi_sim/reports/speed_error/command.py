@@ -26,6 +26,7 @@ def read(
     resolutions: bool = False,
     arch: str | None = None,
     threads: int | None = None,
+    allow_outside: bool | None = None,
 ) -> tuple[Path, Scene, Plan]:
     """The file, its scene, and the plan. Raises ValueError or OSError that names the option and what is allowed."""
     assert name is not None
@@ -41,14 +42,16 @@ def read(
     if duration is not None:
         _positive("--duration", duration)
     file = resolve(name)
-    scene = open_scene(file)
+    scene = open_scene(file, allow_outside=bool(allow_outside))
     if scene is None:
         raise SceneError(f"{file}: makes its own simulation(); methods and steps can be compared for a scene() only")
     if not scene.n_balls:
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
     checked_output(scene)
     process = {"arch": arch, "threads": threads}
-    Settings.resolve(scene, {key: value for key, value in process.items() if value is not None})
+    given = {key: value for key, value in process.items() if value is not None}
+    with scene.in_file(given):
+        Settings.resolve(scene, given)
     title = next((name for name, made in demos().items() if made == file), file.stem)
     most = longest_duration(scene)
     if duration is not None and duration > most * (1.0 + 1e-5):

@@ -14,6 +14,7 @@ import numpy as np
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.npz import read_npz
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.reference import Reference
@@ -107,8 +108,8 @@ class Folder:
         """The one that an interrupted report has made."""
 
         def parse(path: Path) -> Reference:
-            with np.load(path, allow_pickle=False) as file:
-                values = {field.name: file[field.name] for field in fields(Reference)}
+            arrays: dict[str, Any] = read_npz(path)
+            values: dict[str, Any] = {field.name: arrays[field.name] for field in fields(Reference)}
             return Reference(**{name: value.item() if value.ndim == 0 else value for name, value in values.items()})
 
         return self._read("reference.npz", parse)

@@ -63,7 +63,9 @@ def finer(file: Path, levels: int = LEVELS) -> list[Finer]:
 
 
 def _read(file: Path, document: dict[str, Any]) -> tuple[Scene, dict[str, NDArray[np.int32]]]:
-    reader = Reader(file, "", document)
+    reader = Reader(
+        file, "", document, allow_outside=True
+    )  # which files it may name was judged as the coarse one was read
     return reader.scene(), reader.groups
 
 

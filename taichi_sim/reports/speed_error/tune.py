@@ -221,7 +221,7 @@ def write_settings(file: Path, settings: dict[str, Any]) -> None:
     kept = {key: value for key, value in before.get("simulation", {}).items() if key not in gone}
     if after != {**before, "simulation": {**kept, **settings}}:
         raise SceneError(f"{file}: cannot be changed without changing more than [simulation]; put the lines in by hand")
-    scene = load_scene(file)
+    scene = load_scene(file, allow_outside=True)  # as it was read before, or refused
     scene.settings = after["simulation"]
     Settings.resolve(scene, {})  # what does not go together is refused before the file changes
     part = PartFile(file.resolve())  # what a link points to

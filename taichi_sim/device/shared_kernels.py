@@ -1,0 +1,134 @@
+"""Kernels of one simulation, used again by the next one of the same structure.
+
+Taichi compiles a kernel anew for each object that is handed to it, and keeps what it made of the earlier ones until the process
+ends. Here an object is known by what kernels can read of it: its place among all parts of a simulation, the constants of all of
+them, and the memory of their fields. Fields of the same layout take over the memory of freed ones (`fields`), so the parts of a
+second simulation of the same structure find the kernels of the first. What merely differs in value is copied into the fields.
+
+Private names are touched, so this holds for one version of Taichi only; in any other every object has kernels of its own.
+"""
+
+import functools
+import hashlib
+import types
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.device.engine import ENGINE, VERSION, ti
+
+__all__ = ["KEY", "share_kernels"]
+
+KNOWN = ("taichi", "1.7.4")
+KEY = "_kernels_known_by"  # attribute of an object or a field
+OURS = "taichi_sim"  # the package; what lies elsewhere may read what is not seen here
+MOST_UNROLLED = 64  # numbers of an array that a kernel may have written out; what is longer is told by its shape
+PLAIN = (bool, int, float, complex, str, bytes, type(None), np.generic)
+
+
+def share_kernels(parts: dict[str, Any], apart: tuple[type, ...] = ()) -> str:
+    """Let these parts, and all that they hold, use the kernels compiled for equal ones. To be called once all fields are built,
+    before any kernel has run. apart: types of what no kernel reads, a scene for instance. Returns what the parts are known by; ""
+    where there are user-defined ones among them, which may read what is not seen here: nothing is shared then.
+    """
+    walk = _Walk(apart)
+    walk.value(parts)
+    if (ENGINE, VERSION) != KNOWN or walk.foreign:
+        for part in walk.kernel_holders:
+            vars(part).pop(KEY, None)
+        return ""
+    _install()
+    known_by = walk.digest.hexdigest()
+    for number, part in enumerate(walk.kernel_holders):
+        vars(part)[KEY] = (KEY, known_by, number)
+    return known_by
+
+
+class _Walk:
+    """Reads all that is reachable, each object once, in the order in which it is met."""
+
+    def __init__(self, apart: tuple[type, ...]) -> None:
+        self.apart, self.digest = apart, hashlib.sha256()
+        self.kernel_holders: list[Any] = []
+        self.foreign = False  # whether a function or a part is not of this package
+        self._met: dict[int, int] = {}
+        self._alive: list[Any] = []  # so that no identity is given twice
+
+    def _say(self, *words: object) -> None:
+        self.digest.update(repr(words).encode())
+
+    def value(self, value: Any) -> None:
+        if isinstance(value, PLAIN):
+            self._say(type(value).__name__, value)
+        elif isinstance(value, self.apart):
+            self._say(type(value).__name__)
+        elif id(value) in self._met:
+            self._say("again", self._met[id(value)])
+        else:
+            self._met[id(value)] = len(self._met)
+            self._alive.append(value)
+            self._first_time(value)
+
+    def _first_time(self, value: Any) -> None:
+        kind = type(value)
+        if isinstance(value, ti.Field):
+            self._say(kind.__name__, [member.ptr.snode().id for member in value._get_field_members()])
+        elif isinstance(value, np.ndarray):
+            self._say("array", value.shape, value.dtype.str)
+            if value.size <= MOST_UNROLLED:
+                self._say(value.tolist())
+        elif isinstance(value, (list, tuple, frozenset, set)):
+            self._say(kind.__qualname__, len(value))
+            for one in sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value:
+                self.value(one)
+        elif isinstance(value, (dict, types.MappingProxyType)):
+            self._say("dict", len(value))
+            for key, one in value.items():
+                self.value(key)
+                self.value(one)
+        elif isinstance(value, functools.partial):
+            self.value((value.func, value.args, value.keywords))
+        elif isinstance(value, types.MethodType):
+            self.value((value.__func__, value.__self__))
+        elif isinstance(value, types.FunctionType):
+            self._say("function", value.__module__, value.__qualname__, value.__code__.co_firstlineno)
+            self.foreign = self.foreign or not _is_ours(value)
+            self.value((value.__defaults__, *(cell.cell_contents for cell in value.__closure__ or ())))
+        elif isinstance(value, type):
+            self._say("type", value.__module__, value.__qualname__, id(value))
+        elif hasattr(value, "__dict__") or hasattr(kind, "__slots__"):
+            self._object(value, kind)
+        else:  # of the engine, mostly its types of numbers
+            self._say(kind.__qualname__, str(value))
+
+    def _object(self, value: Any, kind: type) -> None:
+        self._say("object", kind.__module__, kind.__qualname__, id(kind))
+        if hasattr(kind, "_data_oriented"):
+            self.kernel_holders.append(value)
+            self.foreign = self.foreign or not _is_ours(kind)
+        held = dict(vars(value)) if hasattr(value, "__dict__") else {}
+        names = (name for base in kind.__mro__ for name in getattr(base, "__slots__", ()))
+        held.update((name, getattr(value, name)) for name in names if hasattr(value, name))
+        held.pop(KEY, None)
+        self.value(held)
+
+
+def _is_ours(value: Any) -> bool:
+    return str(value.__module__).split(".")[0] in (OURS, "taichi")
+
+
+@functools.cache
+def _install() -> None:
+    """Let the engine look for the key of an object, or of a field, before it takes it by its identity."""
+    from taichi.lang.kernel_impl import TaichiCallableTemplateMapper as Mapper
+
+    by_identity, template = Mapper.extract_arg, ti.template
+
+    def extract_arg(argument: Any, annotation: Any, name: str) -> Any:
+        if isinstance(annotation, template):
+            known_by = getattr(argument, "__dict__", {}).get(KEY)
+            if known_by is not None:
+                return known_by
+        return by_identity(argument, annotation, name)
+
+    Mapper.extract_arg = staticmethod(extract_arg)

@@ -1,0 +1,133 @@
+"""Trees of fields: allocated memory that outlives its owner, for the next one that wants the same.
+
+Taichi gives memory back only by whole trees, drops the kernels of all others with one, and compiles the same kernel again for
+another tree. So a freed tree is kept for a while, and fields of the same layout take it over, zeroed.
+"""
+
+from copy import copy
+from typing import Any
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.shared_kernels import KEY
+
+__all__ = ["Tree", "take", "take_back"]
+
+MOST_KEPT, MOST_KEPT_BYTES = 16, 64 << 20  # freed trees
+SHORT = 4096  # entries of a field that one thread sets to zero
+MOST_UNROLLED = 32  # fields a kernel; Taichi warns of more
+_kept: list["Tree"] = []  # the last one freed at the end
+
+
+class Tree:
+    """Allocated fields. `fields` mean the memory of those declared, which are handed out: the owner's may be changed, and these
+    stay, known to Taichi's own kernels that copy into them."""
+
+    def __init__(self, layout: tuple[Any, ...], declared: list[Any], builder: Any, size: int) -> None:
+        self.layout, self.bytes = layout, size
+        self._tree = builder.finalize()
+        runtime = ti.lang.impl.get_runtime()
+        runtime.materialize()  # fields learn where their entries lie
+        self._program = runtime.prog
+        self.fields = [_twin(field) for field in declared]
+        self._zeros: list[_Zeros] | None = None
+        self.lend(declared)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the engine still runs that holds it."""
+        return self._program is ti.lang.impl.get_runtime().prog
+
+    def lend(self, declared: list[Any]) -> None:
+        """Let declared fields of this layout mean this memory."""
+        for field, own in zip(declared, self.fields):
+            _lead(field, own)
+
+    def clear(self) -> None:
+        """Set all fields to zero, as a new tree's are."""
+        if self._zeros is None:
+            numbers = [one for field in self.fields for one in _numbers(field)]
+            self._zeros = [_Zeros(numbers[k : k + MOST_UNROLLED]) for k in range(0, len(numbers), MOST_UNROLLED)]
+        for zeros in self._zeros:
+            zeros.write()
+
+    def destroy(self) -> None:
+        """Give the memory back; all kernels of the process are compiled again when they run next."""
+        self._tree.destroy()
+
+
+def take(layout: tuple[Any, ...], declared: list[Any], builder: Any) -> Tree | None:
+    """A freed tree of this layout, zero, lent to the declared fields in place of what their builder would make; None where there
+    is none."""
+    _kept[:] = [tree for tree in _kept if tree.alive]
+    tree = next((tree for tree in reversed(_kept) if tree.layout == layout), None)
+    if tree is not None:
+        _kept.remove(tree)
+        forget(builder)
+        tree.lend(declared)
+        tree.clear()
+    return tree
+
+
+def take_back(tree: Tree) -> None:
+    """Keep what its owner has freed, or, where too much is kept, give back what was freed first."""
+    _kept.append(tree)
+    _kept[:] = [tree for tree in _kept if tree.alive]
+    while len(_kept) > MOST_KEPT or sum(tree.bytes for tree in _kept) > MOST_KEPT_BYTES:
+        _kept.pop(0).destroy()
+
+
+def forget(builder: Any) -> None:
+    """Let the engine not wait for a builder whose fields nobody will use."""
+    runtime = ti.lang.impl.get_runtime()
+    runtime.finalize_fields_builder(builder)
+    for waiting in (runtime.global_vars, runtime.grad_vars, runtime.dual_vars, runtime.matrix_fields):
+        waiting.clear()
+
+
+@ti.data_oriented
+class _Zeros:
+    """Sets fields of numbers to zero."""
+
+    def __init__(self, fields: list[Any]) -> None:
+        self.short = tuple(field for field in fields if field.shape[0] <= SHORT)
+        self.long = tuple(field for field in fields if field.shape[0] > SHORT)
+
+    @ti.kernel
+    def write(self):
+        for field in ti.static(self.short):
+            ti.loop_config(serialize=True)
+            for i in range(ti.static(field.shape[0])):
+                field[i] = ti.cast(0, field.dtype)
+        for field in ti.static(self.long):
+            for i in range(ti.static(field.shape[0])):
+                field[i] = ti.cast(0, field.dtype)
+
+
+def _numbers(field: Any) -> list[Any]:
+    """The fields of numbers of which a field is made."""
+    if isinstance(field, ti.StructField):
+        return [number for _, member in field._items for number in _numbers(member)]
+    if isinstance(field, ti.MatrixField):
+        return [field.get_scalar_field(row, column) for row in range(field.n) for column in range(field.m)]
+    return [field]
+
+
+def _twin(field: Any) -> Any:
+    """Another field that means the same memory."""
+    if isinstance(field, ti.StructField):
+        twin = ti.StructField({name: _twin(one) for name, one in field._items}, field.struct_methods, field.name)
+    else:
+        twin = copy(field)
+    members = field._get_field_members()
+    vars(twin)[KEY] = (KEY, members[0].ptr.snode().id, len(members), isinstance(field, ti.StructField))
+    return twin
+
+
+def _lead(field: Any, own: Any) -> None:
+    """Let a field, and the members that may have been taken from it, mean the memory of another one of its layout."""
+    if isinstance(field, ti.StructField):
+        vars(field)[KEY] = vars(own)[KEY]
+        for name, member in field._items:
+            _lead(member, own.get_member_field(name))
+    else:
+        vars(field).update(vars(own))

@@ -1,0 +1,88 @@
+"""From Python to a video or a picture in one call."""
+
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from os import PathLike
+from typing import Any
+
+from taichi_sim.outputs import open_output
+from taichi_sim.outputs.export import Summary, export
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["output_options", "picture", "video"]
+
+DEFAULTS = {"fps": 60.0, "duration": 5.0, "size": (1280, 720)}
+
+
+def output_options(scene: Scene, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `export`: those given, None left out, over `scene.output` over DEFAULTS. Raises SceneError for what
+    `scene.output` may not hold."""
+    from taichi_sim.files.source import checked_output
+
+    chosen = DEFAULTS | checked_output(scene) | {key: value for key, value in given.items() if value is not None}
+    return {key: chosen.pop(key) for key in DEFAULTS} | {"style": chosen}
+
+
+def video(
+    what: Any,
+    path: str | PathLike[str],
+    *,
+    duration: float | None = None,
+    fps: float | None = None,
+    size: tuple[int, int] | None = None,
+    progress: bool = False,
+    overwrite: bool = False,
+    codec: str | None = None,
+    style: dict[str, Any] | None = None,
+    **settings: Any,
+) -> Summary:
+    """Simulate and write what is seen: `ts.video(scene, "x.mp4", duration=3)`. Any ending that `ts.open_output` knows will do.
+
+    Args:
+        what: a Scene, or a Simulation, which goes on from where it is and stays open.
+        duration [s], fps [1/s], size (width, height) [px], style (arguments of `Renderer`): what is left out is taken from
+            `scene.output`, then 5 s, 60 frames a second, 1280 x 720.
+        progress: a bar on standard error. overwrite, codec: see `ts.open_output`.
+        settings: arguments of Simulation, where a Scene is given: dt, integrator, ...
+
+    Returns what the run did; `print("\\n".join(summary.lines()))` says it in words. Raises what Simulation, `ts.open_output` and
+    `ts.export` raise.
+    """
+    scene, context = _simulation(what, settings)
+    options = output_options(scene, {"duration": duration, "fps": fps, "size": size})
+    options["style"] |= style or {}
+    with context() as simulation:
+        output = open_output(path, fps=options["fps"], overwrite=overwrite, codec=codec)
+        return export(simulation, output, progress=progress, **options)
+
+
+def picture(what: Any, *, size: tuple[int, int] = (640, 360), **style: Any) -> Any:
+    """The present moment of a Simulation, or the start of a Scene, as a Pillow image, which a notebook shows.
+
+    Args: size (width, height) [px]; style: further arguments of `taichi_sim.render.Renderer`.
+    """
+    from PIL import Image
+
+    from taichi_sim.render.renderer import Renderer
+
+    _, context = _simulation(what, {"contacts": "off"} if isinstance(what, Scene) else {})
+    with context() as simulation:
+        frame = simulation.frame()
+        renderer = Renderer(frame, size=size, **style)
+        try:
+            return Image.fromarray(renderer.render(frame))
+        finally:
+            renderer.close()
+
+
+def _simulation(what: Any, settings: dict[str, Any]) -> tuple[Scene, Callable[[], Any]]:
+    """The scene, and a context whose simulation is closed only where it was made here."""
+    from taichi_sim.simulation.simulation import Simulation
+
+    if isinstance(what, Scene):
+        return what, lambda: Simulation(what, **settings)
+    if not isinstance(what, Simulation):
+        raise TypeError(f"{type(what).__name__} is neither a Scene nor a Simulation")
+    if settings:
+        raise ValueError(f"{', '.join(settings)}: a Simulation has its settings already; give a Scene with them")
+    return what.scene, lambda: nullcontext(what)

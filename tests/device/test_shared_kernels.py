@@ -1,0 +1,138 @@
+"""Freed fields serve later ones of the same layout, and equal parts run the same compiled kernels."""
+
+import numpy as np
+import pytest
+
+from taichi_sim.device import backend, trees
+from taichi_sim.device.engine import ENGINE, ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.shared_kernels import share_kernels
+
+pytestmark = pytest.mark.once
+
+
+@pytest.fixture(autouse=True)
+def _started():
+    backend.start("cpu")
+
+
+@ti.data_oriented
+class Part:
+    """Weights of n vectors; the factor is compiled in."""
+
+    def __init__(self, fields, weights, factor, extra=None):
+        self.n, self.factor, self.extra = len(weights), factor, extra
+        self.weight = fields.reals(weights)
+        self.vector = fields.vectors(self.n, 3)
+        self.row = fields.table({"a": fields.real, "v": ti.types.vector(2, fields.real)}, self.n, by_column=True)
+
+    @ti.kernel
+    def work(self):
+        for i in range(self.n):
+            self.vector[i] += self.factor * self.weight[i]
+            self.row[i].v[1] = 2.0 * self.weight[i]
+
+
+Part.__module__ = "taichi_sim.part"
+
+
+def made(weights, factor=3.0, extra=None):
+    fields = Fields(ti.f32)
+    part = Part(fields, np.asarray(weights, dtype=float), factor, extra)
+    fields.build()
+    return fields, part
+
+
+def compiled():
+    return ti.lang.impl.get_runtime().get_num_compiled_functions()
+
+
+def test_a_freed_tree_serves_the_next_fields_of_its_layout_zeroed():
+    fields, part = made([1.0, 2.0])
+    part.work()
+    tree = fields._tree
+    fields.free()
+    assert not fields.built
+    again, same = made([5.0, 7.0])
+    assert again._tree is tree
+    assert same.weight.to_numpy().tolist() == [5.0, 7.0]
+    assert not same.vector.to_numpy().any()
+    assert not same.row.v.to_numpy().any()
+    assert same.vector.shape == (2,)
+    other, third = made([5.0, 7.0])  # while the tree is in use
+    assert other._tree is not tree
+    same.work()
+    assert not third.vector.to_numpy().any()
+    longer, _ = made([1.0, 2.0, 3.0])
+    assert longer._tree not in (tree, other._tree)
+    for one in (again, other, longer):
+        one.free()
+        one.free()
+
+
+def test_rows_and_columns_are_different_layouts():
+    trees_of = []
+    for by_column in (False, True):
+        fields = Fields(ti.f32)
+        fields.table({"a": ti.f32}, 5, by_column=by_column)
+        fields.build()
+        trees_of.append(fields._tree)
+        fields.free()
+    assert trees_of[0] is not trees_of[1]
+
+
+@pytest.mark.skipif(ENGINE != "taichi", reason="it shares none")
+def test_equal_parts_compile_once_and_unequal_ones_anew():
+    counts, results = [], []
+    for weights, factor, extra in (
+        ([1.0, 2.0], 3.0, None),
+        ([4.0, 5.0], 3.0, None),
+        ([6.0, 7.0], 4.0, None),  # another constant
+        ([6.0, 7.0], 4.0, np.arange(3)),
+        ([6.0, 7.0], 4.0, np.arange(3) + 1),
+    ):
+        fields, part = made(weights, factor, extra)
+        known_by = share_kernels({"part": part})
+        before = compiled()
+        part.work()
+        counts.append(compiled() - before)
+        results.append(part.vector.to_numpy()[:, 2].tolist())
+        fields.free()
+        assert known_by
+    assert counts == [1, 0, 1, 1, 1]
+    assert results == [[3.0, 6.0], [12.0, 15.0], [24.0, 28.0], [24.0, 28.0], [24.0, 28.0]]
+
+
+def test_parts_from_elsewhere_share_nothing():
+    class Own(Part):
+        pass
+
+    Own.__module__ = "a_user"
+    fields = Fields(ti.f32)
+    part = ti.data_oriented(Own)(fields, np.ones(2), 3.0)
+    fields.build()
+    assert share_kernels({"part": part}) == ""
+    plain = made([1.0], extra=lambda x: x)
+    assert share_kernels({"part": plain[1]}) == ""
+    fields.free(), plain[0].free()
+
+
+def test_no_more_trees_are_kept_than_allowed(monkeypatch):
+    monkeypatch.setattr(trees, "MOST_KEPT", 2)
+    for n in (11, 12, 13):
+        made(np.ones(n))[0].free()
+    assert [tree.layout[0][1] for tree in trees._kept] == [12, 13]
+    monkeypatch.setattr(trees, "MOST_KEPT_BYTES", 0)
+    made(np.ones(14))[0].free()
+    assert not trees._kept
+
+
+def test_fields_that_are_given_up_leave_nothing_behind():
+    fields = Fields(ti.f32)
+    fields.reals(3)
+    fields.abandon()
+    open_ = ti.lang.impl.get_runtime().unfinalized_fields_builder
+    assert len(open_) == 1  # the engine's own
+    fields, part = made([1.0])
+    part.work()
+    fields.free()

@@ -1,0 +1,107 @@
+"""Taichi serves the thread that started it; nothing of the process is changed for others."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from physics_support import simulate
+
+import taichi_sim as ts
+from taichi_sim.device import backend
+from taichi_sim.device.engine import ENGINE
+from taichi_sim.device.fields import Fields
+from taichi_sim.render.renderer import Renderer
+
+pytestmark = pytest.mark.once
+
+
+def elsewhere(work):
+    """What work raises in another thread."""
+    raised = []
+
+    def run():
+        try:
+            work()
+        except BaseException as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=run, name="worker")
+    thread.start()
+    thread.join()
+    return raised[0] if raised else None
+
+
+def two_balls():
+    scene = ts.Scene(dim=2, gravity=(0, -8))
+    scene.add_balls([[0, 2], [0.5, 3]], radius=0.1)
+    return scene
+
+
+def test_another_thread_is_told_where_simulations_belong():
+    with simulate(two_balls(), dt=1e-3, contacts="off") as sim:
+        renderer = Renderer(sim.frame(), size=(8, 8))
+        frame = sim.frame()
+        for work in (
+            backend.check_thread,
+            lambda: ts.Simulation(two_balls()),
+            lambda: Renderer(frame, size=(8, 8)),
+            lambda: renderer.render(frame),
+            renderer.close,
+            lambda: Fields(None),
+        ):
+            error = elsewhere(work)
+            assert isinstance(error, ts.BackendError)
+            assert "'MainThread'" in str(error)
+            assert "'worker'" in str(error)
+            assert "process of its own" in str(error)
+        sim.step(1)  # and all is well here
+        assert renderer.render(frame).shape[:2] == (8, 8)
+        renderer.close()
+
+
+def test_a_forked_process_is_told_to_be_spawned(monkeypatch):
+    pid, *rest = backend._owner
+    monkeypatch.setattr(backend, "_owner", (pid - 1, *rest))
+    with pytest.raises(ts.BackendError, match="spawn"):
+        backend.check_thread()
+
+
+STARTS = """
+import sys, threading, time
+from taichi_sim.device import backend
+lines, stop = 0, False
+def talk():
+    while not stop:
+        print("line")
+        globals()["lines"] += 1
+thread = threading.Thread(target=talk)
+thread.start()
+backend.start("cpu")
+stop = True
+thread.join()
+sys.stderr.write(str(lines))
+"""
+
+
+def test_a_start_says_nothing_and_loses_nothing_of_other_threads():
+    done = subprocess.run([sys.executable, "-c", STARTS], capture_output=True, text=True, timeout=120, check=True)
+    assert set(done.stdout.splitlines()) == {"line"}
+    assert len(done.stdout.splitlines()) == int(done.stderr.split()[-1])
+
+
+@pytest.mark.skipif(ENGINE != "taichi", reason="the lock of Taichi")
+def test_a_stale_lock_of_the_cache_is_removed_and_said(tmp_path, monkeypatch):
+    monkeypatch.setenv("TI_OFFLINE_CACHE_FILE_PATH", str(tmp_path))
+    lock = tmp_path / "ticache.lock"
+    backend._free_cache(tmp_path / "other")  # none: nothing is said
+    lock.touch()
+    backend._free_cache(tmp_path / "other")
+    assert lock.exists()  # somebody may hold it
+    long_ago = time.time() - 3600.0
+    os.utime(lock, (long_ago, long_ago))
+    with pytest.warns(UserWarning, match=r"ticache\.lock: a killed process .* removed"):
+        backend._free_cache(tmp_path / "other")
+    assert not lock.exists()
