@@ -2,7 +2,7 @@
 
 Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
 wheel, pile, truss, net, balloon, tower), springs, attachments, cells, bending, gases, moving pins, wind, walls, colliders,
-triangles, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
+triangles, objects, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
 """
 
 import inspect
@@ -146,6 +146,9 @@ class Reader:
                     arguments["mesh"] = self._beside("mesh", arguments["mesh"])
                 scene.add_collider(shape_of(arguments))
         self._lists(scene, model, "triangles", "triangles", 3, scene.add_triangles)
+        for index, table in enumerate(model.objects):
+            with self._at("objects", index):
+                scene.set_name(**self._with_file(("objects", index), table, ("balls",)))
         for index, table in enumerate(model.embedded_surfaces):
             with self._at("embedded_surfaces", index):
                 arguments = self._with_file(("embedded_surfaces", index), table, ("corners", "weights", "triangles"))
@@ -269,8 +272,8 @@ class Reader:
             return
         if name in self.groups:
             raise SceneError("table.name", name, says="exists already; every group of balls needs its own name")
-        self.groups[name] = balls
         scene.set_name(balls, name)
+        self.groups[name] = balls
 
     def _members(self, scene: Scene, where: str, arguments: dict[str, Any], width: int) -> NDArray[np.int32]:
         """The scene's balls that a table of springs or triangles names within its group."""
@@ -290,7 +293,7 @@ class Reader:
         arguments = _given(table)
         name, prefix = arguments.pop("file", None), arguments.pop("prefix", "")
         if name is not None:
-            named = place[0] in ("moving_pins", "probes")  # there `balls` may be numbers
+            named = place[0] in ("moving_pins", "probes", "objects")  # there `balls` may be numbers
             own = ("file", "prefix", "name") if named else ("file", "prefix", "name", "balls")
             known = [key for key in type(table).model_fields if key not in own]
             for key, array in self._arrays(name, prefix).items():

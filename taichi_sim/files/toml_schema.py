@@ -160,6 +160,7 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "colliders": _colliders(),
     "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
     "probes": _arguments(Scene.add_probe, **_led, **_file),
+    "objects": _optional(_arguments(Scene.set_name, **_file), "balls"),
     "embedded_surfaces": _optional(
         _arguments(Scene.add_embedded_surface, **_group, **_file), "corners", "weights", "triangles"
     ),

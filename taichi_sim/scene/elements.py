@@ -13,7 +13,7 @@ from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Table, sealed
 from taichi_sim.scene.keyframes import Motion, keyframe
-from taichi_sim.scene.objects import Objects, saved_object
+from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.probes import Probed
 
 __all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
@@ -358,7 +358,7 @@ class Elements(Probed, Objects):
             "gases": [{"pressure": g.pressure, "outside": g.outside, "volume": g.volume} for g in self.gases],
             "moving_pins": [dict(pins.given) for pins in self.moving_pins],
             "probes": [{"name": one.name, "kind": one.kind, **one.plain()} for one in self.probes],
-            "objects": [{"kind": one.kind, "name": one.name} for one in self.objects],
+            "objects": [one.name for one in self.objects],
         }
 
     def element_arrays(self) -> dict[str, NDArray]:
@@ -395,8 +395,12 @@ class Elements(Probed, Objects):
                 own = {key.removeprefix(start): array for key, array in arrays.items() if key.startswith(start)}
                 with place_of(f"probes[{k}]"):
                     validation.call("probes", self.add_probe, {**table, **own})
-            for k, table in enumerate(validation.tables(about, "objects") if "objects" in about else []):
-                self.objects.append(saved_object(k, table, arrays, self.n_balls))
+            names = about.get("objects", [])
+            if not isinstance(names, (list, tuple)):
+                raise SceneError("objects", names, "a list of names")
+            for k, name in enumerate(names):
+                with place_of(f"objects[{k}]"):
+                    self.set_name(_array(arrays, "objects", k, "balls"), name, arrays.get(f"objects.{k}.uv"))
 
 
 def _array(arrays: Mapping[str, NDArray], *path: str | int) -> NDArray:

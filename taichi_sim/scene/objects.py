@@ -10,19 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["LOOSE", "Objects", "SceneObject", "named", "saved_object"]
+__all__ = ["LOOSE", "Objects", "SceneObject", "named"]
 
 LOOSE = "balls"  # what balls of no object are called together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneObject:
-    """One object of a scene. kind: the shape that made it, `cloth`. name: "" where it was given none."""
+    """One object of a scene."""
 
-    kind: str
     name: str
     balls: NDArray[np.int32]  # (k,)
-    uv: NDArray[np.float64] | None = None  # (k, 2) in 0..1, of a sheet that has them
+    uv: NDArray[np.float64] | None = None  # (k, 2) places on a sheet, in 0..1
+    kind: str = ""  # the shape that made it, where its name is this and a number, cloth_0
 
 
 class Objects:
@@ -30,52 +30,70 @@ class Objects:
 
     def _begin_objects(self) -> None:
         self.objects: list[SceneObject] = []
+        self._names: dict[str, int] = {}  # their numbers by name, and by the first of their balls
+        self._firsts: dict[int, int] = {}
+        self._counts: dict[str, int] = {}  # by kind: numbers that are in use below this one
 
-    def set_name(self: Any, balls: ArrayLike, name: str) -> None:
+    def set_name(self: Any, balls: ArrayLike, name: str, uv: ArrayLike | None = None) -> None:
         """Call balls (k,) by a name, those of a shape for instance, in files that other programs open. Raises SceneError where
-        something has that name already."""
+        something was given that name already.
+
+        uv: (k, 2) places of the balls on a texture, in 0..1; None: those that it has, as a rectangular cloth does.
+        """
         if not isinstance(name, str) or not name:
-            raise SceneError("name", name, "a text")
-        if any(one.name == name for one in self.objects):
-            raise SceneError("name", name, says="exists already; every object needs its own name")
-        index = validation.indices("balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
-        for k, one in enumerate(self.objects):
-            if not one.name and np.array_equal(one.balls, index):
-                self.objects[k] = replace(one, name=name)
-                return
-        self.objects.append(SceneObject(LOOSE, name, index))
+            raise SceneError("objects.name", name, "a text")
+        index = validation.indices("objects.balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
+        places = None if uv is None else validation.vectors("objects.uv", uv, len(index), 2)
+        self._look_up()
+        same = self._firsts.get(int(index[0])) if len(index) else None
+        if same is not None and not np.array_equal(self.objects[same].balls, index):
+            same = None
+        other = self._names.get(name, same)
+        if other is not None and other != same:
+            kind = self.objects[other].kind
+            if not kind:
+                raise SceneError("objects.name", name, says="exists already; every object needs its own name")
+            self._put(other, replace(self.objects[other], name=self._free_name(kind)))
+        if places is None and same is not None:
+            places = self.objects[same].uv
+        self._put(len(self.objects) if same is None else same, SceneObject(name, index, places))
 
+    def new_object(self, kind: str, balls: NDArray[np.int32], uv: NDArray[np.float64] | None = None) -> None:
+        """Balls (k,) that a shape of this kind has added are one object, called by it and a number. uv: as for `set_name`."""
+        self._look_up()
+        self._put(len(self.objects), SceneObject(self._free_name(kind), balls, uv, kind))
 
-def saved_object(k: int, given: Any, arrays: Any, n_balls: int) -> SceneObject:
-    """Object k as a file of a scene holds it, checked. Raises SceneError."""
-    where = f"objects[{k}]"
-    kind, name = given.get("kind"), given.get("name")
-    if not isinstance(kind, str) or not kind or not isinstance(name, str):
-        raise SceneError(where, given, "a kind and a name, both texts")
-    if f"objects.{k}.balls" not in arrays:
-        raise SceneError(f"objects.{k}.balls", says="is missing")
-    balls = validation.indices(f"objects.{k}.balls", arrays[f"objects.{k}.balls"], n_balls)
-    uv = arrays.get(f"objects.{k}.uv")
-    return SceneObject(
-        kind, name, balls, None if uv is None else validation.vectors(f"objects.{k}.uv", uv, len(balls), 2)
-    )
+    def _put(self, number: int, one: SceneObject) -> None:
+        if number < len(self.objects):
+            self._names.pop(self.objects[number].name)
+        self.objects[number : number + 1] = [one]
+        self._names[one.name] = number
+        if len(one.balls):
+            self._firsts[int(one.balls[0])] = number
+
+    def _look_up(self) -> None:
+        """Know them by name, also where some were taken back."""
+        if len(self._names) != len(self.objects):
+            self._names = {one.name: k for k, one in enumerate(self.objects)}
+            self._firsts = {int(one.balls[0]): k for k, one in enumerate(self.objects) if len(one.balls)}
+            self._counts = {}
+
+    def _free_name(self, kind: str) -> str:
+        count = self._counts.get(kind, 0)
+        while (name := f"{kind}_{count}") in self._names:
+            count += 1
+        self._counts[kind] = count
+        return name
 
 
 def named(n: int, objects: Sequence[SceneObject]) -> tuple[NDArray[np.int32], list[str]]:
-    """For each of n balls the number (n,) of its object, the last one where several have it, and what these are called, in the
-    order of the scene: by name, or by kind and number, cloth_0. Balls of none come last."""
-    taken, counts, names = {one.name for one in objects}, dict[str, int](), []
-    for one in objects:
-        name = one.name
-        while not name or (name in taken and not one.name):
-            count = counts.get(one.kind, 0)
-            name, counts[one.kind] = f"{one.kind}_{count}", count + 1
-        names.append(name)
+    """For each of n balls the number (n,) of its object, the last one where several have it, and their names, in the order of
+    the scene. Balls of none come last."""
     number = np.full(n, len(objects), dtype=np.int32)
     for k, one in enumerate(objects):
         number[one.balls] = k
     used, inverse = np.unique(number, return_inverse=True)
-    loose = LOOSE
+    names, loose = [one.name for one in objects], LOOSE
     while loose in names:
         loose += "_"
     return inverse.astype(np.int32), [[*names, loose][k] for k in used.tolist()]

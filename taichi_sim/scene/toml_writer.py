@@ -77,6 +77,10 @@ def _document(scene: Any, store: _Arrays) -> dict[str, Any]:
     if len(scene.triangles):
         columns = {"triangles": scene.triangles, "collides": _one(scene.solid)}
         tables["triangles"] = [store.table("triangles_", columns)]
+    tables["objects"] = [
+        store.table(f"objects_{k}_", {"balls": one.balls} | ({} if one.uv is None else {"uv": one.uv}), name=one.name)
+        for k, one in enumerate(scene.objects)
+    ]
     tables["embedded_surfaces"] = [_surface(surface, store, k) for k, surface in enumerate(scene.embedded_surfaces)]
     tables["probes"] = [
         store.table(f"probes_{k}_", probe.arrays(), name=probe.name, kind=probe.kind, **probe.plain())
@@ -133,13 +137,9 @@ def _groups(scene: Any, group: int, mask: int) -> dict[str, Any]:
 
 
 def _balls(scene: Any, store: _Arrays) -> list[dict[str, Any]]:
-    """One table for each run of balls that share material, body, groups, colour and name, which a table has once."""
-    called = np.full(scene.n_balls, -1)
-    for k, one in enumerate(scene.objects):
-        if one.name:
-            called[one.balls] = k
+    """One table for each run of balls that share material, body, groups and colour, which a table has once."""
     shared = np.column_stack(
-        [scene.material, scene.body, scene.group, scene.mask, called, np.nan_to_num(scene.colour, nan=-1.0)]
+        [scene.material, scene.body, scene.group, scene.mask, np.nan_to_num(scene.colour, nan=-1.0)]
     )
     starts = np.flatnonzero(np.any(shared[1:] != shared[:-1], axis=1)) + 1
     rows = []
@@ -148,9 +148,6 @@ def _balls(scene: Any, store: _Arrays) -> list[dict[str, Any]]:
             continue
         first = run[0]
         plain: dict[str, Any] = {"material": scene.materials[scene.material[first]].name}
-        one = scene.objects[called[first]] if called[first] >= 0 else None
-        if one is not None and np.array_equal(one.balls, run):
-            plain["name"] = one.name
         if scene.body[first]:
             plain["body"] = int(scene.body[first])
         plain |= _groups(scene, int(scene.group[first]), int(scene.mask[first]))

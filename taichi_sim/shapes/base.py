@@ -12,7 +12,6 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.memory import available
 from taichi_sim.geometry import mesh as meshes
-from taichi_sim.scene.objects import SceneObject
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -260,7 +259,7 @@ def build(
             colour=part.colour,
             body=0 if part.self_collision else scene.new_body(),
         )
-        scene.objects.append(SceneObject(shape, "", balls, uv))
+        scene.new_object(shape, balls, uv)
         springs = scene.add_springs(
             balls[pairs].reshape(-1, 2),
             stiffness=strength,

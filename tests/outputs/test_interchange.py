@@ -10,6 +10,7 @@ import sys
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from taichi_sim.analysis.frame import Placed
 from taichi_sim.outputs import CODECS, OTHERS, Output, export, open_output, open_outputs
 from taichi_sim.outputs.parts import Parts
 from taichi_sim.render.palette import to_linear
+from taichi_sim.scene.objects import named
 
 pytestmark = pytest.mark.once
 
@@ -406,23 +408,61 @@ def test_names_come_from_scene_files_and_go_back(tmp_path):
         "[[rope]]\nstart = [0.0, 1.0, 0.0]\nend = [1.0, 1.0, 0.0]\nn = 4\n"
         '[[colliders]]\nshape = "sphere"\ncenter = [0.0, 5.0, 0.0]\nradius = 1.0\nname = "moon"\n'
     )
-    from taichi_sim.scene.objects import named
-
     scene = ts.load_scene(tmp_path / "a.toml")
     number, names = named(scene.n_balls, scene.objects)
     assert names == ["stones", "line", "rope_0"]
     assert number.tolist() == [0, 0, 1, 1, 1, 1, 2, 2, 2, 2]
     scene.save(tmp_path / "b.toml")
     again = ts.load_scene(tmp_path / "b.toml")
-    assert [one.name for one in again.objects] == ["stones", "line"]
+    assert again.elements() == scene.elements()
+    assert named(again.n_balls, again.objects)[1] == names
     assert [one.label for one in again.colliders] == ["moon"]
     kept = ts.Scene(dim=3)  # as a state file has it
     kept.from_arrays(scene.to_arrays())
     kept.set_elements(json.loads(json.dumps(scene.elements())), scene.element_arrays())
     assert named(kept.n_balls, kept.objects)[1] == names
+    kept.objects.clear()
     for damaged in ({"objects.0.balls": np.array([99])}, {"objects.0.uv": np.zeros((1, 3))}):
-        with pytest.raises(ts.SceneError, match=r"objects\[0\]"):
+        with pytest.raises(ts.SceneError, match=r"objects\[0\].(balls|uv)"):
             kept.set_elements(scene.elements(), scene.element_arrays() | damaged)
+
+
+def test_a_name_that_a_shape_took_by_itself_can_be_given():
+    scene = ts.Scene(dim=3)
+    ropes = [ts.shapes.rope(scene, (0, k, 0), (1, k, 0), 3) for k in range(3)]
+    scene.set_name(ropes[2].balls, "rope_0")
+    assert [one.name for one in scene.objects] == ["rope_3", "rope_1", "rope_0"]
+    scene.set_name(ropes[2].balls, "line")  # another name for the same
+    scene.set_name(np.concatenate([ropes[0].balls, ropes[1].balls]), "pair")
+    assert named(9, scene.objects)[1] == ["line", "pair"]
+
+
+def test_names_of_many_objects_are_found_soon():
+    scene = ts.Scene(dim=2)
+    scene.add_balls(np.stack([np.arange(20_000.0), np.zeros(20_000)], axis=1), radius=0.1)
+    begin = perf_counter()
+    for k in range(10_000):
+        scene.new_object("rope", np.array([k], dtype=np.int32))
+        scene.set_name([10_000 + k], f"ball {k}")
+    assert perf_counter() - begin < 5.0  # some 0.3 s; each looking at all others would take minutes
+    with pytest.raises(AttributeError), scene.all_or_nothing():
+        scene.new_object("rope", np.array([3], dtype=np.int32)).none  # noqa: B018
+    scene.new_object("rope", np.array([3], dtype=np.int32))
+    assert [scene.objects[k].name for k in (0, -3, -2, -1)] == ["rope_0", "rope_9999", "ball 9999", "rope_10000"]
+
+
+def test_places_on_textures_come_back_from_a_file(tmp_path):
+    scene = ts.Scene(dim=3)
+    ts.shapes.cloth(scene, (1, 1), (12, 12))
+    scene.save(tmp_path / "a.toml")
+    again = ts.load_scene(tmp_path / "a.toml")
+    assert again.objects[0].name == "cloth_0"
+    assert np.array_equal(again.objects[0].uv, scene.objects[0].uv)
+    (tmp_path / "a.toml").write_text((tmp_path / "a.toml").read_text().replace("cloth_0", ""))
+    with pytest.raises(
+        ts.SceneError, match=r"a.toml, line \d+: objects\[0\].name: '' is not allowed; it must be a text"
+    ):
+        ts.load_scene(tmp_path / "a.toml")
 
 
 def test_bad_names_are_refused():
