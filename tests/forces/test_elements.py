@@ -66,7 +66,7 @@ def joined() -> ts.Scene:
     """The same, and two more cells, of the other diagonal; three of the four act together."""
     scene = square()
     scene.add_cells([[0, 1, 3], [1, 2, 3]], bulk_modulus=[25.0, 15.0], rest_volume=[0.4, 0.6])
-    scene.cells_together[:] = [0, -1, 0, 0]
+    scene._cells.replace(slice(None), together=[0, -1, 0, 0])
     return scene
 
 
@@ -220,7 +220,7 @@ def closed(dim: int) -> ts.Scene:
     scene.wind = None
     scene.set_balls(pinned=False)
     if dim == 3:
-        scene.bend_damping[:] = 0.0
+        scene.set_bending(damping=0.0)
     return scene
 
 

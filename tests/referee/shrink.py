@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +91,7 @@ def _plainer(case: Case) -> Iterator[Case]:
     if scene.wind is not None:
         yield edited(lambda s: setattr(s, "wind", None))
     if scene.gravity.any():
-        yield edited(lambda s: s.gravity.fill(0.0))
+        yield edited(lambda s: setattr(s, "gravity", np.zeros(s.dim)))
     for law in ("friction", "restitution", "viscous_friction"):
         if any(getattr(m, law) for m in scene.materials):
             yield edited(
@@ -103,7 +104,9 @@ def _plainer(case: Case) -> Iterator[Case]:
     for name in ("mass", "radius", "stiffness", "damping"):
         column = getattr(scene, name)
         if len(column) and np.ptp(column):
-            yield edited(lambda s, name=name: getattr(s, name).fill(float(np.median(getattr(s, name)))))
+            yield edited(
+                lambda s, name=name: _set(s, name, np.full(len(getattr(s, name)), np.median(getattr(s, name))))
+            )
 
 
 def _round(scene: ts.Scene, digits: int, names: tuple[str, ...] = ROUNDED) -> None:
@@ -113,8 +116,15 @@ def _round(scene: ts.Scene, digits: int, names: tuple[str, ...] = ROUNDED) -> No
         unit = 10.0 ** (np.floor(np.log10(size)) - digits + 1)
         if name in ("position", "velocity"):  # one unit for all, or what touches comes apart the more
             unit = 10.0 ** (np.floor(np.log10(max(float(np.abs(column).max(initial=0.0)), 1e-12))) - digits)
-        column[:] = (
-            [float(f"{value:.10g}") for value in (np.round(column / unit) * unit).ravel()]
-            if column.ndim == 1
-            else (np.round(np.round(column / unit) * unit, 12))
-        )
+        rounded = np.round(column / unit) * unit
+        flat = column.ndim == 1
+        _set(scene, name, [float(f"{value:.10g}") for value in rounded.ravel()] if flat else np.round(rounded, 12))
+
+
+def _set(scene: ts.Scene, name: str, values: Any) -> None:
+    """Give a column of balls, springs or cells other values."""
+    if name == "bulk_modulus":
+        scene._cells.replace(slice(None), bulk_modulus=values)
+        return
+    change = scene.set_springs if name in ("stiffness", "damping", "rest_length", "break_strain") else scene.set_balls
+    change(**{name: values})
