@@ -119,7 +119,7 @@ def test_files_keep_groups(tmp_path):
         assert other.groups.names == scene.groups.names
         assert np.array_equal(other.group, scene.group)
         assert np.array_equal(other.mask, scene.mask)
-        assert other.walls == scene.walls
+        assert list(other.walls) == scene.walls
     text = (tmp_path / "x.toml").read_text()
     (tmp_path / "x.toml").write_text(text.replace('"rope"', "7"))
     with pytest.raises(ts.SceneError, match=r"balls\[0\].group"):
