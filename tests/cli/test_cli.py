@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -411,4 +412,5 @@ def test_an_interrupt_leaves_no_half_file(folder, number, status, words):
     assert running.returncode == status
     said = [line for line in err.splitlines() if "frames are kept; --resume" not in line]  # where one was drawn by then
     assert "\n".join(said).strip() == words
+    shutil.rmtree(folder / ".x.mp4.resume", ignore_errors=True)
     assert names(folder) == ["ball.toml", "stiff.toml"]
