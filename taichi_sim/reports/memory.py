@@ -1,5 +1,6 @@
 """Where the memory of a simulation goes: bytes of every field that it has declared."""
 
+from collections.abc import Iterator
 from typing import Any
 
 from taichi_sim.simulation.simulation import Simulation
@@ -12,7 +13,7 @@ def breakdown(simulation: Simulation) -> dict[str, int]:
     seen: set[int] = set()
 
     def visit(owner: Any) -> None:
-        for name, value in vars(owner).items():
+        for name, value in _each(vars(owner)):
             if id(value) in seen:
                 continue
             size = parts.fields.size(value)
@@ -25,3 +26,12 @@ def breakdown(simulation: Simulation) -> dict[str, int]:
 
     visit(parts)
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _each(held: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """What an object holds, and what lies in its lists, by name."""
+    for name, value in held.items():
+        if isinstance(value, list):
+            yield from ((f"{name}[{k}]", one) for k, one in enumerate(value))
+        else:
+            yield name, value
