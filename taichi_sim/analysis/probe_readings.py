@@ -83,7 +83,7 @@ class Reader:
     def probes(self: Any) -> dict[str, float]:
         """Every number of every probe of the scene by its name, `load.tension`, in SI units; see `Scene.add_probe`. Forces on
         walls and rates are means since they were last read at an earlier time: nan where that is now."""
-        return self.readings.read(self.time, self._sample()) if self._probed else {}
+        return self.readings.read(self.time, self._sample()) if self.scene.probes else {}
 
     def probe(self: Any, name: str) -> Any:
         """One number, `load.tension`, or `load` where it has no other: a float; a vector, `tip`: (dim,). Reads them all. Raises
@@ -93,8 +93,8 @@ class Reader:
 
     def _begin_readings(self: Any) -> None:
         """Means count from now on."""
-        self.readings = Readings(self._probed)
-        if self._probed:
+        self.readings = Readings(self.scene.probes)
+        if self.scene.probes:
             self.readings.begin(self.time, self._sample())
 
     def _sample(self: Any) -> ProbeSample:

@@ -113,9 +113,6 @@ class Arrays(Resumable):
             column.hold()
         return {"columns": {name: column.shape for name, column in self._columns.items()}}
 
-    def kept(self) -> int:
-        return 0 if self.log.checkpoint is None else self.log.checkpoint.frame
-
     def _place(self, number: int) -> Path:
         return self.log.folder / f"column_{number:03d}"
 

@@ -51,9 +51,6 @@ class Geometry(Resumable):
     def hold(self) -> Mapping[str, Any]:
         return {}  # each file is on the disk when it appears
 
-    def kept(self) -> int:
-        return 0 if self.log.checkpoint is None else self.log.checkpoint.frame
-
     def _file(self, index: int) -> Path:
         return self.path.with_name(f"{self.path.stem}_{index:05d}{self.suffix}")
 

@@ -9,14 +9,13 @@ from typing import Any
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import naming, replacing, require_place
 from taichi_sim.outputs.base import Image
-from taichi_sim.outputs.records import Records
-from taichi_sim.outputs.resumable import Resumable
+from taichi_sim.outputs.resumable import Recorded
 from taichi_sim.outputs.run_log import Checkpoint
 
 SHORTEST = 2  # 1/100 s; shorter ones are played at a tenth of the speed
 
 
-class Gif(Resumable):
+class Gif(Recorded):
     """A GIF that repeats for ever; 256 colours per frame.
 
     A GIF counts time in 1/100 s and players show no frame for less than 2/100 s: above 50 frames per second some frames
@@ -25,12 +24,9 @@ class Gif(Resumable):
     """
 
     def __init__(self, path: str | PathLike[str], fps: float = 25.0, resume: bool = False) -> None:
-        super().__init__(path, resume=resume)
+        super().__init__(path, "pictures", resume=resume)  # as PNG with a palette: small enough to wait for the end
         self.fps = fps
         require_place(path)
-        # as PNG with a palette: small enough to wait for the end
-        self._pictures = Records(self.log.folder / "pictures", self.log.resumes)
-        self._kept = self._pictures.number  # by an earlier run
         self._starts: list[int] = []  # 1/100 s, of the pictures
         self._end = 0  # 1/100 s, when the last frame, shown or left out, is over
 
@@ -42,11 +38,8 @@ class Gif(Resumable):
             self.wants(index)
 
     def hold(self) -> Mapping[str, Any]:
-        self._pictures.hold()
-        return {"pictures": self._pictures.number}
-
-    def kept(self) -> int:
-        return self._pictures.number if self._pictures.path.is_file() else 0
+        super().hold()
+        return {"pictures": self._records.number}
 
     def wants(self, index: int) -> bool:
         """Whether this frame is not too close to the last one, nor kept already."""
@@ -68,7 +61,7 @@ class Gif(Resumable):
         buffer = io.BytesIO()
         Pictures.fromarray(image).quantize(256, dither=Pictures.Dither.NONE).save(buffer, "PNG", compress_level=1)
         with naming(self.path):
-            self._pictures.append(buffer.getvalue())
+            self._records.append(buffer.getvalue())
         self._starts.append(self._at(index))
 
     def finish(self) -> None:
@@ -78,17 +71,17 @@ class Gif(Resumable):
         with replacing(self.path) as file:
             if self._starts:
                 first, *rest = (
-                    Pictures.open(io.BytesIO(picture)) for picture in islice(self._pictures, len(self._starts))
+                    Pictures.open(io.BytesIO(picture)) for picture in islice(self._records, len(self._starts))
                 )
                 ends = [*self._starts[1:], max(self._end, self._starts[-1] + 1)]
                 shown = [10 * (end - start) for start, end in zip(self._starts, ends)]  # ms
                 first.save(file, "GIF", save_all=True, append_images=rest, duration=shown, loop=0)
-        self._pictures.close()
+        self._records.close()
         self.log.delete()
 
     def discard(self) -> None:
         """Give it up; its frames stay beside it, for resume."""
-        self._pictures.close()
+        self._records.close()
         self.leave()
 
     def _at(self, index: int) -> int:

@@ -55,9 +55,6 @@ class Growing(Resumable):
             synced(file)
         return {}
 
-    def kept(self) -> int:
-        return 0 if self.log.checkpoint is None else self.log.checkpoint.frame
-
     def _replace(self, fill: Any) -> None:
         part = PartFile(self.path)
         try:

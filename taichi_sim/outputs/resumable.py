@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_sim.outputs.base import Output
+from taichi_sim.outputs.records import Records
 from taichi_sim.outputs.run_log import Checkpoint, RunLog
 
 
@@ -46,8 +47,9 @@ class Resumable(Output):
         raise NotImplementedError
 
     def kept(self) -> int:
-        """Frames that another run need not draw again."""
-        return self.frames
+        """Frames that another run need not draw again: those before the last checkpoint."""
+        last = self.log.checkpoint
+        return 0 if last is None else last.frame
 
     def leave(self) -> None:
         """Leave for another run what is worth it."""
@@ -56,6 +58,34 @@ class Resumable(Output):
         if not self.frames and self.log.checkpoint is None:
             self.log.delete()
         self.log.close()
+
+
+class Recorded(Resumable):
+    """One whose frames wait as records, one each, in the file `name` of the log's folder, until it is complete."""
+
+    def __init__(self, path: str | PathLike[str], name: str, *, resume: bool) -> None:
+        super().__init__(path, resume=resume)
+        self._records = Records(self.log.folder / name, self.log.resumes)
+        self._kept = self._records.number  # by an earlier run
+
+    def has(self, checkpoint: Checkpoint) -> bool:
+        return self._kept >= checkpoint.frame
+
+    def go_on(self, checkpoint: Checkpoint) -> None:
+        self.frames = checkpoint.frame
+
+    def hold(self) -> Mapping[str, Any]:
+        self._records.hold()
+        return {}
+
+    def kept(self) -> int:
+        return self._records.number if self._records.path.is_file() else 0
+
+    def wants(self, index: int) -> bool:
+        """Whether the frame is not kept already."""
+        if index < self._kept:
+            self.frames = index + 1
+        return index >= self._kept
 
 
 def require_there(files: Iterable[Path]) -> None:

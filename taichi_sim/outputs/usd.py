@@ -19,9 +19,7 @@ from taichi_sim.common.atomic_file import naming, require_place
 from taichi_sim.outputs.base import Image
 from taichi_sim.outputs.extras import needed
 from taichi_sim.outputs.parts import Parts, in_3d, normals_of, placed
-from taichi_sim.outputs.records import Records
-from taichi_sim.outputs.resumable import Resumable
-from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.outputs.resumable import Recorded
 from taichi_sim.render.camera import Camera, robust_bounds
 from taichi_sim.render.palette import to_linear
 from taichi_sim.render.tracker import Tracker
@@ -36,7 +34,7 @@ MATERIALS = "/World/materials"
 UNSAVED = 1 << 26  # bytes that wait in memory
 
 
-class Usd(Resumable):
+class Usd(Recorded):
     """/World holds an Xform for each object, with its name, and in it a Mesh `surface` (points and normals over time, st where
     the object has a grid), Points `balls` (widths: diameters) of those that no surface covers, and BasisCurves `springs`; a Mesh
     for each collider, which a transform moves; a square for each wall, in the purpose `guide` where it is no floor; `camera`.
@@ -50,14 +48,12 @@ class Usd(Resumable):
 
     def __init__(self, path: str | PathLike[str], fps: float = 60.0, resume: bool = False) -> None:
         needed("pxr", "usd", Path(path))
-        super().__init__(path, resume=resume)
+        super().__init__(path, "frames", resume=resume)
         require_place(path)
         self.fps = float(Fraction(fps).limit_denominator(100_000))
         self._first: Frame | None = None
         self._tracker: Tracker | None = None
         self._aspect = 16 / 9
-        self._records = Records(self.log.folder / "frames", self.log.resumes)
-        self._kept = self._records.number  # by an earlier run
 
     def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
         self._first, self._aspect = first, size[0] / size[1]
@@ -66,25 +62,6 @@ class Usd(Resumable):
 
     def options(self) -> Mapping[str, Any]:
         return {"aspect": self._aspect}
-
-    def has(self, checkpoint: Checkpoint) -> bool:
-        return self._kept >= checkpoint.frame
-
-    def go_on(self, checkpoint: Checkpoint) -> None:
-        self.frames = checkpoint.frame
-
-    def hold(self) -> Mapping[str, Any]:
-        self._records.hold()
-        return {}
-
-    def kept(self) -> int:
-        return self._records.number if self._records.path.is_file() else 0
-
-    def wants(self, index: int) -> bool:
-        """Whether the frame is not kept already."""
-        if index < self._kept:
-            self.frames = index + 1
-        return index >= self._kept
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Keep what changes."""

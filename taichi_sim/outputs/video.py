@@ -11,9 +11,7 @@ import numpy as np
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import PartFile, naming
 from taichi_sim.outputs.base import Image
-from taichi_sim.outputs.records import Records
-from taichi_sim.outputs.resumable import Resumable
-from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.outputs.resumable import Recorded
 
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
 LIMITED = 1  # studio range, as players expect
@@ -41,7 +39,7 @@ CODECS = {
 }
 
 
-class Video(Resumable):
+class Video(Recorded):
     """A video: yuv420p, colours marked as BT.709. MP4 with H.264, which plays everywhere and has its index at the front, or
     H.265, which takes half the space; WebM with VP9.
 
@@ -62,38 +60,17 @@ class Video(Resumable):
         codec: str = "h264",
         resume: bool = False,
     ) -> None:
-        super().__init__(path, resume=resume)
+        super().__init__(path, "pictures", resume=resume)  # without loss
         self.codec = CODECS[codec]
         self.rate = Fraction(fps).limit_denominator(100_000)
         self.crf = self.codec.crf if crf is None else crf
         self._part = PartFile(path)
-        self._pictures = Records(self.log.folder / "pictures", self.log.resumes)  # without loss
-        self._kept = self._pictures.number  # by an earlier run
         self._keeper: Any = None  # encodes them
         self._container: Any = None
         self._stream: Any = None
 
     def options(self) -> Mapping[str, Any]:
         return {"codec": self.codec.encoder, "quality": self.crf}
-
-    def has(self, checkpoint: Checkpoint) -> bool:
-        return self._kept >= checkpoint.frame
-
-    def go_on(self, checkpoint: Checkpoint) -> None:
-        self.frames = checkpoint.frame
-
-    def hold(self) -> Mapping[str, Any]:
-        self._pictures.hold()
-        return {}
-
-    def kept(self) -> int:
-        return self._pictures.number if self._pictures.path.is_file() else 0
-
-    def wants(self, index: int) -> bool:
-        """Whether the frame is not kept already."""
-        if index < self._kept:
-            self.frames = index + 1
-        return index >= self._kept
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Encode one picture."""
@@ -118,13 +95,13 @@ class Video(Resumable):
             keeper.width, keeper.height, keeper.pix_fmt = picture.width, picture.height, "yuv420p"
             keeper.time_base, keeper.options = 1 / self.rate, LOSSLESS
         picture.time_base, picture.pts = 1 / self.rate, index
-        self._pictures.append(b"".join(bytes(packet) for packet in self._keeper.encode(picture)))
+        self._records.append(b"".join(bytes(packet) for packet in self._keeper.encode(picture)))
 
     def _kept_pictures(self) -> Iterator[Any]:
         import av
 
         decoder = av.CodecContext.create("h264", "r")
-        for data in self._pictures:
+        for data in self._records:
             yield from decoder.decode(av.Packet(data))
         yield from decoder.decode(None)
 
@@ -171,12 +148,12 @@ class Video(Resumable):
                 self._container.close()
                 self._container = None
         self._part.finish()
-        self._pictures.close()
+        self._records.close()
         self.log.delete()
 
     def discard(self) -> None:
         """Delete the unfinished file; its frames stay beside it, for resume."""
         self._container = self._stream = None
         self._part.discard()
-        self._pictures.close()
+        self._records.close()
         self.leave()

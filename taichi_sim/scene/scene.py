@@ -26,6 +26,10 @@ from taichi_sim.scene.toml_writer import save_scene
 __all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
 
 
+# what a scene holds in lists
+LISTS = ("materials", "walls", "colliders", "embedded_surfaces", "gases", "moving_pins", "probes", "objects")
+
+
 class Scene(Stored, Elements):
     """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
@@ -429,8 +433,7 @@ class Scene(Stored, Elements):
         """What the block adds to this scene is taken back where it raises: for shapes, which add several things."""
         self._may_change("anything")
         tables = [(table, table.rows) for table in self._tables().values()]
-        lists: list[Any] = [self.materials, self.walls, self.colliders, self.embedded_surfaces, self.gases]
-        lists += [self.moving_pins, self.probes, self.objects, self.groups.names]
+        lists: list[Any] = [self.groups.names, *(getattr(self, name) for name in LISTS)]
         lengths, bodies = [len(one) for one in lists], self._bodies
         try:
             yield
@@ -464,18 +467,9 @@ class Scene(Stored, Elements):
         if isinstance(self.walls, tuple):
             return self
         held = copy(self)
-        for name in ("_balls", "_springs", "_triangles", "_cells", "_bends"):
-            setattr(held, name, getattr(self, name).copy())
-        for name in (
-            "materials",
-            "walls",
-            "colliders",
-            "embedded_surfaces",
-            "gases",
-            "moving_pins",
-            "probes",
-            "objects",
-        ):
+        for name, table in self._tables().items():
+            setattr(held, f"_{name}", table.copy())
+        for name in LISTS:
             setattr(held, name, tuple(getattr(self, name)))
         held.groups, held._material_names = Groups(self.groups.names), Names()
         held.settings, held.output = deepcopy(self.settings), deepcopy(self.output)

@@ -105,7 +105,6 @@ class AdaptiveStepper(Stepper):
     ) -> None:
         super().__init__(scene, settings, parts, dt, substeps, safe, own)
         assert settings.tolerance is not None
-        self.own = own
         self.may_shorten = False  # it does so all the time
         self.size = size(scene)
         self.share = settings.tolerance * self.size * dt  # m, of one step

@@ -54,12 +54,8 @@ FINEST_ROUNDING = 1e-11  # of a radius: rounding of positions that adds up to 1e
 MEMORY_SHARE = 0.5  # of what the machine has free, or a GPU has in all: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same where a GPU does not say what it has
 PAIR_BYTES = 64  # about what a listed pair takes
-SPARE_CAPACITY, LARGE_SPARE_CAPACITY = (
-    1.5,
-    4.0,
-)  # made, in units of what was found too much: once, and if that happens again
-
-
+# made, in units of what was found too much: once, and if that happens again
+SPARE_CAPACITY, LARGE_SPARE_CAPACITY = 1.5, 4.0
 NOT_COMPILED = ("arguments", "h", "capacity", "backend", "_grids")  # of an assembly, nothing that kernels read
 
 

@@ -95,10 +95,8 @@ class Settings:
             if not _auto(values[name]):
                 values[name] = validation.whole(name, values[name], 1, MOST_PARTS_GIVEN)
         if not _auto(values["dt"]):
-            tiny = isinstance(values["dt"], float) and 0.0 < values["dt"] < SHORTEST_DT
-            if not tiny:
-                values["dt"] = validation.number("dt", values["dt"], high=math.inf, positive=True)
-            if tiny or not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
+            values["dt"] = validation.number("dt", values["dt"], high=math.inf)
+            if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
                 raise SceneError("dt", values["dt"], f"from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds")
         if values["tolerance"] is not None:
             values["tolerance"] = validation.number("tolerance", values["tolerance"], positive=True)

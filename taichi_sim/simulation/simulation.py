@@ -101,7 +101,7 @@ class Simulation(Reader):
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
         for caution in cautions(scene, parts.setup):
             warnings.warn(caution, stacklevel=2)
-        self._closed, self._probed = False, tuple(scene.probes)
+        self._closed = False
         self._still = scene.n_balls == 0
         self._begin_readings()
 

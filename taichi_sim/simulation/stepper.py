@@ -60,7 +60,7 @@ class Stepper:
         self, scene: Scene, settings: Settings, parts: Assembly, dt: float, substeps: int, safe: Stability, own: bool
     ) -> None:
         self.scene, self.settings, self.parts, self.safe = scene, settings, parts, safe
-        self.dt, self.substeps, self._parts = dt, substeps, substeps
+        self.dt, self.substeps, self._first_substeps = dt, substeps, substeps
         self.steps, self.begin, self.mark, self.end = 0, 0.0, 0, 0
         self.may_shorten = settings.dt == "auto"
         longest = CHUNK if own else LONGEST_CHUNK
@@ -145,7 +145,7 @@ class Stepper:
     @property
     def _most(self) -> int:
         """Substeps of a step, the most that are tried."""
-        return self._parts << MOST_HALVINGS
+        return self._first_substeps << MOST_HALVINGS
 
     @property
     def _marked(self) -> float:
@@ -510,7 +510,7 @@ class Stepper:
         given = snapshot.stepping
         values = {name: _as_is(getattr(self, name), given[name]) for name in self.saved}
         steps, mark, end, substeps = (values[name] for name in ("steps", "mark", "end", "substeps"))
-        most = max(1, self.chunk // self._parts)
+        most = max(1, self.chunk // self._first_substeps)
         if not 0 <= mark <= steps <= end <= mark + most or substeps < 1:
             raise ValueError(f"steps {steps} from {mark} to {end} in {substeps} parts")
         if not abs(values["begin"] + steps * self.dt - snapshot.time) <= 1e-9 * snapshot.time:
