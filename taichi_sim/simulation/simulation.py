@@ -367,7 +367,7 @@ class Simulation(Reader):
             self._state.write(x, v)
             if moved:
                 self.parts.contacts.forget()
-            self._stepper.primed = False
+            self._stepper.begin_here()
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene, all arguments and the present state to an .npz file."""

@@ -125,6 +125,10 @@ class Stepper:
         if self.own and self.primed and self.steps > self.mark and not self._halfway:
             self._keep(goes_on=True)
 
+    def begin_here(self) -> None:
+        """Places or velocities were set from outside; nothing of what an interrupted call left is made again over them."""
+        self.primed = self._halfway = False
+
     def prime(self) -> None:
         """Make what a step expects, where positions were set from outside."""
         if self.primed:
@@ -503,7 +507,7 @@ class Stepper:
         if self.scene.n_balls:
             self.parts.resume(snapshot)
             self.parts.contacts.forget()
-            self.primed = False
+            self.begin_here()
 
     def _checked(self, snapshot: Snapshot) -> dict[str, Any]:
         """The plain values of a snapshot of this run."""

@@ -126,3 +126,21 @@ def test_an_interrupted_call_changes_nothing(saves, monkeypatch):
             sim.resume(sim.snapshot())
         sim.step(30)
         assert trajectories.digest(sim) == whole
+
+
+def test_what_is_set_after_an_interrupted_call_stays(monkeypatch):
+    """The rest of that call is not made again over it."""
+    scene, settings = trajectories.bits.crowd_gauss_seidel()
+    with simulate(scene, ("ordered", "parallel"), **settings) as sim:
+        sim.step(10)
+
+        def interrupted(*_):
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patched:
+            patched.setattr(sim.parts.drivers, "parallel", interrupted, raising=False)
+            with pytest.raises(KeyboardInterrupt):
+                sim.step(10)
+        sim.set_position(scene.position)
+        assert np.array_equal(sim.snapshot().position, sim.position)
+        assert np.abs(sim.position - scene.position).max() < 1e-6
