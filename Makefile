@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee kills fuzz clean
+.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee kills fuzz docs clean
 
 help:
-	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | kills | fuzz | clean"
+	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | kills | fuzz | docs | clean"
 
 env: $(STAMP)
 
@@ -76,6 +76,10 @@ fuzz: env
 
 bench: env
 	$(BIN)/taichi-sim bench
+
+# the tables of keys in docs/scenes.md, from the schema
+docs: env
+	$(BIN)/python -m tests.support.scene_keys
 
 clean:
 	rm -rf $(VENV) build dist out bench_out *.egg-info .pytest_cache .mypy_cache .ruff_cache

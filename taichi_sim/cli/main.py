@@ -293,6 +293,16 @@ def bench(
         raise typer.Exit(FAILED)
 
 
+@_command()
+def schema() -> None:
+    """Print the JSON Schema of scene files, by which editors complete and explain them: see docs/scenes.md."""
+    import json
+
+    from taichi_sim.files.json_schema import scene_schema
+
+    typer.echo(json.dumps(scene_schema(), indent=1))
+
+
 @_command("size", "fps", "duration", name="demos")
 def list_demos(
     context: typer.Context,

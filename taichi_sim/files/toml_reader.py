@@ -107,6 +107,7 @@ class Reader:
         from taichi_sim.files.toml_schema import Document
 
         self.file, self.text, self.document, self.tables = file, text, document, tables or {}
+        self.spelled: dict[KeyPath, str] = {}  # how the file spells keys for which there are two spellings
         self.allow_outside = allow_outside
         known = {"format", "dim", "gravity", "simulation", "output", *Document.model_fields}
         for name, function in self.tables.items():
@@ -118,6 +119,7 @@ class Reader:
     def scene(self) -> Scene:
         from taichi_sim.files.toml_schema import SHAPES
 
+        self._spell()
         model: Any = self._validated()
         with self._at():
             scene = Scene(model.dim, model.gravity)
@@ -347,8 +349,28 @@ class Reader:
             raise self._located(error, _fitting(self.document, place + _within_table(error.path, place))) from None
 
     def _located(self, error: SceneError, path: KeyPath) -> SceneError:
-        error.path = path
+        known = next((depth for depth in range(len(path), 0, -1) if path[:depth] in self.spelled), 0)
+        error.path = (*path[: known - 1], self.spelled[path[:known]], *path[known:]) if known else path
         return located(self.file, self.text, error)
+
+    def _spell(self) -> None:
+        """Give keys that have two spellings the one that the models know. Raises SceneError where both are given."""
+        from taichi_sim.files.toml_schema import ALIASES, Document
+
+        for name, tables in self.document.items():
+            if name not in Document.model_fields:
+                continue
+            places: list[tuple[KeyPath, Any]] = [((name,), tables)]
+            if isinstance(tables, list):
+                places = [((name, index), table) for index, table in enumerate(tables)]
+            for place, table in places:
+                for other in ALIASES.keys() & set(table) if isinstance(table, dict) else ():
+                    if ALIASES[other] in table:
+                        error = SceneError((), says=f"is another spelling of {ALIASES[other]!r}, which is given, too")
+                        raise self._located(error, (*place, other))
+                    key = (*place, ALIASES[other])
+                    table[key[-1]] = table.pop(other)
+                    self.spelled[key] = other
 
     def _validated(self) -> "BaseModel":
         from pydantic import ValidationError

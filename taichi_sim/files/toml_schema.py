@@ -1,14 +1,19 @@
 """The keys of a scene file and their types, as pydantic models; values are judged where the scene is built.
 
 A table that stands for a function (`[[balls]]`: Scene.add_balls, `[[cloth]]`: shapes.cloth, ...) takes the arguments
-of that function, read from its signature: a new argument there is a new key here.
+of that function, read from its signature, and says of each what the docstring says: a new argument there is a new key here.
 """
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal
+import types
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import is_dataclass
+from os import PathLike
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, is_typeddict
 
+import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
+from numpy.typing import ArrayLike
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -17,17 +22,31 @@ from pydantic import (
     FiniteFloat,
     PositiveInt,
     TypeAdapter,
+    WithJsonSchema,
     create_model,
 )
-from pydantic.errors import PydanticSchemaGenerationError
+from pydantic.errors import PydanticUserError
 from pydantic_core import PydanticCustomError
 
 from taichi_sim import shapes
 from taichi_sim.analysis.methods import BUILT_IN_METHODS, VERLET
+from taichi_sim.common.docstrings import described, unit_of
 from taichi_sim.scene import colliders
+from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["SHAPES", "TABLES", "Document", "Output", "Simulation", "Wind", "keys_at", "what_is_allowed"]
+__all__ = [
+    "ALIASES",
+    "COLLIDERS",
+    "SHAPES",
+    "TABLES",
+    "Document",
+    "Output",
+    "Simulation",
+    "Wind",
+    "keys_at",
+    "what_is_allowed",
+]
 
 MOST_BODIES = 1_000_000
 
@@ -47,7 +66,14 @@ SHAPES: dict[str, Callable[..., shapes.Shape]] = {
     )
 }
 
+SHARED = {
+    name for function in SHAPES.values() for name in inspect.signature(function).parameters
+}  # arguments of shapes
+
 Seconds = Annotated[FiniteFloat, Gt(0)]
+
+
+ALIASES = {"color": "colour", "color_range": "colour_range"}  # other spellings that a scene file may use
 
 
 class Strict(BaseModel):
@@ -56,21 +82,34 @@ class Strict(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
 
 
-class Simulation(Strict):
-    """[simulation]: arguments of Simulation; what is absent is left to its defaults."""
+def _key(default: Any, says: str) -> Any:
+    """A key of a table: its default, `...` where it is needed, and what it means, with its unit, see common/docstrings.py."""
+    unit = unit_of(says)
+    return Field(default, description=says or None, json_schema_extra={"x-unit": unit} if unit else None)
 
-    dt: Seconds | Literal["auto"] = "auto"
-    tolerance: Annotated[FiniteFloat, Gt(0), Lt(1)] | None = None
-    integrator: Literal[tuple(BUILT_IN_METHODS)] = VERLET.name  # type: ignore[valid-type]
-    precision: Literal["f32", "f64"] = "f32"
-    arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = "auto"
-    contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = "auto"
-    contact_iterations: PositiveInt | Literal["auto"] = "auto"
-    accumulate: Literal["auto", "ordered", "gather", "atomic"] = "auto"
-    driver: Literal["auto", "fused", "parallel"] = "auto"
-    spin: Literal["auto", True, False] = "auto"
-    substeps: PositiveInt | Literal["auto"] = "auto"
-    threads: PositiveInt = 1
+
+class Simulation(Strict):
+    """[simulation]: arguments of ts.Simulation; what is absent is left to its defaults."""
+
+    dt: Seconds | Literal["auto"] = _key("auto", "time step [s], or auto: 1 ms, or less where that is not safe")
+    tolerance: Annotated[FiniteFloat, Gt(0), Lt(1)] | None = _key(
+        None,
+        "in place of dt: the error allowed in a simulated second, the largest of any ball, as a part of the scene's size [1]",
+    )
+    integrator: Literal[tuple(BUILT_IN_METHODS)] = _key(VERLET.name, "the method")  # type: ignore[valid-type]
+    precision: Literal["f32", "f64"] = _key("f32", "of the numbers: f32 single, f64 double")
+    arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = _key(
+        "auto", "what computes; auto: a GPU if one works, else the CPU"
+    )
+    contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = _key("auto", "how contacts are solved")
+    contact_iterations: PositiveInt | Literal["auto"] = _key("auto", "of each contact solve; more make contacts harder")
+    accumulate: Literal["auto", "ordered", "gather", "atomic"] = _key("auto", "in which order impulses are added")
+    driver: Literal["auto", "fused", "parallel"] = _key("auto", "how steps are launched; auto: by size")
+    spin: Literal["auto", True, False] = _key(
+        "auto", "whether balls turn; auto: loose ones, where a material has friction"
+    )
+    substeps: PositiveInt | Literal["auto"] = _key("auto", "parts that each step is divided into")
+    threads: PositiveInt = _key(1, "CPU threads")
 
 
 Pixels = Annotated[int, Ge(16), Le(8192)]
@@ -83,99 +122,187 @@ def _rising(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
+# Types and meanings -------------------------------------------------------------------------------------------------
+
+_number = {"type": "number"}
+_list = {"type": "array", "items": _number}
+NUMBERS = {"anyOf": [_number, _list, {"type": "array", "items": _list}]}  # what NumPy makes an array of
+
+
+def _typed(annotation: Any) -> Any:
+    """The type of an argument; what pydantic has no word for the function itself checks, and editors get a schema of."""
+    try:
+        TypeAdapter(annotation)
+    except PydanticUserError:
+        return Annotated[Any, WithJsonSchema(_schema(annotation))]
+    return annotation
+
+
+def _schema(annotation: Any) -> dict[str, Any]:
+    """A JSON schema of a type that may hold arrays, paths or tables."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin in (Union, types.UnionType):
+        arrays = set(get_args(ArrayLike)).issubset(parts)  # a union itself, which joins the one around it
+        rest = [p for p in parts if p is not types.NoneType and not (arrays and p in get_args(ArrayLike))]
+        return {"anyOf": [_schema(part) for part in rest] + NUMBERS["anyOf"] * arrays}
+    if origin is np.ndarray:
+        return NUMBERS
+    if annotation is PathLike or origin is PathLike:
+        return {"type": "string"}
+    if is_typeddict(annotation) or is_dataclass(annotation):
+        return _object(annotation)
+    if origin is tuple and parts[-1:] != (Ellipsis,):
+        return {"type": "array", "prefixItems": [_schema(part) for part in parts], "maxItems": len(parts)}
+    if origin in (tuple, list, Sequence):
+        return {"type": "array", "items": _schema(parts[0])}
+    return TypeAdapter(annotation).json_schema()
+
+
+def _object(table: Any, **more: Any) -> dict[str, Any]:
+    """A JSON schema of a table that is described as a typed dictionary or a dataclass; more: other types for some keys."""
+    fields = inspect.get_annotations(table, eval_str=True)
+    says = described(table.__doc__, fields)
+    properties = {}
+    for name, annotation in fields.items():
+        unit = {"x-unit": unit_of(says[name])} if name in says and unit_of(says[name]) else {}
+        properties[name] = _schema(more.get(name, annotation)) | {"description": says.get(name, ""), **unit}
+    needed = {"required": sorted(table.__required_keys__)} if is_typeddict(table) else {}
+    return {"type": "object", "properties": properties, "additionalProperties": False, **needed}
+
+
+def _arguments(name: str, function: Callable[..., Any], in_file: Iterable[str] = (), /, **more: Any) -> type[BaseModel]:
+    """A model with the arguments of a function (its first, the scene, aside) and `more` keys of the file alone.
+
+    in_file: of those that are needed, such as may lie in the table's file instead.
+    """
+    parameters = list(inspect.signature(function, eval_str=True).parameters.values())
+    if not inspect.isclass(function):
+        parameters = parameters[1:]
+    says = described(shapes.__doc__, SHARED) if name in SHAPES else {}
+    says |= _says(function, [p.name for p in parameters])
+    fields = {}
+    for parameter in parameters:
+        default = None if parameter.name in in_file else parameter.default
+        default = ... if default is inspect.Parameter.empty else default
+        fields[parameter.name] = (_typed(parameter.annotation), _key(default, says.get(parameter.name, "")))
+    doc = (inspect.getdoc(function) or "").split("\n\n")[0].replace("\n", " ")
+    model: type[BaseModel] = create_model(name, __base__=Strict, __doc__=doc, **(fields | more))
+    model.model_config["json_schema_extra"] = {"x-in-file": list[Any](in_file)} if in_file else {}
+    return model
+
+
+def _says(function: Any, names: Sequence[str]) -> dict[str, str]:
+    """What the docstring of a function, or those of a class and its bases, say of arguments."""
+    says: dict[str, str] = {}
+    for one in reversed(inspect.getmro(function)) if inspect.isclass(function) else (function,):
+        says |= described(one.__doc__, names)
+    return says
+
+
 class Output(Strict):
     """[output]: how `taichi-sim run` makes pictures of the scene, where the command line does not say."""
 
-    fps: Seconds = 60.0  # 1/s
-    duration: Seconds = 5.0  # s
-    size: tuple[Pixels, Pixels] = (1280, 720)
-    background: tuple[Share, Share, Share] | None = None  # sRGB
-    ambient_occlusion: bool = False
-    shadow: bool = True
-    transparent: bool = False  # PNG frames with alpha, without background and ground
-    colour: Literal["object", "strain", "speed"] = "object"
-    colour_range: Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_rising)] | None = None  # strain, or m/s
-    subdivide: Literal[0, 1, 2] = 0  # surfaces, so many times
-    camera: dict[str, Any] | None = None  # the fields of CameraPath, judged there
-
-
-def _field(parameter: inspect.Parameter) -> tuple[Any, Any]:
-    """Type and default of one argument; what pydantic has no word for (ArrayLike) the function itself checks."""
-    annotation = parameter.annotation
-    try:
-        TypeAdapter(annotation)
-    except PydanticSchemaGenerationError:
-        annotation = Any
-    return annotation, ... if parameter.default is inspect.Parameter.empty else parameter.default
-
-
-def _arguments(function: Callable[..., Any], **more: Any) -> type[BaseModel]:
-    """A model with the arguments of a function (its first, the scene, aside) and `more` keys of the file alone."""
-    fields: dict[str, Any] = {
-        name: _field(parameter)
-        for name, parameter in list(inspect.signature(function, eval_str=True).parameters.items())[1:]
-    }
-    return create_model(function.__name__, __base__=Strict, **(fields | more))
-
-
-def _optional(model: type[BaseModel], *names: str) -> type[BaseModel]:
-    """The same with some required keys made optional, because they may lie in the table's file instead."""
-    fields: dict[str, Any] = {name: (model.model_fields[name].annotation, None) for name in names}
-    return create_model(model.__name__, __base__=model, **fields)
+    fps: Seconds = _key(60.0, "frames per simulated second [1/s]")
+    duration: Seconds = _key(5.0, "simulated time [s]")
+    size: tuple[Pixels, Pixels] = _key((1280, 720), "width and height of the pictures [pixels]")
+    background: tuple[Share, Share, Share] | None = _key(None, "sRGB in 0..1 [1]; a soft sky otherwise")
+    ambient_occlusion: bool = _key(False, "soft shadow where surfaces are close, in 3D")
+    shadow: bool = _key(True, "that of the sun, in 3D")
+    transparent: bool = _key(False, "PNG frames with alpha, without background and ground")
+    colour: Literal["object", "strain", "speed"] = _key("object", "what colours show")
+    colour_range: Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_rising)] | None = _key(
+        None, "strain [1] or speed [m/s] that get the first and the last colour"
+    )
+    subdivide: Literal[0, 1, 2] = _key(0, "how many times each triangle of a surface is divided into four, smoothly")
+    camera: Annotated[
+        dict[str, Any] | None, WithJsonSchema(_object(CameraPath, follow=str | int | tuple[int, ...]))
+    ] = _key(None, "where the camera stands, and how it moves")
 
 
 def _colliders() -> type[BaseModel]:
     """A model with the arguments of all colliders; which of them a `shape` takes and needs is judged where it is built."""
     fields: dict[str, Any] = {
-        name: (_field(parameter)[0], None)
-        for kind in colliders.SHAPES.values()
-        for name, parameter in inspect.signature(kind, eval_str=True).parameters.items()
+        name: (field.annotation, None) for model in COLLIDERS.values() for name, field in model.model_fields.items()
     }
-    fields |= {"shape": (Literal[tuple(colliders.SHAPES)], ...), "mesh": (str | None, None)}
-    return create_model("colliders", __base__=Strict, **fields, vertices=(Any, None), triangles=(Any, None), **_file)
+    fields |= {"shape": (Literal[tuple(COLLIDERS)], ...)}
+    return create_model("colliders", __base__=Strict, __doc__=colliders.Collider.__doc__, **fields)
 
 
-_file: dict[str, Any] = {"file": (str | None, None), "prefix": (str, "")}
-_name: dict[str, Any] = {"name": (str | None, None)}
-_group: dict[str, Any] = {"balls": (str | None, None)}
-_led: dict[str, Any] = {"balls": (str | tuple[int, ...] | None, None), "members": (tuple[int, ...] | None, None)}
-_joined: dict[str, Any] = {
-    side + end: (kind, default)
-    for side in ("one", "other")
-    for end, kind, default in (("", str | tuple[int, ...], ...), ("_members", tuple[int, ...] | None, None))
+_file: dict[str, Any] = {
+    "file": (str | None, _key(None, "an .npz that holds the longer of these arrays, each under its key")),
+    "prefix": (str, _key("", "what its name in the file begins with")),
 }
-_body: dict[str, Any] = {"body": (Annotated[int, Ge(0), Le(MOST_BODIES)], 0)}
+_name: dict[str, Any] = {"name": (str | None, _key(None, "what other tables, and files for other programs, call it"))}
+_group: dict[str, Any] = {
+    "balls": (
+        str | None,
+        _key(None, "a name, of a shape or of balls, within which balls are counted; all balls otherwise"),
+    )
+}
+_led: dict[str, Any] = {
+    "balls": (str | tuple[int, ...] | None, _key(None, "a name, of a shape or of balls, or ball numbers in the scene")),
+    "members": (tuple[int, ...] | None, _key(None, "those of the named balls that are meant, counted within them")),
+}
+_joined: dict[str, Any] = {
+    key: (kind, _key(default, says))
+    for side in ("one", "other")
+    for key, kind, default, says in (
+        (side, str | tuple[int, ...], ..., "a name, of a shape or of balls, or ball numbers in the scene"),
+        (f"{side}_members", tuple[int, ...] | None, None, f"those of the balls named by `{side}` that are meant"),
+    )
+}
+_body: dict[str, Any] = {
+    "body": (
+        Annotated[int, Ge(0), Le(MOST_BODIES)],
+        _key(0, "a number that balls share which do not collide with each other; 0: none"),
+    )
+}
+_many = {
+    "vertices": (_typed(ArrayLike | None), _key(None, "(v, 3) of a mesh given by hand [m]")),
+    "triangles": (_typed(ArrayLike | None), _key(None, "(t, 3) vertices of its triangles")),
+}
+
+COLLIDERS: Mapping[str, type[BaseModel]] = {
+    name: _arguments(
+        name,
+        kind,
+        ("mesh",) if name == "mesh" else (),
+        shape=(Literal[name], _key(..., "which shape it has")),  # type: ignore[valid-type]
+        **(_many | _file if name == "mesh" else {}),
+    )
+    for name, kind in colliders.SHAPES.items()
+}
 
 TABLES: Mapping[str, type[BaseModel]] = {
-    "materials": _arguments(Scene.add_material),
-    "balls": _optional(_arguments(Scene.add_balls, **_name, **_file, **_body), "position", "radius"),
-    **{name: _arguments(function, **_name) for name, function in SHAPES.items()},
-    "springs": _optional(_arguments(Scene.add_springs, **_group, **_file), "pairs", "stiffness"),
-    "attachments": _arguments(Scene.attach, **_joined),
-    "cells": _optional(_arguments(Scene.add_cells, **_group, **_file), "corners", "bulk_modulus"),
-    "bending": _optional(_arguments(Scene.add_bending, **_group, **_file), "corners", "weights", "stiffness"),
-    "gases": _optional(_arguments(Scene.add_gas, **_group, **_file), "triangles"),
-    "moving_pins": _arguments(Scene.add_moving_pins, **_led, **_file),
-    "walls": _arguments(Scene.add_wall),
+    "materials": _arguments("materials", Scene.add_material),
+    "balls": _arguments("balls", Scene.add_balls, ("position", "radius"), **_name, **_file, **_body),
+    **{name: _arguments(name, function, **_name) for name, function in SHAPES.items()},
+    "springs": _arguments("springs", Scene.add_springs, ("pairs", "stiffness"), **_group, **_file),
+    "attachments": _arguments("attachments", Scene.attach, **_joined),
+    "cells": _arguments("cells", Scene.add_cells, ("corners", "bulk_modulus"), **_group, **_file),
+    "bending": _arguments("bending", Scene.add_bending, ("corners", "weights", "stiffness"), **_group, **_file),
+    "gases": _arguments("gases", Scene.add_gas, ("triangles",), **_group, **_file),
+    "moving_pins": _arguments("moving_pins", Scene.add_moving_pins, **_led, **_file),
+    "walls": _arguments("walls", Scene.add_wall),
     "colliders": _colliders(),
-    "triangles": _optional(_arguments(Scene.add_triangles, **_group, **_file), "triangles"),
-    "probes": _arguments(Scene.add_probe, **_led, **_file),
-    "objects": _optional(_arguments(Scene.set_name, **_file), "balls"),
-    "embedded_surfaces": _optional(
-        _arguments(Scene.add_embedded_surface, **_group, **_file), "corners", "weights", "triangles"
+    "triangles": _arguments("triangles", Scene.add_triangles, ("triangles",), **_group, **_file),
+    "probes": _arguments("probes", Scene.add_probe, **_led, **_file),
+    "objects": _arguments("objects", Scene.set_name, ("balls",), **_file),
+    "embedded_surfaces": _arguments(
+        "embedded_surfaces", Scene.add_embedded_surface, ("corners", "weights", "triangles"), **_group, **_file
     ),
 }
 
-Wind = _arguments(Scene.add_wind)
+Wind = _arguments("wind", Scene.add_wind)
 
 _document: dict[str, Any] = {
-    "format": (Literal[1], ...),
-    "dim": (Literal[2, 3], 2),
-    "gravity": (Any, None),
-    "simulation": (Simulation, Field(default_factory=Simulation)),
-    "output": (Output, Field(default_factory=Output)),
-    "wind": (Wind | None, None),
-    **{name: (tuple[model, ...], ()) for name, model in TABLES.items()},  # type: ignore[valid-type]
+    "format": (Literal[1], _key(..., "of the file: 1")),
+    "dim": (Literal[2, 3], _key(2, "dimensions of the scene")),
+    "gravity": (_typed(ArrayLike | None), _key(None, "acceleration (dim,) [m/s^2]; none by default")),
+    "simulation": (Simulation, Field(default_factory=Simulation, description=Simulation.__doc__)),
+    "output": (Output, Field(default_factory=Output, description=Output.__doc__)),
+    "wind": (Wind | None, _key(None, Wind.__doc__ or "")),
+    **{name: (tuple[model, ...], _key((), model.__doc__ or "")) for name, model in TABLES.items()},  # type: ignore[valid-type]
 }
 Document: type[BaseModel] = create_model("Document", __base__=Strict, **_document)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,38 @@ KEYS_IN_2D = ("centre", "width", "follow")
 KEYFRAME = ("time", "eye", "target", "fov")
 
 
+class _Time(TypedDict):
+    time: float
+    eye: Vector
+    target: Vector
+
+
+class CameraKey(_Time, total=False):
+    """Where the camera is at a time.
+
+    Args:
+        time: since the start [s]. eye: where it stands [m]. target: what it looks at [m].
+        fov: vertical angle of view [degrees].
+    """
+
+    fov: float
+
+
 @dataclass(frozen=True, slots=True)
 class CameraPath:
     """Where the camera stands, and how it moves. What is left out is chosen so that the scene fills the picture.
 
-    In 3D: eye and target [m], or azimuth and elevation [degrees] about the target and the distance from it [m]; up; fov, the
-    vertical angle of view [degrees]; orbit: turning about the target [degrees per second]. Or path: keyframes, each with time
-    [s], eye, target and, if all have it, fov; the camera passes through them without overshooting, and rests before the first
-    and after the last. In 2D: centre [m] and width [m] of what the picture shows. follow: a ball or several, whose middle the
-    camera moves along with, smoothly.
+    Args:
+        eye: in 3D, where it stands [m]. target: in 3D, what it looks at [m]. up: in 3D, what is up in the picture [1].
+        fov: in 3D, vertical angle of view [degrees].
+        azimuth: in 3D, in place of eye, angle about the vertical axis through the target [degrees].
+        elevation: in 3D, in place of eye, angle above the target [degrees].
+        distance: in 3D, in place of eye, from the target [m].
+        orbit: in 3D, turning about the target [degrees per second].
+        path: in 3D, in place of these, keyframes with time, eye, target and, if all have it, fov, which the camera passes through
+            without overshooting; it rests before the first and after the last.
+        follow: a ball or several, whose middle the camera moves along with, smoothly; in a file also a name.
+        centre: in 2D, middle of the picture [m]. width: in 2D, of what the picture shows [m].
     """
 
     eye: Vector | None = None
@@ -36,7 +59,7 @@ class CameraPath:
     elevation: float | None = None
     distance: float | None = None
     orbit: float = 0.0
-    path: tuple[dict[str, Any], ...] = ()
+    path: tuple[CameraKey, ...] = ()
     follow: NDArray[np.int32] | None = None
     centre: Vector | None = None
     width: float | None = None
@@ -109,10 +132,10 @@ def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
     return _keyframes(where, value)
 
 
-def _keyframes(where: str, value: Any) -> tuple[dict[str, Any], ...]:
+def _keyframes(where: str, value: Any) -> tuple[CameraKey, ...]:
     if not isinstance(value, (list, tuple)) or len(value) < 2:
         raise SceneError(where, value, "two keyframes or more")
-    frames: list[dict[str, Any]] = []
+    frames: list[CameraKey] = []
     for k, key in enumerate(value):
         place = f"{where}[{k}]"
         if not isinstance(key, Mapping):
@@ -123,7 +146,7 @@ def _keyframes(where: str, value: Any) -> tuple[dict[str, Any], ...]:
         for name in KEYFRAME[:3]:
             if name not in key:
                 raise SceneError(f"{place}.{name}", says="is missing; each keyframe needs it")
-        frame: dict[str, Any] = {"time": validation.number(f"{place}.time", key["time"])}
+        frame: Any = {"time": validation.number(f"{place}.time", key["time"])}
         frame |= {
             name: tuple(validation.vector(f"{place}.{name}", key[name], 3).tolist()) for name in ("eye", "target")
         }

@@ -19,7 +19,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about, unknown_key
 from taichi_sim.geometry.mesh import Surface, area_distance, by_hand, holes, mesh_distance, read_surface, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
-from taichi_sim.scene.keyframes import Motion, keyframe, turn_matrix
+from taichi_sim.scene.keyframes import Keyframe, Motion, keyframe, turn_matrix
 
 __all__ = [
     "BOX",
@@ -116,33 +116,40 @@ class _Placed:
     """What every collider takes.
 
     Args:
-        material: name of a material added before. colour: sRGB in 0..1. group, collides_with: as for balls. name: what files for
-            other programs call it.
-        rotation: about its centre at the start: degrees (one number in 2D, three about x, y and z in 3D), or a matrix.
-        velocity: (dim,) m/s. angular_velocity: 1/s, counter-clockwise in 2D, (3,) in 3D, about `pivot` (dim,) [m], which
-            moves along and is the centre if left out.
-        path: in place of these, keyframes {time [s], position (dim,) [m], rotation} or (time, position[, rotation]); what is
-            left out of one is the shape's own. Between keyframes it moves with constant velocities, in 3D the shorter way
-            around. repeat: start again at the end, for ever.
+        material: name of a material added before. colour: sRGB in 0..1 [1]; grey otherwise.
+        group: name or names of the collision groups that it is in. collides_with: names of the groups that it collides with;
+            None: all. name: what files for other programs call it.
+        rotation: about its centre at the start [degrees]: one number in 2D, three about x, y and z in 3D; or a matrix.
+        velocity: (dim,) for ever [m/s].
+        angular_velocity: for ever [1/s], counter-clockwise in 2D, (3,) in 3D, about `pivot`.
+        pivot: (dim,) that it turns about, which moves along [m]; its centre if left out.
+        path: in place of these, keyframes {time, position, rotation} or (time, position[, rotation]); what is left out of one is
+            the shape's own. Between keyframes it moves with constant velocities, in 3D the shorter way around.
+        repeat: whether the path starts again at its end, for ever.
     """
 
     _: KW_ONLY
     material: str = "default"
-    rotation: Any = None
-    velocity: Any = None
-    angular_velocity: Any = None
-    pivot: Any = None
-    path: Any = ()
+    rotation: ArrayLike | None = None
+    velocity: ArrayLike | None = None
+    angular_velocity: ArrayLike | None = None
+    pivot: ArrayLike | None = None
+    path: Sequence[Keyframe | Sequence[Any]] = ()
     repeat: bool = False
-    colour: Any = None
-    group: Any = "default"
-    collides_with: Any = None
-    name: Any = None
+    colour: Sequence[float] | None = None
+    group: str | Sequence[str] = "default"
+    collides_with: str | Sequence[str] | None = None
+    name: str | None = None
 
 
 @dataclass(frozen=True)
 class Sphere(_Placed):
-    """A solid sphere, in 2D a disc; hollow [m] > 0: a shell that thick around the radius [m], balls inside stay inside."""
+    """A solid sphere, in 2D a disc.
+
+    Args:
+        center: (dim,) of the sphere [m]; radius: of the sphere [m].
+        hollow: thickness of a shell around the radius, inside which balls stay [m]; 0: it is solid.
+    """
 
     center: ArrayLike
     radius: float
@@ -151,7 +158,12 @@ class Sphere(_Placed):
 
 @dataclass(frozen=True)
 class Box(_Placed):
-    """A solid box of the full size (dim,) [m] about its center (dim,) [m]; hollow [m] > 0: the room inside a shell that thick."""
+    """A solid box.
+
+    Args:
+        center: (dim,) of the box [m]; size: (dim,) from side to side [m].
+        hollow: thickness of a shell around it, whose inside is of the given size [m]; 0: it is solid.
+    """
 
     center: ArrayLike
     size: ArrayLike
@@ -160,7 +172,12 @@ class Box(_Placed):
 
 @dataclass(frozen=True)
 class Capsule(_Placed):
-    """All points within radius [m] of the line from start (dim,) [m] to end; hollow [m] > 0: a shell around that."""
+    """All points within a radius of a line.
+
+    Args:
+        start, end: (dim,) of the line [m]; radius: around it [m].
+        hollow: thickness of a shell around it, inside which balls stay [m]; 0: it is solid.
+    """
 
     start: ArrayLike
     end: ArrayLike
@@ -172,8 +189,10 @@ class Capsule(_Placed):
 class Mesh(_Placed):
     """A closed triangle mesh in 3D, solid inside.
 
-    mesh: an OBJ, PLY or STL file, or (vertices (v, 3) [m], triangles (t, 3)). position (3,) [m]: where its origin goes; scale:
-    its size. resolution: cells along the longest side of the grid on which distances are kept: edges are round to about a cell.
+    Args:
+        mesh: an OBJ, PLY, STL or GLB file, or (vertices (v, 3) [m], triangles (t, 3)).
+        position: (3,) where its origin goes [m]; scale: its size in relation to the file's [1].
+        resolution: cells along the longest side of the grid on which distances are kept: edges are round to about a cell.
     """
 
     mesh: str | PathLike[str] | tuple[Any, Any]

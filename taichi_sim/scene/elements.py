@@ -12,7 +12,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Table, sealed
-from taichi_sim.scene.keyframes import Motion, keyframe
+from taichi_sim.scene.keyframes import Keyframe, Motion, keyframe
 from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.probes import Probed
 
@@ -111,8 +111,9 @@ class Elements(Probed, Objects):
 
         Args:
             corners: (c, dim + 1) balls, or one cell, in any order.
-            bulk_modulus: Pa (in 2D N/m), >= 0; one or one per cell.
-            rest_volume: V0 [m^3, in 2D m^2], positive; None: the present volume, whose orientation then counts as positive.
+            bulk_modulus: one or one per cell, >= 0 [Pa, in 2D N/m].
+            rest_volume: V0, one or one per cell, > 0 [m^3, in 2D m^2]; None: the present volume, whose orientation then counts as
+                positive.
             together: (c,) whole numbers: cells with the same one, from 0 on, resist a change of their volumes' sum alone, as one
                 of their mean modulus; -1 or None: each its own.
         """
@@ -156,8 +157,8 @@ class Elements(Probed, Objects):
         al. 2006, "A quadratic bending model for inextensible surfaces").
 
         Args:
-            corners: (b, 4) balls; weights: (b, 4), the sum of each row 0.
-            stiffness: N/m, >= 0; damping: N s/m, >= 0; one or one per element.
+            corners: (b, 4) balls; weights: (b, 4) of them [1], the sum of each row 0.
+            stiffness: one or one per element, >= 0 [N/m]; damping: one or one per element, >= 0 [N s/m].
         """
         ij = validation.indices("bending.corners", validation.many(corners, 1), self.n_balls, width=4)
         w = validation.vectors("bending.weights", validation.many(weights, 1), None, 4)
@@ -194,8 +195,9 @@ class Elements(Probed, Objects):
 
         Args:
             velocity: of the air [m/s]; zeros for still air that only drags.
-            density: kg/m^3; drag: coefficient for flow across a triangle; skin_friction: along it.
-            gust: 0 to 1, part of the speed by which it varies in waves that travel with the wind.
+            density: of the air [kg/m^3]; drag: coefficient for flow across a triangle [1]; skin_friction: coefficient for flow
+                along it [1].
+            gust: 0 to 1 [1], part of the speed by which it varies in waves that travel with the wind.
             gust_length: of the longest of them [m].
         """
         if self.dim != 3:
@@ -216,8 +218,8 @@ class Elements(Probed, Objects):
 
         Args:
             triangles: (t, 3) balls, counter-clockwise seen from outside, that enclose a volume without a hole.
-            pressure: over that outside, now [Pa]; outside: Pa. With 0 outside the gas is as soft as it can be; air at
-                101325 Pa hardly lets the volume change, and wants short steps.
+            pressure: over that outside, now [Pa]; outside: pressure around it [Pa]. With 0 outside the gas is as soft as it can
+                be; air at 101325 Pa hardly lets the volume change, and wants short steps.
         """
         if self.dim != 3:
             says = "fills closed surfaces of triangles, in a scene with dim = 3; this one has dim = 2"
@@ -243,20 +245,22 @@ class Elements(Probed, Objects):
         balls: ArrayLike,
         *,
         velocity: ArrayLike | None = None,
-        angular_velocity: Any = None,
+        angular_velocity: ArrayLike | None = None,
         pivot: ArrayLike | None = None,
-        path: Sequence[Any] | None = None,
+        path: Sequence[Keyframe | Sequence[Any]] | None = None,
         repeat: bool = False,
     ) -> None:
         """Pin balls (k,) and lead them as one rigid body; they push what they meet and take nothing.
 
         Args:
-            velocity: m/s, for ever; angular_velocity: 1/s, a number in 2D, a vector in 3D, about `pivot` [m], by default the
-                mean of the balls.
+            balls: (k,) of the scene.
+            velocity: (dim,) for ever [m/s]. angular_velocity: a number in 2D, (3,) in 3D, about `pivot`, for ever [1/s].
+            pivot: (dim,) that they turn about, which moves along [m]; their mean if left out.
             path: in place of these, keyframes (time, position[, rotation]), or tables with these keys: by how far they have
                 moved from where they start [m], and how far turned about their mean (degrees, see colliders), with
                 straight lines between. The first is where they start: 0. They stay where the last one leaves them,
                 unless the path repeats.
+            repeat: whether the path starts again at its end, for ever.
         """
         where = f"moving_pins[{len(self.moving_pins)}]"
         index = validation.indices(f"{where}.balls", np.atleast_1d(validation.as_array(balls)), self.n_balls)
@@ -279,10 +283,11 @@ class Elements(Probed, Objects):
             "repeat": repeat,
         }
         centre = self.position[index].mean(axis=0)
+        places: Any = path
         if isinstance(path, (list, tuple)):
             given["path"] = self._displacements(where, path)
-            path = [{**key, "position": centre + key["position"]} for key in self._displacements(where, path)]
-        motion = Motion.of(where, self.dim, centre, {**given, "rotation": None, "path": path})
+            places = [{**key, "position": centre + key["position"]} for key in self._displacements(where, path)]
+        motion = Motion.of(where, self.dim, centre, {**given, "rotation": None, "path": places})
         if not motion.moves:
             says = "does not move; give a velocity, an angular_velocity or a path, or use `pinned`"
             raise SceneError(where, says=says)
@@ -336,7 +341,11 @@ class Elements(Probed, Objects):
     ) -> NDArray[np.int32]:
         """Join balls of two objects, the k-th of `one` to the k-th of `other`, and return the springs, shape (k,).
 
-        Args: one, other: (k,) balls; the rest as for `add_springs`. Balls that a spring joins do not collide.
+        Args:
+            one, other: (k,) balls. Those that a spring joins do not collide.
+            stiffness: one or one per spring, >= 0 [N/m]; damping: along the spring, one or one per spring, >= 0 [N s/m].
+            rest_length: one or one per spring, >= 0 [m]; None: the present distance.
+            break_strain: strain at which it tears for good, > 0 [1]; None: never.
         """
         a = validation.indices("attachments.one", np.atleast_1d(validation.as_array(one)), self.n_balls)
         b = validation.indices("attachments.other", np.atleast_1d(validation.as_array(other)), self.n_balls)

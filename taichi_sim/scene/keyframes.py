@@ -2,21 +2,38 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, path_of, unknown_key
 
-__all__ = ["TICKS", "Motion", "keyframe", "moments", "turn_matrix", "turn_vector"]
+__all__ = ["TICKS", "Keyframe", "Motion", "keyframe", "moments", "turn_matrix", "turn_vector"]
 
 Floats = NDArray[np.float64]
 TICKS = 256  # substeps for which motions are worked out at a time
 KEYS = ("time", "position", "rotation")
 ROUNDED = 1e-6  # a rotation matrix may be given with so few digits
 SAME = 1e-9  # of a scene: a repeated path that ends where it began
+
+
+class _Time(TypedDict):
+    time: float
+
+
+class Keyframe(_Time, total=False):
+    """Where a body is at a time.
+
+    Args:
+        time: since the start [s].
+        position: (dim,) at that time [m].
+        rotation: at that time [degrees]: one number in 2D, three about x, y and z in 3D; or a matrix.
+    """
+
+    position: ArrayLike
+    rotation: ArrayLike
 
 
 @dataclass(frozen=True, slots=True)

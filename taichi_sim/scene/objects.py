@@ -38,7 +38,9 @@ class Objects:
         """Call balls (k,) by a name, those of a shape for instance, in files that other programs open. Raises SceneError where
         something was given that name already.
 
-        uv: (k, 2) places of the balls on a texture, in 0..1; None: those that it has, as a rectangular cloth does.
+        Args:
+            balls: (k,) of the scene; name: what they are called together.
+            uv: (k, 2) places of the balls on a texture, in 0..1 [1]; None: those that it has, as a rectangular cloth does.
         """
         if not isinstance(name, str) or not name:
             raise SceneError("objects.name", name, "a text")

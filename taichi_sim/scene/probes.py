@@ -340,8 +340,12 @@ class Probed:
                 "energy" of the whole scene: kinetic, spring, gravity, total [J].
                 "force" [N] on `wall` or `collider`, the mean since the probe was last read, and "impulse" [N s], since the start:
                 x, y, z, magnitude of what balls gave it by pressing, hitting and friction.
-                "flux" through the plane normal . x = offset [m], of `balls` or of all: count and mass [kg] that have gone along
+                "flux" through the plane normal . x = offset, of `balls` or of all: count and mass [kg] that have gone along
                 the normal since the start, less what came back; count_rate [1/s], mass_rate [kg/s] since the last reading.
+            balls: (k,) that are meant; spring: number of one; springs: (k,) numbers.
+            at: (dim,) a point near what is meant [m].
+            wall: number of one; collider: number of one.
+            normal: (dim,) of a plane [1]; offset: of the plane along it [m].
         """
         asked = {
             "balls": balls,

@@ -133,7 +133,16 @@ class Scene(Stored, Elements):
         viscous_friction: float = 0.0,
         colour: Sequence[float] | None = None,
     ) -> str:
-        """Add a material and return its name. restitution 0..1, friction >= 0 (Coulomb), viscous_friction >= 0 [1/s]."""
+        """Add a material and return its name. Of two that meet, the larger restitution counts and the geometric mean of
+        frictions.
+
+        Args:
+            name: what balls, walls and colliders call it by.
+            restitution: part of the speed of an impact that comes back, 0..1 [1].
+            friction: coefficient of Coulomb friction, >= 0 [1].
+            viscous_friction: rate at which sliding in contact slows down, >= 0 [1/s].
+            colour: sRGB in 0..1 [1] of what is made of it and has none of its own.
+        """
         if not isinstance(name, str) or not name:
             raise SceneError("materials.name", name, "a text")
         if name != "default" and self._material_names.number(self.materials, name) is not None:
@@ -168,12 +177,12 @@ class Scene(Stored, Elements):
         """Add n balls and return their indices, shape (n,).
 
         Args:
-            position: (n, dim) m, or one vector (dim,) for one ball.
-            radius: m, one or one per ball; mass: kg, one or one per ball; both positive.
-            velocity: m/s, one vector or one per ball.
+            position: (n, dim) [m], or one vector (dim,) for one ball.
+            radius: one or one per ball, > 0 [m]; mass: one or one per ball, > 0 [kg].
+            velocity: one vector or one per ball [m/s].
             material: name of a material added before.
             pinned: a bool, a bool per ball, or integer positions within this call. A pinned ball never moves.
-            colour: sRGB in 0..1 for all of them.
+            colour: sRGB in 0..1 [1] for all of them; chosen by the renderer otherwise.
             body: balls of the same body > 0 (see new_body) do not collide with each other.
             group: name or names of the collision groups that they are in, 32 different ones in a scene at most.
             collides_with: names of the groups that they collide with; None: all, []: none. Two things collide where each is
@@ -217,10 +226,10 @@ class Scene(Stored, Elements):
 
         Args:
             pairs: (m, 2) ball indices, or one pair.
-            stiffness: N/m, >= 0; damping: N s/m along the spring, >= 0; one or one per spring.
-            rest_length: m, >= 0; None: the present distance.
+            stiffness: one or one per spring, >= 0 [N/m]; damping: along the spring, one or one per spring, >= 0 [N s/m].
+            rest_length: one or one per spring, >= 0 [m]; None: the present distance.
             collides: True makes it a stick that balls bounce off; one or one per spring.
-            break_strain: (length - rest_length) / rest_length at which it tears for good, > 0; None or inf: never.
+            break_strain: (length - rest_length) / rest_length at which it tears for good, > 0 [1]; None or inf: never.
         """
         ij = validation.indices("springs.pairs", validation.many(pairs, 1), self.n_balls, width=2)
         m = len(ij)
@@ -254,9 +263,13 @@ class Scene(Stored, Elements):
         group: str | Sequence[str] = "default",
         collides_with: str | Sequence[str] | None = None,
     ) -> None:
-        """Add a wall, solid where normal . x < offset [m along the normal]. The normal is normalised.
+        """Add a wall, solid where normal . x < offset.
 
-        group, collides_with: as for balls.
+        Args:
+            normal: (dim,) away from the solid side; its length does not matter [1]. offset: of the wall along it [m].
+            material: name of a material added before.
+            group: name or names of the collision groups that it is in.
+            collides_with: names of the groups that it collides with; None: all.
         """
         n = validation.direction("walls.normal", normal, self.dim)
         n = n / float(np.max(np.abs(n)))  # so that squares of huge or tiny numbers stay finite
@@ -286,9 +299,12 @@ class Scene(Stored, Elements):
         return len(self.colliders) - 1
 
     def add_triangles(self, triangles: ArrayLike, collides: bool | Sequence[bool] | NDArray = False) -> None:
-        """Add triangles (t, 3) of ball indices, counter-clockwise seen from outside: what the renderer draws as a surface.
+        """Add triangles: what the renderer draws as a surface.
 
-        collides: True, in 3D, makes a surface, as thick as its balls, that no ball and no other such triangle goes through.
+        Args:
+            triangles: (t, 3) balls, counter-clockwise seen from outside.
+            collides: True, in 3D, makes a surface, as thick as its balls, that no ball and no other such triangle goes through;
+                one or one per triangle.
         """
         t = validation.indices("triangles.triangles", triangles, self.n_balls, width=3)
         solid = validation.flags("triangles.collides", collides, len(t))
@@ -311,9 +327,9 @@ class Scene(Stored, Elements):
         """Add a surface that pictures show in place of balls, their springs and triangles, and return its number.
 
         Args:
-            corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares, 1 in sum for each vertex.
+            corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares [1], 1 in sum for each vertex.
             triangles: (t, 3) vertices of the surface, counter-clockwise seen from outside.
-            covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1; None: that of the balls.
+            covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1 [1]; None: that of the balls.
         """
         where = f"embedded_surfaces[{len(self.embedded_surfaces)}]"
         tint = None if colour is None else _colour(f"{where}.colour", colour)

@@ -3,20 +3,27 @@
     scene = ts.Scene(dim=3, gravity=(0, -9.81, 0))
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(32, 32), pinned=[0, 31 * 32], position=(0, 1, 0))
 
-Every length is in m, every mass is that of the whole shape in kg, every stiffness in N/m, damping in N s/m along a
-spring, angles in degrees. `position`, `rotation` and `scale` move the finished shape: scaled about its origin, turned
-about the x, y and z axis in this order (2D: one angle), then shifted; scale changes no given mass. Balls of one shape
-do not collide with each other unless `self_collision` is True; with `surface_collision` nothing goes through the triangles of a
-cloth or a jelly, its own ones included. A wrong argument is a SceneError that names it; the
-scene is then unchanged.
+`position`, `rotation` and `scale` move the finished shape: scaled about its origin, turned, then shifted; scale changes no
+given mass. A wrong argument is a SceneError that names it; the scene is then unchanged.
+
+Args that several shapes have:
+    mass: of the whole shape [kg]; shared out equally.
+    damping: of each spring, along it [N s/m]; a tenth of the critical damping of its two balls by default.
+    radius: of each ball [m].
+    pinned: true or false for all of its balls, a list of that for each, or their numbers within the shape.
+    material: name of a material added before.
+    position: (dim,) by how far the shape is shifted [m].
+    rotation: about its own origin [degrees]: about the x, y and z axis in this order, in 2D one angle.
+    scale: its size in relation to what the other arguments say [1].
+    colour: sRGB in 0..1 [1]; chosen by the renderer otherwise.
+    self_collision: whether its balls collide with each other; those that a spring joins never do.
+    surface_collision: in 3D, whether nothing goes through its triangles, its own balls included.
 
 Defaults. A stiffness that is not given follows from the mass and the resolution so that the bound which holds for
 every shape the springs can take, h^2 (S_i/m_i + S_j/m_j) < 4 for each spring (physics section 5), is met at h = 1 ms
 with a factor 2 to spare, whatever the resolution: velocity Verlet is then stable at 1 ms. Finer shapes of the same
 mass are therefore softer: held by one edge, a cloth of 1 m stretches by about 5 % at the top with 32 x 32 balls and
-20 % with 64 x 64. For a firmer one give a stiffness and let `dt = "auto"` find the step. A damping that is not given
-is a tenth of the critical damping of each spring's two balls. `pinned` takes what `Scene.add_balls` takes, counted
-within the shape.
+20 % with 64 x 64. For a firmer one give a stiffness and let `dt = "auto"` find the step.
 
 Materials. A cloth of `stretch_stiffness`, `mass_per_area` and the like, and a jelly of `young_modulus` and `density`, are
 the same thing at every resolution: they hang, bend and swing alike, and only their fine wrinkles differ.

@@ -41,11 +41,12 @@ def balloon(
     Its skin is stretched so that it holds the gas at the start, tension = pressure radius / 2.
 
     Args:
-        centre: (3,) m; radius: of the skin [m]; subdivisions: 10 4^s + 2 balls.
+        centre: (3,) of the balloon [m]; radius: of its skin [m].
+        subdivisions: how often each triangle is cut in four; s times give 10 4^s + 2 balls.
         pressure: of the gas over that outside [Pa]; by default what stretches the skin by a tenth.
         mass: of the skin [kg]; 0.2 kg per m^2 by default.
         stretch_stiffness: of the skin [N/m], as of a cloth.
-        damping: N s/m of the skin, shared out as the stretch stiffness is.
+        damping: of the skin [N s/m], shared out as the stretch stiffness is.
         ball_radius: of each ball [m]; 0.4 of the mean edge by default.
     """
     if scene.dim != 3:

@@ -79,17 +79,17 @@ def cloth(
     `Scene.add_bending`) take the place of bending springs wherever it is flat.
 
     Args:
-        size: (x, z) m, (1, 1) by default; resolution: balls along x and z, at least 2, (32, 32) by default.
+        size: along x and z [m], (1, 1) by default; resolution: balls along x and z, at least 2, (32, 32) by default.
         mesh: an OBJ, PLY, STL or GLB file, or (vertices (v, 3) [m], triangles (t, 3)), in place of size and resolution.
-        mass: kg, shared out equally (by area in a material); 0.2 kg per m^2 of the sheet by default.
-        stiffness: N/m of each spring; bending_stiffness: N/m, a twentieth of it by default.
-        mass_per_area: kg/m^2, in place of mass; 0.2.
-        stretch_stiffness: N/m, force per width and strain along the threads; 100.
-        shear_stiffness: N/m; a fifth of it by default. A mesh has none of its own: a third of it.
-        bending_rigidity: N m, moment per width and curvature; 1e-5.
-        damping: N s/m of each spring; in a material of the sheet, shared out as the stretch stiffness is.
+        mass: of all of it [kg], shared out equally (by area in a material); 0.2 kg per m^2 of the sheet by default.
+        stiffness: of each spring [N/m]; bending_stiffness: of those that resist bending [N/m], a twentieth of it by default.
+        mass_per_area: in place of mass [kg/m^2]; 0.2.
+        stretch_stiffness: force per width and strain along the threads [N/m]; 100.
+        shear_stiffness: the same across them [N/m]; a fifth of it by default. A mesh has none of its own: a third of it.
+        bending_rigidity: moment per width and curvature [N m]; 1e-5.
+        damping: of each spring [N s/m]; in a material of the sheet, shared out as the stretch stiffness is.
         radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
-        break_strain: of all springs, at which each tears for good, see Scene.add_springs; never by default.
+        break_strain: of all springs, at which each tears for good [1], see Scene.add_springs; never by default.
         surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
     """
     if scene.dim != 3:

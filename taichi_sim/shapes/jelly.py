@@ -81,16 +81,17 @@ def jelly(
     A mesh keeps its coordinates, is always of a material, and shows its own surface.
 
     Args:
-        size: m per axis, 0.4 by default; resolution: balls per axis, at least 2, 8 by default.
+        size: along each axis [m], 0.4 by default; resolution: balls per axis, at least 2, 8 by default.
         mesh: an OBJ, PLY, STL or GLB file of a closed surface, or (vertices (v, 3) [m], triangles (t, 3)), in place of size and
             resolution.
-        mass: kg, shared out equally (by volume in a material); as heavy as water by default (in 2D a slab of 0.1 m).
+        mass: of all of it [kg], shared out equally (by volume in a material); as heavy as water by default (in 2D a slab of 0.1
+            m).
         stiffness: of an edge [N/m]. By default such that waves run at sqrt(40 g height), which wobbles like jelly, and never
             above what is stable at 1 ms.
-        density: kg/m^3, in 2D kg/m^2, in place of mass.
-        young_modulus: Pa, in 2D N/m. By default as for stiffness.
-        poisson_ratio: from that of springs, 1/4 (in 2D 1/3), the default, to less than 1/2 (in 2D 1): cells keep the volume.
-            0.4 for a mesh.
+        density: in place of mass [kg/m^3, in 2D kg/m^2].
+        young_modulus: how stiff it is when pulled [Pa, in 2D N/m]. By default as for stiffness.
+        poisson_ratio: how much it narrows when pulled [1], from that of springs, 1/4 (in 2D 1/3), the default, to less than 1/2
+            (in 2D 1): cells keep the volume. 0.4 for a mesh.
         fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
             the package pytetwild, which takes closed meshes alone and, each time, other points.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.

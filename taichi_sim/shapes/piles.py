@@ -43,10 +43,10 @@ def pile(
     """A heap of loose balls on a lattice from the origin toward the positive axes. They collide with each other.
 
     Args:
-        resolution: balls per axis; radius: of each [m]; mass: of each [kg].
+        resolution: balls along each axis; radius: of each [m]; mass: of each [kg].
         spacing: between centres [m]; 2.2 radii by default.
         jitter: the balls are moved at random by up to this fraction of a radius per axis, so that no column stands by
-            luck; the same seed gives the same heap.
+            luck [1]. seed: of that chance: the same one gives the same heap.
     """
     dim = scene.dim
     number = counts("pile.resolution", resolution, dim, 1)
@@ -81,7 +81,8 @@ def tower(
     """Blocks of jelly on each other, along y, the corner of the lowest at `position`. Blocks collide with each other.
 
     Args:
-        levels: how many; size, resolution, young_modulus, poisson_ratio: of each, as for a jelly.
+        levels: how many blocks; size: of each, along each axis [m]; resolution: balls of each along each axis.
+        young_modulus: of each block [Pa, in 2D N/m]; poisson_ratio: of each block [1], as for a jelly.
         gap: between the balls of a block and of the next [m]. mass: of each block [kg].
         radius: of each ball [m]; 0.45 of the smallest spacing by default.
     """

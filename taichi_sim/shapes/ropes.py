@@ -42,11 +42,12 @@ def rope(
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
 ) -> Shape:
-    """A rope of n balls from start to end [m], in 2D or 3D; ball 0 lies at the start.
+    """A rope of n balls from start to end, in 2D or 3D; ball 0 lies at the start.
 
     Args:
-        mass: kg, shared out equally; 0.1 kg per m by default.
-        stiffness: N/m of each piece; bending_stiffness: N/m between balls two apart, none by default.
+        start, end: (dim,) of its first and its last ball [m]; n: how many balls, at least 2.
+        mass: of all of it [kg], shared out equally; 0.1 kg per m by default.
+        stiffness: of each piece [N/m]; bending_stiffness: between balls two apart [N/m], none by default.
         radius: of each ball [m]; 0.45 of their distance by default.
     """
     a = validation.vectors("rope.start", start, 1, scene.dim)[0]
@@ -93,8 +94,9 @@ def wheel(
     """A wheel in the x-y plane: a hub (ball 0) at the centre and one rim ball at the end of each spoke.
 
     Args:
-        centre: (dim,) m; radius: from the hub to the rim balls' centres [m]; spokes: at least 3.
-        mass: kg, shared out equally over the hub and the rim.
+        centre: (dim,) of the hub [m]; radius: from the hub to the rim balls' centres [m]; spokes: at least 3.
+        mass: of all of it [kg], shared out equally over the hub and the rim.
+        stiffness: of each spoke and each piece of the rim [N/m].
         pinned: [0] holds the hub, about which the wheel then turns.
         ball_radius: of each ball [m]; 0.3 of the distance along the rim by default.
     """

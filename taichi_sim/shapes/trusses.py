@@ -53,9 +53,9 @@ def truss(
     the end that one pins.
 
     Args:
-        size: length, height, in 3D width [m]; cells: how many, at least 1.
-        mass: kg, shared out equally; 1 kg per m of bars by default.
-        stiffness: N/m of each bar.
+        size: length, height and in 3D width [m]; cells: how many, at least 1.
+        mass: of all of it [kg], shared out equally; 1 kg per m of bars by default.
+        stiffness: of each bar [N/m].
         radius: of each ball [m]; 0.15 of the height by default.
     """
     dim = scene.dim
@@ -106,9 +106,9 @@ def net(
     The knots come first: knot (i, j) along x and z has index i * (meshes[1] + 1) + j. Then the balls between them.
 
     Args:
-        size: (x, z) m, (1, 1) by default; meshes: along x and z; pieces: springs along each side of a mesh.
-        mass: kg, shared out equally; 0.1 kg per m of rope by default.
-        stiffness: N/m of each piece.
+        size: along x and z [m], (1, 1) by default; meshes: how many along x and z; pieces: springs along each side of a mesh.
+        mass: of all of it [kg], shared out equally; 0.1 kg per m of rope by default.
+        stiffness: of each piece [N/m].
         radius: of each ball [m]; 0.3 of the shorter distance along the ropes by default.
     """
     if scene.dim != 3:
