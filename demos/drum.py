@@ -4,7 +4,7 @@ import numpy as np
 
 import taichi_sim as ts
 
-RADIUS, TURN = 1.2, 1.2  # m, 1/s
+RADIUS, TURN = 1.2, 69.0  # m, degrees per second
 
 
 def scene():
@@ -16,11 +16,11 @@ def scene():
     large = {"resolution": (6, 2), "radius": 0.09, "mass": 5.0, "jitter": 0.1, "position": (-0.55, 0.54)}
     for grains in (small, large):
         ts.shapes.pile(scene, material=rubber, **grains)
-    scene.add_collider(ts.Sphere((0, 0), RADIUS, hollow=0.1, angular_velocity=TURN, material=rubber))
+    scene.add_collider(ts.Sphere((0, 0), RADIUS, hollow=0.1, rotation_rate=TURN, material=rubber))
     for angle in np.radians([0, 90, 180, 270]):
         out = np.array([np.cos(angle), np.sin(angle)])
         blade = {"start": RADIUS * out, "end": 0.8 * RADIUS * out, "radius": 0.05, "pivot": (0, 0)}
-        scene.add_collider(ts.Capsule(**blade, angular_velocity=TURN, material=rubber))
+        scene.add_collider(ts.Capsule(**blade, rotation_rate=TURN, material=rubber))
     return scene
 
 

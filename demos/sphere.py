@@ -22,7 +22,7 @@ def scene():
         colour=(0.24, 0.45, 0.7),
         self_collision=True,
     )
-    scene.add_collider(ts.Sphere((0, 0.5, 0), RADIUS, angular_velocity=(0, 2.0, 0), material="cloth"))
+    scene.add_collider(ts.Sphere((0, 0.5, 0), RADIUS, rotation_rate=(0, 115.0, 0), material="cloth"))
     scene.add_wall((0, 1, 0), material="cloth")
     return scene
 

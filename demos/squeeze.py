@@ -24,7 +24,7 @@ def scene():
         colour=(0.9, 0.3, 0.35),
     )
     top, flat = 2 * (LARGE + SMALL) + 0.35, 0.25
-    path = [(0.0, top), (0.2, top), (1.4, flat), (1.6, flat), (2.2, 3.0), (9.0, 3.0)]
+    path = [(0.0, 0.0), (0.2, 0.0), (1.4, flat - top), (1.6, flat - top), (2.2, 3.0 - top), (9.0, 3.0 - top)]
     scene.add_collider(
         ts.Box((0, top, 0), (2.4, 0.4, 1.2), path=[(time, (0, y, 0)) for time, y in path], colour=(0.45, 0.5, 0.55))
     )

@@ -145,7 +145,7 @@ RAGGED = [[0], [1, 2]]
         ),
         (
             '[[colliders]]\nshape = "sphere"\nradius = 1.0\ncenter = [9, 9, 9]\n'
-            f"path = [[0.0, [9, 9, 9], {RAGGED}], [1.0, [0, 0, 1], {RAGGED}]]",
+            f"path = [[0.0, [0, 0, 0], {RAGGED}], [1.0, [0, 0, 1], {RAGGED}]]",
             "colliders[0].path[0].rotation",
         ),
     ],
@@ -161,7 +161,7 @@ def test_lists_of_different_lengths_have_their_place(tmp_path, text, place):
     "add",
     [
         lambda s: s.add_moving_pins(RAGGED, velocity=(1, 0)),
-        lambda s: s.add_moving_pins([0], angular_velocity=RAGGED),
+        lambda s: s.add_moving_pins([0], rotation_rate=RAGGED),
         lambda s: s.attach(RAGGED, [0], stiffness=1.0),
         lambda s: s.set_group(RAGGED, "a"),
         lambda s: s.add_probe("p", "position", balls=RAGGED),
@@ -469,7 +469,7 @@ def test_every_plain_value_is_judged(plain, message):
         ({"gases": [{"volume": 1.0}]}, "gases[0]: missing a required "),
         ({"gases": None}, "gases: None is not allowed; it must be a list of tables"),
         ({"moving_pins": [PINS | {"speed": 1}]}, "moving_pins[0]: got an unexpected keyword argument 'speed'"),
-        ({"moving_pins": [{"angular_velocity": [[1], [2, 3]]}]}, "moving_pins[0].angular_velocity: "),
+        ({"moving_pins": [{"rotation_rate": [[1], [2, 3]]}]}, "moving_pins[0].rotation_rate: "),
         ({"wind": 3}, "wind: "),
         ({"wind": {"velocity": [1, 2]}}, "wind.velocity: shape (2,) does not fit"),
         ({"probes": [{"kind": "strain"}]}, "probes[0]: missing a required "),

@@ -20,7 +20,13 @@ __all__ = [
 ]
 
 KeyPath = tuple[str | int, ...]
-RENAMED = {"contact_passes": "contact_iterations", "skins": "embedded_surfaces", "add_skin": "add_embedded_surface"}
+RENAMED = {
+    "contact_passes": "contact_iterations",
+    "skins": "embedded_surfaces",
+    "add_skin": "add_embedded_surface",
+    "angular_velocity": "rotation_rate",
+}
+IN_UNITS = {"angular_velocity": ", in degrees per second"}  # of what was renamed, where these are others
 
 
 class SceneError(ValueError):
@@ -117,7 +123,7 @@ def unknown_key(path: str | Sequence[str | int], known: Collection[str], what: s
     """The error about a key that is none of those known: what it is called now, or may have meant."""
     key = str(path_of(path)[-1])
     if RENAMED.get(key) in known:
-        return SceneError(path, says=f"is now called {RENAMED[key]!r}")
+        return SceneError(path, says=f"is now called {RENAMED[key]!r}{IN_UNITS.get(key, '')}")
     return SceneError(path, says=f"is not {what}; {did_you_mean(key, known)}")
 
 

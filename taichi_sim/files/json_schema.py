@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from taichi_sim.files.toml_schema import ALIASES, COLLIDERS, Document
+from taichi_sim.files.toml_schema import ALIASES, COLLIDER, COLLIDERS, Document
 
 __all__ = ["scene_schema"]
 
@@ -55,6 +55,8 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if not isinstance(value, dict):
         return value
+    if COLLIDER in value:
+        return {"$ref": f"#/$defs/collider_{value[COLLIDER]}"}
     result = {
         key: {name: _plain(item) for name, item in part.items()} if key == "properties" else _plain(part)
         for key, part in value.items()

@@ -124,6 +124,7 @@ def _rising(pair: tuple[float, float]) -> tuple[float, float]:
 
 # Types and meanings -------------------------------------------------------------------------------------------------
 
+COLLIDER = "x-collider"  # in a schema: a table that describes one of that name
 _number = {"type": "number"}
 _list = {"type": "array", "items": _number}
 NUMBERS = {"anyOf": [_number, _list, {"type": "array", "items": _list}]}  # what NumPy makes an array of
@@ -144,11 +145,15 @@ def _schema(annotation: Any) -> dict[str, Any]:
     if origin in (Union, types.UnionType):
         arrays = set(get_args(ArrayLike)).issubset(parts)  # a union itself, which joins the one around it
         rest = [p for p in parts if p is not types.NoneType and not (arrays and p in get_args(ArrayLike))]
+        if any(get_origin(p) is Sequence for p in rest):
+            rest = [p for p in rest if get_origin(p) is not np.ndarray]  # in a file these are lists, too
         return {"anyOf": [_schema(part) for part in rest] + NUMBERS["anyOf"] * arrays}
     if origin is np.ndarray:
         return NUMBERS
     if annotation is PathLike or origin is PathLike:
         return {"type": "string"}
+    if annotation in colliders.SHAPES.values():
+        return {COLLIDER: next(name for name, kind in colliders.SHAPES.items() if kind is annotation)}
     if is_typeddict(annotation) or is_dataclass(annotation):
         return _object(annotation)
     if origin is tuple and parts[-1:] != (Ellipsis,):

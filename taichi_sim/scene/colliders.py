@@ -1,8 +1,8 @@
 """Colliders: solid bodies of infinite mass that balls bounce off, still or moving along a given path. Imports no Taichi.
 
-scene.add_collider(ts.Sphere((0, 0), 1.0, hollow=0.1, angular_velocity=2.0))   # a turning drum
+scene.add_collider(ts.Sphere((0, 0), 1.0, hollow=0.1, rotation_rate=90.0))     # a turning drum
 scene.add_collider(ts.Box((0, -1), (4, 0.2), rotation=20))                     # an incline
-scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0.0, (0, 0)), (1.0, (2, 0))]))  # a piston
+scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0.0, (0, 0)), (1.0, (2, 0))]))  # a piston, pushed by 2 m
 
 A user-defined shape is a subclass of `ColliderShape`.
 """
@@ -19,7 +19,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about, unknown_key
 from taichi_sim.geometry.mesh import Surface, area_distance, by_hand, holes, mesh_distance, read_surface, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
-from taichi_sim.scene.keyframes import Keyframe, Motion, keyframe, turn_matrix
+from taichi_sim.scene.keyframes import Keyframe, Motion, plain_keyframe, turn_matrix
 
 __all__ = [
     "BOX",
@@ -121,18 +121,24 @@ class _Placed:
             None: all. name: what files for other programs call it.
         rotation: about its centre at the start [degrees]: one number in 2D, three about x, y and z in 3D; or a matrix.
         velocity: (dim,) for ever [m/s].
-        angular_velocity: for ever [1/s], counter-clockwise in 2D, (3,) in 3D, about `pivot`.
+        rotation_rate: about `pivot`, for ever [degrees per second], counter-clockwise in 2D, (3,) in 3D.
         pivot: (dim,) that it turns about, which moves along [m]; its centre if left out.
-        path: in place of these, keyframes {time, position, rotation} or (time, position[, rotation]); what is left out of one is
-            the shape's own. Between keyframes it moves with constant velocities, in 3D the shorter way around.
+        path: in place of these, keyframes {time, position, rotation} or (time, position[, rotation]): by how far it has moved
+            from where it starts, and turned about its centre. The first is 0. Between keyframes it moves with constant
+            velocities, in 3D turning the shorter way around, and it stays where the last one leaves it, unless the path repeats.
         repeat: whether the path starts again at its end, for ever.
     """
+
+    def __new__(cls, *_: Any, **given: Any) -> "_Placed":
+        if "angular_velocity" in given:
+            raise unknown_key(("colliders", "angular_velocity"), ("rotation_rate",))
+        return object.__new__(cls)
 
     _: KW_ONLY
     material: str = "default"
     rotation: ArrayLike | None = None
     velocity: ArrayLike | None = None
-    angular_velocity: ArrayLike | None = None
+    rotation_rate: ArrayLike | None = None
     pivot: ArrayLike | None = None
     path: Sequence[Keyframe | Sequence[Any]] = ()
     repeat: bool = False
@@ -299,7 +305,7 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     if shape.name is not None and (not isinstance(shape.name, str) or not shape.name):
         raise SceneError(f"{where}.name", shape.name, "a text")
     if len(motion.times) > 1:
-        given["path"] = [keyframe("", key) for key in shape.path]
+        given["path"] = [plain_keyframe(key) for key in shape.path]
     plain = {"shape": name} | {key: _plain(value) for key, value in given.items() if not _left_out(shape, key, value)}
     collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface, plain)
     return replace(collider, label=shape.name or "", shape=shape if kind == CUSTOM else None)

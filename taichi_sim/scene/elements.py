@@ -12,7 +12,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Table, sealed
-from taichi_sim.scene.keyframes import Keyframe, Motion, keyframe
+from taichi_sim.scene.keyframes import Keyframe, Motion, plain_keyframe
 from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.probes import Probed
 
@@ -245,7 +245,7 @@ class Elements(Probed, Objects):
         balls: ArrayLike,
         *,
         velocity: ArrayLike | None = None,
-        angular_velocity: ArrayLike | None = None,
+        rotation_rate: ArrayLike | None = None,
         pivot: ArrayLike | None = None,
         path: Sequence[Keyframe | Sequence[Any]] | None = None,
         repeat: bool = False,
@@ -254,12 +254,12 @@ class Elements(Probed, Objects):
 
         Args:
             balls: (k,) of the scene.
-            velocity: (dim,) for ever [m/s]. angular_velocity: a number in 2D, (3,) in 3D, about `pivot`, for ever [1/s].
+            velocity: (dim,) for ever [m/s].
+            rotation_rate: about `pivot`, for ever [degrees per second], counter-clockwise in 2D, (3,) in 3D.
             pivot: (dim,) that they turn about, which moves along [m]; their mean if left out.
-            path: in place of these, keyframes (time, position[, rotation]), or tables with these keys: by how far they have
-                moved from where they start [m], and how far turned about their mean (degrees, see colliders), with
-                straight lines between. The first is where they start: 0. They stay where the last one leaves them,
-                unless the path repeats.
+            path: in place of these, keyframes {time, position, rotation} or (time, position[, rotation]): by how far they have
+                moved from where they start, and turned about their mean. The first is 0. Between keyframes they move with
+                constant velocities, and they stay where the last one leaves them, unless the path repeats.
             repeat: whether the path starts again at its end, for ever.
         """
         where = f"moving_pins[{len(self.moving_pins)}]"
@@ -271,25 +271,21 @@ class Elements(Probed, Objects):
             k = int(both[0]) if len(both) else int(np.sort(index)[:-1][np.diff(np.sort(index)) == 0][0])
             says = f"ball {k} is named twice; a ball can be led along one path only"
             raise SceneError(f"{where}.balls", says=says)
-        if angular_velocity is not None:
-            angular_velocity = validation.as_array(angular_velocity).tolist()
         given = {
             "velocity": None
             if velocity is None
             else validation.vector(f"{where}.velocity", velocity, self.dim).tolist(),
-            "angular_velocity": angular_velocity,
+            "rotation_rate": None if rotation_rate is None else validation.as_array(rotation_rate).tolist(),
             "pivot": None if pivot is None else validation.vector(f"{where}.pivot", pivot, self.dim).tolist(),
             "path": path,
             "repeat": repeat,
         }
         centre = self.position[index].mean(axis=0)
-        places: Any = path
-        if isinstance(path, (list, tuple)):
-            given["path"] = self._displacements(where, path)
-            places = [{**key, "position": centre + key["position"]} for key in self._displacements(where, path)]
-        motion = Motion.of(where, self.dim, centre, {**given, "rotation": None, "path": places})
+        motion = Motion.of(where, self.dim, centre, {**given, "rotation": None}, named=False)
+        if path is not None:
+            given["path"] = [plain_keyframe(key) for key in path]
         if not motion.moves:
-            says = "does not move; give a velocity, an angular_velocity or a path, or use `pinned`"
+            says = "does not move; give a velocity, a rotation_rate or a path, or use `pinned`"
             raise SceneError(where, says=says)
         self._balls.replace(index, pinned=True, velocity=0.0)
         self.moving_pins.append(
@@ -307,27 +303,6 @@ class Elements(Probed, Objects):
             driven[pins.balls] = True
         self._driven_of = len(self.moving_pins), driven
         return driven
-
-    def _displacements(self: Any, where: str, path: Sequence[Any]) -> list[dict[str, Any]]:
-        """The keyframes of a path as tables of plain values."""
-        result = []
-        turns = any(keyframe(f"{where}.path[{k}]", one).get("rotation") is not None for k, one in enumerate(path))
-        for k, one in enumerate(path):
-            key = dict(keyframe(f"{where}.path[{k}]", one))
-            by = validation.vector(f"{where}.path[{k}].position", key.get("position", np.zeros(self.dim)), self.dim)
-            time = validation.number(f"{where}.path[{k}].time", key["time"])
-            if k == 0 and (
-                np.any(by != 0)
-                or (key.get("rotation") is not None and np.any(validation.as_array(key["rotation"]) != 0))
-            ):
-                says = f"begins at {by.tolist()} from where the balls are, and they would jump; it must begin at 0"
-                raise SceneError(f"{where}.path[0]", says=says)
-            turn = key.get("rotation")
-            if turn is None and turns and k == 0:  # so that the next one is seen to turn from there
-                turn = 0.0 if self.dim == 2 else [0.0, 0.0, 0.0]
-            turned = {} if turn is None else {"rotation": validation.as_array(turn).tolist()}
-            result.append({"time": time, "position": by.tolist(), **turned})
-        return result
 
     def attach(
         self: Any,

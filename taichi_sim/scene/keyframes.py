@@ -1,4 +1,7 @@
-"""Motion: where a collider is at any time, along keyframes or with constant velocities. Imports no Taichi."""
+"""Motion: where a collider or a group of pins is at any time, along keyframes or with constant velocities. Imports no Taichi.
+
+Keyframes say by how far a body has moved and turned from where it starts, so that a path suits any body, and none jumps.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, path_of, unknown_key
 
-__all__ = ["TICKS", "Keyframe", "Motion", "keyframe", "moments", "turn_matrix", "turn_vector"]
+__all__ = ["TICKS", "Keyframe", "Motion", "keyframe", "moments", "plain_keyframe", "turn_matrix", "turn_vector"]
 
 Floats = NDArray[np.float64]
 TICKS = 256  # substeps for which motions are worked out at a time
@@ -24,12 +27,13 @@ class _Time(TypedDict):
 
 
 class Keyframe(_Time, total=False):
-    """Where a body is at a time.
+    """By how far a body has moved and turned from where it starts, at a time. In the first keyframe both are 0.
 
     Args:
         time: since the start [s].
-        position: (dim,) at that time [m].
-        rotation: at that time [degrees]: one number in 2D, three about x, y and z in 3D; or a matrix.
+        position: (dim,) by how far it has moved [m].
+        rotation: by how much it has turned about its centre [degrees]: one number in 2D, three about x, y and z in 3D; or a
+            matrix.
     """
 
     position: ArrayLike
@@ -66,8 +70,7 @@ class Motion:
             turn = turn_matrix(self.turns[0] * t[:, None])
             arm = self.positions[0] - self.pivot
             return self.pivot + self.velocity * t[:, None] + turn @ arm, turn @ self.rotations[0]
-        if self.repeat:
-            t = self.times[0] + np.mod(t - self.times[0], self.times[-1] - self.times[0])
+        t = self._within(t)
         t = np.clip(t, self.times[0], self.times[-1])
         k = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
         since = t - self.times[k]
@@ -88,13 +91,18 @@ class Motion:
         if len(self.times) == 1:
             arm = self.rotations[0].T @ (self.positions[0] - self.pivot)
             return self.velocity + np.diff(turn @ arm, axis=0) / h
-        if self.repeat:
-            t = self.times[0] + np.mod(t - self.times[0], self.times[-1] - self.times[0])
+        t = self._within(t)
         k = np.searchsorted(self.times, t, side="right")
         given = np.zeros((len(self.times) + 1, x.shape[1]))
         given[1:-1] = np.diff(self.positions, axis=0) / np.diff(self.times)[:, None]
         one = ((k[1:] == k[:-1]) & (t[1:] > t[:-1]))[:, None]
         return np.where(one, given[k[:-1]], np.diff(x, axis=0) / h)
+
+    def _within(self, t: Floats) -> Floats:
+        """Times of a path that repeats, as those of its first round; it begins at the first keyframe."""
+        if not self.repeat:
+            return t
+        return self.times[0] + np.mod(np.maximum(t - self.times[0], 0.0), self.times[-1] - self.times[0])
 
     def fastest(self, extent: float) -> tuple[float, int]:
         """Largest speed [m/s] of a point within `extent` [m] of the centre, and the keyframe at which that begins."""
@@ -106,18 +114,21 @@ class Motion:
         return float(speed.max()), int(speed.argmax())
 
     @classmethod
-    def of(cls, where: str, dim: int, position: Floats, given: Mapping[str, Any]) -> "Motion":
-        """From the arguments of a shape, checked: rotation, velocity, angular_velocity, pivot, path, repeat. SceneError."""
+    def of(cls, where: str, dim: int, position: Floats, given: Mapping[str, Any], *, named: bool = True) -> "Motion":
+        """From the arguments of a shape, checked: rotation, velocity, rotation_rate, pivot, path, repeat. SceneError.
+
+        named: the user gave the position; a path that leaves it out at first could be meant to go on from there.
+        """
         rotation = rotation_matrix(f"{where}.rotation", given["rotation"], dim)
         width = 1 if dim == 2 else 3
         velocity = np.zeros(dim)
         if given["velocity"] is not None:
             velocity = validation.vector(f"{where}.velocity", given["velocity"], dim)
         turn = np.zeros(width)
-        if given["angular_velocity"] is not None:
-            name = f"{where}.angular_velocity"
-            value = given["angular_velocity"]
-            turn = np.array([validation.number(name, value)]) if dim == 2 else validation.vector(name, value, 3)
+        if given["rotation_rate"] is not None:
+            name, value = f"{where}.rotation_rate", given["rotation_rate"]
+            rate = [validation.number(name, value)] if dim == 2 else validation.vector(name, value, 3)
+            turn = np.radians(rate)
         pivot = position if given["pivot"] is None else validation.vector(f"{where}.pivot", given["pivot"], dim)
         if not isinstance(given["repeat"], bool):
             raise SceneError(f"{where}.repeat", given["repeat"], "true or false")
@@ -131,9 +142,10 @@ class Motion:
                 )
             one = np.zeros(1), position[None], rotation[None], turn[None]
             return cls(*one, velocity, pivot, False)
-        for name in ("velocity", "angular_velocity", "pivot"):
+        for name in ("velocity", "rotation_rate", "pivot"):
             if given[name] is not None:
                 raise SceneError(f"{where}.{name}", says="is given together with a path; give one of them")
+        begins_at_rest(where, path, named and bool(np.any(position)), bool(np.any(rotation != np.eye(dim))))
         return cls._along(where, dim, position, rotation, path, given["repeat"])
 
     @classmethod
@@ -141,7 +153,7 @@ class Motion:
         cls, where: str, dim: int, position: Floats, rotation: Floats, path: Sequence[Any], repeat: bool
     ) -> "Motion":
         times: list[float] = []
-        positions: list[Floats] = []
+        moves: list[Floats] = []
         rotations: list[Any] = []
         for k, given in enumerate(path):
             place = f"{where}.path[{k}]"
@@ -152,32 +164,63 @@ class Motion:
                     f"{place}.time", time, f"later than {times[-1]:g} s, or it would jump; times must rise"
                 )
             times.append(time)
-            own = key.get("position")
-            positions.append(position if own is None else validation.vector(f"{place}.position", own, dim))
+            by = key.get("position")
+            moves.append(np.zeros(dim) if by is None else validation.vector(f"{place}.position", by, dim))
             turned = key.get("rotation")
             if dim == 3:
                 _check_turn(place, path[k - 1] if k else None, turned)
-            rotations.append(
-                rotation if turned is None else rotation_matrix(f"{place}.rotation", turned, dim, whole=True)
-            )
+            turned = (0.0 if dim == 2 else None) if turned is None else turned
+            rotations.append(rotation_matrix(f"{place}.rotation", turned, dim, whole=True))
         if len(times) == 1:
             raise SceneError(f"{where}.path", says="has one keyframe; it needs two or more, or leave it out")
         if dim == 2:
             first = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-            angles = [r if isinstance(r, float) else first for r in rotations]
-            turned_by = np.diff(angles)[:, None]
-            matrices = turn_matrix(np.array(angles)[:, None])
+            turned_by = np.diff(rotations)[:, None]
+            matrices = turn_matrix(first + np.array(rotations)[:, None])
         else:
-            matrices = np.array(rotations)
+            matrices = np.array(rotations) @ rotation
             turned_by = turn_vector(matrices[1:] @ matrices[:-1].swapaxes(1, 2))
-        t, x = np.array(times), np.array(positions)
+        t, x = np.array(times), position + np.array(moves)
         if repeat:
             size = 1.0 + float(np.abs(x).max())
             if np.abs(x[-1] - x[0]).max() > SAME * size or np.abs(matrices[-1] - matrices[0]).max() > SAME:
                 says = "a path that repeats must end where it begins, or it would jump"
                 raise SceneError(f"{where}.path[{len(t) - 1}]", says=says)
         turns = np.concatenate([turned_by / np.diff(t)[:, None], np.zeros((1, turned_by.shape[1]))])
-        return cls(t, x, matrices, turns, np.zeros(dim), x[0], repeat)
+        motion = cls(t, x, matrices, turns, np.zeros(dim), x[0], repeat)
+        (place_0,), (turn_0,) = motion.at(0.0)
+        if (
+            np.abs(place_0 - x[0]).max() > SAME * (1.0 + float(np.abs(x).max()))
+            or np.abs(turn_0 - matrices[0]).max() > SAME
+        ):
+            says = "is such that the path is on its way at time 0, and the body would jump; let it begin at time 0 or later"
+            raise SceneError(f"{where}.path[0].time", times[0], says=says)
+        return motion
+
+
+def plain_keyframe(given: Any) -> dict[str, Any]:
+    """A keyframe that was checked as a table of plain values."""
+    return {key: validation.as_array(value).tolist() for key, value in keyframe("", given).items() if value is not None}
+
+
+def begins_at_rest(where: str, path: Sequence[Any], placed: bool, turned: bool) -> None:
+    """Raise SceneError where the first keyframe is not where a body starts.
+
+    placed, turned: its place and rotation are not 0, so that keyframes which give its own ones would mean something else; then
+        the
+    first one has to say where others do.
+    """
+    keys = [keyframe(f"{where}.path[{k}]", one) for k, one in enumerate(path)]
+    for name, own in (("position", placed), ("rotation", turned)):
+        first = keys[0].get(name)
+        given = np.zeros(1) if first is None else validation.as_array(first)
+        none = np.eye(*given.shape) if given.ndim == 2 else 0
+        if given.dtype.kind in "iuf" and given.ndim <= 2 and np.any(given != none):
+            says = "is where the path begins, and it would jump there: keyframes say by how far it has moved or turned since"
+            raise SceneError(f"{where}.path[0].{name}", first, says=f"{says} the start; the first must be 0")
+        if first is None and own and any(key.get(name) is not None for key in keys):
+            says = f"is missing: keyframes say by how far it has moved and turned since the start; begin with {name} 0"
+            raise SceneError(f"{where}.path[0].{name}", says=says)
 
 
 def moments(time: float, h: float, first: int, steps: int) -> Floats:
@@ -204,8 +247,11 @@ def keyframe(where: str, given: Any) -> Mapping[str, Any]:
 
 def _check_turn(place: str, before: Any, turned: Any) -> None:
     """Raise SceneError where angles in 3D say a turn by half or more: which way around, no two rotations tell."""
-    last = None if before is None else keyframe(place, before).get("rotation")
-    if last is None or turned is None or any(validation.as_array(one).ndim != 1 for one in (last, turned)):
+    if before is None:
+        return
+    last = keyframe(place, before).get("rotation")
+    last, turned = (np.zeros(3) if one is None else one for one in (last, turned))
+    if any(validation.as_array(one).ndim != 1 for one in (last, turned)):
         return
     by = np.abs(
         validation.vector(f"{place}.rotation", turned, 3) - validation.vector(f"{place}.rotation", last, 3)
@@ -215,7 +261,7 @@ def _check_turn(place: str, before: Any, turned: Any) -> None:
             f"{place}.rotation",
             turned,
             says=f"turns by {by:g} degrees since the keyframe before, and a turn in 3D takes the shorter way around; put"
-            " keyframes between, less than half a turn apart, or use angular_velocity",
+            " keyframes between, less than half a turn apart, or use rotation_rate",
         )
 
 

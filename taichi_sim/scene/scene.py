@@ -19,6 +19,7 @@ from taichi_sim.scene.columns import Names, Table, sealed
 from taichi_sim.scene.elements import Elements
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
+from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.stored import MOST_BODY, Stored
 from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.scene.toml_writer import save_scene
@@ -168,7 +169,7 @@ class Scene(Stored, Elements):
         velocity: ArrayLike = 0.0,
         mass: ArrayLike = 1.0,
         material: str = "default",
-        pinned: bool | Sequence[int] | Sequence[bool] | NDArray = False,
+        pinned: Pins = False,
         colour: Sequence[float] | None = None,
         body: int = 0,
         group: str | Sequence[str] = "default",
@@ -181,7 +182,9 @@ class Scene(Stored, Elements):
             radius: one or one per ball, > 0 [m]; mass: one or one per ball, > 0 [kg].
             velocity: one vector or one per ball [m/s].
             material: name of a material added before.
-            pinned: a bool, a bool per ball, or integer positions within this call. A pinned ball never moves.
+            pinned: a bool, a bool per ball, or integer positions within this call; or "border", "corners", "left", "right",
+                "bottom", "top", in 3D "front", "back", of the box around these balls; or a ts.Box, ts.Sphere or ts.Capsule (in a
+                file a table of its keys) for all with their centre in it. A pinned ball never moves.
             colour: sRGB in 0..1 [1] for all of them; chosen by the renderer otherwise.
             body: balls of the same body > 0 (see new_body) do not collide with each other.
             group: name or names of the collision groups that they are in, 32 different ones in a scene at most.
@@ -191,7 +194,7 @@ class Scene(Stored, Elements):
         x = validation.vectors("balls.position", validation.many(position, 1), None, self.dim)
         n = len(x)
         body = validation.whole("balls.body", body, 0, MOST_BODY)
-        held = self._pins(pinned, n)
+        held = chosen("balls.pinned", pinned, x)
         rest = isinstance(velocity, (int, float)) and velocity == 0
         v = np.zeros_like(x) if rest else validation.vectors("balls.velocity", velocity, n, self.dim)
         v[held] = 0.0
@@ -351,7 +354,7 @@ class Scene(Stored, Elements):
         velocity: ArrayLike | None = None,
         mass: ArrayLike | None = None,
         radius: ArrayLike | None = None,
-        pinned: bool | Sequence[int] | Sequence[bool] | NDArray | None = None,
+        pinned: Pins | None = None,
         material: str | Sequence[str] | None = None,
         body: int | ArrayLike | None = None,
     ) -> None:
@@ -381,7 +384,8 @@ class Scene(Stored, Elements):
             for at in np.flatnonzero(bodies != np.round(bodies)):
                 raise SceneError(f"balls.body[{at}]", bodies[at], "a whole number")
             new["body"] = bodies.astype(np.int32)
-        held = self.pinned[index] if pinned is None else self._pins(pinned, k)
+        x = self.position[index]
+        held = self.pinned[index] if pinned is None else chosen("balls.pinned", pinned, new.get("position", x))
         for pins in self.moving_pins:
             loose = index[~held & np.isin(index, pins.balls)]
             if len(loose):
@@ -541,17 +545,6 @@ class Scene(Stored, Elements):
             k = int(np.argmax(both))
             raise SceneError(f"springs.break_strain[{k}]", says="a stick, which collides, cannot tear")
         validation.strained(strain, rest_length)
-
-    @staticmethod
-    def _pins(pinned: Any, n: int) -> NDArray[np.bool_]:
-        array = validation.as_array(pinned)
-        if array.dtype == object:
-            raise SceneError("balls.pinned", pinned, says="is not a bool, a bool per ball, or a list of positions")
-        if array.dtype == np.bool_:
-            return validation.flags("balls.pinned", array, n)
-        held = np.zeros(n, dtype=bool)
-        held[validation.indices("balls.pinned", array, n)] = True
-        return held
 
 
 def _rows(where: str, rows: Any, n: int) -> NDArray[np.int64]:

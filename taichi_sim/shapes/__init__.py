@@ -10,7 +10,10 @@ Args that several shapes have:
     mass: of the whole shape [kg]; shared out equally.
     damping: of each spring, along it [N s/m]; a tenth of the critical damping of its two balls by default.
     radius: of each ball [m].
-    pinned: true or false for all of its balls, a list of that for each, or their numbers within the shape.
+    velocity: (dim,) of all of its balls that are not pinned [m/s]; none by default.
+    pinned: true or false for all of its balls, a list of that for each, or their numbers within the shape; or "border",
+        "corners", "left", "right", "bottom", "top", in 3D "front", "back" (the side toward -x, +x, -y, +y, +z, -z once it is
+        placed); or a box, sphere or capsule, as a collider is described, for all with their centre in it.
     material: name of a material added before.
     position: (dim,) by how far the shape is shifted [m].
     rotation: about its own origin [degrees]: about the x, y and z axis in this order, in 2D one angle.

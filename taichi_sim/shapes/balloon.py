@@ -10,7 +10,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface, surface_area
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
-from taichi_sim.shapes.base import Part, Shape, Springs, affordable, at_least_0, build, or_default
+from taichi_sim.shapes.base import Part, Pins, Shape, Springs, affordable, at_least_0, build, or_default
 
 __all__ = ["balloon"]
 
@@ -32,7 +32,10 @@ def balloon(
     stretch_stiffness: float = RUBBER_STIFFNESS,
     damping: float | None = None,
     ball_radius: float | None = None,
+    velocity: Sequence[float] | None = None,
+    pinned: Pins = False,
     material: str = "default",
+    position: Sequence[float] | None = None,
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
 ) -> Shape:
@@ -74,13 +77,15 @@ def balloon(
     pull = 0.5 * inner * reach * cloth_material.tension_shares(surface)  # N/m of the edge's length
     size = or_default("balloon.ball_radius", ball_radius, 0.4 * float(np.linalg.norm(edges, axis=1).mean()))
     drag = at_least_0("balloon.damping", damping)
+    if position is not None:
+        middle = middle + validation.vector("balloon.position", position, 3)
     shape = build(
         scene,
         "balloon",
-        surface.vertices + middle,
+        surface.vertices,
         [Springs(pairs, 0.0, strength)],
         surface.triangles,
-        Part(parts.mass, size, False, material, colour, self_collision),
+        Part(parts.mass, size, pinned, material, colour, self_collision, velocity=velocity, position=middle),
         0.0,
         None if drag is None else drag / stretch * strength,
         stretched=pull / (strength - pull),

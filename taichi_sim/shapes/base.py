@@ -12,6 +12,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.memory import available
 from taichi_sim.geometry import mesh as meshes
+from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -32,8 +33,6 @@ __all__ = [
     "stable_stiffness",
     "surface_part",
 ]
-
-Pins = bool | Sequence[int] | Sequence[bool] | NDArray
 
 SURFACE_PART = (
     5 / 9
@@ -77,7 +76,8 @@ class Springs:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What every shape is told about its balls. radius is that of each [m]."""
+    """What every shape is told about its balls, and where it is put. radius is that of each [m]; border: (n,) which balls are at
+    its border, where its triangles or extents do not tell."""
 
     mass: float | NDArray  # kg, of all of them together, or (n,) of each
     radius: float
@@ -86,6 +86,11 @@ class Part:
     colour: Sequence[float] | None
     self_collision: bool
     surface_collision: bool = False
+    velocity: Any = None
+    position: Any = None
+    rotation: Any = None
+    scale: float = 1.0
+    border: NDArray[np.bool_] | None = None
 
 
 def surface_part(shape: str, surface_collision: Any) -> float:
@@ -225,13 +230,14 @@ def build(
     break_strain: float | None = None,
     uv: NDArray | None = None,
 ) -> Shape:
-    """Add one shape to the scene: points (n, dim) m; triangles (t, 3) and springs' pairs index its own balls.
+    """Add one shape to the scene: points (n, dim) m, before they are moved; triangles (t, 3) and springs' pairs index its balls.
 
     stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
     corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`. uv: (n, 2),
     places on a sheet in 0..1.
     """
-    n = len(points)
+    n, own = len(points), points
+    points = moved(shape, own, part.position, part.rotation, part.scale)
     each = part.mass if isinstance(part.mass, np.ndarray) else part.mass / n
     strength = np.concatenate(
         [
@@ -249,13 +255,20 @@ def build(
     if stretched is not None:
         rest = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1) / (1 + stretched)
     critical = 2 * np.sqrt(strength * reduced)
+    if part.border is not None and isinstance(part.pinned, str) and part.pinned == "border":
+        pinned: Any = part.border
+    else:
+        pinned = chosen(
+            f"{shape}.pinned", part.pinned, points, own, np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+        )
     with scene.all_or_nothing(), about(shape):
         balls = scene.add_balls(
             points,
             radius=part.radius,
             mass=each,
             material=part.material,
-            pinned=part.pinned,
+            pinned=pinned,
+            velocity=0.0 if part.velocity is None else part.velocity,
             colour=part.colour,
             body=0 if part.self_collision else scene.new_body(),
         )

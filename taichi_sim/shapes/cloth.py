@@ -26,7 +26,6 @@ from taichi_sim.shapes.base import (
     given_surface,
     lattice_pairs,
     lengths,
-    moved,
     or_default,
     stable_stiffness,
     surface_part,
@@ -57,6 +56,7 @@ def cloth(
     bending_rigidity: float | None = None,
     damping: float | None = None,
     radius: float | None = None,
+    velocity: Sequence[float] | None = None,
     pinned: Pins = False,
     material: str = "default",
     position: Sequence[float] | None = None,
@@ -140,10 +140,10 @@ def cloth(
         kinds = [Springs(pairs, 0.0, k) for pairs, k in parts.springs]
         if drag is not None:
             drag = drag / cotton.stretch * np.concatenate([k for _, k in parts.springs])
-    points = moved("cloth", surface.vertices, position, rotation, factor)
-    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
+    placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation, "scale": factor}
+    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
     more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": None if grid is None else grid[4]}
-    return build(scene, "cloth", points, kinds, surface.triangles, part, strength, drag, **more)
+    return build(scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, **more)
 
 
 def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) -> cloth_material.Fabric:

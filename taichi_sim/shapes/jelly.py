@@ -29,7 +29,6 @@ from taichi_sim.shapes.base import (
     given_surface,
     lattice_pairs,
     lengths,
-    moved,
     or_default,
     stable_stiffness,
     surface_part,
@@ -61,6 +60,7 @@ def jelly(
     spacing: float | None = None,
     damping: float | None = None,
     radius: float | None = None,
+    velocity: Sequence[float] | None = None,
     pinned: Pins = False,
     material: str = "default",
     position: Sequence[float] | None = None,
@@ -105,6 +105,8 @@ def jelly(
     validation.one_of("jelly.fill", fill, FILLS)
     drag = at_least_0("jelly.damping", damping)
     thinner = surface_part("jelly", surface_collision)
+    looks: Any = (pinned, material, colour, self_collision, surface_collision)
+    placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation}
     if surface_collision and scene.dim == 2:
         raise SceneError("jelly.surface_collision", says="needs a scene with dim = 3")
     if mesh is None:
@@ -115,9 +117,8 @@ def jelly(
             points, kinds, soft, triangles, finest = _springs(block, factor, mass)
             total = or_default("jelly.mass", mass, JELLY_DENSITY[scene.dim] * float(np.prod(block[0] * factor)))
             strength = at_least_0("jelly.stiffness", stiffness, soft)
-            points = moved("jelly", points, position, rotation, factor)
             ball_radius = or_default("jelly.radius", radius, thinner * finest)
-            part = Part(total, ball_radius, pinned, material, colour, self_collision, surface_collision)
+            part = Part(total, ball_radius, *looks, **placed | {"scale": factor})
             return build(scene, "jelly", points, kinds, triangles, part, strength, drag)
         body, extent, default_radius = _solid_block(block, factor)
         volume, skin = float(np.prod(extent)), None
@@ -153,10 +154,9 @@ def jelly(
     cells = None
     if bulk > 0:
         cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume, body.together)
-    points = moved("jelly", body.points, position, rotation, 1.0)
     ball_radius = or_default("jelly.radius", radius, default_radius)
-    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision)
-    shape = build(scene, "jelly", points, kinds, body.triangles, part, 0.0, drag, cells=cells)
+    part = Part(masses, ball_radius, *looks, **placed)
+    shape = build(scene, "jelly", body.points, kinds, body.triangles, part, 0.0, drag, cells=cells)
     if skin is not None:
         scene.add_embedded_surface(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)
     return shape

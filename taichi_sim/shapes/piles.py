@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from taichi_sim.shapes.base import (
     build,
     counts,
     lengths,
-    moved,
     or_default,
 )
 from taichi_sim.shapes.jelly import jelly
@@ -34,6 +34,7 @@ def pile(
     jitter: float = 0.05,
     seed: int = 0,
     mass: float = 1.0,
+    velocity: Sequence[float] | None = None,
     pinned: Pins = False,
     material: str = "default",
     position: Sequence[float] | None = None,
@@ -56,9 +57,9 @@ def pile(
     shake = validation.number("pile.jitter", jitter, low=0, high=1) * size
     points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * step
     points = points + np.random.default_rng(validation.whole("pile.seed", seed, 0)).uniform(-shake, shake, points.shape)
-    points = moved("pile", points, position, rotation, 1.0)
     total = or_default("pile.mass", mass, 1.0) * len(points)
-    part = Part(total, size, pinned, material, colour, self_collision=True)
+    placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation}
+    part = Part(total, size, pinned, material, colour, self_collision=True, **placed)
     return build(scene, "pile", points, [], np.zeros((0, 3)), part, 0.0, None)
 
 
@@ -74,6 +75,8 @@ def tower(
     poisson_ratio: float | None = None,
     damping: float | None = None,
     radius: float | None = None,
+    velocity: Sequence[float] | None = None,
+    pinned: Pins = False,
     material: str = "default",
     position: Sequence[float] | None = None,
     colour: Sequence[float] | None = None,
@@ -93,8 +96,8 @@ def tower(
     reach = or_default("tower.radius", radius, 0.45 * float((extent / (np.array(many) - 1)).min()))
     step = float(extent[1]) + 2 * reach + at_least_0("tower.gap", gap, 0.0)
     low = np.zeros(dim) if position is None else validation.vectors("tower.position", position, 1, dim)[0]
-    balls = number * math.prod(many)
-    affordable("tower.levels", levels, balls, 13 * balls)
+    count = number * math.prod(many)
+    affordable("tower.levels", levels, count, 13 * count)
     blocks = []
     with scene.all_or_nothing(), about("tower"):
         for level in range(number):
@@ -107,11 +110,14 @@ def tower(
                 poisson_ratio=1 / (dim + 1) if poisson_ratio is None else poisson_ratio,
                 damping=damping,
                 radius=reach,
+                velocity=velocity,
                 material=material,
                 position=low + level * step * np.eye(dim)[1],  # type: ignore[arg-type]
                 colour=colour,
             )
             blocks.append(block)
+        balls = np.concatenate([block.balls for block in blocks])
+        scene.set_balls(balls, pinned=pinned)
     return Shape(
         *(np.concatenate([getattr(b, name) for b in blocks]) for name in ("balls", "springs", "triangles", "cells"))
     )

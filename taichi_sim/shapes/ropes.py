@@ -16,7 +16,6 @@ from taichi_sim.shapes.base import (
     at_least_0,
     build,
     lattice_pairs,
-    moved,
     or_default,
     stable_stiffness,
 )
@@ -37,8 +36,10 @@ def rope(
     bending_stiffness: float = 0.0,
     damping: float | None = None,
     radius: float | None = None,
+    velocity: Sequence[float] | None = None,
     pinned: Pins = False,
     material: str = "default",
+    position: Sequence[float] | None = None,
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
 ) -> Shape:
@@ -71,6 +72,9 @@ def rope(
         material,
         colour,
         self_collision,
+        velocity=velocity,
+        position=position,
+        border=np.isin(np.arange(number[0]), [0, number[0] - 1]),
     )
     return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, at_least_0("rope.damping", damping))
 
@@ -85,8 +89,10 @@ def wheel(
     stiffness: float | None = None,
     damping: float | None = None,
     ball_radius: float | None = None,
+    velocity: Sequence[float] | None = None,
     pinned: Pins = False,
     material: str = "default",
+    position: Sequence[float] | None = None,
     rotation: float | Sequence[float] | None = None,
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
@@ -107,7 +113,8 @@ def wheel(
     angle = 2 * np.pi * np.arange(number) / number
     points = np.zeros((number + 1, scene.dim))
     points[1:, 0], points[1:, 1] = reach * np.cos(angle), reach * np.sin(angle)
-    points = moved("wheel", points, middle, rotation, 1.0)
+    if position is not None:
+        middle = middle + validation.vector("wheel.position", position, scene.dim)
     rim = 1 + np.arange(number)
     spoke_pairs = np.stack([np.zeros(number, dtype=np.int64), rim], axis=1)
     kinds = [Springs(spoke_pairs, 1.0), Springs(np.stack([rim, np.roll(rim, -1)], axis=1), 1.0)]
@@ -121,5 +128,9 @@ def wheel(
         material,
         colour,
         self_collision,
+        velocity=velocity,
+        position=middle,
+        rotation=rotation,
+        border=np.arange(number + 1) > 0,
     )
     return build(scene, "wheel", points, kinds, np.zeros((0, 3)), part, strength, at_least_0("wheel.damping", damping))

@@ -19,7 +19,6 @@ from taichi_sim.shapes.base import (
     counts,
     lattice_pairs,
     lengths,
-    moved,
     or_default,
     stable_stiffness,
 )
@@ -39,6 +38,7 @@ def truss(
     stiffness: float | None = None,
     damping: float | None = None,
     radius: float | None = None,
+    velocity: Sequence[float] | None = None,
     pinned: Pins = False,
     material: str = "default",
     position: Sequence[float] | None = None,
@@ -71,7 +71,6 @@ def truss(
     bars = float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum()) * factor
     total = or_default("truss.mass", mass, BAR_DENSITY * bars)
     strength = at_least_0("truss.stiffness", stiffness, stable_stiffness(kinds, len(points), total))
-    points = moved("truss", points, position, rotation, factor)
     part = Part(
         total,
         or_default("truss.radius", radius, 0.15 * float(extent[1]) * factor),
@@ -79,6 +78,10 @@ def truss(
         material,
         colour,
         self_collision,
+        velocity=velocity,
+        position=position,
+        rotation=rotation,
+        scale=factor,
     )
     return build(scene, "truss", points, kinds, np.zeros((0, 3)), part, strength, at_least_0("truss.damping", damping))
 
@@ -93,6 +96,7 @@ def net(
     stiffness: float | None = None,
     damping: float | None = None,
     radius: float | None = None,
+    velocity: Sequence[float] | None = None,
     pinned: Pins = False,
     material: str = "default",
     position: Sequence[float] | None = None,
@@ -131,7 +135,6 @@ def net(
     kinds = [Springs(pairs, 1.0)]
     total = or_default("net.mass", mass, ROPE_DENSITY * float(rope))
     strength = at_least_0("net.stiffness", stiffness, stable_stiffness(kinds, len(points), total))
-    points = moved("net", points, position, rotation, factor)
     part = Part(
         total,
         or_default("net.radius", radius, 0.3 * float(spacing.min()) * factor),
@@ -139,5 +142,9 @@ def net(
         material,
         colour,
         self_collision,
+        velocity=velocity,
+        position=position,
+        rotation=rotation,
+        scale=factor,
     )
     return build(scene, "net", points, kinds, np.zeros((0, 3)), part, strength, at_least_0("net.damping", damping))

@@ -209,7 +209,7 @@ def drum_scene(dim):
     """A pile in a turning drum with a blade."""
     scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
     rubber = scene.add_material("rubber", restitution=0.2, friction=0.6)
-    turning = {"angular_velocity": 1.5 if dim == 2 else (0.0, 0.0, 1.5), "material": rubber}
+    turning = {"rotation_rate": np.degrees(1.5 if dim == 2 else (0.0, 0.0, 1.5)), "material": rubber}
     scene.add_collider(ts.Sphere(np.zeros(dim), 0.6, hollow=0.1, **turning))
     blade = vector(dim, 0.6), vector(dim, 0.45)
     scene.add_collider(ts.Capsule(*blade, 0.05, pivot=np.zeros(dim), **turning))
@@ -239,7 +239,7 @@ def test_a_lone_ball_in_a_drum_soon_rolls_without_slipping():
     """Friction turns and carries it until both surfaces have one speed where they touch."""
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
     scene.add_material("rubber", friction=0.5)
-    scene.add_collider(ts.Sphere((0, 0), 1.0, hollow=0.1, angular_velocity=0.5, material="rubber"))
+    scene.add_collider(ts.Sphere((0, 0), 1.0, hollow=0.1, rotation_rate=np.degrees(0.5), material="rubber"))
     scene.add_balls([[0.0, -1.0 + R]], radius=R, material="rubber")
     with simulate(scene, dt=H) as sim:
         for _ in range(5):
@@ -299,7 +299,7 @@ def test_nothing_passes_through_a_collider_that_moves_fast(dim):
     apart = [vector(dim, 0.0, 100.0 * k) for k in range(4)]
     scene.add_collider(ts.Box(apart[0] + back, wide, velocity=v))
     scene.add_collider(ts.Sphere(apart[1] + back, 2.0, velocity=v))
-    scene.add_collider(ts.Box(apart[2], block(dim, 6.0, 0.3, 4.0), angular_velocity=spin))
+    scene.add_collider(ts.Box(apart[2], block(dim, 6.0, 0.3, 4.0), rotation_rate=np.degrees(spin)))
     if dim == 3:
         scene.add_collider(
             ts.Mesh(ring(wide=1.5, thick=0.5), position=apart[3] + back, rotation=(0, 90, 0), velocity=v)

@@ -41,8 +41,8 @@ PLANE = {
     "moving_pins": [{"balls": "wheel", "members": [0], "path": [[0.0, [0.0, 0.0]], [1.0, [1.0, 0.0], 30.0]]}],
     "walls": [{"normal": [0.0, 1.0], "offset": -1.0, "material": "rubber"}],
     "colliders": [
-        {"shape": "sphere", "center": [50.0, 0.0], "radius": 1.0, "hollow": 0.1, "angular_velocity": 1.0},
-        {"shape": "box", "center": [60.0, 0.0], "size": [1.0, 1.0], "path": [[0.0, [60.0, 0.0]], [1.0, [9.0, 0.0]]]},
+        {"shape": "sphere", "center": [50.0, 0.0], "radius": 1.0, "hollow": 0.1, "rotation_rate": 60.0},
+        {"shape": "box", "center": [60.0, 0.0], "size": [1.0, 1.0], "path": [[0.0, [0.0, 0.0]], [1.0, [9.0, 0.0]]]},
         {"shape": "capsule", "start": [70.0, 0.0], "end": [71.0, 0.0], "radius": 0.2, "velocity": [1.0, 0.0]},
     ],
     "probes": [{"name": "load", "kind": "tension", "spring": 0}, {"name": "up", "kind": "flux", "normal": [0.0, 1.0]}],
@@ -68,7 +68,7 @@ SPACE = {
     "cells": [{"corners": [[0, 1, 2, 3]], "bulk_modulus": 10.0}],
     "bending": [{"corners": [[0, 1, 2, 3]], "weights": [[1.0, -1.0, 1.0, -1.0]], "stiffness": 1.0}],
     "gases": [{"triangles": TETRAHEDRON, "pressure": 1.0, "outside": 1.0, "balls": "skin"}],
-    "moving_pins": [{"balls": [5], "velocity": [1.0, 0.0, 0.0], "angular_velocity": [0.0, 1.0, 0.0], "pivot": [0.0, 0.0, 0.0]}],
+    "moving_pins": [{"balls": [5], "velocity": [1.0, 0.0, 0.0], "rotation_rate": [0.0, 60.0, 0.0], "pivot": [0.0, 0.0, 0.0]}],
     "wind": {"velocity": [1.0, 0.0, 0.0], "gust": 0.5, "gust_length": 1.0},
     "colliders": [
         {"shape": "mesh", "mesh": "mesh.obj", "position": [90.0, 0.0, 0.0], "resolution": 8},

@@ -53,7 +53,7 @@ def world():
     ts.shapes.rope(scene, (0, 2, 3), (1, 2, 3), 4)
     scene.add_balls([[0, 3, 0], [0.5, 3, 0.2]], radius=[0.1, 0.15], colour=GREEN)
     scene.add_collider(ts.Sphere((5, 0, 0), 0.3, velocity=(0, 0.6, 0), colour=RED, name="moon"))
-    scene.add_collider(ts.Box((7, 0, 0), (1, 2, 3), angular_velocity=(0, 0, 1.0)))
+    scene.add_collider(ts.Box((7, 0, 0), (1, 2, 3), rotation_rate=(0, 0, np.degrees(1.0))))
     scene.add_wall((0, 1, 0), -1)
     scene.add_probe("top", "position", balls=[0])
     return scene

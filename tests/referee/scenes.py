@@ -46,7 +46,7 @@ class Change:
         return 1.0 if self.turn is None else float(np.sign(np.linalg.det(self.turn)))
 
     def turning(self, w: Any) -> Any:
-        """Angular velocities, a number in 2D, (3,) in 3D [1/s]."""
+        """Angular velocities, a number in 2D, (3,) in 3D, in any unit."""
         w = np.asarray(w, dtype=float)
         return (w if w.ndim == 0 else self.direction(w)) * (self.hand / self.time)
 
@@ -137,7 +137,7 @@ class _Adding:
                 to.add_gas(self._faces(gas.triangles), pressure=gas.pressure * pressure, outside=gas.outside * pressure)
         for pins in scene.moving_pins:
             if (number[pins.balls] >= 0).all():
-                to.add_moving_pins(number[pins.balls], **self._led(dict(pins.given), moved=False))
+                to.add_moving_pins(number[pins.balls], **self._led(dict(pins.given)))
         led = np.concatenate([np.zeros(0, dtype=int), *(pins.balls for pins in scene.moving_pins)])
         still = [k for k in np.flatnonzero(scene.pinned & (number >= 0)) if k not in led]
         if still and c.velocity is not None:
@@ -160,13 +160,12 @@ class _Adding:
         t = self.number[triangles]
         return t[:, ::-1] if self.change.hand < 0 else t
 
-    def _led(self, given: dict[str, Any], *, moved: bool) -> dict[str, Any]:
-        """Arguments that move something; `moved`: keyframes are places, not displacements."""
+    def _led(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Arguments that move something."""
         c = self.change
         if given.get("path"):
             if c.velocity is not None:
                 raise NoSuchSceneError("a path has no velocity of its own")
-            place = c.place if moved else lambda x: c.direction(x) * c.length
             keys = [
                 key if isinstance(key, dict) else dict(zip(("time", "position", "rotation"), key))
                 for key in given["path"]
@@ -176,11 +175,11 @@ class _Adding:
             given["path"] = [{**key, "time": key["time"] * c.time} for key in keys]
             for key in given["path"]:
                 if "position" in key:
-                    key["position"] = place(key["position"]).tolist()
+                    key["position"] = (c.direction(key["position"]) * c.length).tolist()
         elif given.get("velocity") is not None or c.velocity is not None:
             given["velocity"] = c.speed(given.get("velocity") or np.zeros(self.scene.dim)).tolist()
-        if given.get("angular_velocity") is not None:
-            given["angular_velocity"] = np.asarray(c.turning(given["angular_velocity"])).tolist()
+        if given.get("rotation_rate") is not None:
+            given["rotation_rate"] = np.asarray(c.turning(given["rotation_rate"])).tolist()
         if given.get("pivot") is not None:
             given["pivot"] = c.place(given["pivot"]).tolist()
         return given
@@ -198,7 +197,7 @@ class _Adding:
             if not (shared and any(to.materials[w.material].name == material for w in old)):
                 to.add_wall(normal, offset, material, collides_with=None if shared else self.group)
         for collider in scene.colliders:
-            given = self._led(dict(collider.given), moved=True)
+            given = self._led(dict(collider.given))
             if given.get("rotation") is not None and c.turn is not None:
                 raise NoSuchSceneError("a collider that is turned already")
             for key in ("center", "start", "end"):

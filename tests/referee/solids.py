@@ -169,7 +169,7 @@ def _mixed(rng: Rng, n: int) -> list[Case]:
         ends = scene.add_balls([[0.4, 0.2, -0.2], [0.4, 0.3, 0.2]], radius=0.03, body=scene.new_body(), material="m")
         scene.add_springs([ends], stiffness=1e4, damping=1.0, collides=True)
         scene.add_wall((0, 1, 0), 0.0, "m")
-        scene.add_collider(ts.Sphere((0.4, 0.0, 0.0), 0.12, angular_velocity=(0.0, 3.0, 0.0), material="m"))
+        scene.add_collider(ts.Sphere((0.4, 0.0, 0.0), 0.12, rotation_rate=np.degrees((0.0, 3.0, 0.0)), material="m"))
         cases.append(Case(scene, {**VERLET, "dt": 2.0**-10, "substeps": 2}, 0.25, 4))
     return cases
 

@@ -80,7 +80,7 @@ def test_turns_of_any_size():
 
 
 def test_constant_motion_about_a_pivot():
-    motion = collider(ts.Box((1, 0), (1, 1), velocity=(0, 1), angular_velocity=np.pi, pivot=(0, 0))).motion
+    motion = collider(ts.Box((1, 0), (1, 1), velocity=(0, 1), rotation_rate=180.0, pivot=(0, 0))).motion
     x, turn = motion.at([0.0, 0.5, 1.0])
     assert x == pytest.approx(np.array([[1, 0], [0, 1.5], [-1, 1]]))
     assert turn[1] == pytest.approx(np.array([[0, -1], [1, 0]]))
@@ -172,14 +172,14 @@ center = [0.0, 0.0]
 radius = 1.0
 hollow = 0.1
 material = "rubber"
-angular_velocity = 2.0
+rotation_rate = 90.0
 [[colliders]]
 shape = "box"
 center = [3.0, 0.0]
 size = [1.0, 0.3]
 rotation = 30.0
 colour = [0.1, 0.2, 0.3]
-path = [{time = 0.0, position = [3.0, 0.0]}, {time = 0.7, position = [3.1, 0.3], rotation = 400.0}]
+path = [{time = 0.0, position = [0.0, 0.0], rotation = 0.0}, {time = 0.7, position = [0.1, 0.3], rotation = 400.0}]
 """
 
 

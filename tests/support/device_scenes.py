@@ -82,9 +82,7 @@ def surfaces():
             surface_collision=True, material="rubber", pinned=[0, 5] if k else False,
         )  # fmt: skip
     scene.add_moving_pins(sheet.balls[[0, 5]], path=[(0, (0, 0, 0)), (0.5, (0.1, -0.3, 0))])
-    scene.add_collider(
-        ts.Sphere((0.2, 0, 0.2), 0.05, material="rubber", path=[(0, (0.2, 0, 0.2)), (1, (0.2, 0.2, 0.2))])
-    )
+    scene.add_collider(ts.Sphere((0.2, 0, 0.2), 0.05, material="rubber", path=[(0, (0, 0, 0)), (1, (0, 0.2, 0))]))
     return scene, {"dt": 1e-3, "contacts": "jacobi"}
 
 

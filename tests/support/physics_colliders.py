@@ -128,14 +128,16 @@ class Laboratory:
         )
         self.add("carried by a conveyor", c + vector(dim, 0.0, R), self.scene.add_material("worn", friction=0.04))
         c = self.place("lift")
-        keys = [(t, c + vector(dim, 0.0, y - 0.5)) for t, y in LIFT]
-        self.scene.add_collider(ts.Box(keys[0][1], np.ones(dim), path=keys, material="smooth"))
+        keys = [(t, vector(dim, 0.0, y - LIFT[0][1])) for t, y in LIFT]
+        self.scene.add_collider(
+            ts.Box(c + vector(dim, 0.0, LIFT[0][1] - 0.5), np.ones(dim), path=keys, material="smooth")
+        )
         self.add("raised by a lift", c + vector(dim, 0.1, R))
 
     def _targets(self):
         """A collider of each shape, and the bullets that fly at it or within it."""
         dim, rng, targets = self.dim, np.random.default_rng(1), []
-        spin = 40.0 if dim == 2 else (20.0, 30.0, -40.0)
+        spin = np.degrees(40.0 if dim == 2 else (20.0, 30.0, -40.0))
         tilt = 30.0 if dim == 2 else (20.0, 30.0, 40.0)
         along = vector(dim, 0.7, 0.3)
         shapes = [
@@ -145,8 +147,8 @@ class Laboratory:
             lambda c: ts.Sphere(c, 1.0, hollow=0.1, material="elastic"),
             lambda c: ts.Box(c, np.full(dim, 1.5), hollow=0.1, rotation=tilt, material="elastic"),
             lambda c: ts.Capsule(c - along, c + along, 0.6, hollow=0.1, material="elastic"),
-            lambda c: ts.Box(c, np.full(dim, 1.2), angular_velocity=spin, material="elastic"),
-            lambda c: ts.Capsule(c - along, c + along, 0.6, hollow=0.1, angular_velocity=spin, material="elastic"),
+            lambda c: ts.Box(c, np.full(dim, 1.2), rotation_rate=spin, material="elastic"),
+            lambda c: ts.Capsule(c - along, c + along, 0.6, hollow=0.1, rotation_rate=spin, material="elastic"),
         ]
         if dim == 3:
             shapes += [lambda c: ts.Mesh(ring(), position=c, rotation=tilt, material="elastic")]

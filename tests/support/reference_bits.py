@@ -106,7 +106,7 @@ def sticks_and_colliders():
     scene = _crowd(2, 30, seed=5, radius=0.03)
     ends = scene.add_balls([[0.2, 0.9], [0.8, 0.95], [0.5, 0.95]], radius=0.03, mass=2.0, material="rubber")
     scene.add_springs([[ends[0], ends[1]]], stiffness=5000.0, damping=5.0, collides=True)
-    scene.add_collider(ts.Box((0.5, 0.0), (0.2, 0.1), material="rubber", path=[(0, (0.5, 0)), (1, (0.6, 0.2))]))
+    scene.add_collider(ts.Box((0.5, 0.0), (0.2, 0.1), material="rubber", path=[(0, (0, 0)), (1, (0.1, 0.2))]))
     scene.add_collider(ts.Sphere((0.9, 0.1), 0.1, material="ice"))
     scene.add_collider(ts.Capsule((0.6, 0.5), (0.75, 0.4), 0.04, material="rubber"))
     return scene, {"dt": 1e-3}

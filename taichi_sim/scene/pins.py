@@ -1,0 +1,91 @@
+"""Which balls of several are meant: by numbers, by a word like "border", or by what lies within a box or a sphere."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError, about
+from taichi_sim.geometry.mesh import sides
+from taichi_sim.scene.colliders import Box, Capsule, Sphere, build, shape_of
+
+__all__ = ["Pins", "chosen"]
+
+Side = Literal["border", "corners", "left", "right", "bottom", "top", "front", "back"]
+Pins = bool | Side | Sequence[int] | Sequence[bool] | NDArray | Box | Sphere | Capsule
+
+SIDES = {"left": (0, -1), "right": (0, 1), "bottom": (1, -1), "top": (1, 1), "front": (2, 1), "back": (2, -1)}
+AT_SIDE = 1e-6  # of the longest extent
+
+
+def chosen(
+    where: str, pins: Any, x: NDArray, own: NDArray | None = None, triangles: NDArray | None = None
+) -> NDArray[np.bool_]:
+    """Which of the balls at x (n, dim) [m] are meant, (n,).
+
+    pins: a bool, a bool per ball, numbers of them, a solid shape (or a table that describes one, as in [[colliders]]): those with
+    their centre in it; or a word: left, right (along x), bottom, top (y), back, front (z): the outermost that way; border: on
+    edges of the `triangles` (t, 3) that belong to one alone, or, without such edges, outermost along an axis; corners: outermost
+    along all axes. own: (n, dim) [m], where border and corners are looked for, the places before a shape was turned.
+    """
+    n = len(x)
+    if isinstance(pins, str):
+        return _named(where, pins, x, x if own is None else own, triangles)
+    if isinstance(pins, (Mapping, Box, Sphere, Capsule)):
+        return _within(where, pins, x)
+    array = validation.as_array(pins)
+    if array.dtype == object:
+        says = "is not a bool, a bool per ball, a list of positions, the name of a side, or a box or sphere"
+        raise SceneError(where, pins, says=says)
+    if array.dtype == np.bool_:
+        return validation.flags(where, array, n)
+    held = np.zeros(n, dtype=bool)
+    held[validation.indices(where, array, n)] = True
+    return held
+
+
+def _named(where: str, word: str, x: NDArray, own: NDArray, triangles: NDArray | None) -> NDArray[np.bool_]:
+    dim = x.shape[1]
+    words = ("border", "corners", *list(SIDES)[: 2 * dim])
+    validation.one_of(where, word, words, ", a list of positions, or a box or sphere")
+    if not len(x):
+        return np.zeros(0, dtype=bool)
+    if word in SIDES:
+        axis, sign = SIDES[word]
+        at = _outermost(x)[sign > 0][:, axis]
+        if at.all() and len(x) > 1:
+            says = f"is no side of it: all of its balls lie at {'xyz'[axis]} = {x[0, axis]:.4g} m"
+            raise SceneError(where, word, says=says)
+        return at
+    if word == "border" and triangles is not None and len(triangles):
+        edges = np.sort(sides(triangles), axis=1)
+        once, count = np.unique(edges, axis=0, return_counts=True)
+        if not (count == 1).any():
+            raise SceneError(where, word, says="is not there: its surface is closed")
+        held = np.zeros(len(x), dtype=bool)
+        held[once[count == 1]] = True
+        return held
+    low, high = _outermost(own)
+    wide = ~(low & high).all(axis=0)  # axes along which it extends
+    out = (low | high)[:, wide]
+    held = np.asarray(out.any(axis=1) if word == "border" else out.all(axis=1))
+    if not held.any() or not wide.any():
+        raise SceneError(where, word, says="are not there: no ball is outermost along all axes; give their numbers")
+    return held
+
+
+def _outermost(x: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which coordinates (n, dim) are the lowest, and which the highest along their axis."""
+    near = AT_SIDE * float(np.ptp(x, axis=0).max())
+    return x <= x.min(axis=0) + near, x >= x.max(axis=0) - near
+
+
+def _within(where: str, pins: Any, x: NDArray) -> NDArray[np.bool_]:
+    with about(where):
+        shape = shape_of(pins) if isinstance(pins, Mapping) else pins
+    held: NDArray[np.bool_] = build(shape, x.shape[1], where, 0).distance(x, 0.0) <= 0.0
+    if not held.any():
+        raise SceneError(where, says="holds no ball; it must hold the centre of one")
+    return held
