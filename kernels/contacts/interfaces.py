@@ -104,10 +104,8 @@ class Grid(Protocol):
     enlarged: float  # times: radii with which pairs are looked for
     margin: float  # times: for rounded coordinates
     levels: int  # number of levels
-    bounds: list  # (levels) m, largest radius
-    bound: Field  # (levels) m, the same
-    inverse_widths: list  # (levels) 1/m, of cells across x
-    inverse_width: Field  # (levels) 1/m, the same
+    bound: Field  # (levels) m, largest radius
+    inverse_width: Field  # (levels) 1/m, of cells across x
     size: int  # buckets of all levels
     chunk: int  # buckets that one thread sums
     table_size: Field  # (levels) buckets

@@ -25,7 +25,7 @@ def level_of(radius, grid: ti.template()):
     """Level in which a ball of this radius lies."""
     level = 0
     for k in ti.static(range(1, grid.levels)):
-        if radius > grid.bounds[k - 1]:
+        if radius > grid.bound[k - 1]:
             level = k
     return level
 
@@ -33,19 +33,13 @@ def level_of(radius, grid: ti.template()):
 @ti.func
 def inverse_cell(grid: ti.template(), level):
     """1/m: one over the width of a level's cells across x."""
-    if ti.static(grid.levels == 1):
-        return grid.inverse_widths[0]
-    else:
-        return grid.inverse_width[level]
+    return grid.inverse_width[level]
 
 
 @ti.func
 def largest(grid: ti.template(), level):
     """Largest radius in a level [m]."""
-    if ti.static(grid.levels == 1):
-        return grid.bounds[0]
-    else:
-        return grid.bound[level]
+    return grid.bound[level]
 
 
 @ti.func

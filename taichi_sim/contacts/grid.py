@@ -40,20 +40,18 @@ class Grid:
         self.n, self.dim = model.n, model.dim
         self.skin, self.enlarged = skin, 1.0 + skin + gap
         self.margin = 1.001  # for rounded coordinates
-        self.bounds = levels(model.scene.radius, model.dim)  # largest radius [m] of each level, the finest first
-        self.levels = len(self.bounds)
-        level = np.searchsorted(self.bounds, model.scene.radius)
+        bounds = levels(model.scene.radius, model.dim)  # largest radius [m] of each level, the finest first
+        self.levels = len(bounds)
+        level = np.searchsorted(bounds, model.scene.radius)
         balls = np.bincount(level, minlength=self.levels)
-        self.widths = [2.0 * bound * self.enlarged * self.margin for bound in self.bounds]
-        self.inverse_widths = [1.0 / width for width in self.widths]
+        self.bound = fields.reals(np.array(bounds))
+        self.inverse_width = fields.reals(1.0 / (2.0 * np.array(bounds) * self.enlarged * self.margin))
         fewest = 64 if self.levels == 1 else FEWEST_BUCKETS_OF_LEVEL
         sizes = [max(fewest, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * n))))) for n in balls.tolist()]
         self.size = sum(sizes)
         self.chunk = parallel_search.SUMMED_BUCKETS if parallel or self.size < 4096 else 1024
         self.size = -(-self.size // self.chunk) * self.chunk
         if self.levels > 1:
-            self.bound = fields.reals(np.array(self.bounds))
-            self.inverse_width = fields.reals(np.array(self.inverse_widths))
             self.table_size = fields.integers(np.array(sizes))
             self.table_first = fields.integers(np.cumsum([0, *sizes[:-1]]))
             self.top = fields.integers(self.levels * model.dim)
@@ -82,6 +80,11 @@ class Grid:
         self.dense = fields.integers(self.levels)
         vector = ti.types.vector(model.dim, fields.real)
         self.copy = fields.table({"x": vector, "radius": fields.real}, self.n)
+
+    @property
+    def widest(self) -> float:
+        """Width of the coarsest level's cells [m]."""
+        return 1.0 / float(self.inverse_width[self.levels - 1])
 
     @ti.func
     def expire(self):

@@ -1,4 +1,4 @@
-"""The only place that starts Taichi. Arch, precision and threads hold for the whole process.
+"""The only place that starts and stops Taichi. Arch, precision and threads hold for the whole process.
 
 A second `ti.init` would silently invalidate every field that exists, so a request that differs from what runs is refused. Taichi
 serves one thread, that which started it; in another its kernels fail or compute nonsense, so use from there is refused, too.
@@ -18,7 +18,7 @@ from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.devices import find, verdict
 from taichi_sim.device.engine import ENGINE, VERSION, finds, ti
 
-__all__ = ["ARCHES", "PRECISIONS", "Backend", "check_thread", "has_wide_numbers", "running", "start"]
+__all__ = ["ARCHES", "PRECISIONS", "Backend", "check_thread", "has_wide_numbers", "running", "start", "stop"]
 
 ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
@@ -118,6 +118,17 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
                 " whole process. Use that, or start a new process."
             )
     return _running
+
+
+def stop() -> None:
+    """End Taichi in this process, which gives all its memory back. Simulations and renderers that exist are closed by that; the
+    next one starts it again, with any arch and precision, and finds kernels of another process in the cache, as it would first
+    in this one."""
+    global _running, _owner
+    check_thread()
+    if _running is not None:
+        ti.reset()
+        _running = _owner = None
 
 
 def _init(arch: str, precision: str, threads: int) -> Backend:

@@ -1,5 +1,6 @@
 """Fields: one tree of Taichi fields that is declared piece by piece, filled once, and freed as a whole."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,9 @@ from numpy.typing import NDArray
 from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
-from taichi_sim.device.trees import Tree, forget, take, take_back
+from taichi_sim.device.trees import Tree, forget, kept, lead, take, take_back, twin
 
-__all__ = ["NUMPY_TYPES", "Fields", "fill"]
+__all__ = ["NUMPY_TYPES", "Fields", "OtherFieldsError", "fill"]
 
 NUMPY_TYPES = {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}
 
@@ -20,34 +21,70 @@ def fill(field: Any, values: NDArray) -> None:
     field.from_numpy(values.astype(NUMPY_TYPES[field.dtype]))
 
 
+class OtherFieldsError(Exception):
+    """What is declared is unlike the fields whose memory it should take over."""
+
+
 class Fields:
     """Collects fields with their first values; `build()` allocates and fills them, `free()` gives the memory back.
 
     Taichi frees memory only by whole trees, and a process holds few hundred of them: so one per simulation. What is freed
-    serves later fields of the same types and lengths, see `trees`. A field that would be empty gets one unused element, because
-    Taichi has no empty fields.
+    serves later fields of the same types and lengths, see `trees`: as long as what is declared is like a freed tree's fields,
+    these are handed out, because Taichi takes half a millisecond to make one. A field that would be empty gets one unused
+    element, because Taichi has no empty fields.
+
+    on: other fields, still in use, whose memory these take over when they are built; OtherFieldsError is raised where one is
+    declared that is unlike theirs.
     """
 
-    def __init__(self, real: Any, wide: bool = True) -> None:
+    def __init__(self, real: Any, wide: bool = True, on: "Fields | None" = None) -> None:
         backend.check_thread()
         self.real, self.has_wide_numbers = real, wide
-        self._builder = ti.FieldsBuilder()
+        self._on = on
+        self._alike = kept() if on is None or on._tree is None else [on._tree]  # trees that begin like what is declared
+        self._builder: Any = None  # once there is none
         self._declared: list[Any] = []
+        self._makers: list[Callable[[], Any]] = []  # of a new field for each
         self._layout: list[tuple[Any, ...]] = []  # type, length and way of storage of each
         self._first: list[tuple[int, Any]] = []  # number of the field, values
         self._tree: Tree | None = None
         self._bytes: dict[int, int] = {}  # by the identity of a field
 
-    def _place(self, field: Any, kind: object, n: int, data: Any, item_bytes: int, by_column: bool = False) -> Any:
-        """Declare a field of n entries, each of a kind and so many bytes, that begins with data, or with zeros."""
-        n = max(1, n)
+    def _place(
+        self, make: Callable[[], Any], kind: object, n: int, data: Any, item_bytes: int, by_column: bool = False
+    ) -> Any:
+        """Declare a field of n entries, each of a kind and so many bytes, that begins with data, or with zeros. make: one that
+        is new."""
+        n, number = max(1, n), len(self._declared)
+        self._makers.append(make)
+        self._layout.append((kind, n, by_column))
+        self._alike = [
+            tree for tree in self._alike if len(tree.layout) > number and tree.layout[number] == self._layout[-1]
+        ]
+        if not self._alike:
+            self._begin_new()
+        field = twin(self._alike[-1].fields[number]) if self._alike else self._new(number)
+        if data is not None:
+            self._first.append((number, data))
+        self._declared.append(field)
+        self._bytes[id(field)] = n * item_bytes
+        return field
+
+    def _begin_new(self) -> None:
+        """Make fields for all that were declared so far. Raises OtherFieldsError where they have to be others'."""
+        if self._on is not None:
+            raise OtherFieldsError
+        if self._builder is None:
+            self._builder = ti.FieldsBuilder()
+            for number, field in enumerate(self._declared):
+                lead(field, self._new(number))
+
+    def _new(self, number: int) -> Any:
+        """A new field in place of the one declared with this number."""
+        _, n, by_column = self._layout[number]
+        field = self._makers[number]()
         for part in [field.get_member_field(name) for name in field.keys] if by_column else [field]:
             self._builder.dense(ti.i, n).place(part)
-        if data is not None:
-            self._first.append((len(self._declared), data))
-        self._declared.append(field)
-        self._layout.append((kind, n, by_column))
-        self._bytes[id(field)] = n * item_bytes
         return field
 
     @property
@@ -84,25 +121,30 @@ class Fields:
     def reals(self, data: int | NDArray) -> Any:
         """A field of reals: n of them, zero, or a copy of data, shape (n,) or (n, dim)."""
         if isinstance(data, int):
-            return self._place(ti.field(self.real), str(self.real), data, None, self._size)
+            return self._place(lambda: ti.field(self.real), str(self.real), data, None, self._size)
         array = self._cast(data)
         width = array.shape[1] if array.ndim == 2 else 0
-        field = ti.Vector.field(width, self.real) if width else ti.field(self.real)
         first = array if len(array) else None
-        return self._place(field, (str(self.real), width), len(array), first, self._size * max(1, width))
+
+        def make() -> Any:
+            return ti.Vector.field(width, self.real) if width else ti.field(self.real)
+
+        return self._place(make, (str(self.real), width), len(array), first, self._size * max(1, width))
 
     def doubles(self, n: int) -> Any:
         """n zeros in double precision, for sums; in single precision where the device has no other."""
-        return self._place(ti.field(self.wide), str(self.wide), n, None, 8 if self.has_wide_numbers else self._size)
+        return self._place(
+            lambda: ti.field(self.wide), str(self.wide), n, None, 8 if self.has_wide_numbers else self._size
+        )
 
     def vectors(self, n: int, dim: int) -> Any:
         """n zero vectors."""
-        return self._place(ti.Vector.field(dim, self.real), (str(self.real), dim), n, None, self._size * dim)
+        return self._place(lambda: ti.Vector.field(dim, self.real), (str(self.real), dim), n, None, self._size * dim)
 
     def matrices(self, n: int, dim: int) -> Any:
         """n zero matrices (dim, dim)."""
         kind = (str(self.real), dim, dim)
-        return self._place(ti.Matrix.field(dim, dim, self.real), kind, n, None, self._size * dim * dim)
+        return self._place(lambda: ti.Matrix.field(dim, dim, self.real), kind, n, None, self._size * dim * dim)
 
     def spins(self, n: int, dim: int) -> Any:
         """n zero spins: a scalar each in 2D, a vector in 3D."""
@@ -112,15 +154,15 @@ class Fields:
         """A field of 32-bit integers: n zeros, or a copy of data, shape (n,)."""
         n = data if isinstance(data, int) else len(data)
         array = None if isinstance(data, int) or n == 0 else np.ascontiguousarray(data, dtype=np.int32)
-        return self._place(ti.field(ti.i32), "i32", n, array, 4)
+        return self._place(lambda: ti.field(ti.i32), "i32", n, array, 4)
 
     def keys(self, n: int) -> Any:
         """n zeros of 64-bit integers."""
-        return self._place(ti.field(ti.i64), "i64", n, None, 8)
+        return self._place(lambda: ti.field(ti.i64), "i64", n, None, 8)
 
     def cells(self, n: int, dim: int) -> Any:
         """n zero vectors of 32-bit integers."""
-        return self._place(ti.Vector.field(dim, ti.i32), ("i32", dim), n, None, 4 * dim)
+        return self._place(lambda: ti.Vector.field(dim, ti.i32), ("i32", dim), n, None, 4 * dim)
 
     def table(
         self, columns: dict[str, Any], n: int, data: dict[str, NDArray] | None = None, *, by_column: bool = False
@@ -134,31 +176,44 @@ class Fields:
                 name: np.ascontiguousarray(data[name], dtype=np.int32) if t == ti.i32 else self._cast(data[name], name)
                 for name, t in columns.items()
             }
-        field = ti.Struct.field(
-            columns
-        )  # not before the cast, which may refuse: an unplaced field stops every later build
         kind = tuple((name, str(getattr(t, "dtype", t)), getattr(t, "n", 0)) for name, t in columns.items())
-        return self._place(field, kind, n, typed, width, by_column)
+        return self._place(lambda: ti.Struct.field(columns), kind, n, typed, width, by_column)
+
+    def check(self) -> None:
+        """Raise OtherFieldsError where these are to take over the memory of others, which have more fields."""
+        if self._on is not None and self._on._tree is not None and len(self._on._tree.layout) != len(self._layout):
+            raise OtherFieldsError
 
     def build(self) -> None:
         """Allocate everything, or take over what was freed of the same layout, and copy the first values in."""
-        layout = tuple(self._layout)
-        tree = take(layout, self._declared, self._builder)
-        self._tree = tree or Tree(layout, self._declared, self._builder, self.bytes)
+        self.check()
+        if self._on is not None:
+            self._tree, self._on._tree = self._on._tree, None
+            assert self._tree is not None
+            self._tree.lend(self._declared)
+            self._tree.clear()
+        else:
+            self._tree = take(tuple(self._layout), self._declared, self._builder)
+        if self._tree is None:
+            self._begin_new()
+            self._tree = Tree(tuple(self._layout), self._declared, self._builder, self.bytes)
         for number, data in self._first:
             self._tree.fields[number].from_numpy(data)
         self._first.clear()
+        self._makers.clear()
+        self._alike = []
+        self._on = None
 
     def abandon(self) -> None:
         """Undo a construction that failed: a builder left open would make every later simulation fail."""
-        if self._tree is None:
+        if self._tree is None and self._builder is not None:
             forget(self._builder)
         self.free()
 
     @property
     def built(self) -> bool:
-        """Whether the fields may be used: built, and not freed."""
-        return self._tree is not None
+        """Whether the fields may be used: built, neither freed nor gone with the engine."""
+        return self._tree is not None and self._tree.alive
 
     def free(self) -> None:
         """Give the memory back. The fields must not be used after that."""

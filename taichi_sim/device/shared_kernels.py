@@ -2,8 +2,9 @@
 
 Taichi compiles a kernel anew for each object that is handed to it, and keeps what it made of the earlier ones until the process
 ends. Here an object is known by what kernels can read of it: its place among all parts of a simulation, the constants of all of
-them, and the memory of their fields. Fields of the same layout take over the memory of freed ones (`fields`), so the parts of a
-second simulation of the same structure find the kernels of the first. What merely differs in value is copied into the fields.
+them, and the memory of their fields; the numbers of NumPy arrays are no constants, kernels do not read them. Fields of the same
+layout take over the memory of freed ones (`fields`), so the parts of a second simulation of the same structure find the kernels
+of the first. What merely differs in value is copied into the fields.
 
 Private names are touched, so this holds for one version of Taichi only; in any other every object has kernels of its own.
 """
@@ -11,51 +12,69 @@ Private names are touched, so this holds for one version of Taichi only; in any 
 import functools
 import hashlib
 import types
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from taichi_sim.device.engine import ENGINE, VERSION, ti
 
-__all__ = ["KEY", "share_kernels"]
+__all__ = ["KEY", "Shared", "share_kernels"]
 
 KNOWN = ("taichi", "1.7.4")
 KEY = "_kernels_known_by"  # attribute of an object or a field
 OURS = "taichi_sim"  # the package; what lies elsewhere may read what is not seen here
-MOST_UNROLLED = 64  # numbers of an array that a kernel may have written out; what is longer is told by its shape
 PLAIN = (bool, int, float, complex, str, bytes, type(None), np.generic)
 
 
-def share_kernels(parts: dict[str, Any], apart: tuple[type, ...] = ()) -> str:
-    """Let these parts, and all that they hold, use the kernels compiled for equal ones. To be called once all fields are built,
-    before any kernel has run. apart: types of what no kernel reads, a scene for instance. Returns what the parts are known by; ""
-    where there are user-defined ones among them, which may read what is not seen here: nothing is shared then.
+class Shared(NamedTuple):
+    """What parts are known by for their kernels; "" where they share none. told: from what that was made, (place, words)."""
+
+    known_by: str
+    told: tuple[tuple[tuple[object, ...], tuple[object, ...]], ...]
+
+    def difference(self, others: "Shared") -> tuple[str, str, str] | None:
+        """The first thing for which others need other kernels: its place, `contacts.plan.iterations`, and what stands there here
+        and in the others; None where they need the same."""
+        for (place, words), (_, now) in zip(self.told, others.told):
+            if words != now:
+                kinds = 0 if words[0] != now[0] else 1  # a type and its value, or types that differ
+                then, here = (" ".join(map(str, one[kinds:])) for one in (words, now))
+                return ".".join(map(str, place)), then, here
+        return None if len(self.told) == len(others.told) else ("", str(len(self.told)), str(len(others.told)))
+
+
+def share_kernels(parts: dict[str, Any], apart: tuple[type, ...] = ()) -> Shared:
+    """Let these parts, and all that they hold, use the kernels compiled for equal ones. To be called once all fields have memory,
+    before any kernel has run. apart: types of what no kernel reads, a scene for instance. Nothing is shared where there are
+    user-defined parts among them, which may read what is not seen here.
     """
     walk = _Walk(apart)
     walk.value(parts)
     if (ENGINE, VERSION) != KNOWN or walk.foreign:
         for part in walk.kernel_holders:
             vars(part).pop(KEY, None)
-        return ""
+        return Shared("", ())
     _install()
-    known_by = walk.digest.hexdigest()
+    known_by = hashlib.sha256(repr([words for _, words in walk.told]).encode()).hexdigest()
     for number, part in enumerate(walk.kernel_holders):
         vars(part)[KEY] = (KEY, known_by, number)
-    return known_by
+    return Shared(known_by, tuple(walk.told))
 
 
 class _Walk:
     """Reads all that is reachable, each object once, in the order in which it is met."""
 
     def __init__(self, apart: tuple[type, ...]) -> None:
-        self.apart, self.digest = apart, hashlib.sha256()
+        self.apart = apart
+        self.told: list[tuple[tuple[object, ...], tuple[object, ...]]] = []
         self.kernel_holders: list[Any] = []
         self.foreign = False  # whether a function or a part is not of this package
+        self._path: list[object] = []
         self._met: dict[int, int] = {}
         self._alive: list[Any] = []  # so that no identity is given twice
 
     def _say(self, *words: object) -> None:
-        self.digest.update(repr(words).encode())
+        self.told.append((tuple(self._path), words))
 
     def value(self, value: Any) -> None:
         if isinstance(value, PLAIN):
@@ -74,9 +93,9 @@ class _Walk:
         if isinstance(value, ti.Field):
             self._say(kind.__name__, [member.ptr.snode().id for member in value._get_field_members()])
         elif isinstance(value, np.ndarray):
-            self._say("array", value.shape, value.dtype.str)
-            if value.size <= MOST_UNROLLED:
-                self._say(value.tolist())
+            self._say(
+                "array", value.shape, value.dtype.str
+            )  # not what is in it: `_install` sees to it that none is read
         elif isinstance(value, (list, tuple, frozenset, set)):
             self._say(kind.__qualname__, len(value))
             for one in sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value:
@@ -85,11 +104,16 @@ class _Walk:
             self._say("dict", len(value))
             for key, one in value.items():
                 self.value(key)
+                self._path.append(key)
                 self.value(one)
+                self._path.pop()
         elif isinstance(value, functools.partial):
             self.value((value.func, value.args, value.keywords))
         elif isinstance(value, types.MethodType):
             self.value((value.__func__, value.__self__))
+        elif "_kernel_owner" in getattr(value, "__dict__", {}):  # a kernel of an object
+            self._say("kernel", value._primal.func.__qualname__)
+            self.value(value._kernel_owner)
         elif isinstance(value, types.FunctionType):
             self._say("function", value.__module__, value.__qualname__, value.__code__.co_firstlineno)
             self.foreign = self.foreign or not _is_ours(value)
@@ -119,7 +143,9 @@ def _is_ours(value: Any) -> bool:
 
 @functools.cache
 def _install() -> None:
-    """Let the engine look for the key of an object, or of a field, before it takes it by its identity."""
+    """Let the engine look for the key of an object, or of a field, before it takes it by its identity; and refuse kernels of this
+    package that read a NumPy array, whose numbers the key does not hold."""
+    from taichi.lang.ast.ast_transformer import ASTTransformer
     from taichi.lang.kernel_impl import TaichiCallableTemplateMapper as Mapper
 
     by_identity, template = Mapper.extract_arg, ti.template
@@ -132,3 +158,12 @@ def _install() -> None:
         return by_identity(argument, annotation, name)
 
     Mapper.extract_arg = staticmethod(extract_arg)
+    build_attribute = ASTTransformer.build_Attribute
+
+    def attribute(context: Any, node: Any) -> Any:
+        found = build_attribute(context, node)
+        if isinstance(getattr(node, "ptr", None), np.ndarray) and _is_ours(context.func.func):
+            raise TypeError(f"kernels read no NumPy array, but {context.func.func.__qualname__} reads {node.attr!r}")
+        return found
+
+    ASTTransformer.build_Attribute = staticmethod(attribute)

@@ -10,7 +10,7 @@ from typing import Any
 from taichi_sim.device.engine import ti
 from taichi_sim.device.shared_kernels import KEY
 
-__all__ = ["Tree", "take", "take_back"]
+__all__ = ["Tree", "forget", "kept", "lead", "take", "take_back", "twin"]
 
 MOST_KEPT, MOST_KEPT_BYTES = 16, 64 << 20  # freed trees
 SHORT = 4096  # entries of a field that one thread sets to zero
@@ -28,7 +28,7 @@ class Tree:
         runtime = ti.lang.impl.get_runtime()
         runtime.materialize()  # fields learn where their entries lie
         self._program = runtime.prog
-        self.fields = [_twin(field) for field in declared]
+        self.fields = [twin(field) for field in declared]
         self._zeros: list[_Zeros] | None = None
         self.lend(declared)
 
@@ -40,7 +40,7 @@ class Tree:
     def lend(self, declared: list[Any]) -> None:
         """Let declared fields of this layout mean this memory."""
         for field, own in zip(declared, self.fields):
-            _lead(field, own)
+            lead(field, own)
 
     def clear(self) -> None:
         """Set all fields to zero, as a new tree's are."""
@@ -55,14 +55,20 @@ class Tree:
         self._tree.destroy()
 
 
+def kept() -> list[Tree]:
+    """The freed trees, the last one freed at the end."""
+    _kept[:] = [tree for tree in _kept if tree.alive]
+    return list(_kept)
+
+
 def take(layout: tuple[Any, ...], declared: list[Any], builder: Any) -> Tree | None:
     """A freed tree of this layout, zero, lent to the declared fields in place of what their builder would make; None where there
     is none."""
-    _kept[:] = [tree for tree in _kept if tree.alive]
-    tree = next((tree for tree in reversed(_kept) if tree.layout == layout), None)
+    tree = next((tree for tree in reversed(kept()) if tree.layout == layout), None)
     if tree is not None:
         _kept.remove(tree)
-        forget(builder)
+        if builder is not None:
+            forget(builder)
         tree.lend(declared)
         tree.clear()
     return tree
@@ -70,8 +76,7 @@ def take(layout: tuple[Any, ...], declared: list[Any], builder: Any) -> Tree | N
 
 def take_back(tree: Tree) -> None:
     """Keep what its owner has freed, or, where too much is kept, give back what was freed first."""
-    _kept.append(tree)
-    _kept[:] = [tree for tree in _kept if tree.alive]
+    _kept[:] = [*kept(), tree]
     while len(_kept) > MOST_KEPT or sum(tree.bytes for tree in _kept) > MOST_KEPT_BYTES:
         _kept.pop(0).destroy()
 
@@ -112,22 +117,22 @@ def _numbers(field: Any) -> list[Any]:
     return [field]
 
 
-def _twin(field: Any) -> Any:
+def twin(field: Any) -> Any:
     """Another field that means the same memory."""
     if isinstance(field, ti.StructField):
-        twin = ti.StructField({name: _twin(one) for name, one in field._items}, field.struct_methods, field.name)
+        other = ti.StructField({name: twin(one) for name, one in field._items}, field.struct_methods, field.name)
     else:
-        twin = copy(field)
+        other = copy(field)
     members = field._get_field_members()
-    vars(twin)[KEY] = (KEY, members[0].ptr.snode().id, len(members), isinstance(field, ti.StructField))
-    return twin
+    vars(other)[KEY] = (KEY, members[0].ptr.snode().id, len(members), isinstance(field, ti.StructField))
+    return other
 
 
-def _lead(field: Any, own: Any) -> None:
+def lead(field: Any, own: Any) -> None:
     """Let a field, and the members that may have been taken from it, mean the memory of another one of its layout."""
     if isinstance(field, ti.StructField):
-        vars(field)[KEY] = vars(own)[KEY]
+        vars(field)[KEY] = vars(own).get(KEY)
         for name, member in field._items:
-            _lead(member, own.get_member_field(name))
+            lead(member, own.get_member_field(name))
     else:
         vars(field).update(vars(own))

@@ -38,25 +38,37 @@ class Wind(Corners):
         most = np.divide(MOST_TAKEN, give, out=np.zeros(len(t)), where=give > 0)
         self.gather(model, fields, sides(t[:, [1, 2, 0]]), t.T.ravel(), {"most": real}, {"most": np.tile(most, 3)})
         speed = float(np.linalg.norm(wind.velocity))
-        along, one, two = axes(np.array(wind.velocity))
-        self.along, self.one, self.two = (ti.Vector(axis.tolist()) for axis in (along, one, two))
-        self.velocity = ti.Vector(list(wind.velocity))
-        self.speed, self.gust, self.number = speed, wind.gust, 2.0 * np.pi / wind.gust_length
-        self.press, self.rub = 0.5 * wind.density * wind.drag, 0.5 * wind.density * wind.skin_friction
         self.gusty = wind.gust > 0 and speed > 0
+        along, one, two = axes(np.array(wind.velocity))
+        vector = ti.types.vector(3, real)
+        columns = dict.fromkeys(("velocity", "along", "one", "two"), vector)
+        columns |= dict.fromkeys(("speed", "gust", "number", "press", "rub"), real)
+        first = {
+            "velocity": wind.velocity,
+            "along": along,
+            "one": one,
+            "two": two,
+            "speed": speed,  # m/s
+            "gust": wind.gust,
+            "number": 2.0 * np.pi / wind.gust_length,  # 1/m, of the longest wave
+            "press": 0.5 * wind.density * wind.drag,  # kg/m^3
+            "rub": 0.5 * wind.density * wind.skin_friction,
+        }
+        self.law = fields.table(columns, 1, {name: np.array([value]) for name, value in first.items()})
 
     @ti.func
     def air(self, x, time):
         """Velocity of the air at x [m/s], with waves of three lengths that it takes along."""
-        u = ti.Vector.zero(float, 3) + self.velocity
+        law = self.law[0]
+        u = law.velocity
         if ti.static(self.gusty):
-            s, p, q = self.along.dot(x) - self.speed * time, self.one.dot(x), self.two.dot(x)
+            s, p, q = law.along.dot(x) - law.speed * time, law.one.dot(x), law.two.dot(x)
             more = aside = ti.cast(0.0, float)
             for a, b, c, phase in ti.static(GUST_WAVES):
-                angle = self.number * (a * s + b * p + c * q) + phase
+                angle = law.number * (a * s + b * p + c * q) + phase
                 more += sine(angle) / ti.static(len(GUST_WAVES))
                 aside += cosine(1.3 * angle) / ti.static(len(GUST_WAVES))
-            u += self.gust * self.speed * (more * self.along + SIDEWAYS_GUSTS * aside * self.one)
+            u += law.gust * law.speed * (more * law.along + SIDEWAYS_GUSTS * aside * law.one)
         return u
 
     @ti.func
@@ -74,8 +86,8 @@ class Wind(Corners):
                     u = self.air((x + a + b) / 3.0, time) - (ball[i].v + ball[row.a].v + ball[row.b].v) / 3.0
                     across = u.dot(n)
                     slip = u - across * n
-                    f += ti.min(self.press * size * ti.abs(across), row.most / h) * across * n
-                    f += ti.min(self.rub * size * slip.norm(), row.most / h) * slip
+                    f += ti.min(self.law[0].press * size * ti.abs(across), row.most / h) * across * n
+                    f += ti.min(self.law[0].rub * size * slip.norm(), row.most / h) * slip
             impulse[i] = impulse[i] + h * f / 3.0
 
 

@@ -54,7 +54,7 @@ class Aggregates:
         self.aggregate = fields.integers(aggregate)
         self.member = fields.integers(free[np.argsort(own, kind="stable")])
         mass = np.bincount(own, scene.mass[free], self.count)
-        self.mass, self.least = fields.reals(mass), float(mass.min())
+        self.mass, self.least = fields.reals(mass), fields.reals(mass.min(keepdims=True))
         self.begin = fields.integers(np.append(0, np.cumsum(np.bincount(own, minlength=self.count))))
         ends = aggregate[scene.pairs[springs.number]]
         slots = np.flatnonzero(ends[:, 0] != ends[:, 1])
@@ -85,7 +85,7 @@ class Aggregates:
                     total -= self.matrix[i * size + q] * self.matrix[j * size + q]
                 if i == j:
                     # what is added to the masses is positive semidefinite: less than the least is rounding
-                    self.matrix[j * size + j] = ti.sqrt(ti.max(total, self.least))
+                    self.matrix[j * size + j] = ti.sqrt(ti.max(total, self.least[0]))
                 else:
                     self.matrix[i * size + j] = total / self.matrix[j * size + j]
 

@@ -23,7 +23,7 @@ from taichi_sim.contacts.walls import Walls
 from taichi_sim.device.backend import Backend
 from taichi_sim.device.devices import find
 from taichi_sim.device.engine import another
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, OtherFieldsError
 from taichi_sim.device.model import Model
 from taichi_sim.device.shared_kernels import share_kernels
 from taichi_sim.device.spatial_sort import in_order, spatial_order
@@ -56,7 +56,17 @@ GPU_MEMORY = 1 << 30  # bytes, the same where a GPU does not say what it has
 PAIR_BYTES = 64  # about what a listed pair takes
 # made, in units of what was found too much: once, and if that happens again
 SPARE_CAPACITY, LARGE_SPARE_CAPACITY = 1.5, 4.0
-NOT_COMPILED = ("arguments", "h", "capacity", "backend", "_grids")  # of an assembly, nothing that kernels read
+NOT_COMPILED = (
+    "arguments",
+    "h",
+    "capacity",
+    "backend",
+    "_grids",
+    "_shared",
+)  # of an assembly, nothing that kernels read
+
+
+APART = (Scene, Fields)  # nor that
 
 
 class ContactCapacity(NamedTuple):
@@ -70,8 +80,23 @@ class ContactCapacity(NamedTuple):
 NO_CAPACITY_KNOWN = ContactCapacity()
 
 
+class OtherStructureError(Exception):
+    """Kernels would have to be compiled. place: what of the parts differs, "" where they have other fields; then, now: what
+    stands there."""
+
+    def __init__(self, place: str = "", then: str = "", now: str = "") -> None:
+        super().__init__(place, then, now)
+        self.place, self.then, self.now = place, then, now
+
+
 class Assembly:
-    """All parts of one simulation. h: seconds per substep; `set_step` changes it."""
+    """All parts of one simulation. h: seconds per substep; `set_step` changes it. on: those of another one, whose memory and
+    kernels these take over, which leaves it without; OtherStructureError is raised, and it stays as it is, where that is not
+    possible."""
+
+    fields: Fields
+    integrator: Any
+    colliders: Colliders | None
 
     def __init__(
         self,
@@ -81,6 +106,7 @@ class Assembly:
         h: float,
         forces: Sequence[Any],
         capacity: ContactCapacity = NO_CAPACITY_KNOWN,
+        on: "Assembly | None" = None,
     ) -> None:
         self.arguments = (scene, settings, backend, h, forces)
         self.backend, self.h = backend, h
@@ -89,17 +115,38 @@ class Assembly:
         if settings.driver == "fused" and not cpu:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
         self._grids = distance_grids(scene)  # kernels cannot run while fields are being declared
-        self.fields = Fields(backend.real, backend.has_wide_numbers)
+        self.fields = Fields(backend.real, backend.has_wide_numbers, None if on is None else on.fields)
         try:
             self._assemble(scene, settings, backend, h, forces)
+            if on is not None:
+                self._share_with(on)
             self.fields.build()
-            share_kernels(
-                {name: part for name, part in vars(self).items() if name not in NOT_COMPILED}, (Scene, Fields)
-            )
+            if on is None:
+                self._shared = share_kernels(self._compiled(), APART)
             self.integrator.set_step(h)
+        except OtherFieldsError:
+            assert on is not None
+            raise OtherStructureError(*self._other_contacts(on)) from None
         except BaseException:
             self.fields.abandon()
             raise
+
+    def _compiled(self) -> dict[str, Any]:
+        """What kernels may read."""
+        return {name: part for name, part in vars(self).items() if name not in NOT_COMPILED}
+
+    def _share_with(self, on: "Assembly") -> None:
+        """Raise OtherStructureError where other kernels than those of `on` are needed."""
+        self.fields.check()
+        self._shared = share_kernels(self._compiled(), APART)
+        differs = on._shared.difference(self._shared)
+        if differs is not None or not self._shared.known_by:
+            raise OtherStructureError(*(self._other_contacts(on) or differs or ()))
+
+    def _other_contacts(self, on: "Assembly") -> tuple[str, ...]:
+        """What the plan of contacts has decided otherwise than that of `on`."""
+        plan = getattr(self, "plan", on.plan)  # not there yet where something before it differs
+        return next((("contacts", *both) for both in zip(on.plan.reasons, plan.reasons) if both[0] != both[1]), ())
 
     def _assemble(self, scene: Scene, settings: Settings, backend: Backend, h: float, forces: Sequence[Any]) -> None:
         """All parts in the order in which they need each other."""
@@ -207,6 +254,11 @@ class Assembly:
                 + (", or accumulate 'ordered'" if cpu else ""),
             )
         return another(rule)  # one object may serve several simulations
+
+    @property
+    def shares_kernels(self) -> bool:
+        """Whether others of the same structure can use the same kernels."""
+        return bool(self._shared.known_by)
 
     @property
     def setup(self) -> Setup:
@@ -419,7 +471,7 @@ class Assembly:
         """What to say where counting itself would take too long."""
         pairs = self.contacts.pairs
         assert pairs is not None
-        width = max(pairs.grid.widths)
+        width = pairs.grid.widest
         return (
             f"contacts: {float(pairs.grid.most_crowded_pairs[0]):.2g} pairs of balls lie in the same cells, up to {width:.3g} m"
             f" wide, but there is memory for {float(pairs.grid.pair_limit[0]):.2g}: too many balls lie in each other"

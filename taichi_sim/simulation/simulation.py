@@ -34,8 +34,9 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.scene.summary import as_html, in_words, parts_of
+from taichi_sim.simulation import structure
 from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
-from taichi_sim.simulation.assembly import Assembly, compensates
+from taichi_sim.simulation.assembly import NO_CAPACITY_KNOWN, Assembly, OtherStructureError, compensates
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.stepper import Stepper
 
@@ -72,10 +73,15 @@ class Simulation(Reader):
     """
 
     def __init__(self, scene: Scene, *, forces: Sequence[Any] = (), **settings: Any) -> None:
+        self._begin(scene, forces, settings)
+
+    def _begin(self, scene: Scene, forces: Sequence[Any], settings: dict[str, Any], on: Assembly | None = None) -> None:
+        """Become a simulation of a scene. on: parts whose memory and kernels it takes over."""
         if not isinstance(scene, Scene):
             says = "is no Scene; ts.load_scene reads one from a file"
             raise SceneError("scene", scene, says=says)
         self.scene = scene = scene.frozen()
+        self._given = settings
         with scene.in_file(settings):
             self.settings = Settings.resolve(scene, settings)
         scene.has_groups()  # a mistyped name is an error, whatever collides
@@ -85,7 +91,7 @@ class Simulation(Reader):
         with scene.in_file(settings):
             self.dt, substeps = self.settings.time_step(scene, self._stability)
         h = self.dt / substeps
-        self._warn(h)
+        self._warn(h, 4)
         if self.settings.contacts != "off":
             check_colliders(scene, h)
         s = self.settings
@@ -96,11 +102,11 @@ class Simulation(Reader):
         if s.tolerance is not None:
             with scene.in_file(settings):
                 self._check_tolerance(s.tolerance, substeps)
-        parts = Assembly(scene, s, self.backend, h, forces)
+        parts = Assembly(scene, s, self.backend, h, forces, NO_CAPACITY_KNOWN if on is None else on.capacity, on)
         kind = Stepper if s.tolerance is None else AdaptiveStepper
         self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
         for caution in cautions(scene, parts.setup):
-            warnings.warn(caution, stacklevel=2)
+            warnings.warn(caution, stacklevel=3)
         self._closed = False
         self._still = scene.n_balls == 0
         self._begin_readings()
@@ -115,13 +121,13 @@ class Simulation(Reader):
             says = "cannot be kept together with probes of force or impulse; give dt, or leave them out"
             raise SceneError("tolerance", says=says)
 
-    def _warn(self, h: float) -> None:
+    def _warn(self, h: float, stacklevel: int) -> None:
         safe = self._stability.dt_any_shape
         if h > safe * (1.0 + 1e-9):
             warnings.warn(
                 f"dt = {h:.6g} s is above the safe bound of {safe:.6g} s for every shape of this scene:"
                 f" {self._stability.reason}",
-                stacklevel=3,
+                stacklevel=stacklevel,
             )
 
     @property
@@ -134,7 +140,9 @@ class Simulation(Reader):
         """What was put together for this scene: model, state, forces, contacts, plan, integrator. To look inside, as tests do: it
         may differ in the next version. `print(sim.parts.plan)` says what contacts it has, and why."""
         backend.check_thread()
-        if self._closed:  # its memory is gone: touching it would end the process
+        if (
+            self._closed or not self._stepper.parts.fields.built
+        ):  # its memory is gone: touching it would end the process
             raise RuntimeError("this simulation is closed; make a new one")
         return self._stepper.parts
 
@@ -308,6 +316,32 @@ class Simulation(Reader):
         """The parts that were compiled for this scene; what it lacks is not among them."""
         return self.parts.names()
 
+    # Another scene -------------------------------------------------------------------------------------------------
+
+    def reset(self, scene: Scene) -> None:
+        """Begin anew at time 0 with another scene of the same structure, in milliseconds: with the same arguments, memory and
+        kernels, nothing being compiled, and with the same bits as a new Simulation of it.
+
+        Numbers may differ: places, velocities, masses, radii, stiffnesses, materials, walls, gravity, the step. What is compiled
+        in may not: how many balls and springs there are and which these join, whether there is friction or gravity at all. Raises
+        SceneError, which says what differs, and leaves this simulation as it is.
+        """
+        on = self.parts
+        if not on.shares_kernels:
+            says = "this simulation has user-defined parts, which may read what is compiled in; make a new Simulation"
+            raise SceneError(("reset",), says=says)
+        other = object.__new__(type(self))
+        try:
+            other._begin(scene, self._forces, self._given, on)
+        except OtherStructureError as error:
+            reason = structure.difference(self.scene, other.scene, error.place, error.then, error.now)
+            raise SceneError(("reset",), says=f"{reason}; make a new Simulation of it") from None
+        except BaseException:
+            if not on.fields.built:  # they were taken over already
+                self._closed = True
+            raise
+        vars(self).update(vars(other))
+
     # Changing it ---------------------------------------------------------------------------------------------------
 
     def set_dt(self, dt: float | str) -> None:
@@ -320,7 +354,7 @@ class Simulation(Reader):
         )
         seconds, substeps = settings.time_step(self.scene, self._stability)
         h = seconds / substeps
-        self._warn(h)
+        self._warn(h, 3)
         if settings.contacts != "off":
             check_colliders(self.scene, h)
         parts.set_step(h, anew=True)
@@ -385,7 +419,8 @@ class Simulation(Reader):
     def close(self) -> None:
         """Free all fields. The simulation cannot be used after that; closing twice does nothing."""
         if not self._closed:
-            self.parts.free()
+            if self._stepper.parts.fields.built:  # else it went with the engine
+                self.parts.free()
             self._closed = True
 
     def _about(self) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import pytest
 
 from taichi_sim.device import backend, trees
 from taichi_sim.device.engine import ENGINE, ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import Fields, OtherFieldsError
 from taichi_sim.device.shared_kernels import share_kernels
 
 pytestmark = pytest.mark.once
@@ -89,18 +89,79 @@ def test_equal_parts_compile_once_and_unequal_ones_anew():
         ([4.0, 5.0], 3.0, None),
         ([6.0, 7.0], 4.0, None),  # another constant
         ([6.0, 7.0], 4.0, np.arange(3)),
-        ([6.0, 7.0], 4.0, np.arange(3) + 1),
+        ([6.0, 7.0], 4.0, np.arange(3) + 1),  # no kernel reads the numbers of an array
+        ([6.0, 7.0], 4.0, np.arange(4)),
     ):
         fields, part = made(weights, factor, extra)
-        known_by = share_kernels({"part": part})
+        known_by = share_kernels({"part": part}).known_by
         before = compiled()
         part.work()
         counts.append(compiled() - before)
         results.append(part.vector.to_numpy()[:, 2].tolist())
         fields.free()
         assert known_by
-    assert counts == [1, 0, 1, 1, 1]
-    assert results == [[3.0, 6.0], [12.0, 15.0], [24.0, 28.0], [24.0, 28.0], [24.0, 28.0]]
+    assert counts == [1, 0, 1, 1, 0, 1]
+    assert results == [[3.0, 6.0], [12.0, 15.0], [24.0, 28.0], [24.0, 28.0], [24.0, 28.0], [24.0, 28.0]]
+
+
+@ti.data_oriented
+class Reads(Part):
+    @ti.kernel
+    def work(self):
+        for i in range(self.n):
+            self.vector[i] += ti.static(self.extra[0])
+
+
+Reads.__module__ = Reads.__dict__["work"]._primal.func.__module__ = "taichi_sim.part"
+
+
+@pytest.mark.skipif(ENGINE != "taichi", reason="it shares none")
+def test_a_kernel_that_reads_an_array_is_refused():
+    fields = Fields(ti.f32)
+    part = Reads(fields, np.ones(2), 3.0, np.arange(3.0))
+    fields.build()
+    share_kernels({"part": part})
+    with pytest.raises(Exception, match=r"kernels read no NumPy array, but .*work reads 'extra'"):
+        part.work()
+    fields.free()
+
+
+def test_fields_take_over_the_memory_of_others_that_are_in_use():
+    fields, part = made([1.0, 2.0])
+    part.work()
+    other = Fields(ti.f32, on=fields)
+    same = Part(other, np.array([5.0, 7.0]), 3.0)
+    assert part.vector.to_numpy().any()
+    other.build()
+    assert not fields.built
+    assert same.weight.to_numpy().tolist() == [5.0, 7.0]
+    assert not same.vector.to_numpy().any()
+    with pytest.raises(OtherFieldsError):
+        Part(Fields(ti.f32, on=other), np.ones(3), 3.0)
+    fewer = Fields(ti.f32, on=other)
+    fewer.reals(np.ones(2))
+    with pytest.raises(OtherFieldsError):
+        fewer.build()
+    assert other.built
+    other.free()
+
+
+def test_fields_that_only_begin_like_freed_ones_are_their_own():
+    fields, _ = made([1.0, 2.0])
+    fields.free()
+    other = Fields(ti.f32)
+    weight = other.reals(np.array([3.0, 4.0]))
+    vector = other.vectors(2, 3)
+    pair = other.table({"a": ti.f32, "v": ti.types.vector(2, ti.f32)}, 2)  # not by column
+    kept = pair.v
+    other.build()
+    again, same = made([5.0, 6.0])
+    same.work()
+    kept[1] = [8.0, 9.0]
+    assert weight.to_numpy().tolist() == [3.0, 4.0]
+    assert not vector.to_numpy().any()
+    assert pair.v.to_numpy().tolist() == [[0.0, 0.0], [8.0, 9.0]]
+    other.free(), again.free()
 
 
 def test_parts_from_elsewhere_share_nothing():
@@ -111,9 +172,9 @@ def test_parts_from_elsewhere_share_nothing():
     fields = Fields(ti.f32)
     part = ti.data_oriented(Own)(fields, np.ones(2), 3.0)
     fields.build()
-    assert share_kernels({"part": part}) == ""
+    assert share_kernels({"part": part}).known_by == ""
     plain = made([1.0], extra=lambda x: x)
-    assert share_kernels({"part": plain[1]}) == ""
+    assert share_kernels({"part": plain[1]}).known_by == ""
     fields.free(), plain[0].free()
 
 

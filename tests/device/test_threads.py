@@ -105,3 +105,35 @@ def test_a_stale_lock_of_the_cache_is_removed_and_said(tmp_path, monkeypatch):
     with pytest.warns(UserWarning, match=r"ticache\.lock: a killed process .* removed"):
         backend._free_cache(tmp_path / "other")
     assert not lock.exists()
+
+
+STOPS = """
+import numpy as np
+import taichi_sim as ts
+from taichi_sim.device import backend
+scene = ts.Scene(dim=2, gravity=(0, -8))
+scene.add_balls([[0, 2], [0.5, 3]], radius=0.1)
+ends = []
+for precision in ("f32", "f32", "f64"):
+    sim = ts.Simulation(scene, precision=precision, arch="cpu", contacts="off")
+    sim.run(0.1)
+    ends.append(sim.position)
+    backend.stop()
+    assert backend.running() is None
+    try:
+        sim.step(1)
+    except RuntimeError as error:
+        assert "closed" in str(error)
+    else:
+        raise AssertionError
+    sim.close()
+backend.stop()
+assert np.array_equal(ends[0], ends[1])
+assert np.allclose(ends[0], ends[2], atol=1e-5)
+assert not np.array_equal(ends[0], ends[2])
+"""
+
+
+def test_a_stopped_engine_starts_again_in_any_precision():
+    done = subprocess.run([sys.executable, "-c", STOPS], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr

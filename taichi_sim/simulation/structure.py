@@ -1,0 +1,59 @@
+"""Structure: in what a scene differs from another one so that other kernels are needed, in words. Plain NumPy."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.scene.probes import bodies_of
+from taichi_sim.scene.scene import Scene, used_materials
+
+__all__ = ["difference"]
+
+COUNTS: dict[str, Callable[[Scene], Any]] = {
+    "dimensions": lambda scene: scene.dim,
+    "balls": lambda scene: scene.n_balls,
+    "springs": lambda scene: scene.n_springs,
+    "sticks": lambda scene: int(scene.collides.sum()),
+    "triangles that collide": lambda scene: int(scene.solid.sum()),
+    "cells": lambda scene: len(scene.cells),
+    "bends": lambda scene: len(scene.bends),
+    "gases": lambda scene: len(scene.gases),
+    "moving pins": lambda scene: len(scene.moving_pins),
+    "walls": lambda scene: len(scene.walls),
+    "colliders": lambda scene: len(scene.colliders),
+    "materials": lambda scene: len(scene.materials),
+    "walls and colliders with probes": lambda scene: len(bodies_of(scene)),
+}
+THERE: dict[str, Callable[[Scene], Any]] = {
+    "gravity": lambda scene: np.any(scene.gravity != 0),
+    "friction": lambda scene: any(m.friction > 0 or m.viscous_friction > 0 for m in used_materials(scene)),
+    "viscous friction": lambda scene: any(m.viscous_friction > 0 for m in used_materials(scene)),
+    "restitution": lambda scene: any(m.restitution > 0 for m in used_materials(scene)),
+    "wind": lambda scene: scene.wind is not None,
+    "springs that tear": lambda scene: np.isfinite(scene.break_strain).any(),
+    "collision groups": lambda scene: scene.has_groups(),
+    "damping": lambda scene: np.any(scene.damping > 0),
+}
+
+
+def difference(before: Scene, after: Scene, place: str, then: str, now: str) -> str:
+    """Why `after` needs other kernels than `before`. place, then, now: what the parts of their simulations differ in."""
+    for name, count in COUNTS.items():
+        old, new = count(before), count(after)
+        if old != new:
+            return f"the scene has {new} {name} and the one that was compiled has {old}"
+    for name, there in THERE.items():
+        old, new = bool(there(before)), bool(there(after))
+        if old != new:
+            has, had = ("has", "none") if new else ("has no", "some")
+            return f"the scene {has} {name}, and the one that was compiled has {had}"
+    if before.pairs.shape == after.pairs.shape and not np.array_equal(before.pairs, after.pairs):
+        return "the springs join other balls than in the scene that was compiled"
+    if not np.array_equal(before.pinned, after.pinned):
+        return "other balls are pinned than in the scene that was compiled"
+    if place == "contacts":
+        return f"contacts are made of other parts, {now}, than were compiled, {then.partition(' (')[0]}"
+    if place:
+        return f"{place} is {now} where {then} was compiled"
+    return "it needs fields of other sizes than the scene that was compiled"

@@ -1,0 +1,212 @@
+"""`Simulation.reset`: another scene of the same structure, without compiling, to the same bits as a new simulation."""
+
+import gc
+import warnings
+
+import numpy as np
+import pytest
+from physics_support import PRECISION
+
+import taichi_sim as ts
+from taichi_sim.device.engine import ENGINE, ti
+
+pytestmark = pytest.mark.skipif(ENGINE != "taichi", reason="it shares no kernels")
+CPU = {"precision": PRECISION, "arch": "cpu"}
+
+
+def pile(e=0.4, mu=0.3, viscous=0.0, g=-10.0, r=0.05, m=1.0, seed=0, wall=0.0, normal=(0.0, 1.0, 0.0), dim=2, v=0.0, dt=1e-3,
+         pinned=(0,), sphere=None, path=None, probe=False, radii=0.0, masses=0.0, n=5, balls=None):  # fmt: skip
+    scene = ts.Scene(dim=dim, gravity=(0, g, 0)[:dim])
+    scene.settings["dt"] = dt
+    scene.add_material("rubber", restitution=e, friction=mu, viscous_friction=viscous)
+    rng = np.random.default_rng(seed)
+    rows = [np.arange(n) * 0.12 + 0.06] * 2 + [np.array([0.0, 0.12])] * (dim - 2)
+    x = np.stack(np.meshgrid(*rows), -1).reshape(-1, dim)
+    x = (x + rng.uniform(-0.004, 0.004, x.shape))[:balls]
+    few = len(x)
+    radius, mass = r * (1 + radii * rng.uniform(-1, 1, few)), m * (1 + masses * rng.uniform(0, 1, few))
+    scene.add_balls(
+        x, radius=radius, mass=mass, velocity=np.full((few, dim), v), material="rubber", pinned=list(pinned)
+    )
+    scene.add_wall(normal[:dim], wall, "rubber")
+    if sphere is not None:
+        scene.add_collider(ts.Sphere(center=(0.3, -0.15, 0.0)[:dim], radius=sphere))
+    if path is not None:
+        keys = [{"time": 0.0, "position": (0.0,) * dim}, {"time": 1.0, "position": (0.0, path, 0.0)[:dim]}]
+        scene.add_collider(ts.Box(center=(0.3, -0.3, 0.0)[:dim], size=(0.2,) * dim, path=keys))
+    if probe:
+        scene.add_probe("floor", "force", wall=0)
+    return scene
+
+
+def sheet(k=100.0, m=1.0, size=1.0, bend=1e-2, tear=None, damping=0.1, wind=None, ball=None, solid=False, method="verlet",
+          dt=1e-3, path=None, wall=None, mu=0.0):  # fmt: skip
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.settings.update(integrator=method, dt=dt)
+    scene.add_material("cotton", friction=mu)
+    more = {} if tear is None else {"break_strain": tear}
+    more |= {"bending_stiffness": bend, "damping": damping, "pinned": False if path else [0, 6]}
+    cloth = ts.shapes.cloth(
+        scene,
+        size=(size, 1),
+        resolution=(7, 7),
+        stiffness=k,
+        mass=m,
+        material="cotton",
+        surface_collision=solid,
+        **more,
+    )
+    if wind is not None:
+        scene.add_wind(velocity=(wind, 0, 0.3), gust=0.3)
+    if ball is not None:
+        scene.add_collider(ts.Sphere(center=(0.5, -0.3, 0.5), radius=ball))
+    if path is not None:
+        keys = [{"time": 0.0, "position": (0, 0, 0)}, {"time": 1.0, "position": (path, 0, 0)}]
+        scene.add_moving_pins(cloth.balls[[0, 6]], path=keys)
+    if wall is not None:
+        scene.add_wall((0, 1, 0), wall, "cotton")
+    return scene
+
+
+def jelly(young=5e3, poisson=0.3, density=50.0, height=0.1):
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    ts.shapes.jelly(scene, size=(0.3,) * 3, resolution=(4, 4, 4), position=(0, height, 0), density=density,
+                    young_modulus=young, poisson_ratio=poisson)  # fmt: skip
+    scene.add_wall((0, 1, 0), 0.0)
+    return scene
+
+
+def balloon(radius=0.3):
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    ts.shapes.balloon(scene, centre=(0, 0, 0), radius=radius, subdivisions=1)
+    return scene
+
+
+def sticks(k=1e3, length=1.0):
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls([[0, 0], [length, 0]], radius=0.02, pinned=True)
+    scene.add_balls([[0.5, 0.1], [0.55, 0.3], [0.4, 0.5]], radius=0.05, mass=0.3)
+    scene.add_springs([[0, 1]], stiffness=k, collides=True)
+    return scene
+
+
+OFTEN = {  # what the first scene is made with, and each change of it
+    pile: ({}, [{"e": 0.7}, {"e": 1.0}, {"mu": 0.6}, {"g": -4.0}, {"r": 0.045}, {"m": 3.0}, {"seed": 4}, {"wall": -0.1},
+                {"normal": (0.1, 1.0, 0.0)}, {"v": 1.0}, {"dt": 5e-4}, {"radii": 0.1}, {"masses": 1.0}, {"pinned": (3,)}]),
+    sheet: ({}, [{"k": 200.0}, {"m": 2.0}, {"size": 1.3}, {"bend": 3e-2}, {"damping": 0.2}, {"dt": 5e-4}]),
+}  # fmt: skip
+SELDOM = [
+    (pile, {"viscous": 0.1}, {"viscous": 0.3}), (pile, {"dim": 3}, {"seed": 3, "r": 0.048}),
+    (pile, {"sphere": 0.1}, {"sphere": 0.12}), (pile, {"path": 0.2}, {"path": 0.25}), (pile, {"probe": True}, {"e": 0.6}),
+    (sheet, {"tear": 0.02}, {"tear": 0.2}), (sheet, {"wind": 3.0}, {"wind": 6.0}), (sheet, {"ball": 0.2}, {"ball": 0.25}),
+    (sheet, {"solid": True, "wall": -0.05}, {"k": 150.0}), (sheet, {"path": 0.1}, {"path": 0.3}),
+    (sheet, {"wall": -0.05, "mu": 0.2}, {"mu": 0.5}), (sheet, {"method": "rk4"}, {"k": 200.0}),
+    (sheet, {"method": "xpbd"}, {"k": 200.0}), (sheet, {"method": "implicit_euler", "dt": 5e-3}, {"k": 200.0}),
+    (sheet, {"method": "tr_bdf2", "dt": 5e-3}, {"k": 200.0, "m": 2.0}), (jelly, {}, {"young": 8e3}),
+    (jelly, {}, {"poisson": 0.4, "density": 80.0, "height": 0.05}), (balloon, {}, {"radius": 0.25}),
+    (sticks, {}, {"k": 2e3, "length": 1.2}),
+]  # fmt: skip
+
+
+def ended(simulation):
+    """All that is seen of a run of .15 s."""
+    simulation.run(0.15)
+    snapshot = simulation.snapshot()
+    arrays = (snapshot.position, snapshot.velocity, snapshot.low_position, snapshot.surface_speed, snapshot.torn)
+    return simulation.dt, simulation.substeps, simulation.energy(), str(simulation.probes()), *arrays
+
+
+def same(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(one, other))
+
+
+def check(make, given, changes):
+    with warnings.catch_warnings(), ts.Simulation(make(**given), **CPU) as used:
+        warnings.simplefilter("ignore")
+        used.run(0.1)
+        before = ended(used)
+        for change in changes:
+            used.reset(make(**given | change))
+            assert used.time == 0.0
+            found = ended(used)
+            with ts.Simulation(make(**given | change), **CPU) as fresh:
+                assert same(found, ended(fresh)), change
+            assert not same(found, before), change
+
+
+@pytest.mark.parametrize("make", OFTEN, ids=lambda make: make.__name__)
+def test_a_reset_run_has_the_bits_of_a_new_one(make):
+    check(make, *OFTEN[make])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("make", "given", "change"), SELDOM, ids=lambda part: getattr(part, "__name__", str(part)))
+def test_so_it_is_with_all_parts(make, given, change):
+    check(make, given, [change])
+
+
+def test_nothing_is_compiled_and_nothing_left():
+    with ts.Simulation(pile(), **CPU) as used:
+        for k in range(3):
+            used.reset(pile(seed=k, e=0.5 + 0.1 * k, r=0.05 - 0.001 * k))
+            used.step(3)
+            used.contacts(), used.energy()
+        compiled = ti.lang.impl.get_runtime().get_num_compiled_functions
+        before, fields = compiled(), used.parts.fields.bytes
+        gc.collect()
+        objects = len(gc.get_objects())
+        for k in range(20):
+            used.reset(pile(seed=k, e=0.01 + 0.01 * k, mu=0.1 + 0.01 * k, m=1 + k))
+            used.step(3)
+            used.contacts(), used.energy()
+        gc.collect()
+        assert compiled() == before
+        assert used.parts.fields.bytes == fields
+        assert len(gc.get_objects()) - objects < 20
+
+
+REFUSED = [
+    ({"balls": 24}, "24 balls and the one that was compiled has 25"),
+    ({"mu": 0.0}, "no friction, and the one that was compiled has some"),
+    ({"e": 0.0}, "no restitution"),
+    ({"g": 0.0}, "no gravity"),
+    ({"dim": 3}, "3 dimensions"),
+    ({"sphere": 0.1}, "1 colliders"),
+    ({"probe": True}, "1 walls and colliders with probes"),
+    ({"masses": 9.0}, "masses that differ more than 4 times"),
+    ({"viscous": 0.1}, "has viscous friction, and the one that was compiled has none"),
+    ({"pinned": range(25)}, "other balls are pinned"),
+]
+
+
+@pytest.mark.parametrize(("change", "why"), REFUSED, ids=lambda part: str(part)[:20])
+def test_another_structure_is_refused_with_its_reason_and_nothing_has_changed(change, why):
+    with ts.Simulation(pile(), **CPU) as used:
+        used.step(5)
+        x = used.position
+        with pytest.raises(ts.SceneError, match=why):
+            used.reset(pile(**change))
+        assert np.array_equal(used.position, x)
+        assert used.time == pytest.approx(5e-3)
+        with pytest.raises(ts.SceneError, match="is no Scene"):
+            used.reset("pile")
+        with pytest.raises(ValueError, match="dt"):
+            used.reset(pile(dt=-1.0))
+        used.step(5)
+        with ts.Simulation(pile(), **CPU) as whole:
+            whole.step(10)
+            assert np.array_equal(whole.position, used.position)
+
+
+def test_user_defined_parts_are_refused():
+    class Push:
+        @ti.func
+        def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+            for i in range(model.n):
+                impulse[i] = impulse[i] + h
+
+    with (
+        ts.Simulation(pile(), forces=[ti.data_oriented(Push)()], **CPU) as used,
+        pytest.raises(ts.SceneError, match="user-defined parts"),
+    ):
+        used.reset(pile())
