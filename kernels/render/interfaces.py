@@ -19,6 +19,9 @@ class Visibility(Protocol):
     """(slots) what lies nearest at each sample of a picture, or texel of a shadow map."""
 
     wide: bool  # whether the device has 64-bit integers; else the two columns below, by two stages
+    depth_only: bool  # no identity, hence one stage: a shadow map
+    marked: Field  # (tiles) whether anything may be seen there
+    thin: Field  # (tiles) of a shadow map: whether anything there is too thin for the distance of taps
     key: Field  # (slots) 64-bit (closeness << 32) | identity
     bits: Field  # (slots) of the closeness
     identity: Field  # (slots) kind << 28 | index, 0 for nothing
@@ -42,12 +45,27 @@ class Surfaces(Protocol):
     rod: Field  # (rods) vector of two vertices
     rod_radius: Field  # (rods)
     rod_strain: Field  # (rods)
+    plane: (
+        Field  # (pixels) number of the plane that lies behind, from 1 on; negative where samples differ, 0 for the sky
+    )
+    backdrop: Field  # (pixels) vector, colour of sky and ground in all light
+    backdrop_packed: Field  # (pixels) its bytes
+    backdrop_cell: Field  # (pixels) coarse cell of the shadow map that the plane lies in, -1 for none
+    backdrop_level: Field  # (pixels) closeness to the lamp of what casts a shadow there
     shadow: Visibility  # (shadow_size^2) the shadow map
     shadow_size: int  # texels along its side
     coarse: Field  # (cells of the shadow map) largest closeness to the lamp near each
-    open_raw: Field  # (pixels) share of the sky that is seen, not smoothed yet
-    openness: Field  # (pixels) the same, smoothed
-    alpha: Field  # (pixels) where transparent
+    open_raw: Field  # (pixels / 4) share of the sky that is seen, not smoothed yet
+    open_depth: Field  # (pixels / 4) closeness there
+    openness: Field  # (pixels) the share, smoothed
+    thin: Field  # (cells of the shadow map) whether anything near each is too thin for the distance of taps
+    lattice_share: (
+        Field  # (corners) share of the lamp at every fourth pixel of every fourth row, negative where not known
+    )
+    lattice_identity: Field  # (corners) what is seen there
+    lattice_depth: Field  # (corners) its closeness
+    image: Field  # (pixels) vector, colour, where a pixel has one sample
+    packed: Field  # (pixels) bytes of the picture
 
 
 class Shapes(Protocol):
@@ -59,8 +77,7 @@ class Shapes(Protocol):
     wall: Field  # (walls) vector (a, b, c): a x + b y + c px above it
     body: Field  # (colliders) vector of 8 numbers, see paint2d
     tint: Field  # (colliders) vector, negative for that of walls
-    image: Field  # (pixels) vector
-    alpha: Field  # (pixels) where transparent
+    packed: Field  # (pixels) bytes of the picture
     transparent: bool  # whether background and walls stay clear
 
 

@@ -7,6 +7,7 @@ Lists hold the shapes that touch a tile in drawing order; pixels traverse them f
 Colours are linear.
 """
 
+from taichi_sim.kernels.render.finish import alpha_byte, encode
 from taichi_sim.kernels.render.interfaces import Shapes
 
 from taichi_sim.device.engine import ti
@@ -136,7 +137,7 @@ def paint(
 ):
     """scene: fields of shapes, walls and bodies and of the picture, see `Canvas` of the 2D renderer. entry: shapes of all tiles,
     one tile after the other, each in drawing order; start: where a tile's begin."""
-    for pixel in scene.image:
+    for pixel in range(width * height):
         x, y = pixel % width, pixel // width
         p = vec2(ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5))
         cell = (y // tile) * ((width + tile - 1) // tile) + x // tile
@@ -168,7 +169,8 @@ def paint(
                 through *= 1 - solid
             else:
                 total += far * through
+        alpha = 0
         if ti.static(scene.transparent):
-            scene.alpha[pixel] = 1 - through if through > ti.f32(0.003) else ti.f32(1.0)
+            alpha = alpha_byte(1 - through if through > ti.f32(0.003) else ti.f32(1.0))
             total /= ti.max(1 - through, ti.f32(1e-6))
-        scene.image[pixel] = total
+        scene.packed[pixel] = encode(total, x, y) | alpha

@@ -4,7 +4,7 @@ The same kernels draw the picture and the shadow map. A view is a 4x4 matrix: ro
 offset), then (pixels per unit, centre x, centre y, far), far = 0 for perspective. Pixels count from the top left.
 """
 
-from taichi_sim.kernels.render.visibility import key_of, may_win, put, start_with
+from taichi_sim.kernels.render.visibility import key_of, mark, mark_thin, may_win, put
 
 from taichi_sim.device.engine import ti
 
@@ -17,6 +17,7 @@ SPHERE, ROD, TRIANGLE, PLANE = 1, 2, 3, 4  # kind of a primitive: identity = kin
 NEAR_PLANE = 1e-3
 EXACT_RADIUS = 3.0  # px: a sphere at least this large is intersected exactly, a smaller one is drawn as a bulging disc
 SMALLEST_RADIUS = 0.55  # px: no sphere is drawn smaller, or it would flicker between samples
+THIN = 5.0  # texels of a shadow map: what is less wide may lie between two taps
 SAMPLE_OFFSETS = {
     1: ((0.0, 0.0),),
     4: ((-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)),
@@ -63,6 +64,9 @@ def draw_disc(seen: ti.template(), samples: ti.template(), q, r, bulge, identity
     inverse = ti.f32(1.0) / (r * r)
     y0, y1 = first(q[1] - r), last(q[1] + r, height)
     x0, x1 = first(q[0] - r), last(q[0] + r, width)
+    mark(seen, x0, x1, y0, y1, width)
+    if r < ti.f32(THIN):
+        mark_thin(seen, x0, x1, y0, y1, width)
     for y in range(y0, y1):
         for x in range(x0, x1):
             for s in ti.static(range(samples)):
@@ -89,8 +93,11 @@ def draw_ball(seen: ti.template(), samples: ti.template(), view, c, r, identity,
     left, right = tangents(c[0], c[2], r)
     low, high = tangents(c[1], c[2], r)
     top = key_of(seen, ti.f32(1.0) / (c[2] - r), identity)
-    for y in range(first(view[3, 2] - f * high), last(view[3, 2] - f * low, height)):
-        for x in range(first(view[3, 1] + f * left), last(view[3, 1] + f * right, width)):
+    y0, y1 = first(view[3, 2] - f * high), last(view[3, 2] - f * low, height)
+    x0, x1 = first(view[3, 1] + f * left), last(view[3, 1] + f * right, width)
+    mark(seen, x0, x1, y0, y1, width)
+    for y in range(y0, y1):
+        for x in range(x0, x1):
             for s in ti.static(range(samples)):
                 slot = (y * width + x) * samples + s
                 if may_win(seen, slot, top):
@@ -149,6 +156,7 @@ def draw_triangle(seen: ti.template(), samples: ti.template(), a, b, c, identity
         inverse = ti.f32(1.0) / area
         y0, y1 = first(ti.min(a[1], b[1], c[1])), last(ti.max(a[1], b[1], c[1]), height)
         x0, x1 = first(ti.min(a[0], b[0], c[0])), last(ti.max(a[0], b[0], c[0]), width)
+        mark(seen, x0, x1, y0, y1, width)
         for y in range(y0, y1):
             for x in range(x0, x1):
                 for s in ti.static(range(samples)):
@@ -206,7 +214,11 @@ def draw_rod(seen: ti.template(), samples: ti.template(), a, b, r, identity, wid
     xlow, xhigh = ti.min(a[0], b[0]) - widest, ti.max(a[0], b[0]) + widest
     for y in range(first(ti.min(a[1], b[1]) - widest), last(ti.max(a[1], b[1]) + widest, height)):
         middle = a[0] + (ti.cast(y, ti.f32) + ti.f32(0.5) - a[1]) * slope
-        for x in range(first(ti.max(xlow, middle - half)), last(ti.min(xhigh, middle + half), width)):
+        x0, x1 = first(ti.max(xlow, middle - half)), last(ti.min(xhigh, middle + half), width)
+        mark(seen, x0, x1, y, y + 1, width)
+        if widest < ti.f32(THIN):
+            mark_thin(seen, x0, x1, y, y + 1, width)
+        for x in range(x0, x1):
             for s in ti.static(range(samples)):
                 ex = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0])) - a[0]
                 ey = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1])) - a[1]
@@ -236,23 +248,6 @@ def draw_rods(
         a, b = rod_ends(view, ball[k[0]].xyz, ball[k[1]].xyz)
         if a[2] > 0 and b[2] > 0:
             draw_rod(seen, samples, a, b, radius[i], (ROD << 28) | i, width, height)
-
-
-@ti.kernel
-def clear(
-    seen: ti.template(), samples: ti.template(), planes: View, plane_count: ti.i32, width: ti.i32, height: ti.i32
-):
-    """Every sample to the nearest plane, row (a, b, c): closeness a x + b y + c where positive. Otherwise 0, nothing."""
-    for pixel in range(width * height):
-        for s in ti.static(range(samples)):
-            x = ti.cast(pixel % width, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0]))
-            y = ti.cast(pixel // width, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1]))
-            nearest, which = ti.f32(0.0), 0
-            for k in range(plane_count):
-                w = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
-                if w > nearest:
-                    nearest, which = w, (PLANE << 28) | k
-            start_with(seen, pixel * samples + s, nearest, which)
 
 
 @ti.kernel

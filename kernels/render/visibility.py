@@ -3,10 +3,14 @@
 Closeness w is linear on the screen: 1/z in perspective, far - z in a parallel (light) view; its bits sort like it. Where the
 device has 64-bit integers, a key is (closeness << 32) | identity. Elsewhere all is drawn twice: first the closeness alone, then,
 of the primitives exactly as close as that, the largest identity; so the pictures are the same. The second stage computes each w
-by the same instructions as the first, hence to the same bits.
+by the same instructions as the first, hence to the same bits. Shadow maps need the closeness alone, 32 bits and one stage.
+
+What is drawn leaves a mark on the tiles that it may touch: all others hold nothing, and are neither read nor cleared.
 """
 
 from taichi_sim.device.engine import ti
+
+TILE = 16  # px
 
 
 @ti.func
@@ -28,6 +32,8 @@ def may_win(seen: ti.template(), slot, key):
     """Whether a primitive with at most this key could be what is seen."""
     if ti.static(seen.wide):
         return key > seen.key[slot]
+    elif ti.static(seen.depth_only):
+        return key > seen.bits[slot]
     else:
         return key > seen.bits[slot] - seen.stage[0]
 
@@ -38,22 +44,64 @@ def put(seen: ti.template(), slot, w, identity):
     if ti.static(seen.wide):
         if key > seen.key[slot]:
             ti.atomic_max(seen.key[slot], key)
-    elif seen.stage[0] == 0:
+    elif ti.static(seen.depth_only):
         if key > seen.bits[slot]:
             ti.atomic_max(seen.bits[slot], key)
-    elif key == seen.bits[slot]:
-        ti.atomic_max(seen.identity[slot], identity)
+    else:
+        if seen.stage[0] == 0:
+            if key > seen.bits[slot]:
+                ti.atomic_max(seen.bits[slot], key)
+        elif key == seen.bits[slot]:
+            ti.atomic_max(seen.identity[slot], identity)
 
 
 @ti.func
-def start_with(seen: ti.template(), slot, w, identity):
-    """What is seen where nothing else is drawn. To be called before each stage."""
-    if ti.static(seen.wide):
-        seen.key[slot] = key_of(seen, w, identity)
-    else:
-        if seen.stage[0] == 0:
-            seen.bits[slot] = bits_of(w)
-        seen.identity[slot] = ti.select(seen.bits[slot] == bits_of(w), identity, 0)
+def tiles_across(width):
+    return (width + ti.static(TILE - 1)) // TILE
+
+
+@ti.func
+def mark(seen: ti.template(), x0, x1, y0, y1, width):
+    """Something may be drawn at pixels x0 <= x < x1, y0 <= y < y1."""
+    if x0 < x1 and y0 < y1:
+        across = tiles_across(width)
+        for j in range(y0 // TILE, (y1 - 1) // TILE + 1):
+            for i in range(x0 // TILE, (x1 - 1) // TILE + 1):
+                seen.marked[j * across + i] = 1
+
+
+@ti.func
+def mark_thin(seen: ti.template(), x0, x1, y0, y1, width):
+    """In a shadow map: what is drawn at these pixels is too thin to be sure to be met by taps about other places."""
+    if ti.static(seen.depth_only):
+        if x0 < x1 and y0 < y1:
+            across = tiles_across(width)
+            for j in range(y0 // TILE, (y1 - 1) // TILE + 1):
+                for i in range(x0 // TILE, (x1 - 1) // TILE + 1):
+                    seen.thin[j * across + i] = 1
+
+
+@ti.kernel
+def clear(seen: ti.template(), samples: ti.template(), width: ti.i32, height: ti.i32, tiles: ti.i32):
+    """Nothing is seen, in the tiles of a picture that bear a mark."""
+    for k in range(tiles * TILE):  # rows of tiles
+        tile = k // TILE
+        if seen.marked[tile] > 0:
+            across = tiles_across(width)
+            x, y = tile % across * TILE, tile // across * TILE + k % TILE
+            if y < height:
+                first = (y * width + x) * samples
+                for slot in range(first, first + ti.min(TILE, width - x) * samples):
+                    if ti.static(seen.wide):
+                        seen.key[slot] = ti.cast(0, ti.i64)
+                    else:
+                        seen.bits[slot] = 0
+                        if ti.static(not seen.depth_only):
+                            seen.identity[slot] = 0
+    for tile in range(tiles):
+        seen.marked[tile] = 0
+        if ti.static(seen.depth_only):
+            seen.thin[tile] = 0
 
 
 @ti.func
@@ -61,6 +109,8 @@ def found(seen: ti.template(), slot):
     """What is seen at a sample, for `closeness` and `identity`."""
     if ti.static(seen.wide):
         return seen.key[slot]
+    elif ti.static(seen.depth_only):
+        return seen.bits[slot]
     else:
         return ti.Vector([seen.bits[slot], seen.identity[slot]])
 
@@ -69,6 +119,8 @@ def found(seen: ti.template(), slot):
 def closeness(seen: ti.template(), key):
     if ti.static(seen.wide):
         return ti.bit_cast(ti.cast(key >> 32, ti.i32), ti.f32)
+    elif ti.static(seen.depth_only):
+        return ti.bit_cast(key, ti.f32)
     else:
         return ti.bit_cast(key[0], ti.f32)
 

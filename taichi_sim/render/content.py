@@ -6,11 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.geometry.graph import components
+from taichi_sim.geometry.mesh import Edges
 from taichi_sim.render.binding import Binding
 from taichi_sim.render.bodies import Bodies
 from taichi_sim.render.palette import body_colours
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
+from taichi_sim.scene.objects import SceneObject
 
 __all__ = ["Content"]
 
@@ -36,6 +39,7 @@ class Content:
     bodies: Bodies | None
     colliders: tuple[Collider, ...]
     embedded_surfaces: tuple[EmbeddedSurface, ...]
+    objects: tuple[SceneObject, ...]
 
     @classmethod
     def of(cls, frame: Frame, size: float, subdivide: int = 0) -> "Content":
@@ -46,7 +50,7 @@ class Content:
             covered |= one.covered(n)
         own = frame.triangles.reshape(-1, 3)
         triangles, binding = Binding.finer(frame.embedded_surfaces, own[~covered[own].all(axis=1)], n, subdivide)
-        hidden = covered.copy()
+        hidden = covered | enclosed(frame)
         hidden[own.ravel()] = True
         springs = frame.springs.reshape(-1, 2)
         rods = np.flatnonzero(~(hidden[springs[:, 0]] | hidden[springs[:, 1]]))  # inner ones would poke through
@@ -64,6 +68,7 @@ class Content:
             bodies=Bodies.of(frame) if frame.dim == 3 else None,
             colliders=_colliders(frame),
             embedded_surfaces=frame.embedded_surfaces,
+            objects=frame.objects,
             triangles=np.ascontiguousarray(triangles, dtype=np.int32),
             binding=binding,
         )
@@ -72,7 +77,28 @@ class Content:
         """Whether a frame has what this was made from; frames of one simulation share the very arrays."""
         if self.colliders != _colliders(frame) or self.embedded_surfaces != frame.embedded_surfaces:
             return False
+        if self.objects != frame.objects:
+            return False
         return all(a is b or np.array_equal(a, b, equal_nan=True) for a, b in zip(self.source, _source(frame)))
+
+
+def enclosed(frame: Frame) -> NDArray[np.bool_]:
+    """The balls (n,) within closed surfaces: joined by springs to one, and of the same object, which nothing has torn open."""
+    n, triangles = len(frame.position), frame.triangles.reshape(-1, 3)
+    if not len(triangles) or not frame.objects:
+        return np.zeros(n, dtype=bool)
+    number = np.full(n, len(frame.objects))
+    for k, one in enumerate(frame.objects):
+        number[one.balls] = k
+    edges = Edges.of(triangles)
+    one, other = number[edges.ends].T
+    is_open = np.zeros(len(frame.objects) + 1, dtype=bool)
+    is_open[-1] = True
+    is_open[one[edges.triangles != 2]] = True
+    is_open[np.concatenate([one[one != other], other[one != other]])] = True
+    joined = components(n, np.concatenate([frame.springs.reshape(-1, 2), triangles[:, :2], triangles[:, 1:]]))
+    body = joined.astype(np.int64) * len(is_open) + number
+    return np.isin(body, np.unique(body[triangles])) & ~is_open[number]
 
 
 def _colliders(frame: Frame) -> tuple[Collider, ...]:

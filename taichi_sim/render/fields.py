@@ -1,7 +1,4 @@
-"""The fields of the 3D renderer: Buffers hold the scene, Canvas the picture. Each frees its memory on close()."""
-
-from collections.abc import Iterator
-from typing import Any
+"""Buffers: the fields of what a 3D scene is drawn from. It frees its memory on close()."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +7,11 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.kernels.render import raster, shade, shading_pass, vertex_binding
+from taichi_sim.kernels.render import raster, vertex_binding
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 
-__all__ = ["Buffers", "Canvas", "finished", "padded"]
-
-SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
+__all__ = ["Buffers", "padded"]
 
 
 class Buffers:
@@ -147,84 +142,6 @@ def _sizes(content: Content) -> tuple[int, ...]:
     more = (0, 0) if bodies is None else (len(bodies.vertices), len(bodies.triangles))
     n = len(content.radius)
     return n + len(binding) + more[0], len(content.rods), len(content.triangles) + more[1], n, binding.weights.nnz
-
-
-class _Scene:
-    """What the shading kernels see of Buffers and Canvas."""
-
-    def __init__(self, buffers: Buffers, canvas: "Canvas") -> None:
-        self.__dict__.update({k: v for k, v in vars(buffers).items() if not k.startswith("_")})
-        self.samples, self.shadow_size = canvas.samples, canvas.shadow_side
-        self.has_shadow, self.has_occlusion = canvas.shadow is not None, canvas.openness is not None
-        self.shadow, self.coarse = canvas.shadow, canvas.coarse
-        self.openness, self.open_raw = canvas.openness, canvas.open_raw
-        self.transparent, self.alpha = canvas.alpha is not None, canvas.alpha
-
-
-@ti.data_oriented
-class Visibility:
-    """What lies nearest at each of n samples; see the kernels of this name."""
-
-    def __init__(self, fields: Fields, n: int) -> None:
-        self.wide = fields.has_wide_numbers
-        if self.wide:
-            self.key = fields.keys(n)
-        else:
-            self.bits, self.identity, self.stage = fields.integers(n), fields.integers(n), fields.integers(1)
-
-    def stages(self) -> Iterator[None]:
-        """Once for each time that all must be drawn."""
-        for stage in range(1 if self.wide else 2):
-            if not self.wide:
-                self.stage.fill(stage)
-            yield
-
-    def clear(self) -> None:
-        """Nothing is seen."""
-        for field in (self.key,) if self.wide else (self.bits, self.identity, self.stage):
-            field.fill(0)
-
-
-class Canvas:
-    """What is seen in the picture and in the shadow map, colours, and the sky that each pixel sees."""
-
-    def __init__(
-        self, size: tuple[int, int], samples: int, shadow: bool, occlusion: bool, transparent: bool = False
-    ) -> None:
-        pixels = size[0] * size[1]
-        self.samples, self.shadow_side = samples, SHADOW_SIDE[samples]
-        self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
-        self.seen, self.image = Visibility(fields, pixels * samples), fields.vectors(pixels, 3)
-        cells = (self.shadow_side // shade.COARSE_TEXELS) ** 2
-        self.shadow = Visibility(fields, self.shadow_side**2) if shadow else None
-        self.cell, self.coarse = (fields.reals(cells) if shadow else None for _ in range(2))
-        self.openness, self.open_raw = (fields.reals(pixels) if occlusion else None for _ in range(2))
-        self.alpha: Any = fields.reals(pixels) if transparent else None
-        fields.build()
-        self.image.fill(0.0)  # see Buffers
-        self._out = np.zeros(pixels, dtype=np.int32)
-        self._scene: tuple[Buffers, _Scene] | None = None
-
-    def scene(self, buffers: Buffers) -> Any:
-        """The same object for the same buffers, or kernels would compile again."""
-        if self._scene is None or self._scene[0] is not buffers:
-            self._scene = (buffers, _Scene(buffers, self))
-        return self._scene[1]
-
-    def finish(self, width: int, height: int) -> NDArray[np.uint8]:
-        return finished(self.image, self.alpha, self.samples == 1, width, height, self._out)
-
-    def close(self) -> None:
-        self._fields.free()
-        self._scene = None
-
-
-def finished(image: Any, alpha: Any, edges: bool, width: int, height: int, out: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """The picture (height, width, 3) from linear colours, or with alpha (height, width, 4); out: (pixels,) to work in."""
-    transparent = alpha is not None
-    shading_pass.finish(image, alpha if transparent else image, transparent, edges, width, height, out)
-    shown = out[: width * height].view(np.uint8).reshape(height, width, 4)
-    return np.ascontiguousarray(shown[:, :, : 4 if transparent else 3])
 
 
 def padded(values: NDArray, rows: int) -> NDArray:

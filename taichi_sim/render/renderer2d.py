@@ -14,9 +14,10 @@ from taichi_sim.geometry.mesh import Edges
 from taichi_sim.kernels.render import paint2d
 from taichi_sim.render.bodies import filled
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
+from taichi_sim.render.canvas import finished
 from taichi_sim.render.colouring import FULL_STRAIN, Colouring
 from taichi_sim.render.content import Content
-from taichi_sim.render.fields import finished, padded
+from taichi_sim.render.fields import padded
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tiles import tile_lists
 from taichi_sim.render.tracker import Follower
@@ -68,7 +69,6 @@ class Renderer2D:
         self._content: Any = None
         self.buffers: Any = None
         self._capacity = (-1, -1, -1)
-        self._out = np.zeros(size[0] * size[1], dtype=np.int32)
         self._prepare(frame)
 
     def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
@@ -90,7 +90,7 @@ class Renderer2D:
             canvas.body.from_numpy(self._bodies(frame))
         numbers = (len(walls), len(frame.colliders), tile, width, height)
         paint2d.paint(canvas, entry, start, self._look, *numbers)
-        return finished(canvas.image, canvas.alpha if self._transparent else None, False, width, height, self._out)
+        return finished(canvas.packed, self._transparent, width, height)
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
@@ -261,7 +261,7 @@ class Canvas:
         )
         self.wall = fields.vectors(walls, 3)
         self.body, self.tint = fields.vectors(bodies, 8), fields.vectors(bodies, 3)
-        self.image, self.alpha = fields.vectors(pixels, 3), fields.reals(pixels if transparent else 1)
+        self.packed = fields.integers(pixels + 3)
         self.transparent = transparent
         fields.build()
         self.wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.device.engine import ti
-from taichi_sim.kernels.render import raster, shade, shading_pass
+from taichi_sim.kernels.render import occlusion, raster, shading_pass, shadow, shadow_lattice
 from taichi_sim.render.camera import Bounds, Camera, ground_planes, near_boxes, robust_bounds, view_matrix
+from taichi_sim.render.canvas import Canvas, Planes, matrix_of, vector_of
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
-from taichi_sim.render.fields import Buffers, Canvas
+from taichi_sim.render.fields import Buffers
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.tracker import Tracker
 
@@ -71,36 +71,36 @@ class Renderer3D:
         width, height = (max(1, side // coarse) for side in self.size)
         view = self._view(width, height)
         self._spare(view)
-        planes = ground_planes(frame)
-        planes[:, 3] = (planes[:, 3] - planes[:, :3] @ self._origin) / self._unit
         eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
-        planes = planes[planes[:, :3] @ eye > planes[:, 3]]
-        matrix = np.zeros((4, 4), dtype=np.float32)
-        matrix[: len(planes)] = planes
+        planes = self._planes(frame, eye, view)
         if self.buffers.has_triangles:
             self.buffers.find_normals()
-        light = self._cast_shadows(frame) if self._shadow else view
-        seen = self._canvas.seen
-        on_screen = _on_screen(planes, self.camera.axes(), eye, view)
-        for _ in seen.stages():
-            raster.clear(seen, self._canvas.samples, on_screen, len(planes), width, height)
-            self._draw(seen, self._canvas.samples, view, width, height, True)
-        scene = self._canvas.scene(self.buffers)
+        light = self._cast_shadows(frame) if self._shadow else None
+        canvas = self._canvas
+        canvas.seen.clear(width, height)
+        for _ in canvas.seen.stages():
+            self._draw(canvas.seen, canvas.samples, view, width, height, True)
+        scene, look = canvas.scene(self.buffers), self._look_matrix()
+        canvas.fit_backdrop(scene, (width, height), view, light, planes, eye, look)
+        camera = matrix_of(view), vector_of(eye)
+        ground = matrix_of(planes.normals), matrix_of(planes.on_screen), planes.number
         if self._ambient_occlusion:
-            shading_pass.occlude(scene, seen, _mat(view), _vec(eye), _mat(matrix), 0.05, width, height)
-        shading_pass.resolve(
-            scene,
-            seen,
-            self._canvas.image,
-            _mat(view),
-            _mat(light),
-            _mat(matrix),
-            _vec(eye),
-            self._look_matrix(),
-            width,
-            height,
-        )
-        return self._canvas.finish(width, height)
+            occlusion.occlude(scene, canvas.seen, *camera, *ground, 0.05, width, height)
+        lamp = camera[0] if light is None else matrix_of(light)
+        last = (camera[1], matrix_of(look), width, height)
+        if light is not None:
+            shadow_lattice.sample(scene, canvas.seen, camera[0], lamp, *ground[:2], *last)
+        shading_pass.resolve(scene, canvas.seen, camera[0], lamp, *ground, *last)
+        return np.asarray(canvas.finish(width, height))
+
+    def _planes(self, frame: Frame, eye: NDArray, view: NDArray) -> Planes:
+        """The walls that the eye is above."""
+        planes = ground_planes(frame)
+        planes[:, 3] = (planes[:, 3] - planes[:, :3] @ self._origin) / self._unit
+        planes = planes[planes[:, :3] @ eye > planes[:, 3]]
+        normals = np.zeros((4, 4), dtype=np.float32)
+        normals[: len(planes)] = planes
+        return Planes(normals, _on_screen(planes, self.camera.axes(), eye, view), len(planes))
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""
@@ -155,12 +155,12 @@ class Renderer3D:
             )
         self.buffers.load(content, colour, self._unit)
 
-    def _look_matrix(self) -> Any:
+    def _look_matrix(self) -> NDArray[np.float64]:
         """Rows: lamp and the spacing of the grid, fill, zenith, horizon."""
         look = np.zeros((4, 4))
         look[:, :3] = self._lamp, self._fill, self._zenith, self._horizon
         look[0, 3] = self._spacing / self._unit
-        return _mat(look)
+        return look
 
     def _view(self, width: int, height: int) -> NDArray[np.float32]:
         eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
@@ -170,14 +170,14 @@ class Renderer3D:
     def _spare(self, view: NDArray[np.float32]) -> None:
         """Bound the work where balls share one spot and their spheres would be drawn over each other endlessly."""
         distance = np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)) / self._unit
-        shadow = (self._canvas.shadow_side * self._unit / self._bounds.size) ** 2 if self._shadow else 0.0
+        shadow = (self._canvas.shadow_size * self._unit / self._bounds.size) ** 2 if self._shadow else 0.0
         per_square = float(view[3, 0] / distance) ** 2  # px for a unit square at the target
         tests = self._canvas.samples + shadow / per_square  # for a px of disc
         if np.pi * self.buffers.squares * per_square * tests > MOST_TESTS:
             self.buffers.thin_out(view, MOST_TESTS / tests)
 
     def _draw(self, seen: Any, samples: int, view: NDArray, width: int, height: int, exact: bool) -> None:
-        b, v = self.buffers, _mat(view)
+        b, v = self.buffers, matrix_of(view)
         if b.has_spheres:
             raster.draw_spheres(b.ball, seen, samples, exact, v, width, height, b.balls)
         if b.has_rods:
@@ -195,15 +195,15 @@ class Renderer3D:
         """Draw the shadow map; return its view, which covers the bounds."""
         bounds = self._widen(frame)
         axes = Camera(eye=tuple(self._lamp), target=(0.0, 0.0, 0.0)).axes()
-        side = self._canvas.shadow_side
+        side = self._canvas.shadow_size
         radius = 0.53 * bounds.size / self._unit
         centre = (bounds.centre - self._origin) / self._unit
         eye = centre - axes[2] * 3 * radius
         light = view_matrix(axes, eye, side / 2 / radius, (side / 2, side / 2), far=8 * radius)
-        shadow: Any = self._canvas.shadow
-        shadow.clear()
-        self._draw(shadow, 1, light, side, side, False)  # the closeness alone, for which one stage will do
-        shade.coarsen(shadow, self._canvas.cell, self._canvas.coarse, side)
+        shadow_map = self._canvas.shadow
+        shadow_map.clear(side, side)
+        self._draw(shadow_map, 1, light, side, side, False)
+        shadow.coarsen(shadow_map, self._canvas.cell, self._canvas.coarse, self._canvas.thin, side)
         return light
 
     def _widen(self, frame: Frame) -> Bounds:
@@ -215,14 +215,6 @@ class Renderer3D:
             pad = 0.15 * grown.size
             self._bounds = Bounds(low - pad, high + pad)
         return self._bounds
-
-
-def _mat(matrix: NDArray) -> Any:
-    return raster.View(matrix.tolist())
-
-
-def _vec(vector: Any) -> Any:
-    return ti.Vector([float(a) for a in vector], dt=ti.f32)
 
 
 def _lamp(camera: Camera) -> NDArray[np.float64]:
@@ -250,11 +242,11 @@ def _nice(length: float) -> float:
     return min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(math.log(m * power / length))) * power
 
 
-def _on_screen(planes: NDArray, axes: NDArray, eye: NDArray, view: NDArray) -> Any:
+def _on_screen(planes: NDArray, axes: NDArray, eye: NDArray, view: NDArray) -> NDArray[np.float32]:
     """Rows (a, b, c): closeness a x + b y + c of each plane (unit normal, offset) on the screen."""
     rows = np.zeros((4, 4), dtype=np.float32)
     focal, cx, cy = (float(a) for a in view[3, :3])
     for k, plane in enumerate(planes):
         right, up, forward = axes @ plane[:3] / (plane[3] - plane[:3] @ eye)
         rows[k, :3] = right / focal, -up / focal, forward - right * cx / focal + up * cy / focal
-    return _mat(rows)
+    return rows

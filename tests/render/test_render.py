@@ -296,6 +296,29 @@ def test_a_transparent_picture_laid_over_a_background_is_the_opaque_one(dim):
     assert above[0, 0, 3] == 0
 
 
+def test_a_picture_alone_is_the_one_of_a_run():
+    """Whatever was drawn before, from elsewhere or coarser: sky and ground are kept, and only what was drawn on is cleared."""
+    random = np.random.default_rng(4)
+    walls = np.array([[0.0, 1.0, 0.0, -1.5], [0.6, 0.8, 0.0, -1.4]])
+    frames = [balls(random.uniform(-0.8, 0.8, (40, 3)), 0.15, walls=walls) for _ in range(3)]
+    for frame in frames:
+        frame.position[:2] = (-1, -1, -1), (1, 1, 1)
+        frame.triangles = np.arange(9, dtype=np.int32).reshape(3, 3)
+    options = {"size": SIZE, "ambient_occlusion": True}
+    aside = Camera(eye=(4.0, 1.0, 4.0), target=(0.0, 0.0, 0.0))
+    with Renderer(frames[0], camera=FRONT, **options) as renderer:
+        renderer.render(frames[1], coarse=2)
+        renderer.render(frames[2])
+        renderer.camera = aside
+        there = renderer.render(frames[1])
+        renderer.camera = FRONT
+        here = renderer.render(frames[1])
+    for camera, picture_of_run in ((aside, there), (FRONT, here)):
+        with Renderer(frames[0], camera=FRONT, **options) as renderer:
+            renderer.camera = camera
+            assert np.array_equal(renderer.render(frames[1]), picture_of_run)
+
+
 def test_shadows_of_what_rests_do_not_flicker_while_something_moves():
     """The shadow map stays put while the scene keeps within its bounds."""
     ground = np.array([[0.0, 1.0, 0.0, 0.0]])
@@ -354,6 +377,18 @@ def test_a_renderer_goes_on_from_what_another_remembers(dim):
         renderer.skip(frame(4))
         assert np.array_equal(renderer.render(frame(5)), drawn[5])
         assert np.array_equal(renderer.render(frame(6)), drawn[6])
+
+
+def test_pixels_of_many_small_triangles_keep_their_light():
+    """Samples that may share their shading are weighed whole: of three, the outer ones may be alike to the middle one only."""
+    n = 33
+    u, v = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij")
+    x = np.stack([1.6 * u, v, -3.0 * v], axis=-1).reshape(-1, 3)  # steep: depths of neighbours differ
+    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    triangles = np.concatenate([np.stack([i, i + n, i + 1], 1), np.stack([i + 1, i + n, i + n + 1], 1)])
+    frame = balls(x, 0.0, triangles=triangles.astype(np.int32))
+    inside = linear(picture(frame, camera=FRONT, shadow=False))[36:64, 64:96]
+    assert np.ptp(inside.mean(axis=2)) < 0.02
 
 
 @pytest.mark.slow

@@ -99,6 +99,25 @@ def test_what_is_drawn_of_a_finer_surface(embedded, times):
     assert content.binding.apply(x) == pytest.approx(base, abs=1e-13)
 
 
+def test_what_a_closed_surface_holds_is_not_drawn():
+    """Inner balls of a jelly and their springs; but what hangs on it, and all of it where the surface is torn."""
+    scene = Scene(dim=3)
+    block = shapes.jelly(scene, size=(1, 1, 1), resolution=(4, 4, 4))
+    loose = scene.add_balls([[2, 0, 0], [3, 0, 0]], radius=0.1)
+    scene.attach(block.balls[:1], loose[:1], stiffness=10.0)
+    frame = frame_of(scene)
+    inner = np.setdiff1d(block.balls, frame.triangles)
+    assert len(inner) == 8
+    assert np.count_nonzero(Content.of(frame, 1.0).radius) == 8 + 2  # nothing says what is one thing
+    frame.objects = tuple(scene.objects)
+    content = Content.of(frame, 1.0)
+    assert np.flatnonzero(content.radius).tolist() == loose.tolist()
+    assert len(content.rods) == 0
+    frame.triangles = frame.triangles[1:]
+    assert not content.matches(frame)
+    assert np.count_nonzero(Content.of(frame, 1.0).radius) == 8 + 2
+
+
 @pytest.mark.slow
 def test_a_finer_surface_in_a_picture():
     """A coarse ring of cloth, seen from its side, gets a smoother outline; a still picture repeats."""

@@ -1,0 +1,151 @@
+"""What lies behind everything: sky and ground, which stay the same while the camera does.
+
+Planes of a view are rows (a, b, c): closeness a x + b y + c at a place (x, y) px of the picture, where positive.
+"""
+
+from taichi_sim.kernels.render.finish import encode
+from taichi_sim.kernels.render.raster import SAMPLE_OFFSETS, View, vec3
+from taichi_sim.kernels.render.shade import axis, illuminate, pixel_ray, tone
+from taichi_sim.kernels.render.shadow import COARSE_TEXELS, coarse_cell, light_place, slope_of
+
+from taichi_sim.device.engine import ti
+
+
+@ti.func
+def sky(up, top, horizon):
+    """Background in a direction whose height is `up` (-1..1)."""
+    t = ti.min(ti.max(up * ti.f32(1.6) + ti.f32(0.25), ti.f32(0.0)), ti.f32(1.0))
+    return horizon + (top - horizon) * (t * t * (3 - 2 * t))
+
+
+@ti.func
+def grid_line(a, footprint):
+    """Coverage of lines of unit spacing, filtered over a footprint."""
+    d = ti.abs(a - ti.floor(a + ti.f32(0.5)))
+    wide = ti.f32(0.012) + footprint
+    return (
+        ti.min(ti.max((wide - d) / ti.max(footprint, ti.f32(1e-4)), ti.f32(0.0)), ti.f32(1.0))
+        * ti.f32(0.012)
+        / wide
+        * 2
+    )
+
+
+@ti.func
+def ground(p, n, width, spacing):
+    """Share of the horizon's colour on a plane: fine lines of `spacing`, a faint checker, filtered over `width`."""
+    helper = vec3(1, 0, 0)
+    if ti.abs(n[0]) > ti.f32(0.7):
+        helper = vec3(0, 0, 1)
+    v = helper.cross(n).normalized()
+    u = n.cross(v)
+    a, b = p.dot(u) / spacing, p.dot(v) / spacing
+    footprint = width / spacing
+    line = ti.max(grid_line(a, footprint), grid_line(b, footprint))
+    sharp = ti.min(ti.max((a - ti.floor(a)) - ti.f32(0.5), -1), 1) * ((b - ti.floor(b)) - ti.f32(0.5))
+    checker = ti.f32(0.5) if sharp > 0 else ti.f32(-0.5)
+    fade = 1 / (1 + footprint * footprint * 60)
+    return vec3(0.775, 0.765, 0.755) * (1 + ti.f32(0.05) * checker * fade - ti.f32(0.30) * line * fade)
+
+
+@ti.func
+def nearest_plane(on_screen, count, x, y):
+    """Closeness and number, from 1 on, of the plane that is seen there; 0 for the sky."""
+    nearest, which = ti.f32(0.0), 0
+    for k in range(count):
+        w = on_screen[k, 0] * x + on_screen[k, 1] * y + on_screen[k, 2]
+        if w > nearest:
+            nearest, which = w, k + 1
+    return nearest, which
+
+
+@ti.func
+def plane_normal(planes, k):
+    return vec3(planes[k, 0], planes[k, 1], planes[k, 2])
+
+
+@ti.func
+def plane_place(planes, eye, ray, k):
+    """How far along a ray, at most 1e4, a plane is seen."""
+    n = plane_normal(planes, k)
+    return ti.min((planes[k, 3] - n.dot(eye)) / ti.min(n.dot(ray), ti.f32(-1e-6)), ti.f32(1e4))
+
+
+@ti.func
+def plane_colour(view, planes, look, eye, ray, k, share, open_share):
+    """Colour of the ground under a share of the lamp and of the sky."""
+    n, t = plane_normal(planes, k), plane_place(planes, eye, ray, k)
+    length = ray.norm()
+    distance = t * length
+    footprint = distance / view[3, 0] / ti.max(-n.dot(ray) / length, ti.f32(0.02))
+    colour = ground(eye + ray * t, n, footprint, look[0, 3]) * axis(look, 3)
+    reach = distance * ti.f32(0.16)
+    fog = 1 - 1 / (1 + reach * reach * reach)
+    far = sky(ray[1] / length, axis(look, 2), axis(look, 3))
+    near = tone(illuminate(colour, ti.f32(0.0), n, ray, axis(look, 0), axis(look, 1), share, open_share))
+    return near + (far - near) * fog
+
+
+@ti.kernel
+def paint(
+    scene: ti.template(),
+    view: View,
+    planes: View,
+    on_screen: View,
+    count: ti.i32,
+    eye: vec3,
+    look: View,
+    width: ti.i32,
+    height: ti.i32,
+):
+    """Sky and ground where nothing is and all of the lamp and the sky is seen."""
+    for pixel in range(width * height):
+        x, y = pixel % width, pixel // width
+        fx, fy = ti.cast(x, ti.f32), ti.cast(y, ti.f32)
+        ray = pixel_ray(view, fx + ti.f32(0.5), fy + ti.f32(0.5))
+        total, first, mixed, one = vec3(0, 0, 0), 0, 0, 0
+        for s in ti.static(range(scene.samples)):
+            offset = ti.static(SAMPLE_OFFSETS[scene.samples][s])
+            _, which = nearest_plane(on_screen, count, fx + ti.f32(0.5 + offset[0]), fy + ti.f32(0.5 + offset[1]))
+            if ti.static(s == 0):
+                one = which
+            elif which != one:
+                mixed = 1
+            if first == 0:
+                first = which
+        samples = 0
+        while samples < scene.samples:
+            which, weight = one, scene.samples
+            if mixed > 0:
+                weight = 1
+                for s in ti.static(range(scene.samples)):
+                    if s == samples:
+                        offset = ti.static(SAMPLE_OFFSETS[scene.samples][s])
+                        place = (fx + ti.f32(0.5 + offset[0]), fy + ti.f32(0.5 + offset[1]))
+                        _, which = nearest_plane(on_screen, count, place[0], place[1])
+            colour = sky(ray[1] / ray.norm(), axis(look, 2), axis(look, 3))
+            if which > 0:
+                colour = plane_colour(view, planes, look, eye, ray, which - 1, ti.f32(1.0), ti.f32(1.0))
+            total += colour * (ti.cast(weight, ti.f32) / scene.samples)
+            samples += weight
+        scene.plane[pixel] = -first if mixed > 0 else first
+        scene.backdrop[pixel] = total
+        scene.backdrop_packed[pixel] = encode(total, x, y)
+
+
+@ti.kernel
+def place(scene: ti.template(), view: View, light: View, planes: View, eye: vec3, look: View, width: ti.i32, n: ti.i32):
+    """Where the ground that n pixels see lies in the light's view: the coarse cell of the shadow map, -1 for none, and the
+    closeness of what casts a shadow there."""
+    for pixel in range(n):
+        cell, closest = -1, ti.f32(0.0)
+        k = ti.abs(scene.plane[pixel]) - 1
+        if k >= 0:
+            cosine = plane_normal(planes, k).dot(axis(look, 0))
+            if cosine > 0:
+                ray = pixel_ray(view, pixel % width + ti.f32(0.5), pixel // width + ti.f32(0.5))
+                p = eye + ray * plane_place(planes, eye, ray, k)
+                q, closest = light_place(light, p, plane_normal(planes, k), slope_of(cosine))
+                cell = coarse_cell(scene.shadow_size // COARSE_TEXELS, q[0], q[1])
+        scene.backdrop_cell[pixel] = cell
+        scene.backdrop_level[pixel] = closest

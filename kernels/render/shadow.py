@@ -1,0 +1,159 @@
+"""Shadows of the lamp: a filtered map of what lies nearest to it, blurred by the distance of what casts them."""
+
+from taichi_sim.kernels.render.raster import screen, to_view, vec2
+from taichi_sim.kernels.render.visibility import TILE, closeness, found
+
+from taichi_sim.device.engine import ti
+
+LAMP_SOFTNESS = 0.10  # tangent of the lamp's half angle: how fast a shadow blurs with the distance of what casts it
+WIDEST_BLUR = 13.0  # texels: the largest blur
+COARSE_TEXELS = TILE  # texels of the shadow map in a coarse cell, more than WIDEST_BLUR + 1
+BLOCKER_TAPS, BLUR_TAPS = 14, 16  # taps that look for blockers, and at most that blur
+
+
+@ti.func
+def shadow_tap(shadow: ti.template(), size, x, y):
+    """Closeness to the light at the nearest texel; 0 outside."""
+    w = ti.f32(0.0)
+    i, j = ti.cast(ti.floor(x), ti.i32), ti.cast(ti.floor(y), ti.i32)
+    if i >= 0 and j >= 0 and i < size and j < size:
+        w = closeness(shadow, found(shadow, j * size + i))
+    return w
+
+
+@ti.func
+def shadow_smooth(shadow: ti.template(), size, x, y, w):
+    """How much of the four texels about (x, y) is nearer to the light than w, weighted bilinearly; nothing outside."""
+    fx, fy = ti.floor(x - ti.f32(0.5)), ti.floor(y - ti.f32(0.5))
+    i, j = ti.cast(fx, ti.i32), ti.cast(fy, ti.i32)
+    total = ti.f32(0.0)
+    if i >= 0 and j >= 0 and i < size - 1 and j < size - 1:
+        ux, uy = x - ti.f32(0.5) - fx, y - ti.f32(0.5) - fy
+        slot = j * size + i
+        upper, lower = ti.f32(0.0), ti.f32(0.0)
+        if closeness(shadow, found(shadow, slot)) > w:
+            upper += 1 - ux
+        if closeness(shadow, found(shadow, slot + 1)) > w:
+            upper += ux
+        if closeness(shadow, found(shadow, slot + size)) > w:
+            lower += 1 - ux
+        if closeness(shadow, found(shadow, slot + size + 1)) > w:
+            lower += ux
+        total = upper * (1 - uy) + lower * uy
+    return total
+
+
+@ti.func
+def rotated(d):
+    """A direction rotated by the golden angle: successive ones fill a disc evenly."""
+    return vec2(
+        ti.f32(-0.7373688) * d[0] - ti.f32(0.6754903) * d[1], ti.f32(0.6754903) * d[0] - ti.f32(0.7373688) * d[1]
+    )
+
+
+@ti.func
+def blocker_search(shadow: ti.template(), size, q, level, per_px):
+    """Share of a wide disc about q that lies nearer to the light, and the mean closeness there."""
+    blockers, nearest = 0, ti.f32(0.0)
+    direction = vec2(1.0, 0.0)
+    for k in range(BLOCKER_TAPS):
+        reach = ti.f32(WIDEST_BLUR) * ti.sqrt(ti.cast(k, ti.f32) / (BLOCKER_TAPS - 1))
+        w = shadow_tap(shadow, size, q[0] + reach * direction[0], q[1] + reach * direction[1])
+        if w > level + per_px * reach:
+            blockers += 1
+            nearest += w
+        direction = rotated(direction)
+    return blockers, nearest / ti.cast(ti.max(blockers, 1), ti.f32)
+
+
+@ti.func
+def blurred(shadow: ti.template(), size, q, level, radius):
+    """Share of a disc of `radius` texels about q that is not in shadow."""
+    total = ti.f32(0.0)
+    direction = vec2(1.0, 0.0)
+    taps = ti.min(ti.cast(radius * 2, ti.i32) + 5, BLUR_TAPS)
+    for k in range(taps):
+        reach = radius * ti.sqrt((ti.cast(k, ti.f32) + ti.f32(0.5)) / taps)
+        total += shadow_smooth(shadow, size, q[0] + reach * direction[0], q[1] + reach * direction[1], level)
+        direction = rotated(direction)
+    return 1 - total / taps
+
+
+@ti.func
+def light_place(light, p, n, slope):
+    """Where a point is looked up in the shadow map (x, y) texels, and the closeness that casts a shadow on it."""
+    texel = 1 / light[3, 0]
+    q = screen(light, to_view(light, p + n * (texel * (1 + ti.min(slope, ti.f32(2.0))))))
+    return q, q[2] + texel * (ti.f32(0.6) + ti.f32(0.6) * ti.min(slope, ti.f32(3.0)))
+
+
+@ti.func
+def slope_of(cosine):
+    """Tangent of an angle, bounded."""
+    return ti.sqrt(ti.max(1 - cosine * cosine, ti.f32(0.0))) / ti.max(cosine, ti.f32(0.1))
+
+
+@ti.func
+def lit(scene: ti.template(), light, p, n, slope):
+    """Share of the lamp that reaches p."""
+    q, level = light_place(light, p, n, slope)
+    result = ti.f32(1.0)
+    if coarse_tap(scene.coarse, scene.shadow_size // COARSE_TEXELS, q[0], q[1]) > level:
+        result = filtered(scene, light, q, level, slope)
+    return result
+
+
+@ti.func
+def filtered(scene: ti.template(), light, q, level, slope):
+    """Share of the lamp: blockers searched near by, then a blur as wide as they are far."""
+    texel = 1 / light[3, 0]
+    per_px = texel * ti.min(slope, ti.f32(3.0))
+    result = ti.f32(1.0)
+    size = scene.shadow_size
+    blockers, nearest = blocker_search(scene.shadow, size, q, level, per_px)
+    if blockers > 0:
+        radius = ti.min(ti.max((nearest - q[2]) * ti.f32(LAMP_SOFTNESS) / texel, ti.f32(1.2)), ti.f32(WIDEST_BLUR))
+        if blockers < BLOCKER_TAPS or radius > ti.f32(WIDEST_BLUR * 0.5):
+            result = blurred(scene.shadow, size, q, level + per_px * radius * ti.f32(0.5), radius)
+        else:
+            result = ti.f32(0.0)
+    return result
+
+
+@ti.func
+def coarse_cell(cells, x, y):
+    """The coarse cell of a place in the shadow map, -1 outside."""
+    i, j = ti.cast(ti.floor(x / COARSE_TEXELS), ti.i32), ti.cast(ti.floor(y / COARSE_TEXELS), ti.i32)
+    return j * cells + i if i >= 0 and j >= 0 and i < cells and j < cells else -1
+
+
+@ti.func
+def coarse_tap(coarse: ti.template(), cells, x, y):
+    w = ti.f32(0.0)
+    c = coarse_cell(cells, x, y)
+    if c >= 0:
+        w = coarse[c]
+    return w
+
+
+@ti.kernel
+def coarsen(shadow: ti.template(), cell: ti.template(), coarse: ti.template(), thin: ti.template(), size: ti.i32):
+    """For every cell of the shadow map the largest closeness in it and its eight neighbours, above which all is lit, and whether
+    there is anything thin."""
+    for c in cell:
+        across = size // COARSE_TEXELS
+        nearest = ti.f32(0.0)
+        if shadow.marked[c] > 0:
+            for j in range((c // across) * COARSE_TEXELS, (c // across + 1) * COARSE_TEXELS):
+                for i in range((c % across) * COARSE_TEXELS, (c % across + 1) * COARSE_TEXELS):
+                    nearest = ti.max(nearest, closeness(shadow, found(shadow, j * size + i)))
+        cell[c] = nearest
+    for c in coarse:
+        across = size // COARSE_TEXELS
+        w, any_thin = ti.f32(0.0), 0
+        for j in range(ti.max(c // across - 1, 0), ti.min(c // across + 2, across)):
+            for i in range(ti.max(c % across - 1, 0), ti.min(c % across + 2, across)):
+                w = ti.max(w, cell[j * across + i])
+                any_thin |= shadow.thin[j * across + i]
+        coarse[c] = w
+        thin[c] = any_thin

@@ -1,0 +1,109 @@
+"""Shadows at the rate they vary: the share of the lamp at every fourth pixel of every fourth row, from which pixels between four
+alike ones take theirs. Those at the edge of a shadow, of a surface, or near anything thin work it out for themselves."""
+
+from taichi_sim.kernels.render.backdrop import plane_normal, plane_place
+from taichi_sim.kernels.render.raster import PLANE, TRIANGLE, View, vec3
+from taichi_sim.kernels.render.shade import axis, pixel_ray, surface
+from taichi_sim.kernels.render.shadow import COARSE_TEXELS, WIDEST_BLUR, coarse_cell, filtered, light_place, slope_of
+from taichi_sim.kernels.render.visibility import TILE, closeness, found, identity_of, tiles_across
+
+from taichi_sim.device.engine import ti
+
+STEP = 4  # px
+UNKNOWN = -1.0  # a share
+EVEN = 0.3  # difference between shares that a pixel among them may lie between
+SAME_SHEET = 0.01  # difference of depths, as a part of them
+
+
+@ti.func
+def lattice_width(width):
+    return width // STEP + 2
+
+
+@ti.func
+def ground_share(scene: ti.template(), light, look, planes, eye, ray, k, pixel):
+    """Share of the lamp on a plane, and whether something thin may be near."""
+    share, thin = ti.f32(1.0), 0
+    cell = scene.backdrop_cell[pixel]
+    if cell >= 0:
+        if scene.coarse[cell] > scene.backdrop_level[pixel]:
+            n = plane_normal(planes, k)
+            slope = slope_of(n.dot(axis(look, 0)))
+            q, level = light_place(light, eye + ray * plane_place(planes, eye, ray, k), n, slope)
+            share, thin = filtered(scene, light, q, level, slope), scene.thin[cell]
+    return share, thin
+
+
+@ti.func
+def surface_share(scene: ti.template(), light, p, n, cosine):
+    """The same on a surface that faces the lamp."""
+    slope = slope_of(cosine)
+    q, level = light_place(light, p, n, slope)
+    share, thin = ti.f32(1.0), 0
+    cell = coarse_cell(scene.shadow_size // COARSE_TEXELS, q[0], q[1])
+    if cell >= 0:
+        if scene.coarse[cell] > level:
+            share, thin = filtered(scene, light, q, level, slope), scene.thin[cell]
+    return share, thin
+
+
+@ti.kernel
+def sample(
+    scene: ti.template(),
+    seen: ti.template(),
+    view: View,
+    light: View,
+    planes: View,
+    on_screen: View,
+    eye: vec3,
+    look: View,
+    width: ti.i32,
+    height: ti.i32,
+):
+    for k in range(lattice_width(width) * lattice_width(height)):
+        x, y = k % lattice_width(width) * STEP, k // lattice_width(width) * STEP
+        share, identity, w, thin = ti.f32(UNKNOWN), 0, ti.f32(0.0), 0
+        if x < width and y < height:
+            pixel = y * width + x
+            px, py = ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5)
+            which = scene.plane[pixel] - 1
+            if which >= 0:
+                identity = (PLANE << 28) | which
+                w = on_screen[which, 0] * px + on_screen[which, 1] * py + on_screen[which, 2]
+            if seen.marked[y // TILE * tiles_across(width) + x // TILE] > 0:
+                key = found(seen, pixel * scene.samples)
+                if closeness(seen, key) > w:
+                    identity, w = identity_of(seen, key), closeness(seen, key)
+            ray = pixel_ray(view, px, py)
+            if STEP * light[3, 0] > ti.f32(WIDEST_BLUR) * view[3, 0] * w:  # the next one is out of reach of its taps
+                pass
+            elif (identity >> 28) == PLANE:
+                share, thin = ground_share(scene, light, look, planes, eye, ray, which, pixel)
+            elif identity != 0:
+                p, n, _, _ = surface(scene, view, eye, ray, identity, w, px, py)
+                cosine = n.dot(axis(look, 0))
+                if cosine > 0:
+                    share, thin = surface_share(scene, light, p, n, cosine)
+        scene.lattice_share[k] = ti.f32(UNKNOWN) if thin > 0 else share
+        scene.lattice_identity[k] = identity
+        scene.lattice_depth[k] = w
+
+
+@ti.func
+def between(scene: ti.template(), identity, w, x, y, width):
+    """The share of a pixel from those about it; UNKNOWN where they are not alike."""
+    k, across = y // STEP * lattice_width(width) + x // STEP, lattice_width(width)
+    u, v = ti.cast(x % STEP, ti.f32) / STEP, ti.cast(y % STEP, ti.f32) / STEP
+    low, high, total = ti.f32(1.0), ti.f32(0.0), ti.f32(0.0)
+    for j in ti.static(range(2)):
+        for i in ti.static(range(2)):
+            corner = k + j * across + i
+            other, share = scene.lattice_identity[corner], scene.lattice_share[corner]
+            same = other == identity
+            if (identity >> 28) == TRIANGLE and (other >> 28) == TRIANGLE:
+                same = ti.abs(scene.lattice_depth[corner] - w) < w * ti.f32(SAME_SHEET)
+            if not same:
+                share = ti.f32(UNKNOWN)
+            low, high = ti.min(low, share), ti.max(high, share)
+            total += share * (u if ti.static(i == 1) else 1 - u) * (v if ti.static(j == 1) else 1 - v)
+    return total if low >= 0 and high - low < ti.f32(EVEN) else ti.f32(UNKNOWN)
