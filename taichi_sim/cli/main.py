@@ -303,6 +303,18 @@ def schema() -> None:
     typer.echo(json.dumps(scene_schema(), indent=1))
 
 
+@_command(name="materials")
+def list_materials() -> None:
+    """List the materials that scenes may name, with their numbers in SI units and where these come from."""
+    from dataclasses import asdict
+
+    from taichi_sim.scene.presets import PRESETS
+
+    for name, preset in PRESETS.items():
+        numbers = [f"{key} {value:.3g}" for key, value in asdict(preset).items() if isinstance(value, float)]
+        typer.echo(f"{name}: {', '.join(numbers)}\n    {preset.source}")
+
+
 @_command("size", "fps", "duration", name="demos")
 def list_demos(
     context: typer.Context,

@@ -116,7 +116,7 @@ class _Placed:
     """What every collider takes.
 
     Args:
-        material: name of a material added before. colour: sRGB in 0..1 [1]; grey otherwise.
+        material: name of a material added before, or of a preset. colour: sRGB in 0..1 [1]; grey otherwise.
         group: name or names of the collision groups that it is in. collides_with: names of the groups that it collides with;
             None: all. name: what files for other programs call it.
         rotation: about its centre at the start [degrees]: one number in 2D, three about x, y and z in 3D; or a matrix.

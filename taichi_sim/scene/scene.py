@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy, deepcopy
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from os import PathLike
 from typing import Any, NoReturn
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, did_you_mean
 from taichi_sim.scene.colliders import Collider, build
 from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
 from taichi_sim.scene.columns import Names, Table, sealed
@@ -20,6 +20,7 @@ from taichi_sim.scene.elements import Elements
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
 from taichi_sim.scene.pins import Pins, chosen
+from taichi_sim.scene.presets import PRESETS, Preset
 from taichi_sim.scene.stored import MOST_BODY, Stored
 from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.scene.toml_writer import save_scene
@@ -181,7 +182,7 @@ class Scene(Stored, Elements):
             position: (n, dim) [m], or one vector (dim,) for one ball.
             radius: one or one per ball, > 0 [m]; mass: one or one per ball, > 0 [kg].
             velocity: one vector or one per ball [m/s].
-            material: name of a material added before.
+            material: name of a material added before, or of a preset (`taichi-sim materials`).
             pinned: a bool, a bool per ball, or integer positions within this call; or "border", "corners", "left", "right",
                 "bottom", "top", in 3D "front", "back", of the box around these balls; or a ts.Box, ts.Sphere or ts.Capsule (in a
                 file a table of its keys) for all with their centre in it. A pinned ball never moves.
@@ -204,12 +205,12 @@ class Scene(Stored, Elements):
             "mass": validation.per_item("balls.mass", mass, n, positive=True),
             "radius": validation.per_item("balls.radius", radius, n, positive=True),
             "pinned": held,
-            "material": np.full(n, self._material("balls.material", material), dtype=np.int32),
             "body": np.full(n, body, dtype=np.int32),
             "colour": np.tile(np.full(3, np.nan) if colour is None else _colour("balls.colour", colour), (n, 1)),
         }
         for name, bits in zip(("group", "mask"), self._groups("balls", group, collides_with)):
             columns[name] = np.full(n, bits, dtype=np.int32)
+        columns["material"] = np.full(n, self._material("balls.material", material), dtype=np.int32)
         first = self.n_balls
         self._balls.append(n, **columns)
         self._bodies = max(self._bodies, body)
@@ -270,20 +271,17 @@ class Scene(Stored, Elements):
 
         Args:
             normal: (dim,) away from the solid side; its length does not matter [1]. offset: of the wall along it [m].
-            material: name of a material added before.
+            material: name of a material added before, or of a preset.
             group: name or names of the collision groups that it is in.
             collides_with: names of the groups that it collides with; None: all.
         """
         n = validation.direction("walls.normal", normal, self.dim)
         n = n / float(np.max(np.abs(n)))  # so that squares of huge or tiny numbers stay finite
         length = float(np.linalg.norm(n))
+        distance = validation.number("walls.offset", offset)
+        bits = self._groups("walls", group, collides_with)
         self.walls.append(
-            Wall(
-                tuple((n / length).tolist()),
-                validation.number("walls.offset", offset),
-                self._material("walls.material", material),
-                *self._groups("walls", group, collides_with),
-            )
+            Wall(tuple((n / length).tolist()), distance, self._material("walls.material", material), *bits)
         )
 
     def add_collider(self, shape: Any) -> int:
@@ -292,13 +290,13 @@ class Scene(Stored, Elements):
         It stands where it is or moves along its path and pushes balls; pinned balls ignore it.
         """
         where = f"colliders[{len(self.colliders)}]"
-        material = self._material(f"{where}.material", getattr(shape, "material", "default"))
-        collider = build(shape, self.dim, where, material)
+        collider = build(shape, self.dim, where, 0)
         if collider.label and any(one.label == collider.label for one in self.colliders):
             raise SceneError(f"{where}.name", collider.label, says="exists already; every collider needs its own name")
         group, mask = self._groups(where, shape.group, shape.collides_with)
+        material = self._material(f"{where}.material", shape.material)
         motion = sealed(collider.motion)
-        self.colliders.append(sealed(replace(collider, group=group, mask=mask, motion=motion)))
+        self.colliders.append(sealed(replace(collider, group=group, mask=mask, material=material, motion=motion)))
         return len(self.colliders) - 1
 
     def add_triangles(self, triangles: ArrayLike, collides: bool | Sequence[bool] | NDArray = False) -> None:
@@ -525,8 +523,21 @@ class Scene(Stored, Elements):
             index = next((k for k, material in enumerate(self.materials) if material.name == name), None)
         if index is not None:
             return index
-        known = ", ".join(repr(m.name) for m in self.materials)
-        raise SceneError(where, name, says=f"is not a material of this scene; there are {known}")
+        if isinstance(name, str) and name in PRESETS:
+            return self._material(where, self.add_material(**asdict(PRESETS[name].material(name))))
+        known = [material.name for material in self.materials]
+        close = did_you_mean(name, [*known, *PRESETS], "") if isinstance(name, str) else ""
+        there = f"there are {', '.join(map(repr, known))}, and those of `taichi-sim materials`"
+        hint = close if close.startswith("did") else there
+        raise SceneError(where, name, says=f"is not a material of this scene; {hint}")
+
+    def preset(self, material: str) -> Preset | None:
+        """What is known of cloth and bodies of a material; None where it is no preset's name, or the scene has its own of it."""
+        known = PRESETS.get(material) if isinstance(material, str) else None
+        number = None if known is None else self._material_names.number(self.materials, material)
+        if known is None or (number is not None and self.materials[number] != known.material(material)):
+            return None
+        return known
 
     def _groups(
         self, where: str, group: str | Sequence[str], collides_with: str | Sequence[str] | None

@@ -14,7 +14,8 @@ Args that several shapes have:
     pinned: true or false for all of its balls, a list of that for each, or their numbers within the shape; or "border",
         "corners", "left", "right", "bottom", "top", in 3D "front", "back" (the side toward -x, +x, -y, +y, +z, -z once it is
         placed); or a box, sphere or capsule, as a collider is described, for all with their centre in it.
-    material: name of a material added before.
+    material: name of a material added before, or of a preset (`taichi-sim materials`): then what is not given of mass, stiffness
+        and the like is the preset's, where it knows such a shape.
     position: (dim,) by how far the shape is shifted [m].
     rotation: about its own origin [degrees]: about the x, y and z axis in this order, in 2D one angle.
     scale: its size in relation to what the other arguments say [1].

@@ -13,6 +13,7 @@ from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.memory import available
 from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.pins import Pins, chosen
+from taichi_sim.scene.presets import SLAB
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "or_default",
     "stable_stiffness",
     "surface_part",
+    "with_preset",
 ]
 
 SURFACE_PART = (
@@ -139,6 +141,24 @@ def given_surface(shape: str, mesh: Any) -> meshes.Surface:
     if not len(surface.triangles):
         raise SceneError(f"{shape}.mesh", says="has no triangle")
     return surface
+
+
+def with_preset(
+    scene: Scene, material: str, given: dict[str, float | None], but: Sequence[str] = ()
+) -> dict[str, float | None]:
+    """The arguments, with what is not given taken from the preset that the material names, if it does; but: those it leaves.
+
+    In 2D a body stands for a slab: its density and modulus are those of the solid times the thickness, and Poisson's ratio is at
+    least that of springs.
+    """
+    preset = scene.preset(material)
+    if preset is None:
+        return given
+    known = {name: getattr(preset, name) for name in given if name not in but}
+    if scene.dim == 2 and "poisson_ratio" in known:
+        known |= {name: known[name] and SLAB * known[name] for name in ("density", "young_modulus") if name in known}
+        known["poisson_ratio"] = known["poisson_ratio"] and max(known["poisson_ratio"], 1 / 3)
+    return {name: known.get(name) if value is None else value for name, value in given.items()}
 
 
 def affordable(where: str, value: Any, balls: float, springs: float, cells: float = 0.0, bends: float = 0.0) -> None:

@@ -29,6 +29,7 @@ from taichi_sim.shapes.base import (
     or_default,
     stable_stiffness,
     surface_part,
+    with_preset,
 )
 
 __all__ = ["cloth"]
@@ -100,8 +101,10 @@ def cloth(
         "shear_stiffness": shear_stiffness,
         "bending_rigidity": bending_rigidity,
     }
+    if stiffness is None and bending_stiffness is None:
+        woven = with_preset(scene, material, woven, () if mass is None else ("mass_per_area",))
     exclusive("cloth", woven, {"stiffness": stiffness, "bending_stiffness": bending_stiffness})
-    exclusive("cloth", {"mass_per_area": mass_per_area}, {"mass": mass})
+    exclusive("cloth", {"mass_per_area": woven["mass_per_area"]}, {"mass": mass})
     factor = validation.number("cloth.scale", scale, positive=True)
     grid: Any
     if mesh is None:

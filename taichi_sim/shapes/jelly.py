@@ -32,6 +32,7 @@ from taichi_sim.shapes.base import (
     or_default,
     stable_stiffness,
     surface_part,
+    with_preset,
 )
 
 __all__ = ["jelly"]
@@ -99,6 +100,9 @@ def jelly(
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
     """
     elastic = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
+    if stiffness is None:
+        elastic = with_preset(scene, material, elastic, () if mass is None else ("density",))
+        density, young_modulus, poisson_ratio = elastic.values()
     exclusive("jelly", elastic, {"stiffness": stiffness})
     exclusive("jelly", {"density": density}, {"mass": mass})
     factor = validation.number("jelly.scale", scale, positive=True)

@@ -19,6 +19,7 @@ from taichi_sim.shapes.base import (
     counts,
     lengths,
     or_default,
+    with_preset,
 )
 from taichi_sim.shapes.jelly import jelly
 
@@ -33,7 +34,7 @@ def pile(
     spacing: float | None = None,
     jitter: float = 0.05,
     seed: int = 0,
-    mass: float = 1.0,
+    mass: float | None = None,
     velocity: Sequence[float] | None = None,
     pinned: Pins = False,
     material: str = "default",
@@ -44,7 +45,8 @@ def pile(
     """A heap of loose balls on a lattice from the origin toward the positive axes. They collide with each other.
 
     Args:
-        resolution: balls along each axis; radius: of each [m]; mass: of each [kg].
+        resolution: balls along each axis; radius: of each [m].
+        mass: of each [kg]; by default 1, or as heavy as a preset is.
         spacing: between centres [m]; 2.2 radii by default.
         jitter: the balls are moved at random by up to this fraction of a radius per axis, so that no column stands by
             luck [1]. seed: of that chance: the same one gives the same heap.
@@ -57,10 +59,18 @@ def pile(
     shake = validation.number("pile.jitter", jitter, low=0, high=1) * size
     points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * step
     points = points + np.random.default_rng(validation.whole("pile.seed", seed, 0)).uniform(-shake, shake, points.shape)
-    total = or_default("pile.mass", mass, 1.0) * len(points)
+    total = or_default("pile.mass", mass, _mass(scene, material, size)) * len(points)
     placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation}
     part = Part(total, size, pinned, material, colour, self_collision=True, **placed)
     return build(scene, "pile", points, [], np.zeros((0, 3)), part, 0.0, None)
+
+
+def _mass(scene: Scene, material: str, radius: float) -> float:
+    """Of a ball of a preset [kg], in 2D of a disc as thick as a slab; else 1."""
+    density = with_preset(scene, material, {"density": None, "poisson_ratio": None})["density"]
+    if density is None:
+        return 1.0
+    return density * math.pi * radius**2 * (1.0 if scene.dim == 2 else 4 / 3 * radius)
 
 
 def tower(
@@ -107,7 +117,9 @@ def tower(
                 many,
                 mass=mass,
                 young_modulus=young_modulus,
-                poisson_ratio=1 / (dim + 1) if poisson_ratio is None else poisson_ratio,
+                poisson_ratio=1 / (dim + 1)
+                if poisson_ratio is None and scene.preset(material) is None
+                else poisson_ratio,
                 damping=damping,
                 radius=reach,
                 velocity=velocity,

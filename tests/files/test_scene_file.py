@@ -255,7 +255,7 @@ BAD = [
     ("mass = 1.0", "collides_with = [1]", 16, "[1] is not allowed; it must be a text or a list, each a text"),
     ("radius = 0.05\n", "", 10, "balls[0].radius: is missing"),
     ("pinned = [0]", "pinned = [2]", 18, "balls[0].pinned[0]: 2 is not allowed; it must name a ball, from 0 to 1"),
-    ('material = "rubber"', 'material = "steel"', 19, "balls[0].material: 'steel' is not a material"),
+    ('material = "rubber"', 'material = "stell"', 19, "balls[0].material: 'stell' is not a material"),
     (
         "[[springs]]",
         "[[balls]]\nname = 'pair'\nposition = [[0, 0]]\nradius = 1\n[[springs]]",

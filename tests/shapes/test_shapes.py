@@ -283,7 +283,7 @@ REFUSED = [
     (3, lambda s: shapes.cloth(s, damping=-1), r"cloth\.damping: -1"),
     (3, lambda s: shapes.cloth(s, bending_stiffness=-1), r"cloth\.bending_stiffness: -1"),
     (3, lambda s: shapes.cloth(s, resolution=(4, 4), pinned=[16]), r"cloth\.pinned\[0\]: 16"),
-    (3, lambda s: shapes.cloth(s, material="silk"), r"cloth\.material: 'silk'"),
+    (3, lambda s: shapes.cloth(s, material="jam"), r"cloth\.material: 'jam'"),
     (3, lambda s: shapes.cloth(s, scale=0), r"cloth\.scale: 0"),
     (3, lambda s: shapes.cloth(s, position=(0, 1)), r"cloth\.position"),
     (3, lambda s: shapes.cloth(s, rotation=(0, float("inf"), 1)), r"cloth\.rotation\[1\]: inf"),

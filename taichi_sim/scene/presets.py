@@ -1,0 +1,126 @@
+"""Materials that are known by name: how they touch, and what cloth and jelly of them is like, with where the numbers come from.
+
+    ts.shapes.cloth(scene, material="cotton", pinned="corners")
+
+A name that a scene has given to a material of its own means that one.
+"""
+
+from dataclasses import dataclass
+
+from taichi_sim.scene.materials import Material
+
+__all__ = ["PRESETS", "SLAB", "Preset"]
+
+SLAB = 0.1  # m, the thickness that bodies in 2D stand for
+SHEET = 1e-3  # m, a sheet of rubber
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """A material of that name. Cloth of it has a mass per area [kg/m^2], stretch and shear stiffness [N/m] and bending rigidity
+    [N m]; bodies have a density [kg/m^3], and as jelly a Young's modulus [Pa] and Poisson's ratio. None: not known.
+    """
+
+    source: str
+    restitution: float
+    friction: float
+    mass_per_area: float | None = None
+    stretch_stiffness: float | None = None
+    shear_stiffness: float | None = None
+    bending_rigidity: float | None = None
+    density: float | None = None
+    young_modulus: float | None = None
+    poisson_ratio: float | None = None
+
+    def material(self, name: str) -> Material:
+        """What balls and walls of it are made of."""
+        return Material(name, self.restitution, self.friction)
+
+
+def _sheet(modulus: float, ratio: float, density: float, thickness: float) -> dict[str, float]:
+    """A plate of an elastic solid, as cloth."""
+    plane = modulus * thickness / (1 - ratio**2)
+    return {
+        "mass_per_area": density * thickness,
+        "stretch_stiffness": plane,
+        "shear_stiffness": modulus * thickness / (2 * (1 + ratio)),
+        "bending_rigidity": plane * thickness**2 / 12,
+    }
+
+
+_WANG = "Wang, O'Brien, Ramamoorthi 2011, Data-driven elastic models for cloth"
+_TOUCH = "friction within the 0.2 to 0.6 of Gupta 2008, Friction in textile materials; restitution assumed"
+_ASHBY = "density and moduli: Ashby 2011, Materials selection in mechanical design"
+RUBBER = {"modulus": 2e6, "ratio": 0.49, "density": 925.0}  # Pa, 1, kg/m^3
+
+PRESETS: dict[str, Preset] = {
+    "cotton": Preset(
+        f"{_WANG}, a woven fabric of cotton, small strains, mean of the directions; {_TOUCH}",
+        *(0.0, 0.4, 0.228, 198.0, 30.0, 8.8e-5),
+    ),
+    "denim": Preset(
+        f"{_WANG}, a denim of 11 oz, small strains, mean of the directions; {_TOUCH}",
+        *(0.0, 0.5, 0.324, 610.0, 53.0, 7.8e-5),
+    ),
+    "polyester": Preset(
+        f"{_WANG}, a light fabric of polyester, small strains, mean of the directions; {_TOUCH}",
+        *(0.0, 0.3, 0.113, 107.0, 14.0, 1.9e-5),
+    ),
+    "silk": Preset(
+        "a habotai of 16 momme of 4.34 g/m^2; stiffness in the order of the charts for thin dress fabrics in Kawabata 1980, The"
+        f" standardization and analysis of hand evaluation; {_TOUCH}",
+        *(0.0, 0.25, 0.069, 100.0, 17.0, 4e-6),
+    ),
+    "rubber": Preset(
+        f"{_ASHBY}, natural rubber; cloth of it is a sheet of 1 mm; friction and restitution assumed, as of a ball on concrete",
+        *(0.7, 0.9),
+        **_sheet(**RUBBER, thickness=SHEET),
+        density=RUBBER["density"],
+        young_modulus=RUBBER["modulus"],
+        poisson_ratio=RUBBER["ratio"],
+    ),
+    "gelatine": Preset(
+        "modulus: Bonavia 2025, arXiv:2512.20502, its power law at 10 parts of water; density and ratio nearly those of water;"
+        " friction and restitution assumed",
+        *(0.1, 0.2),
+        density=1020.0,
+        young_modulus=15e3,
+        poisson_ratio=0.49,
+    ),
+    "foam": Preset(
+        f"{_ASHBY}, flexible polymer foam of very low density; friction and restitution assumed",
+        *(0.2, 0.6),
+        density=25.0,
+        young_modulus=5e5,
+        poisson_ratio=0.3,
+    ),
+    "wood": Preset(
+        f"{_ASHBY}, pine along the grain; friction: dry wood on wood in common tables; restitution assumed",
+        *(0.4, 0.4),
+        density=520.0,
+        young_modulus=9.4e9,
+        poisson_ratio=0.3,
+    ),
+    "steel": Preset(
+        f"{_ASHBY}, carbon steel; friction and restitution of small balls: Lorenz, Tuozzolo, Louge 1997, Measurements of impact"
+        " properties of small, nearly spherical particles",
+        *(0.95, 0.1),
+        density=7850.0,
+        young_modulus=2.1e11,
+        poisson_ratio=0.29,
+    ),
+    "glass": Preset(
+        "friction and restitution of beads of 3 mm: Foerster, Louge, Chang, Allia 1994, Measurements of the collision properties"
+        f" of small spheres; {_ASHBY}, soda-lime glass, whose ratio of 0.22 is taken as 0.25, the least that springs have",
+        *(0.97, 0.092),
+        density=2500.0,
+        young_modulus=7e10,
+        poisson_ratio=0.25,
+    ),
+    "sand": Preset(
+        "density of quartz; friction between grains of 26 degrees: Rowe 1962, The stress-dilatancy relation; restitution"
+        " assumed, low for grains that are no balls",
+        *(0.1, 0.49),
+        density=2650.0,
+    ),
+}

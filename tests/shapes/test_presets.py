@@ -1,0 +1,103 @@
+"""Materials that are known by name."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import taichi_sim as ts
+from taichi_sim.cli.main import main
+from taichi_sim.scene.presets import PRESETS
+
+pytestmark = pytest.mark.once
+
+
+def test_the_command_lists_them_with_their_sources():
+    shown = CliRunner().invoke(main, ["materials"])
+    assert shown.exit_code == 0
+    for name, preset in PRESETS.items():
+        assert f"{name}: " in shown.stdout
+        assert preset.source in shown.stdout
+        assert len(preset.source) > 40
+
+
+def test_a_cloth_of_a_preset_is_the_one_with_its_numbers():
+    named, given = ts.Scene(dim=3), ts.Scene(dim=3)
+    silk = PRESETS["silk"]
+    ts.shapes.cloth(named, resolution=(5, 5), material="silk")
+    given.add_material("silk", friction=silk.friction)
+    keys = ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity")
+    ts.shapes.cloth(given, resolution=(5, 5), material="silk", **{key: getattr(silk, key) for key in keys})
+    assert named.materials == given.materials
+    for key, column in named.to_arrays().items():
+        np.testing.assert_array_equal(column, given.to_arrays()[key], err_msg=key)
+    assert named.mass.sum() == pytest.approx(0.069)
+
+
+def test_what_is_given_goes_before_the_preset():
+    scene = ts.Scene(dim=3)
+    heavy = ts.shapes.cloth(scene, resolution=(5, 5), material="silk", mass=3.0)
+    assert scene.mass[heavy.balls].sum() == pytest.approx(3.0)
+    springy = ts.shapes.cloth(scene, resolution=(5, 5), material="silk", stiffness=7.0)
+    assert scene.stiffness[springy.springs].max() == 7.0
+    body = ts.shapes.jelly(scene, size=(1, 1, 1), resolution=(3, 3, 3), material="gelatine", density=500.0)
+    assert scene.mass[body.balls].sum() == pytest.approx(500.0)
+
+
+def test_a_material_of_the_scene_goes_before_a_preset():
+    scene = ts.Scene(dim=3)
+    scene.add_material("cotton", friction=0.9)
+    ts.shapes.cloth(scene, resolution=(3, 3), material="cotton")
+    assert scene.materials[1].friction == 0.9
+    assert scene.mass.sum() == pytest.approx(0.2)  # the default, not 0.228
+
+
+def test_bodies_balls_and_walls(tmp_path):
+    for dim in (2, 3):
+        scene = ts.Scene(dim=dim)
+        body = ts.shapes.jelly(scene, size=(1,) * dim, resolution=(3,) * dim, material="gelatine")
+        assert scene.mass[body.balls].sum() == pytest.approx(1020.0 if dim == 3 else 102.0)
+        heap = ts.shapes.pile(scene, (2,) * dim, 0.1, material="steel", position=(5,) * dim)
+        each = 7850 * np.pi * 0.01 * 0.1 if dim == 2 else 7850 * 4 / 3 * np.pi * 1e-3
+        assert scene.mass[heap.balls] == pytest.approx(np.full(2**dim, each))
+        scene.add_wall((0, 1, 0)[:dim], material="wood")
+        scene.add_collider(ts.Sphere((9,) * dim, 1.0, material="sand"))
+        assert [m.name for m in scene.materials] == ["default", "gelatine", "steel", "wood", "sand"]
+    file = tmp_path / "a.toml"
+    file.write_text('format = 1\ndim = 3\n[[cloth]]\nresolution = [3, 3]\nmaterial = "denim"\n')
+    scene = ts.load_scene(file)
+    assert (scene.materials[1].name, scene.materials[1].friction) == ("denim", 0.5)
+    scene.save(tmp_path / "b.toml")
+    assert ts.load_scene(tmp_path / "b.toml").materials == scene.materials
+
+
+@pytest.mark.parametrize(
+    "add",
+    [
+        lambda s: ts.shapes.cloth(s, material="coton"),
+        lambda s: s.add_balls([0, 0, 0], radius=0.1, material="coton"),
+        lambda s: s.add_wall((0, 1, 0), material="coton"),
+        lambda s: s.add_collider(ts.Sphere((0, 0, 0), 1.0, material="coton")),
+    ],
+)
+def test_an_unknown_one_is_refused_in_one_sentence(add):
+    scene = ts.Scene(dim=3)
+    with pytest.raises(ts.SceneError) as caught:
+        add(scene)
+    assert str(caught.value).endswith("material: 'coton' is not a material of this scene; did you mean 'cotton'?")
+    assert (scene.n_balls, len(scene.materials)) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    "add",
+    [
+        lambda s: ts.shapes.cloth(s, material="silk", pinned=[9999]),
+        lambda s: s.add_balls([0, 0, 0], radius=0.1, material="silk", colour=(9, 9, 9)),
+        lambda s: s.add_wall((0, 1, 0), material="silk", collides_with=[3]),
+        lambda s: s.add_collider(ts.Sphere((0, 0, 0), -1.0, material="silk")),
+    ],
+)
+def test_what_is_refused_leaves_no_material(add):
+    scene = ts.Scene(dim=3)
+    with pytest.raises(ts.SceneError):
+        add(scene)
+    assert len(scene.materials) == 1
