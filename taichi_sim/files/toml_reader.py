@@ -1,8 +1,8 @@
 """Scene files: TOML to Scene. The way back is `Scene.save`.
 
 Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
-wheel, pile, truss, net, balloon, tower), springs, attachments, cells, bending, gases, moving pins, wind, walls, colliders,
-triangles, objects, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
+wheel, pile, truss, net, balloon, tower, text, svg), springs, attachments, cells, bending, gases, moving pins, wind, walls,
+colliders, triangles, objects, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
 """
 
 import inspect
@@ -22,6 +22,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, unknown_key
 from taichi_sim.common.npz import read_npz
 from taichi_sim.files.toml_lines import deepest_line, line_of
+from taichi_sim.geometry.outlines import FONT_FILES
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.scene import Scene
@@ -134,8 +135,10 @@ class Reader:
                 with self._at(name, index):
                     arguments = _given(table)
                     group = arguments.pop("name", None)
-                    if "mesh" in arguments and isinstance(arguments["mesh"], str):
-                        arguments["mesh"] = self._beside("mesh", arguments["mesh"])
+                    for key in ("mesh", "file", "font"):
+                        named = arguments.get(key)
+                        if isinstance(named, str) and (key != "font" or named.lower().endswith(FONT_FILES)):
+                            arguments[key] = self._beside(key, named)
                     self._name(scene, group, add(scene, **arguments).balls)
         self._user_defined(scene)
         self._lists(scene, model, "springs", "pairs", 2, scene.add_springs, "stiffness")

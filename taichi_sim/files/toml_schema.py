@@ -63,6 +63,8 @@ SHAPES: dict[str, Callable[..., shapes.Shape]] = {
         shapes.net,
         shapes.balloon,
         shapes.tower,
+        shapes.text,
+        shapes.svg,
     )
 }
 

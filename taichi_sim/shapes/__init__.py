@@ -37,8 +37,9 @@ from taichi_sim.shapes.balloon import balloon
 from taichi_sim.shapes.base import Shape
 from taichi_sim.shapes.cloth import cloth
 from taichi_sim.shapes.jelly import jelly
+from taichi_sim.shapes.letters import svg, text
 from taichi_sim.shapes.piles import pile, tower
 from taichi_sim.shapes.ropes import rope, wheel
 from taichi_sim.shapes.trusses import net, truss
 
-__all__ = ["Shape", "balloon", "cloth", "jelly", "net", "pile", "rope", "tower", "truss", "wheel"]
+__all__ = ["Shape", "balloon", "cloth", "jelly", "net", "pile", "rope", "svg", "text", "tower", "truss", "wheel"]

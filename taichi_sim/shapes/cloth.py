@@ -102,7 +102,8 @@ def cloth(
         "bending_rigidity": bending_rigidity,
     }
     if stiffness is None and bending_stiffness is None:
-        woven = with_preset(scene, material, woven, () if mass is None else ("mass_per_area",))
+        but = ["mass_per_area"] * (mass is not None) + ["shear_stiffness"] * (mesh is not None)
+        woven = with_preset(scene, material, woven, but)
     exclusive("cloth", woven, {"stiffness": stiffness, "bending_stiffness": bending_stiffness})
     exclusive("cloth", {"mass_per_area": woven["mass_per_area"]}, {"mass": mass})
     factor = validation.number("cloth.scale", scale, positive=True)

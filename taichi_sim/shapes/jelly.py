@@ -35,7 +35,7 @@ from taichi_sim.shapes.base import (
     with_preset,
 )
 
-__all__ = ["jelly"]
+__all__ = ["JELLY_DENSITY", "jelly", "of_body"]
 
 JELLY_DENSITY = {2: 100.0, 3: 1000.0}  # kg/m^2 (a slab of 0.1 m) and kg/m^3: water
 WOBBLE = 40 * 10.0  # m/s^2: waves run at the root of that times the height
@@ -147,23 +147,69 @@ def jelly(
         default_radius = BALL_SHARE * step
         volume = enclosed if not len(meshes.holes(surface.triangles)) else float(body.volume.sum())
     total = mass if mass is not None else volume * or_default("jelly.density", density, JELLY_DENSITY[scene.dim])
-    total = or_default("jelly.mass", total, 1.0)
-    masses = body.volume * (total / float(body.volume.sum()))
-    least = 1 / (scene.dim + 1)
-    ratio = poisson_ratio if poisson_ratio is not None else least if mesh is None else MESH_RATIO
-    unit = jelly_material.moduli("jelly", scene.dim, 1.0, ratio)
-    modulus = or_default("jelly.young_modulus", young_modulus, _wobbly(body, masses, float(extent[1]), unit, fill))
-    mu, bulk = modulus * unit[0], modulus * unit[1]
-    kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
-    cells = None
-    if bulk > 0:
-        cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume, body.together)
-    ball_radius = or_default("jelly.radius", radius, default_radius)
-    part = Part(masses, ball_radius, *looks, **placed)
-    shape = build(scene, "jelly", body.points, kinds, body.triangles, part, 0.0, drag, cells=cells)
+    ratio = MESH_RATIO if poisson_ratio is None and mesh is not None else poisson_ratio
+    shape = of_body(
+        scene,
+        "jelly",
+        body,
+        or_default("jelly.mass", total, 1.0),
+        float(extent[1]),
+        default_radius,
+        young_modulus=young_modulus,
+        poisson_ratio=ratio,
+        damping=damping,
+        radius=radius,
+        pinned=pinned,
+        material=material,
+        colour=colour,
+        self_collision=self_collision,
+        surface_collision=surface_collision,
+        bounded=fill != "tetrahedra",
+        **placed,
+    )
     if skin is not None:
         scene.add_embedded_surface(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)
     return shape
+
+
+def of_body(
+    scene: Scene,
+    shape: str,
+    body: jelly_material.Solid,
+    mass: float,
+    height: float,
+    default_radius: float,
+    *,
+    young_modulus: float | None = None,
+    poisson_ratio: float | None = None,
+    damping: float | None = None,
+    radius: float | None = None,
+    pinned: Pins = False,
+    material: str = "default",
+    colour: Sequence[float] | None = None,
+    self_collision: bool = False,
+    surface_collision: bool = False,
+    bounded: bool = True,
+    **placed: Any,
+) -> Shape:
+    """Add a jelly of springs and cells; shape: its name in messages. mass: of all of it [kg]; height: m, for the default of
+    Young's modulus; bounded: that default is stable at 1 ms. The rest as for `jelly`; placed: velocity, position and the like.
+    """
+    if surface_collision and scene.dim == 2:
+        raise SceneError(f"{shape}.surface_collision", says="needs a scene with dim = 3")
+    masses = body.volume * (mass / float(body.volume.sum()))
+    ratio = 1 / (scene.dim + 1) if poisson_ratio is None else poisson_ratio
+    unit = jelly_material.moduli(shape, scene.dim, 1.0, ratio)
+    modulus = or_default(f"{shape}.young_modulus", young_modulus, _wobbly(body, masses, height, unit, bounded))
+    mu, bulk = modulus * unit[0], modulus * unit[1]
+    cells = None
+    if bulk > 0:
+        cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume, body.together)
+    ball_radius = or_default(f"{shape}.radius", radius, default_radius)
+    part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
+    kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
+    drag = at_least_0(f"{shape}.damping", damping)
+    return build(scene, shape, body.points, kinds, body.triangles, part, 0.0, drag, cells=cells)
 
 
 # Blocks ------------------------------------------------------------------------------------------------------------
@@ -218,14 +264,16 @@ def _solid_block(block: tuple, factor: float) -> tuple[jelly_material.Solid, NDA
     return jelly_material.lattice("jelly", filled, spacing), extent, 0.45 * float(spacing.min())
 
 
-def _wobbly(body: jelly_material.Solid, masses: NDArray, height: float, unit: tuple[float, float], fill: str) -> float:
+def _wobbly(
+    body: jelly_material.Solid, masses: NDArray, height: float, unit: tuple[float, float], bounded: bool
+) -> float:
     """The default of Young's modulus: waves at sqrt(40 g height), and never above what is stable at 1 ms with a margin.
 
     unit: mu and lambda - mu for a modulus of 1. Of tetrahedra a few small ones would make all of it soft: no bound for them.
     """
     mu, bulk = unit
     soft = WOBBLE * height * float(masses.sum() / body.volume.sum()) / (3 * mu + bulk)
-    if fill == "tetrahedra":
+    if not bounded:
         return soft
     return min(soft, 4 / (SAFE_MARGIN * SAFE_STEP**2 * jelly_material.largest_rate(body, masses, mu, bulk)))
 

@@ -30,6 +30,7 @@ __all__ = [
     "skin_of_boxes",
     "skin_of_tetrahedra",
     "springs_of",
+    "surface_of",
     "tetrahedra",
 ]
 
@@ -304,17 +305,22 @@ def _opposite(x: NDArray) -> NDArray[np.float64]:
 
 
 def springs_of(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Solid:
-    """The same body for tetrahedra: springs along their edges, each k = 2.5 V / L^2 for mu = 1, V the volume around it.
+    """The same body for tetrahedra, in 2D triangles: springs along their edges, each k = 2.5 V / L^2 for mu = 1, V the volume
+    around it; in 2D k = 8/3 A / L^2, A the area of its triangles.
 
-    Where edges point everywhere alike that is E = 2.5 mu exactly, before points move against their neighbours (Van Gelder 1998).
+    Where edges point everywhere alike that is E = 2.5 mu, in 2D 8/3 mu, exactly, before points move against their neighbours
+    (Van Gelder 1998).
     """
+    corners = cells.shape[1]
     volume = cell_volumes(points, cells)
-    ends = np.concatenate([cells[:, pair] for pair in itertools.combinations(range(4), 2)])
+    both = list(itertools.combinations(range(corners), 2))
+    ends = np.concatenate([cells[:, pair] for pair in both])
     pairs, same = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    around = np.bincount(same.reshape(-1), np.tile(volume, 6))
+    around = np.bincount(same.reshape(-1), np.tile(volume, len(both)))
     square = np.sum((points[pairs[:, 1]] - points[pairs[:, 0]]) ** 2, axis=1)
-    each: NDArray = np.bincount(cells.ravel(), np.repeat(volume / 4, 4), minlength=len(points))
-    return Solid(points, each, pairs, 2.5 * around / square, cells, volume, 1.0, surface_of(cells))
+    each: NDArray = np.bincount(cells.ravel(), np.repeat(volume / corners, corners), minlength=len(points))
+    surface = surface_of(cells) if corners == 4 else np.zeros((0, 3), dtype=np.int64)
+    return Solid(points, each, pairs, (2.5 if corners == 4 else 8 / 3) * around / square, cells, volume, 1.0, surface)
 
 
 def surface_of(cells: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,6 +1,7 @@
 """Which balls `pinned` means, where paths begin, and what shapes take alike."""
 
 import inspect
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +26,8 @@ MADE = {
     "net": {"size": (1, 1), "meshes": (2, 2), "pieces": 2},
     "balloon": {"centre": (0, 0, 0), "radius": 1.0, "subdivisions": 1},
     "tower": {"levels": 2, "resolution": (2, 2, 2)},
+    "text": {"text": "L", "spacing": 0.2},
+    "svg": {"file": Path(__file__).parents[1] / "shapes" / "square.svg", "spacing": 0.5},
 }
 
 

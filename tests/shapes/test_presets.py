@@ -33,6 +33,12 @@ def test_a_cloth_of_a_preset_is_the_one_with_its_numbers():
     assert named.mass.sum() == pytest.approx(0.069)
 
 
+def test_a_mesh_has_no_shear_stiffness_of_its_own():
+    scene = ts.Scene(dim=3)
+    ts.shapes.cloth(scene, mesh=([[0, 0, 0], [1, 0, 0], [0, 0, 1]], [[0, 2, 1]]), material="denim")
+    assert scene.mass.sum() == pytest.approx(0.324 / 2)
+
+
 def test_what_is_given_goes_before_the_preset():
     scene = ts.Scene(dim=3)
     heavy = ts.shapes.cloth(scene, resolution=(5, 5), material="silk", mass=3.0)
