@@ -1,5 +1,6 @@
 """Fields: one tree of Taichi fields that is declared piece by piece, filled once, and freed as a whole."""
 
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
-from taichi_sim.device.trees import Tree, forget, kept, lead, take, take_back, twin
+from taichi_sim.device.trees import Tree, drop, forget, kept, lead, take, take_back, twin
 
 __all__ = ["NUMPY_TYPES", "Fields", "OtherFieldsError", "fill"]
 
@@ -48,6 +49,7 @@ class Fields:
         self._layout: list[tuple[Any, ...]] = []  # type, length and way of storage of each
         self._first: list[tuple[int, Any]] = []  # number of the field, values
         self._tree: Tree | None = None
+        self._owner_collected: Any = None  # gives the tree back where nobody called `free`
         self._bytes: dict[int, int] = {}  # by the identity of a field
 
     def _place(
@@ -188,6 +190,7 @@ class Fields:
         """Allocate everything, or take over what was freed of the same layout, and copy the first values in."""
         self.check()
         if self._on is not None:
+            self._on._owner_collected.detach()
             self._tree, self._on._tree = self._on._tree, None
             assert self._tree is not None
             self._tree.lend(self._declared)
@@ -203,6 +206,7 @@ class Fields:
         self._makers.clear()
         self._alike = []
         self._on = None
+        self._owner_collected = weakref.finalize(self, drop, self._tree)
 
     def abandon(self) -> None:
         """Undo a construction that failed: a builder left open would make every later simulation fail."""
@@ -219,5 +223,6 @@ class Fields:
         """Give the memory back. The fields must not be used after that."""
         if self._tree is not None:
             backend.check_thread()
+            self._owner_collected.detach()
             take_back(self._tree)
             self._tree = None

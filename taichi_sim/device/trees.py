@@ -10,12 +10,13 @@ from typing import Any
 from taichi_sim.device.engine import ti
 from taichi_sim.device.shared_kernels import KEY
 
-__all__ = ["Tree", "forget", "kept", "lead", "take", "take_back", "twin"]
+__all__ = ["Tree", "drop", "forget", "kept", "lead", "take", "take_back", "twin"]
 
 MOST_KEPT, MOST_KEPT_BYTES = 16, 64 << 20  # freed trees
 SHORT = 4096  # entries of a field that one thread sets to zero
 MOST_UNROLLED = 32  # fields a kernel; Taichi warns of more
 _kept: list["Tree"] = []  # the last one freed at the end
+_dropped: list["Tree"] = []  # by owners that were collected; maybe on another thread, where Taichi must not be called
 
 
 class Tree:
@@ -57,6 +58,8 @@ class Tree:
 
 def kept() -> list[Tree]:
     """The freed trees, the last one freed at the end."""
+    while _dropped:
+        take_back(_dropped.pop())
     _kept[:] = [tree for tree in _kept if tree.alive]
     return list(_kept)
 
@@ -79,6 +82,11 @@ def take_back(tree: Tree) -> None:
     _kept[:] = [*kept(), tree]
     while len(_kept) > MOST_KEPT or sum(tree.bytes for tree in _kept) > MOST_KEPT_BYTES:
         _kept.pop(0).destroy()
+
+
+def drop(tree: Tree) -> None:
+    """Like `take_back`, on any thread: it is kept when the next one is looked for."""
+    _dropped.append(tree)
 
 
 def forget(builder: Any) -> None:

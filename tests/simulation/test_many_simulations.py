@@ -1,5 +1,7 @@
 """Simulations that are made, stepped and closed one after the other leave no memory behind, and compile once."""
 
+import gc
+
 import numpy as np
 import pytest
 from physics_support import simulate
@@ -43,3 +45,26 @@ def test_a_second_simulation_of_the_same_structure_compiles_nothing():
     x, v = ends(7)
     assert np.allclose(v, [[0.7, -0.04]] * 2, atol=1e-6)
     assert np.isclose(x[1, 0], 0.37 + 0.7 * 0.005)
+
+
+def test_memory_of_a_simulation_that_was_dropped_serves_the_next_one():
+    ends(0)
+    runtime = ti.lang.impl.get_runtime()
+    before = runtime.prog.get_snode_tree_size()
+    for k in range(3):
+        sim = simulate(falling(k), dt=1e-3)
+        sim.step(5)
+        del sim
+        gc.collect()
+    assert runtime.prog.get_snode_tree_size() == before
+
+
+def test_what_was_placed_once_is_not_placed_again(monkeypatch):
+    """It would stay in the engine's memory until the process ends."""
+    ends(0)
+
+    def refuse():
+        raise AssertionError("placed again")
+
+    monkeypatch.setattr(ti, "FieldsBuilder", refuse)
+    ends(1)
