@@ -70,7 +70,7 @@ class Aggregates:
         self.size = self.count * self.dim
         self.matrix = fields.doubles(self.size**2)  # its lower factor, rows one after another
         self.load, self.answer = fields.doubles(self.size), fields.doubles(self.size)
-        self.wide = self.load.dtype
+        self.wide = fields.wide
 
     @ti.func
     def factor(self):

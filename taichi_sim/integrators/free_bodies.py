@@ -57,7 +57,7 @@ class FreeBodies:
         self.mass = fields.reals(mass if len(mass) else 1)
         self.inverse_mass = model.inverse_mass
         self.sum = fields.doubles(max(1, self.parts) * self.dim)
-        self.wide = self.sum.dtype
+        self.wide = fields.wide
         self.shift = fields.vectors(max(1, self.bodies), self.dim)
         body_of_ball = np.full(model.n, -1)
         body_of_ball[member] = np.repeat(np.arange(len(count)), count)

@@ -74,7 +74,7 @@ class StageGas:
         self.step, self.change = fields.reals(1), fields.reals(gases.count)
         self.part = fields.doubles(gases.parts)
         self.energy = fields.doubles(2)  # J, of gas: now, and with a part of the change taken back
-        self.wide = self.part.dtype
+        self.wide = fields.wide
 
     @ti.func
     def push(self, base: ti.template(), total: ti.template(), s):
