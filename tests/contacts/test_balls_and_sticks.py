@@ -217,9 +217,7 @@ def test_an_elastic_gas_in_a_box_keeps_its_energy(method):
         assert np.all(np.abs(sim.position) < 1.0)
 
 
-@pytest.mark.slow_where(dim=2)
-@pytest.mark.slow_where(variant=EXTREMES[1])
-@each_extreme
+@pytest.mark.parametrize("variant", [EXTREMES[0], pytest.param(EXTREMES[1], marks=pytest.mark.long)], ids="-".join)
 @each_dim
 @pytest.mark.slow
 def test_stack_of_10(dim, variant):

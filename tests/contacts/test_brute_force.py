@@ -19,8 +19,13 @@ SIZES = {
     "levels": {"1:1000": 1000.0, "1:100": 100.0, "equal": 1.0},
 }
 QUICK = {(2, "fused", "one_level", "ordered"), (3, "parallel", "levels", "ordered"), (2, "fused", "levels", "gather")}
+LONG = {(3, driver, "levels", "gather") for driver in ("fused", "parallel")}  # compile longest
 CASES = [
-    pytest.param(*case, id="-".join(map(str, case)), marks=[] if case in QUICK else [pytest.mark.slow])
+    pytest.param(
+        *case,
+        id="-".join(map(str, case)),
+        marks=[] if case in QUICK else [pytest.mark.long if case in LONG else pytest.mark.slow],
+    )
     for case in product((2, 3), ("fused", "parallel"), SIZES, ("ordered", "gather"))
 ]
 

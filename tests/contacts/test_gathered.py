@@ -36,8 +36,7 @@ def ended(scene, accumulate, steps=30, driver="parallel", **settings):
         )
 
 
-@pytest.mark.slow_where(dim=2)
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=[pytest.mark.slow, pytest.mark.long_in("f64")]), 3])
 def test_the_same_motion_as_in_blocks(dim):
     """Only the order of sums differs; a heap makes 1e-16 of it 1e-12 in thirty steps."""
     scene = heap(dim)

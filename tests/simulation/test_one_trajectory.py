@@ -12,7 +12,7 @@ import taichi_sim as ts
 QUICK = {"crowd_gauss_seidel", "led_by_pins"}
 SLOWER = {"sticks_and_colliders", "crowd_with_a_tolerance", "tearing_in_wind"}
 MARKS = {
-    name: [] if name in QUICK else [pytest.mark.slow if name in SLOWER else pytest.mark.long]
+    name: [] if name in QUICK else [pytest.mark.slow, pytest.mark.long_in("f64")] if name in SLOWER else [pytest.mark.long]
     for name in trajectories.BY_NAME
 }
 
@@ -70,6 +70,7 @@ def test_substeps_are_halved_at_the_same_steps_however_these_are_made(monkeypatc
 
 
 @pytest.mark.slow
+@pytest.mark.long_in("f64")
 def test_more_room_for_contacts_changes_nothing(monkeypatch):
     """Lists that overflow are made longer in the midst of a chunk: bits are those of a run that had the room."""
     trajectories.short_chunks(monkeypatch)
