@@ -12,7 +12,11 @@ import taichi_sim as ts
 QUICK = {"crowd_gauss_seidel", "led_by_pins"}
 SLOWER = {"sticks_and_colliders", "crowd_with_a_tolerance", "tearing_in_wind"}
 MARKS = {
-    name: [] if name in QUICK else [pytest.mark.slow, pytest.mark.long_in("f64")] if name in SLOWER else [pytest.mark.long]
+    name: []
+    if name in QUICK
+    else [pytest.mark.slow, pytest.mark.long_in("f64")]
+    if name in SLOWER
+    else [pytest.mark.long]
     for name in trajectories.BY_NAME
 }
 
