@@ -14,7 +14,6 @@ from physics_support import (
     F64,
     METHODS,
     each_dim,
-    each_extreme,
     record,
     simulate,
     vector,
