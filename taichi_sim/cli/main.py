@@ -3,7 +3,7 @@
 import functools
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Annotated, Any
 
 import typer
@@ -112,7 +112,9 @@ def run(
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
-        with job.simulation() as sim:
+        with _waiting("reading the scene", not quiet):
+            sim = job.simulation()
+        with sim:
             summary = export(sim, targets, progress=not quiet, checkpoint=every, **job.output)
     except BaseException as error:
         for name, target in zip(out or [], targets):
@@ -385,6 +387,16 @@ class _Job:
                 f"{self.file}: simulation() returned {type(made).__name__}; it must return a ts.Simulation"
             )
         return made
+
+
+@contextmanager
+def _waiting(what: str, shown: bool) -> Iterator[None]:
+    """On a terminal, say meanwhile what is waited for."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    with console.status(what) if shown and console.is_terminal else nullcontext():
+        yield
 
 
 def _quiet(line: str) -> None:

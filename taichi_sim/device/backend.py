@@ -15,6 +15,7 @@ from unittest.mock import patch
 
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
+from taichi_sim.device.compiling import count_time
 from taichi_sim.device.devices import find, verdict
 from taichi_sim.device.engine import ENGINE, VERSION, finds, ti
 
@@ -144,6 +145,7 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
     # it prints a banner that no option turns off; what other threads print meanwhile is none of its
     with patch.object(ti.lang.misc, "print", lambda *_, **__: None, create=True):
         quicken()
+        count_time()
         ti.init(
             arch=getattr(ti, name),
             default_fp=real,

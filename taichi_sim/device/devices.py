@@ -2,7 +2,6 @@
 
 import ctypes
 import ctypes.util
-import json
 import os
 import platform
 import subprocess
@@ -11,10 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from platformdirs import user_cache_path
-
-from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.memory import available
+from taichi_sim.common.remembered import recall, remember
 
 __all__ = ["Device", "find", "verdict"]
 
@@ -49,20 +46,11 @@ def find(arch: str) -> Device | None:
 def verdict(device: Device, version: str, again: bool = False) -> str:
     """Empty where the device has passed the self-test once with this driver and version of the engine, else what is wrong. The
     first call for a device runs it, which takes seconds, and remembers the result; so does one that asks for it again."""
-    record = user_cache_path("taichi_sim") / "devices.json"
     key = " | ".join((device.arch, device.name, device.driver, version))
-    try:
-        known = json.loads(record.read_text(encoding="utf-8"))
-    except (OSError, ValueError):  # none yet, or cut off
-        known = {}
+    known = recall("devices")
     if again or not isinstance(known.get(key), str):
         known[key] = examine(device.arch)
-        try:
-            record.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(record) as file:
-                file.write(json.dumps(known, indent=1).encode())
-        except OSError:  # a cache that cannot be written costs the test at each start, and nothing else
-            pass
+        remember("devices", known)
     return known[key]
 
 

@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
+from datetime import timedelta
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.device import compiling
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output
 from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
@@ -27,6 +29,7 @@ class Summary:
     frames: int = 0
     duration: float = 0.0  # simulated
     wall: float = 0.0  # all of it
+    compiling: float = 0.0  # and loading what was compiled before
     simulating: float = 0.0
     drawing: float = 0.0
     writing: float = 0.0  # where a thread writes, what was waited for it
@@ -112,8 +115,12 @@ class Summary:
                 f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
-        per = f": {self.wall / self.duration:.3g} s per simulated second, compiling included" if self.duration else ""
-        parts = f"simulation {self.simulating:.2f}, pictures {self.drawing:.2f}, writing {self.writing:.2f}"
+        rate = (self.wall - self.compiling) / self.duration if self.duration else 0.0
+        per = f": {rate:.3g} s per simulated second without compiling" if self.duration else ""
+        parts = (
+            f"compiling {self.compiling:.2f}, simulation {self.simulating:.2f}, pictures {self.drawing:.2f},"
+            f" writing {self.writing:.2f}"
+        )
         if self.resumed:
             lines.append(f"resumed      at frame {self.resumed}, from a checkpoint")
         if self.checkpoints:
@@ -155,17 +162,19 @@ class _Writer:
 
 
 class _Clock:
-    """Adds the time since the last call to one of the summary's fields."""
+    """Adds the time since the last call to one of the summary's fields, less what was spent on compiling."""
 
     def __init__(self, summary: Summary) -> None:
         self.summary = summary
-        self._last = time.perf_counter()
+        self._last, self._compiled = time.perf_counter(), compiling.seconds()
 
     def charge(self, field: str) -> None:
-        now = time.perf_counter()
-        setattr(self.summary, field, getattr(self.summary, field) + now - self._last)
-        self.summary.wall += now - self._last
-        self._last = now
+        now, compiled = time.perf_counter(), compiling.seconds()
+        spent, here = now - self._last, compiled - self._compiled
+        setattr(self.summary, field, getattr(self.summary, field) + spent - here)
+        self.summary.compiling += here
+        self.summary.wall += spent
+        self._last, self._compiled = now, compiled
 
 
 def export(
@@ -209,7 +218,10 @@ def export(
             if style.get("transparent") and one.needs_image and not one.alpha:
                 name = getattr(one, "path", "this output")
                 raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
-        count, first = round(fps * duration), simulation.frame()
+        count = round(fps * duration)
+        expected = compiling.Expected.of(simulation, any(one.needs_image for one in outputs))
+        advance = stack.enter_context(_bar(max(1, count), progress, expected.words))
+        first = simulation.frame()
         for one in outputs:
             one.prepare(first, size, style)
         log, last, resumable = None, None, [one for one in outputs if isinstance(one, Resumable)]
@@ -226,7 +238,6 @@ def export(
             begin, frames = last.frame, frames_from(last.frame, simulation, fps, duration)
             summary = clock.summary = _recall(last, simulation, renderer)
         frame, since = None, simulation.time
-        advance = stack.enter_context(_bar(max(1, count), begin, progress))
         for index, frame in enumerate(frames, begin):
             clock.charge("simulating")
             frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
@@ -240,7 +251,9 @@ def export(
             for writer in wanting:
                 writer.write(index, frame, image)
             clock.charge("writing")
-            advance(frame.time - since)
+            advance(index + 1, frame.time - since)
+            if index == begin + 1:  # as a rule nothing is compiled later
+                expected.remember(compiling.seconds())
             if log is not None and log.due and index + 1 < count:
                 for writer in writers:
                     writer.settle()
@@ -299,25 +312,34 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
 
 
 @contextmanager
-def _bar(total: int, done: int, shown: bool) -> Iterator[Any]:
-    """A progress bar on standard error, of which a part is done; calling what it yields with the simulated time since then
-    advances it by one frame."""
+def _bar(total: int, shown: bool, waiting: str) -> Iterator[Any]:
+    """A progress bar on standard error, which says `waiting` until the second frame; after each frame, what it yields is called
+    with how many there are and the simulated time since the beginning."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("frames,"),
-        TimeRemainingColumn(compact=True),
-        TextColumn("left, {task.fields[speed]:.3g} x real time"),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        task = progress.add_task("", total=total, completed=done, speed=0.0)
-        begin = time.perf_counter()
+        task = progress.add_task(waiting, total=total)
+        first: tuple[int, float, float] | None = None  # frames, simulated and wall time after the first frame
 
-        def advance(simulated: float) -> None:
-            progress.update(task, advance=1, speed=simulated / max(1e-9, time.perf_counter() - begin))
+        def advance(done: int, simulated: float) -> None:
+            nonlocal first
+            now = time.perf_counter()
+            if first is None:
+                first = (done, simulated, now)
+                progress.update(task, completed=done)
+                return
+            each = (now - first[2]) / (done - first[0])
+            speed = (simulated - first[1]) / max(1e-9, now - first[2])
+            words = f"{timedelta(seconds=round(each * (total - done)))} left, {speed:.3g} x real time"
+            progress.update(task, completed=done, description=words)
 
         yield advance

@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import BackendError
 from taichi_sim.common.signals import heard
+from taichi_sim.device.compiling import Expected, seconds
 from taichi_sim.forces.pointer import MOST_RATE_STEP, POINTER_RATE, Pointer
 from taichi_sim.outputs.base import Image
 from taichi_sim.viewer import overlay
@@ -78,49 +80,74 @@ def show(
     """
     from taichi_sim.render import Renderer
 
-    pointer = Pointer()
-    simulation = simulate([pointer])  # starts Taichi
-    try:
-        simulation.step(0)
+    pointer, screen = Pointer(), _Screen(size)
+    with ExitStack() as stack:
+        stack.callback(screen.gui.close)
+        screen.say("reading the scene")
+        simulation = stack.enter_context(simulate([pointer]))
+        expected = Expected.of(simulation, pictures=True)
+        screen.say(expected.words)
         frame = simulation.frame()
-        with Renderer(frame, size=size, **(style or {})) as renderer:
-            renderer.render(frame)  # all is compiled before the window opens
-            window = _Window(simulation, pointer, renderer, fps, until, say)
-            try:
-                window.run()
-            except KeyboardInterrupt:  # as good an end as the close button
-                heard()
-            finally:
-                window.close()
-    finally:
-        simulation.close()
+        renderer = stack.enter_context(Renderer(frame, size=size, **(style or {})))
+        screen.picture[:] = renderer.render(frame)
+        screen.say(expected.words)
+        simulation.step(0)
+        expected.remember(seconds())
+        window = _Window(screen, simulation, pointer, renderer, fps, until, say)
+        try:
+            window.run()
+        except KeyboardInterrupt:  # as good an end as the close button
+            heard()
+        finally:
+            window.close()
 
 
-class _Window:
-    """The window of one simulation, its mouse and keys."""
+class _Screen:
+    """What ti.GUI shows: open from the start, so that those who wait see what for."""
 
-    def __init__(
-        self, simulation: Any, pointer: Pointer, renderer: Any, fps: float, until: float | None, say: Callable
-    ) -> None:
+    def __init__(self, size: tuple[int, int]) -> None:
         from taichi_sim.device.engine import ENGINE, ti
 
-        self.simulation, self.renderer, self.fps, self.until, self.say = simulation, renderer, fps, until, say
-        self.pointer = pointer if pointer.ready else None
-        self.start = simulation.snapshot()
-        width, height = self.size = renderer.size
+        self.size = width, height = size
         if not hasattr(ti, "GUI"):
             raise BackendError(
                 f"the window needs ti.GUI, which Taichi has and {ENGINE} has not: leave TAICHI_SIM_ENGINE out"
             )
         try:
-            self.gui = ti.GUI(TITLE, res=self.size, fast_gui=True)
+            self.gui = ti.GUI(TITLE, res=size, fast_gui=True)
         except RuntimeError as error:
             raise BackendError(f"the window cannot be opened; {USE}") from error
         self.gui.fps_limit = None
         pixels = self.gui.img.view(np.uint8).reshape(height, width, 4)  # as Taichi's vector_to_fast_image fills it
         mac = sys.platform == "darwin"
         pixels[:, :, 3] = 255 if mac else 0
-        self.screen: Image = pixels[:, :, :3] if mac else pixels[:, :, 2::-1]
+        self.picture: Image = pixels[:, :, :3] if mac else pixels[:, :, 2::-1]
+        self.picture[:] = overlay.PANEL
+
+    def say(self, words: str) -> None:
+        """Show a line over what is shown."""
+        overlay.draw_table(self.picture, (("", words),))
+        self.gui.show()
+
+
+class _Window:
+    """The window of one simulation, its mouse and keys."""
+
+    def __init__(
+        self,
+        screen: _Screen,
+        simulation: Any,
+        pointer: Pointer,
+        renderer: Any,
+        fps: float,
+        until: float | None,
+        say: Callable,
+    ) -> None:
+        self.simulation, self.renderer, self.fps, self.until, self.say = simulation, renderer, fps, until, say
+        self.pointer = pointer if pointer.ready else None
+        self.start = simulation.snapshot()
+        width, height = self.size = screen.size
+        self.gui, self.screen = screen.gui, screen.picture
         self.view = view_of(renderer.camera, self.size)
         self.moved = False  # by hand
         self.pace = Pace()
@@ -150,9 +177,8 @@ class _Window:
             time.sleep(max(0.0, last + 1.0 / self.fps - time.perf_counter()))
 
     def close(self) -> None:
-        """Finish a recording and close the window."""
+        """Finish a recording."""
         self._stop_recording()
-        self.gui.close()
 
     # Time ----------------------------------------------------------------------------------------------------------
 

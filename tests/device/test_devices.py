@@ -5,6 +5,7 @@ import json
 import pytest
 
 import taichi_sim as ts
+from taichi_sim.common import remembered
 from taichi_sim.device import backend, devices
 
 pytestmark = pytest.mark.once
@@ -16,7 +17,7 @@ GPU = devices.Device("vulkan", "Some GPU", "Vulkan 1.3, driver 0x1", 8 << 30)
 def examined(monkeypatch, tmp_path):
     """The self-test is not run but counted, and its result is what the test says."""
     seen, result = [], {"says": ""}
-    monkeypatch.setattr(devices, "user_cache_path", lambda name: tmp_path / name)
+    monkeypatch.setattr(remembered, "user_cache_path", lambda name: tmp_path / name)
     monkeypatch.setattr(devices, "examine", lambda arch: seen.append(arch) or result["says"])
     return seen, result, tmp_path / "taichi_sim" / "devices.json"
 
