@@ -83,23 +83,22 @@ def show(
     pointer, screen = Pointer(), _Screen(size)
     with ExitStack() as stack:
         stack.callback(screen.gui.close)
-        screen.say("reading the scene")
-        simulation = stack.enter_context(simulate([pointer]))
-        expected = Expected.of(simulation, pictures=True)
-        screen.say(expected.words)
-        frame = simulation.frame()
-        renderer = stack.enter_context(Renderer(frame, size=size, **(style or {})))
-        screen.picture[:] = renderer.render(frame)
-        screen.say(expected.words)
-        simulation.step(0)
-        expected.remember(seconds())
-        window = _Window(screen, simulation, pointer, renderer, fps, until, say)
         try:
+            screen.say("reading the scene")
+            simulation = stack.enter_context(simulate([pointer]))
+            expected = Expected.of(simulation, pictures=True)
+            screen.say(expected.words)
+            frame = simulation.frame()
+            renderer = stack.enter_context(Renderer(frame, size=size, **(style or {})))
+            screen.picture[:] = renderer.render(frame)
+            screen.say(expected.words)
+            simulation.step(0)
+            expected.remember(seconds())
+            window = _Window(screen, simulation, pointer, renderer, fps, until, say)
+            stack.callback(window.close)
             window.run()
         except KeyboardInterrupt:  # as good an end as the close button
             heard()
-        finally:
-            window.close()
 
 
 class _Screen:

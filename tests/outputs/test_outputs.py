@@ -37,6 +37,9 @@ class FakeSimulation:
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
         self.fails_at, self.failure = fails_at, error
 
+    def kernels(self) -> list[str]:
+        return []
+
     def frames(self, fps: float, duration: float) -> Iterator[Frame]:
         for k in range(round(fps * duration)):
             if k == self.fails_at and self.failure is not None:

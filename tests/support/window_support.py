@@ -97,7 +97,10 @@ class Window:
     def of(cls, display: Display, folder: Path, scene: str) -> "Window":
         """One of the scenes of CHILD, whose frames it logs."""
         (folder / "child.py").write_text(CHILD)
-        return cls(display, folder, "child.py", scene)
+        window = cls(display, folder, "child.py", scene)
+        window.until(lambda: len(window.frames()) >= 2 or window.process.poll() is not None)  # all is compiled
+        assert window.process.poll() is None, window.errors
+        return window
 
     @property
     def errors(self) -> str:

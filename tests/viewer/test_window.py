@@ -213,7 +213,8 @@ def test_control_c_ends_it(display, tmp_path):
     """With exit status 0, and a recording finished."""
     window = view(display, tmp_path, FALLING)
     window.key("v")
-    time.sleep(0.7)
+    window.until(lambda: list(tmp_path.glob(".recording_000.mp4.*")))
+    time.sleep(0.5)
     window.process.send_signal(signal.SIGINT)
     assert window.ended() == 0
     assert window.errors == ""
