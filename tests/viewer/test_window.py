@@ -158,6 +158,7 @@ def test_a_recording_plays(flat):
 def test_escape_ends_it(flat):
     """Last of those that share the window. A recording that still runs is finished."""
     flat.key("v")
+    flat.until(lambda: list(flat.folder.glob(".recording_001.mp4.*")))
     time.sleep(0.5)
     flat.key("Escape")
     assert flat.ended() == 0
