@@ -88,7 +88,11 @@ class Window:
                 stderr=errors,
                 preexec_fn=_heed_interrupts,
             )
-        self.until(lambda: display.do("search", "--onlyvisible", "--name", "taichi_sim").strip() or self.process.poll() is not None)
+        self.until(
+            lambda: (
+                display.do("search", "--onlyvisible", "--name", "taichi_sim").strip() or self.process.poll() is not None
+            )
+        )
         assert self.process.poll() is None, self.errors
         self.id = int(display.do("search", "--onlyvisible", "--name", "taichi_sim").split()[0])
         self.point(160, 120)
