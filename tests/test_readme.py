@@ -79,7 +79,7 @@ def test_the_recipe_of_letters_on_a_trampoline_runs(tmp_path, monkeypatch, capfd
     monkeypatch.chdir(tmp_path)
     Path("hello.toml").write_text(scene)
     made = ts.load_scene("hello.toml")
-    assert len([one for one in made.objects if one.name == "hello"][0].balls) > 5 * 12
+    assert len(next(one for one in made.objects if one.name == "hello").balls) > 5 * 12
     assert 0.1 < made.pinned.mean() < 0.5
     (command,) = re.findall(r"^taichi-sim (run .*)$", recipe, re.MULTILINE)
     from taichi_sim.cli.main import main
