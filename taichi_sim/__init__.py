@@ -20,6 +20,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import Method
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError
+from taichi_sim.common.version import __version__
 from taichi_sim.scene.colliders import Box, Capsule, ColliderShape, Mesh, Sphere
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
@@ -34,10 +35,10 @@ if TYPE_CHECKING:
     from taichi_sim.outputs import Output, export, open_output
     from taichi_sim.outputs.quick import picture, video
     from taichi_sim.simulation.simulation import Simulation
+    from taichi_sim.sweeps.sweep import sweep
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces itself on standard output
 
-__version__ = "0.1.0"
 __all__ = [
     "BackendError",
     "Box",
@@ -66,6 +67,7 @@ __all__ = [
     "picture",
     "shapes",
     "spring_from_rates",
+    "sweep",
     "video",
 ]
 
@@ -80,6 +82,7 @@ _LAZY = {
     "load_scene": "taichi_sim.files.toml_reader",
     "open_output": "taichi_sim.outputs",
     "picture": "taichi_sim.outputs.quick",
+    "sweep": "taichi_sim.sweeps.sweep",
     "video": "taichi_sim.outputs.quick",
 }
 

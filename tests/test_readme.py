@@ -91,6 +91,24 @@ def test_the_recipe_of_letters_on_a_trampoline_runs(tmp_path, monkeypatch, capfd
     assert Path("hello.mp4").stat().st_size > 500
 
 
+def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
+    page = (Path(__file__).parent.parent / "docs" / "sweeps.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    Path("heap.toml").write_text(re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[0])
+    names: dict = {}
+    exec(compile(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0], "sweeps.md", "exec"), names)
+    assert len(names["found"]) == 12
+    assert not names["found"].failed
+    assert float(capsys.readouterr().out) > 0.0
+    (command,) = re.findall(r"^taichi-sim (sweep .*)$", page, re.MULTILINE)
+    from taichi_sim.cli.main import main
+
+    with pytest.raises(SystemExit) as ended:
+        main([*command.split(), "--workers", "0", "--duration", "0.1", "--quiet"])
+    assert ended.value.code == 0
+    assert len(Path("heap_sweep/table.csv").read_text().splitlines()) == 41
+
+
 def anchors(page: Path) -> set[str]:
     """What headings of a page are called in links."""
     titles = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)

@@ -8,12 +8,13 @@ from typing import Annotated, Any
 
 import typer
 
-from taichi_sim import __version__
 from taichi_sim.cli.options import interval, pixels, positive, share, step, takes_only
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
+from taichi_sim.common.version import __version__
 
 FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3
+SHOWN = 5  # failed points of a sweep
 NAMES = (
     "x.mp4, x.webm or x.gif; folder/ for PNG frames; x.npz arrays; x.usdc or x.usda for Blender and others; x.pvd for ParaView;"
     " x.gsd for OVITO; x.csv energies and probes; x.ply or x.obj meshes"
@@ -224,6 +225,67 @@ def tune(
     if write:
         tuning.write_settings(file, settings)
         typer.echo(f"written      {file}")
+
+
+@_command(*SIMULATION, "fps", "duration", "allow_outside")
+def sweep(
+    scene: SceneName,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="PATH=VALUES, like materials.rubber.restitution=0.1:0.9:9, cloth[0].stiffness=1e2:1e4:5:log or dt=1e-3,5e-4; a"
+            " range like 0.1:0.9 for designs that sample. May be given several times."
+        ),
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(help="How often each point is run, with other chance.")] = None,
+    measure: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="probes.NAME, energy.total, penetration, ..., with .max, .min or .mean for that of all frames, or"
+            " module:function; all probes otherwise. May be given several times."
+        ),
+    ] = None,
+    out: Annotated[str | None, typer.Option("--out", "-o", help="Folder of the table; NAME_sweep otherwise.")] = None,
+    design: Annotated[str, typer.Option(help="product, random, latin or sobol.")] = "product",
+    points: Annotated[int | None, typer.Option(help="How many, of designs that sample.")] = None,
+    luck: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes; one for each core otherwise, 0: this one alone.")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")] = None,
+    overwrite: Annotated[bool, _flag("overwrite", "Replace another sweep in that folder.")] = False,
+    retry: Annotated[bool, _flag("retry", "Run points that failed once more.")] = False,
+    yes: Annotated[bool, _flag("yes", "Run more than 100 000 points.")] = False,
+    quiet: Quiet = False,
+    **options: Any,
+) -> None:
+    """Run SCENE many times, with other parameters and seeds, into a table; the same command goes on where it was interrupted."""
+    from pathlib import Path
+
+    from taichi_sim.files.source import resolve
+    from taichi_sim.sweeps.sweep import sweep as run_all
+
+    given = {key: value for key, value in options.items() if value is not None}
+    if "dt" in given:
+        given["dt"] = step(given["dt"])
+    folder = Path(out or f"{resolve(scene).stem}_sweep")
+    say = _quiet if quiet else typer.echo
+    try:
+        done = run_all(
+            scene, vary or (), seeds=seeds, measure=measure, design=design, points=points, luck=luck, folder=folder,
+            workers=workers, scheduler=scheduler, overwrite=overwrite, retry=retry, yes=yes, progress=not quiet, say=say, **given,
+        )  # fmt: skip
+    except (KeyboardInterrupt, SystemExit):
+        if folder.is_dir():
+            typer.echo(f"{folder}: keeps the points that are done; the same command goes on", err=True)
+        raise
+    if not quiet:
+        for row in done.failed[:SHOWN]:
+            at = ", ".join(f"{name} {value}" for name, value in row.parameters.items())
+            typer.echo(f"failed       {at}: {row.error}")
+        if len(done.failed) > SHOWN:
+            typer.echo(f"failed       {len(done.failed) - SHOWN} more, see the table")
+        typer.echo(f"written      {folder}: {len(done)} points, {len(done.failed)} of them failed; see report.html")
 
 
 @_command()

@@ -1,10 +1,10 @@
-"""How much memory this process may still take."""
+"""How much memory this process may still take, and takes."""
 
 import os
 import sys
 from pathlib import Path
 
-__all__ = ["available"]
+__all__ = ["available", "used"]
 
 UNKNOWN = 4 << 30  # bytes, where the system does not say
 GROUPS = (  # a container's limit and what it uses, in the two ways that Linux has
@@ -24,16 +24,29 @@ def available() -> int:
     return max(0, min(free))
 
 
+def used() -> int:
+    """Bytes of memory that this process has; 0 where the system does not say."""
+    try:
+        return _pages(1)
+    except (AttributeError, OSError, ValueError):
+        return 0
+
+
+def _pages(column: int) -> int:
+    """Bytes of address space (column 0) or memory (1)."""
+    return int(Path("/proc/self/statm").read_text().split()[column]) * os.sysconf("SC_PAGE_SIZE")
+
+
 def _process() -> int:
     """What `ulimit -v` leaves."""
     try:
         import resource
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        taken = _pages(0)
     except (ImportError, AttributeError, OSError, ValueError):
         return sys.maxsize
-    return sys.maxsize if limit == resource.RLIM_INFINITY else limit - used
+    return sys.maxsize if limit == resource.RLIM_INFINITY else limit - taken
 
 
 def _machine() -> int:

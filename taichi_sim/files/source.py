@@ -1,10 +1,11 @@
 """What a user may name as a SCENE: a TOML file, a Python file with scene() or simulation(), or a built-in demo."""
 
 import ast
+import functools
 import importlib.util
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
 from types import ModuleType
@@ -14,7 +15,7 @@ from taichi_sim.common.errors import BackendError, SceneError, UnstableError, ab
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["built_in", "checked_output", "demos", "open_scene", "open_simulation", "resolve"]
+__all__ = ["built_in", "checked_output", "demos", "open_scene", "open_simulation", "python_scene", "resolve"]
 
 
 def demos() -> dict[str, Path]:
@@ -57,10 +58,7 @@ def open_scene(file: Path, *, allow_outside: bool = False) -> Scene | None:
         raise ValueError(f"{file}: {file.suffix!r} is not allowed; a scene is a .toml or a .py file")
     module = _module(file)
     if hasattr(module, "scene"):
-        made = _call(file, module, "scene")
-        if not isinstance(made, Scene):
-            raise SceneError((), says=f"scene() returned {type(made).__name__}; it must return a Scene", file=file)
-        return made
+        return python_scene(file)()
     if hasattr(module, "simulation"):
         return None
     raise SceneError((), says="has neither scene() nor simulation(); define one of them", file=file)
@@ -114,9 +112,25 @@ def _module(file: Path) -> ModuleType:
     return module
 
 
-def _call(file: Path, module: ModuleType, function: str) -> Any:
+def python_scene(file: Path) -> Callable[..., Scene]:
+    """scene() of a Python file, with its arguments; its errors name their place. Raises SceneError where there is none."""
+    module = _module(file)
+    if not callable(getattr(module, "scene", None)):
+        raise SceneError((), says="has no function scene(); define one", file=file)
+
+    @functools.wraps(module.scene)
+    def scene(**arguments: Any) -> Scene:
+        made = _call(file, module, "scene", **arguments)
+        if not isinstance(made, Scene):
+            raise SceneError((), says=f"scene() returned {type(made).__name__}; it must return a Scene", file=file)
+        return made
+
+    return scene
+
+
+def _call(file: Path, module: ModuleType, function: str, **arguments: Any) -> Any:
     try:
-        return getattr(module, function)()
+        return getattr(module, function)(**arguments)
     except Exception as error:
         raise _located(file, error) from error
 

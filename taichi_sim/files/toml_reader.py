@@ -36,7 +36,7 @@ else:
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-__all__ = ["Reader", "load_scene"]
+__all__ = ["Reader", "load_scene", "parsed"]
 
 
 MOST_NESTED = 16  # lists and tables within each other
@@ -62,10 +62,10 @@ def load_scene(
     file = Path(path)
     if not file.is_file():
         raise FileNotFoundError(f"{file}: there is no such scene file")
-    return Reader(file, *_parsed(file), tables, allow_outside).scene()
+    return Reader(file, *parsed(file), tables, allow_outside).scene()
 
 
-def _parsed(file: Path) -> tuple[str, dict[str, Any]]:
+def parsed(file: Path) -> tuple[str, dict[str, Any]]:
     """The text of a file and what it says in TOML. Raises SceneError."""
     try:
         text = file.read_text(encoding="utf-8")

@@ -416,12 +416,16 @@ class Simulation(Reader):
 
         return restore_state(cls, path, overrides)
 
+    @property
+    def closed(self) -> bool:
+        """Whether it cannot be used any more."""
+        return self._closed or not self._stepper.parts.fields.built
+
     def close(self) -> None:
         """Free all fields. The simulation cannot be used after that; closing twice does nothing."""
-        if not self._closed:
-            if self._stepper.parts.fields.built:  # else it went with the engine
-                self.parts.free()
-            self._closed = True
+        if not self.closed:
+            self.parts.free()
+        self._closed = True
 
     def _about(self) -> dict[str, Any]:
         """What runs, in words by their names."""
@@ -439,13 +443,13 @@ class Simulation(Reader):
         }
 
     def __repr__(self) -> str:
-        if self._closed:
+        if self.closed:
             return f"<Simulation, closed, of a {in_words(self.scene)}>"
         return f"<Simulation of a {in_words(self.scene)}; {', '.join(f'{k} {v}' for k, v in self._about().items())}>"
 
     def _repr_html_(self) -> str:
         """For notebooks: a picture of the present moment, and what runs."""
-        if self._closed:
+        if self.closed:
             return as_html("Simulation, closed", parts_of(self.scene))
         seen = BytesIO()
         import_module("taichi_sim").picture(self).save(seen, "png")  # by name: it is an outer room's

@@ -8,7 +8,7 @@ import numpy as np
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
 
-__all__ = ["difference"]
+__all__ = ["difference", "kind_of"]
 
 COUNTS: dict[str, Callable[[Scene], Any]] = {
     "dimensions": lambda scene: scene.dim,
@@ -57,3 +57,10 @@ def difference(before: Scene, after: Scene, place: str, then: str, now: str) -> 
     if place:
         return f"{place} is {now} where {then} was compiled"
     return "it needs fields of other sizes than the scene that was compiled"
+
+
+def kind_of(scene: Scene) -> str:
+    """Different for scenes that need different kernels, as far as can be seen without assembling them."""
+    there = {name: bool(is_there(scene)) for name, is_there in THERE.items()}
+    counts = {name: count(scene) for name, count in COUNTS.items()}
+    return repr((counts, there, sorted(scene.settings.items(), key=str)))

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from taichi_sim import __version__
 from taichi_sim.analysis.methods import VERLET, named
 from taichi_sim.analysis.stability import stability
+from taichi_sim.common.version import __version__
 from taichi_sim.scene.contents import contents_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings

@@ -1,0 +1,186 @@
+"""Where points are run: in this process, or by the workers of Dask, on this machine or a cluster."""
+
+import logging
+import os
+import platform
+import uuid
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from taichi_sim.common.errors import BackendError, SceneError
+from taichi_sim.common.version import __version__
+from taichi_sim.sweeps.points import Job, Point, Row, Runner, keep_batch, run_batch
+
+__all__ = ["Here", "Workers", "connected"]
+
+BATCH = 20  # points of a task
+AHEAD = 3  # tasks for each worker that wait for it
+MOST_REPEATS = 3  # of a point whose worker ended
+PATIENCE = 10.0  # s, for a scheduler
+
+
+class Here:
+    """Points one after another in this process."""
+
+    said = "in this process"
+
+    def run(self, job: Job, batches: Sequence[Sequence[Point]]) -> Iterator[list[Row]]:
+        """Rows, batch by batch."""
+        runner = Runner(job)
+        try:
+            for batch in batches:
+                rows = [runner.run(point) for point in batch]
+                if job.folder is not None:
+                    keep_batch(Path(job.folder), rows)
+                yield rows
+        finally:
+            runner.close()
+
+
+class Workers:
+    """Points by Dask's workers."""
+
+    def __init__(self, client: Any, number: int) -> None:
+        self.client, self.number = client, number
+
+    @property
+    def said(self) -> str:
+        """How many, and where they can be watched."""
+        link = self.client.dashboard_link if self.client.scheduler_info().get("services") else ""
+        workers = f"{self.number} worker{'s' * (self.number != 1)}"
+        return f"{workers}, {link}" if link else workers
+
+    def run(self, job: Job, batches: Sequence[Sequence[Point]]) -> Iterator[list[Row]]:
+        """Rows, batch by batch. A batch whose worker ended is repeated, point by point, elsewhere; a point that ends its worker
+        again and again becomes a row that says so."""
+        from distributed import KilledWorker, as_completed
+
+        known_by = uuid.uuid4().hex
+        waiting: deque[Sequence[Point]] = deque(batches)
+        repeated: dict[str, int] = {}
+        running: dict[Any, Sequence[Point]] = {}
+        done = as_completed()
+
+        def submit() -> None:
+            while waiting and len(running) < (1 + AHEAD) * self.number:
+                batch = waiting.popleft()
+                future = self.client.submit(run_batch, job, known_by, batch, pure=False, retries=0)
+                running[future] = batch
+                done.add(future)
+
+        submit()
+        try:
+            while running:
+                future = next(done)
+                batch = running.pop(future)
+                problem = None
+                if future.status == "finished":
+                    rows = future.result()
+                    if job.folder is not None:
+                        keep_where_missing(Path(job.folder), rows)
+                    yield rows
+                elif future.status == "error" and not isinstance(problem := future.exception(), KilledWorker):
+                    raise BackendError(f"sweep: a worker failed: {problem}")
+                else:  # its worker ended, or was lost
+                    yield [row for point in batch for row in self._again(point, repeated, waiting)]
+                submit()
+        finally:
+            with suppress(Exception):
+                self.client.cancel(list(running))
+
+    def _again(self, point: Point, repeated: dict[str, int], waiting: deque[Sequence[Point]]) -> Iterator[Row]:
+        """Let a point be repeated by itself; its row where that was done often enough."""
+        repeated[point.key] = repeated.get(point.key, 0) + 1
+        if repeated[point.key] > MOST_REPEATS:
+            times = repeated[point.key]
+            yield Row.of(point, error=f"its worker ended {times} times: killed, or out of memory")
+        else:
+            waiting.append([point])
+
+
+def keep_where_missing(folder: Path, rows: Sequence[Row]) -> None:
+    """Workers on machines that do not see the folder leave their rows to this process."""
+    if not (folder / f"{rows[0].key}_{len(rows)}.jsonl").is_file():
+        keep_batch(folder, rows)
+
+
+def versions() -> dict[str, str]:
+    """What must be the same on all workers for the same results."""
+    engine = import_module("taichi_sim.device.engine")
+    return {
+        "taichi_sim": __version__,
+        engine.ENGINE: engine.VERSION,
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+    }
+
+
+@contextmanager
+def connected(scheduler: str | None, workers: int | None, say: Callable[[str], None]) -> Iterator[Any]:
+    """What runs points: with 0 workers this process; a number of processes of this machine, None: one for each core; or those
+    of a scheduler. Raises SceneError or BackendError where that is not possible."""
+    if workers == 0 and scheduler is None:
+        yield Here()
+        return
+    try:
+        import dask
+        import distributed
+    except ImportError:
+        says = 'workers need one more package: pip install "taichi-sim[sweep]"; with workers 0 this process runs all points'
+        raise SceneError("sweep", says=says) from None
+    # logs of lost workers are ours to tell
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0, "distributed.admin.log-format": "%(message)s"}):
+        if scheduler is not None:
+            try:
+                client = distributed.Client(scheduler, timeout=PATIENCE)
+            except (OSError, ValueError, TimeoutError) as error:
+                says = f"no scheduler answers there ({' '.join(str(error).split())[:120]})"
+                raise SceneError("scheduler", scheduler, says=says) from None
+            with client:
+                yield Workers(client, _checked(client, scheduler))
+            return
+        number = workers or os.cpu_count() or 1
+        with (
+            distributed.LocalCluster(
+                n_workers=number,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=":0" if _has_dashboard() else None,
+                silence_logs=logging.CRITICAL,
+            ) as cluster,
+            distributed.Client(cluster) as client,
+        ):
+            yield Workers(client, _checked(client, "local"))
+
+
+def _has_dashboard() -> bool:
+    try:
+        import_module("bokeh")
+    except ImportError:
+        return False
+    return True
+
+
+def _checked(client: Any, where: str) -> int:
+    """How many workers there are. Raises SceneError where there is none, or they have other versions."""
+    number = len(client.scheduler_info(n_workers=-1)["workers"])
+    if number == 0:
+        raise SceneError("scheduler", where, says="has no workers; start some with: dask worker ADDRESS --nthreads 1")
+    here = versions()
+    try:
+        found = client.run(versions)
+    except Exception as error:
+        raise SceneError("scheduler", where, says=f"its workers cannot import taichi_sim ({error})") from None
+    for worker, there in found.items():
+        if there != here:
+            differ = [
+                f"{name} {there.get(name, 'none')} there, {one} here"
+                for name, one in here.items()
+                if there.get(name) != one
+            ]
+            raise SceneError("scheduler", where, says=f"worker {worker} has other versions: {', '.join(differ)}")
+    return number

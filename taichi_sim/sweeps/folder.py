@@ -1,0 +1,160 @@
+"""The folder of a sweep: rows as they come in, batch by batch, and the table of all of them. Whatever is killed, it is whole."""
+
+import csv
+import io
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from taichi_sim.common.atomic_file import locked, replacing, sweep
+from taichi_sim.common.errors import SceneError, short
+from taichi_sim.outputs.base import require_folder_place
+from taichi_sim.sweeps.points import Point, Row, lines_of, rows_of
+
+__all__ = ["Folder", "columns_of"]
+
+MARK, LOCK, ROWS, BATCHES = "sweep.json", "lock", "rows.jsonl", "batches"
+TABLE = "table.csv"
+OURS = (ROWS, TABLE, "table.parquet", "report.html")
+NAMED = 3  # differences, before the others are only counted
+
+
+class Folder:
+    """`rows`: by key, what is there already. about: plain values that say which sweep it is.
+
+    Raises OSError or ValueError before anything is written where it cannot be used."""
+
+    def __init__(self, path: Path, about: Mapping[str, Any], overwrite: bool = False) -> None:
+        self.path, self.about = path, json.loads(json.dumps(about))
+        self.rows: dict[str, Row] = {}
+        require_folder_place(path)
+        self._lock: Any = None
+        if path.is_dir() and any(path.iterdir()):
+            if not (path / MARK).is_file():
+                raise FileExistsError(f"{path}: the folder is not empty and holds no sweep; use another name")
+            if overwrite:
+                self._empty()
+            else:
+                self._require_same()
+                self._load()
+
+    @property
+    def batches(self) -> Path:
+        """Where workers put what they have done."""
+        return self.path / BATCHES
+
+    def begin(self) -> None:
+        """Make it, where it is not there. Raises OSError."""
+        self.path.mkdir(exist_ok=True)
+        if not os.access(self.path, os.W_OK):
+            raise PermissionError(f"{self.path}: cannot be written")
+        self._lock = open(self.path / LOCK, "ab")  # noqa: SIM115  # closed by close
+        if not locked(self._lock):
+            self.close()
+            raise OSError(f"{self.path}: another sweep is writing it; wait for it, or give another folder")
+        self.batches.mkdir(exist_ok=True)
+        sweep(self.batches, "*")
+        with replacing(self.path / MARK) as file:
+            file.write(json.dumps(self.about, indent=1).encode())
+        self._compact()
+
+    def close(self) -> None:
+        """Let others in."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+    def _require_same(self) -> None:
+        then = about_of(self.path)
+        differ = [name for name in dict.fromkeys([*then, *self.about]) if then.get(name) != self.about.get(name)]
+        if differ:
+            said = [
+                f"{name} ({short(then.get(name))} then, {short(self.about.get(name))} now)" for name in differ[:NAMED]
+            ]
+            more = f" and {len(differ) - NAMED} more" if len(differ) > NAMED else ""
+            raise FileExistsError(
+                f"{self.path}: holds another sweep, which differs in {', '.join(said)}{more}; use --overwrite or another folder"
+            )
+
+    def _load(self) -> None:
+        files = [self.path / ROWS] if (self.path / ROWS).is_file() else []
+        files += sorted(self.batches.glob("*.jsonl")) if self.batches.is_dir() else []
+        for file in files:
+            try:
+                self.rows.update((row.key, row) for row in rows_of(file.read_bytes()))
+            except (ValueError, TypeError) as error:
+                raise SceneError(
+                    (), says=f"is damaged; delete it to have its points run again ({error})", file=file
+                ) from None
+
+    def _compact(self) -> None:
+        """One file in place of many: it is complete before they go."""
+        found = list(self.batches.glob("*.jsonl"))
+        if found:
+            with replacing(self.path / ROWS) as file:
+                file.write(lines_of(self.rows.values()))
+            for one in found:
+                one.unlink(missing_ok=True)
+
+    def _empty(self) -> None:
+        for one in self.batches.glob("*") if self.batches.is_dir() else ():
+            one.unlink(missing_ok=True)
+        for name in (*OURS, MARK):
+            (self.path / name).unlink(missing_ok=True)
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Rows that have come in."""
+        self.rows.update((row.key, row) for row in rows)
+
+    def finish(self, points: Sequence[Point]) -> None:
+        """Write the table of these points, in their order, those that are done; as Parquet, too, where pyarrow is installed."""
+        self._compact()
+        rows = [self.rows[key] for key in dict.fromkeys(point.key for point in points) if key in self.rows]
+        columns = columns_of(rows)
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values()))
+        with replacing(self.path / TABLE) as file:
+            file.write(text.getvalue().encode())
+        try:
+            import pyarrow
+            from pyarrow import parquet
+        except ImportError:
+            return
+        whole = {name: _of_one_type(values) for name, values in columns.items()}
+        with replacing(self.path / "table.parquet") as file:
+            parquet.write_table(pyarrow.table(whole), file)
+
+
+def about_of(path: Path) -> dict[str, Any]:
+    """What a folder says of its sweep. Raises SceneError where it is none."""
+    try:
+        found: dict[str, Any] = json.loads((path / MARK).read_bytes())
+        return found
+    except FileNotFoundError:
+        raise SceneError((), says="holds no sweep", file=path) from None
+    except ValueError as error:
+        raise SceneError((), says=f"is damaged ({error})", file=path / MARK) from None
+
+
+def columns_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
+    """The table: parameters, seed, measures, error, warning, version, wall [s]; None where there is none."""
+    parameters = dict.fromkeys(name for row in rows for name in row.parameters)
+    measures = dict.fromkeys(name for row in rows for name in row.measures)
+    columns: dict[str, list[Any]] = {name: [row.parameters.get(name) for row in rows] for name in parameters}
+    if any(row.seed is not None for row in rows):
+        columns["seed"] = [row.seed for row in rows]
+    columns |= {name: [row.measures.get(name) for row in rows] for name in measures}
+    columns |= {name: [getattr(row, name) for row in rows] for name in ("error", "warning", "version", "wall")}
+    return columns
+
+
+def _of_one_type(values: list[Any]) -> list[Any]:
+    """Texts, where not all are numbers: a column has one type."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {int, float} or len(kinds) < 2:
+        return [float(v) if v is not None and kinds == {int, float} else v for v in values]
+    return [None if value is None else str(value) for value in values]

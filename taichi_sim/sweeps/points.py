@@ -1,0 +1,190 @@
+"""Points of a sweep, what they come to, and the work of one process: points one after another by one simulation, used again."""
+
+import hashlib
+import json
+import time
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taichi_sim.common import memory
+from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.errors import BackendError, SceneError, UnstableError
+from taichi_sim.common.version import __version__
+from taichi_sim.scene.scene import Scene
+from taichi_sim.sweeps.measures import Measures
+from taichi_sim.sweeps.subject import Subject
+
+__all__ = ["Job", "Point", "Row", "Runner", "run_batch"]
+
+FPS, DURATION = 60.0, 5.0  # where neither the scene nor the user says it
+MOST_SAID = 300  # characters of a warning or an error
+RELEASE_BYTES = 1 << 30  # of memory in use by a worker, from which on it begins anew
+
+
+@dataclass(frozen=True)
+class Point:
+    """Parameters by their paths, and a seed, or None."""
+
+    parameters: Mapping[str, Any]
+    seed: int | None = None
+
+    @property
+    def key(self) -> str:
+        """What it is known by, in every run of the command."""
+        text = json.dumps([sorted(self.parameters.items()), self.seed])
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a point came to. error: why it has no measures, or ""; wall: seconds of work, compiling included; compiled: whether a
+    simulation was made for it rather than used again."""
+
+    key: str
+    parameters: dict[str, Any]
+    seed: int | None
+    measures: dict[str, float] = field(default_factory=dict)
+    error: str = ""
+    warning: str = ""
+    version: str = __version__
+    wall: float = 0.0
+    compiled: bool = False
+
+    @classmethod
+    def of(cls, point: Point, **more: Any) -> "Row":
+        """Of a point."""
+        return cls(point.key, dict(point.parameters), point.seed, **more)
+
+
+@dataclass(frozen=True)
+class Job:
+    """How points are run. duration, fps: None leaves them to the scene; settings: arguments of Simulation over the scene's own;
+    folder: where batches of rows go, on all machines; apart: in a process that does nothing else."""
+
+    subject: Subject
+    measures: Measures
+    settings: Mapping[str, Any]
+    duration: float | None = None
+    fps: float | None = None
+    folder: str | None = None
+    apart: bool = True
+
+
+class Runner:
+    """Runs points by one simulation, which is reset from one to the next where its structure allows that."""
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self.simulation: Any = None
+        self.made = 0  # simulations, since the start
+
+    def run(self, point: Point) -> Row:
+        """A point, whatever becomes of it."""
+        start, made = time.perf_counter(), self.made
+        measures: dict[str, float] = {}
+        error = ""
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                scene = self.job.subject.scene(point.parameters, point.seed)
+                measures = self.measured(scene)
+            except UnstableError as unstable:
+                error = f"unstable: {unstable}"
+            except (ValueError, ArithmeticError, BackendError, OSError, MemoryError) as problem:
+                error = f"{type(problem).__name__}: {problem}"
+            except Exception as problem:  # of the user's functions
+                error = f"{type(problem).__name__}: {problem}"
+        said = "; ".join(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning)))
+        return Row.of(
+            point,
+            measures=measures,
+            error=_cut(error),
+            warning=_cut(said),
+            wall=time.perf_counter() - start,
+            compiled=self.made > made,
+        )
+
+    def measured(self, scene: Scene) -> dict[str, float]:
+        """Run a scene."""
+        simulation = self._simulation(scene)
+        duration = self.job.duration or float(scene.output.get("duration", DURATION))
+        return self.job.measures.run(simulation, duration, self.job.fps or float(scene.output.get("fps", FPS)))
+
+    def _simulation(self, scene: Scene) -> Any:
+        from taichi_sim.device import backend
+        from taichi_sim.simulation.simulation import Simulation
+
+        if self.simulation is not None and not self.simulation.closed:
+            try:
+                self.simulation.reset(scene)
+                return self.simulation
+            except BackendError:  # another precision or arch
+                if not self.job.apart:
+                    raise
+            except SceneError as error:
+                if error.path != ("reset",):
+                    raise
+            self.simulation.close()
+            if self.job.apart:  # so that kernels of the next are found in the cache, and no memory is kept
+                backend.stop()
+        self.simulation = Simulation(scene, **self.job.settings)
+        self.made += 1
+        return self.simulation
+
+    def close(self) -> None:
+        """Give the memory back."""
+        if self.simulation is not None:
+            self.simulation.close()
+            self.simulation = None
+
+    def relieve(self) -> None:
+        """Begin anew where the process has taken much memory."""
+        from taichi_sim.device import backend
+
+        if self.job.apart and memory.used() > RELEASE_BYTES:
+            self.close()
+            backend.stop()
+
+
+def _cut(text: str) -> str:
+    text = " ".join(text.split())
+    return text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]}..."
+
+
+_runner: Runner | None = None  # of this process: a worker's tasks share one
+_job: str = ""
+
+
+def run_batch(job: Job, known_by: str, points: Sequence[Point]) -> list[Row]:
+    """A task: run points in a worker, and keep their rows in a file of their own. known_by: the job's name; a worker keeps its
+    simulation from one task of a job to the next."""
+    global _runner, _job
+    if _runner is None or _job != known_by:
+        if _runner is not None:
+            _runner.close()
+        _runner, _job = Runner(job), known_by
+    rows = [_runner.run(point) for point in points]
+    if job.folder is not None and Path(job.folder).is_dir():
+        keep_batch(Path(job.folder), rows)
+    _runner.relieve()
+    return rows
+
+
+def keep_batch(folder: Path, rows: Sequence[Row]) -> None:
+    """Write rows to a file of their own, which appears whole."""
+    name = f"{rows[0].key}_{len(rows)}.jsonl"
+    with replacing(folder / name, swept=True) as file:
+        file.write(lines_of(rows))
+
+
+def lines_of(rows: Iterable[Row]) -> bytes:
+    """A line of JSON for each row."""
+    return "".join(json.dumps(vars(row)) + "\n" for row in rows).encode()
+
+
+def rows_of(data: bytes) -> list[Row]:
+    """The reverse. Raises ValueError or TypeError for what is damaged."""
+    return [Row(**json.loads(line)) for line in data.decode().splitlines()]

@@ -1,0 +1,204 @@
+"""Subject: what scenes are made of, a scene file, a Python file or a function, and a scene from parameters and a seed."""
+
+import hashlib
+import inspect
+import os
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.common.errors import SceneError, did_you_mean, key_name, path_of
+from taichi_sim.files.source import python_scene, resolve
+from taichi_sim.files.toml_reader import Reader, parsed
+from taichi_sim.files.toml_schema import Document
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["FileSubject", "FunctionSubject", "Subject", "described", "subject_of"]
+
+JITTER = 1e-3  # of its radius: how far at most a loose ball is from its place, where nothing else makes use of a seed
+SINGLE = ("simulation", "output", "wind")  # tables that a file has once, or not at all
+
+
+class Subject:
+    """Makes scenes. It is sent to other processes, which read files anew."""
+
+    name = ""
+    seeded = False  # whether a seed means something by itself
+
+    def scene(self, parameters: Mapping[str, Any], seed: int | None = None) -> Scene:
+        """The scene of a point. Raises SceneError for what is not allowed. seed: what chance is drawn from; None: what the scene
+        says by itself. Where the scene has no chance of its own, 0 is as it is, and any other displaces each loose ball by up to
+        a thousandth of its radius."""
+        made = self._made(parameters, seed)
+        if seed and not self.seeded:
+            _jitter(made, seed)
+        return made
+
+    def _made(self, parameters: Mapping[str, Any], seed: int | None) -> Scene:
+        raise NotImplementedError
+
+    def identity(self) -> str:
+        """Changes with all that decides what its scenes are, as far as can be told."""
+        raise NotImplementedError
+
+
+class FileSubject(Subject):
+    """A scene file. Parameters are paths in its own words: `materials.rubber.restitution`, `cloth[0].stiffness`, `gravity[1]`,
+    `simulation.dt`; a table in a list is meant by its number or its name."""
+
+    def __init__(self, file: Path, allow_outside: bool = False) -> None:
+        self.file, self.allow_outside, self.name = file, allow_outside, file.stem
+        self.text, self.document = parsed(file)
+        piles = self.document.get("pile")
+        self.seeded = isinstance(piles, list) and bool(piles)
+
+    def _made(self, parameters: Mapping[str, Any], seed: int | None) -> Scene:
+        document = deepcopy(self.document)
+        for path, value in parameters.items():
+            try:
+                put(document, path, value)
+            except SceneError as error:
+                error.file = self.file
+                raise
+        if seed is not None and self.seeded:
+            for pile in document["pile"]:
+                pile["seed"] = pile.get("seed", 0) + seed
+        return Reader(self.file, self.text, document, None, self.allow_outside).scene()
+
+    def identity(self) -> str:
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+class FunctionSubject(Subject):
+    """A function, or scene() of a Python file. Parameters are its arguments; `seed` among them takes the seed."""
+
+    def __init__(self, function: Callable[..., Scene] | None = None, file: Path | None = None) -> None:
+        self.file, self._function = file, function
+        made = self.function
+        self.name = getattr(made, "__name__", "scene") if file is None else file.stem
+        takes = inspect.signature(made).parameters
+        self.takes = {key for key, one in takes.items() if one.kind is not one.VAR_KEYWORD}
+        self.anything = any(one.kind is one.VAR_KEYWORD for one in takes.values())
+        self.seeded = "seed" in takes
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | ({} if self.file is None else {"_function": None})  # read anew elsewhere
+
+    @property
+    def function(self) -> Callable[..., Scene]:
+        """What makes scenes."""
+        if self._function is None:
+            assert self.file is not None
+            self._function = python_scene(self.file)
+        return self._function
+
+    def _made(self, parameters: Mapping[str, Any], seed: int | None) -> Scene:
+        for name in parameters:
+            if name not in self.takes and not self.anything:
+                known = sorted(self.takes - {"seed"})
+                says = f"is no argument of {self.function.__name__}(); {did_you_mean(name, known)}"
+                raise SceneError((name,), says=says, file=self.file)
+        given = dict(parameters)
+        if self.seeded and seed is not None:
+            given["seed"] = seed
+        made = self.function(**given)
+        if not isinstance(made, Scene):
+            raise SceneError(
+                (), says=f"{self.function.__name__}() returned {type(made).__name__}; it must return a Scene"
+            )
+        return made
+
+    def identity(self) -> str:
+        if self.file is not None:
+            return hashlib.sha256(self.file.read_bytes()).hexdigest()
+        return f"{described(self.function, 'scene')} {source_of(self.function)}"
+
+
+def subject_of(what: Any, folder: Path, allow_outside: bool = False) -> Subject:
+    """What a user gives: a name as the commands take it, a function that returns a Scene, or a Scene, whose file is written to
+    the folder. Raises SceneError or OSError."""
+    if isinstance(what, Scene):
+        folder.mkdir(exist_ok=True)
+        what.save(folder / "scene.toml")
+        return FileSubject(folder / "scene.toml")
+    if isinstance(what, (str, os.PathLike)):
+        file = resolve(os.fspath(what)).resolve()
+        if file.suffix == ".toml":
+            return FileSubject(file, allow_outside)
+        return FunctionSubject(file=file)
+    if callable(what):
+        described(what, "scene")
+        return FunctionSubject(what)
+    raise SceneError("scene", what, "a Scene, a function that returns one, or the name of a file or a demo")
+
+
+def described(function: Callable[..., Any], what: str) -> str:
+    """`module:name` of a function that other processes can import. Raises SceneError for one that has no name in a module."""
+    name, module = getattr(function, "__qualname__", ""), getattr(function, "__module__", "")
+    if not name or "<" in name:
+        kind = "a lambda" if "<lambda>" in name else f"{name or function!r}"
+        says = f"{kind} has no name in a module, by which other processes could find it; define it at the top of a file"
+        raise SceneError(what, says=says)
+    return f"{module}:{name}"
+
+
+def source_of(function: Callable[..., Any]) -> str:
+    """A hash of a function's source; "" where there is none."""
+    try:
+        return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()[:16]
+    except (OSError, TypeError):
+        return ""
+
+
+def put(document: dict[str, Any], path: str, value: Any) -> None:
+    """Set a value in what a scene file says. Raises SceneError, which says what there is, for a path that leads nowhere."""
+    parts = path_of(path)
+    if len(parts) == 1 and parts[0] not in Document.model_fields:
+        raise SceneError(parts, says=f"is not a known key; {did_you_mean(str(parts[0]), list(Document.model_fields))}")
+    node: Any = document
+    for depth, part in enumerate(parts[:-1]):
+        node = _step(node, parts, depth, part)
+    last = parts[-1]
+    fits = isinstance(node, dict) and isinstance(last, str)
+    if not fits and not (isinstance(node, list) and isinstance(last, int) and last < len(node)):
+        raise _nowhere(node, parts, len(parts) - 1)
+    node[last] = value
+
+
+def _step(node: Any, parts: tuple[str | int, ...], depth: int, part: str | int) -> Any:
+    if isinstance(node, dict) and part in node:
+        return node[part]
+    if isinstance(node, dict) and depth == 0 and part in SINGLE:
+        return node.setdefault(part, {})
+    if isinstance(node, list) and isinstance(part, int) and part < len(node):
+        return node[part]
+    if isinstance(node, list) and isinstance(part, str):
+        for entry in node:
+            if isinstance(entry, dict) and entry.get("name") == part:
+                return entry
+    raise _nowhere(node, parts, depth)
+
+
+def _nowhere(node: Any, parts: tuple[str | int, ...], depth: int) -> SceneError:
+    here = key_name(parts[:depth]) or "the file"
+    if isinstance(node, dict):
+        return SceneError(parts, says=f"is not in this scene; {did_you_mean(str(parts[depth]), list(node))}")
+    if isinstance(node, list):
+        names = [str(one["name"]) for one in node if isinstance(one, dict) and "name" in one]
+        what = f"{here}[0] to [{len(node) - 1}]" if len(node) > 1 else f"{here}[0]"
+        named = f"; or, by name, {', '.join(names)}" if names else ""
+        return SceneError(parts, says=f"is not in this scene; there is {what}{named}")
+    return SceneError(parts, says=f"is not in this scene; {here} is {node!r}, which has no parts")
+
+
+def _jitter(scene: Scene, seed: int) -> None:
+    """Displace each loose ball a little."""
+    loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
+    if not loose.any():
+        says = "mean nothing here: scene() takes no argument `seed`, and there is neither a pile nor a loose ball"
+        raise SceneError("seeds", says=says)
+    chance = np.random.default_rng(seed).uniform(-1.0, 1.0, (scene.n_balls, scene.dim))
+    scene.set_balls(loose, position=scene.position[loose] + JITTER * scene.radius[loose, None] * chance[loose])

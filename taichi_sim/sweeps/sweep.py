@@ -1,0 +1,284 @@
+"""A sweep from end to end: what is varied is checked, points are run, and what they come to is a table."""
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.common.version import __version__
+from taichi_sim.scene.scene import Scene
+from taichi_sim.sweeps.cluster import BATCH, connected
+from taichi_sim.sweeps.design import MOST_POINTS, Axis, Design, axes_of
+from taichi_sim.sweeps.folder import Folder, columns_of
+from taichi_sim.sweeps.measures import Measures, measures_of
+from taichi_sim.sweeps.points import Job, Point, Row
+from taichi_sim.sweeps.subject import Subject, subject_of
+
+__all__ = ["Sweep", "sweep"]
+
+MOST_TRIED = 200  # values of an axis that are looked at before anything runs
+FEW_TASKS = 4  # for each worker, at least: so that all have work until the end
+TABLE_EVERY = 5.0  # s
+
+
+class Sweep:
+    """What a sweep came to. rows: by point, in order; those of an interrupted one are fewer than `points`. folder: where all of
+    it is, or None."""
+
+    def __init__(
+        self,
+        subject: Subject,
+        axes: Sequence[Axis],
+        design: Design,
+        points: Sequence[Point],
+        rows: Mapping[str, Row],
+        settings: Mapping[str, Any],
+        measures: Measures,
+        folder: Path | None,
+    ) -> None:
+        self._subject, self._settings, self._measures = subject, dict(settings), measures
+        self.axes, self.design, self.points, self.folder = tuple(axes), design, list(points), folder
+        self.rows = [rows[key] for key in dict.fromkeys(point.key for point in points) if key in rows]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        failed = len(self.failed)
+        return f"<Sweep of {self._subject.name}: {len(self.rows)} of {len(self.points)} points done, {failed} failed>"
+
+    @property
+    def failed(self) -> list[Row]:
+        """Rows without measures, each with its error."""
+        return [row for row in self.rows if row.error]
+
+    @property
+    def measures(self) -> list[str]:
+        """Names of what was measured."""
+        return list(dict.fromkeys(name for row in self.rows for name in row.measures))
+
+    def table(self) -> dict[str, Any]:
+        """Columns as arrays: parameters, seed, measures (nan where a row has none), error, warning, version, wall [s]; a
+        DataFrame of pandas takes it."""
+        names = set(self.measures)
+        return {
+            name: np.array([np.nan if v is None else v for v in values], dtype=float)
+            if name in names
+            else np.array(values)
+            for name, values in columns_of(self.rows).items()
+        }
+
+    def scene(self, row: int | Row) -> Any:
+        """The Scene of a point."""
+        one = self.rows[row] if isinstance(row, int) else row
+        return self._subject.scene(one.parameters, one.seed)
+
+    def open(self, row: int | Row) -> Any:
+        """The Simulation of a point at its start, as it was run: `sweep.open(3).run(1.0)` repeats it to the last bit."""
+        from taichi_sim.simulation.simulation import Simulation
+
+        return Simulation(self.scene(row), **self._settings)
+
+    def report(self) -> Path:
+        """Write report.html into the folder, and return its path."""
+        from taichi_sim.sweeps.page import write_page
+
+        if self.folder is None:
+            raise ValueError("report: this sweep has no folder; give one to sweep(..., folder=...)")
+        return write_page(self, self._subject.name)
+
+
+def sweep(
+    scene: Any,
+    vary: Mapping[str, Any] | Sequence[str] = (),
+    *,
+    seeds: int | Sequence[int] | None = None,
+    measure: Any = None,
+    design: str = "product",
+    points: int | None = None,
+    luck: int = 0,
+    duration: float | None = None,
+    fps: float | None = None,
+    folder: str | PathLike[str] | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    retry: bool = False,
+    yes: bool = False,
+    progress: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+    allow_outside: bool = False,
+    **settings: Any,
+) -> Sweep:
+    """Run a scene many times, with other parameters and seeds, and measure.
+
+    Args:
+        scene: a Scene, the name of a scene file, a Python file or a demo, or a function with a name in a module that takes
+            parameters and returns a Scene.
+        vary: paths to values, `{"materials.rubber.restitution": [0.1, 0.5], "cloth[0].stiffness": "1e2:1e4:5:log"}`: in the
+            words of the scene file, or arguments of the function. Values are a list, or a text: `1,2,5`, `0.1:0.9:9` (nine of
+            them), `1e2:1e4:5:log`, or a range to sample, `0.1:0.9`, `1e2:1e4:log`.
+        seeds: how often each point is run, from seed 0 on, or a list of seeds. A seed is the argument `seed` of a function, and
+            added to the seeds of piles in a scene file; without either, each loose ball starts up to a thousandth of its radius
+            away.
+        measure: names, functions, or one of them; see `taichi_sim.sweeps.measures.measures_of`.
+        design: "product" of all values; "random", "latin" (hypercube) with so many `points`; "sobol": points x (parameters +
+            2), for Sobol's indices. luck: seed of the sample.
+        duration [s], fps [1/s] of readings: the scene's own, else 5 s, 60 a second.
+        folder: rows are kept there as they come in, and the same call goes on where it was interrupted; None: nowhere.
+        workers: processes on this machine, one for each core by default; 0: this process. scheduler: address of Dask's, instead.
+        overwrite: replace another sweep in the folder. retry: run points that failed once more.
+        yes: allow more than 100 000 points. progress: a bar on standard error. say: what is told on the way.
+        settings: arguments of Simulation over the scene's own: dt, integrator, precision, ...
+
+    Raises SceneError, ValueError or OSError, before anything runs, for what is not allowed. A point that fails, an unstable one
+    for instance, is a row with its error.
+    """
+    if scheduler is not None and workers is not None:
+        raise SceneError("workers", says="are those of the scheduler; give one of the two")
+    if workers is not None:
+        workers = validation.whole("workers", workers, 0, 4096)
+    for name, value in (("duration", duration), ("fps", fps)):
+        if value is not None:
+            validation.number(name, value, positive=True)
+    axes = axes_of(vary)
+    plan = Design(axes, design, points, luck)
+    plan.check()
+    numbers = _seeds(seeds)
+    if plan.count * len(numbers) > MOST_POINTS and not yes:
+        says = f"are {plan.count * len(numbers)}, more than {MOST_POINTS}; say yes to that (--yes), or take fewer"
+        raise SceneError("points", says=says)
+    with _place(folder) as place, tempfile.TemporaryDirectory() as aside:
+        subject = subject_of(scene, Path(aside), allow_outside)
+        given = settings if workers == 0 and scheduler is None else {"arch": "cpu", "threads": 1, **settings}
+        kinds, first = _tried(subject, axes, numbers, given)
+        measures = measures_of(measure, first)
+        every = [Point(parameters, seed) for parameters in plan for seed in numbers]
+        about = {
+            "scene": subject.name,
+            "contents": subject.identity(),
+            "parameters": [axis.path for axis in axes],
+            "measures": measures.identity(),
+            "duration": duration,
+            "fps": fps,
+            "settings": {name: str(value) for name, value in settings.items()},
+            "version": __version__,
+        }
+        kept = Folder(place, about, overwrite)
+        if retry:
+            kept.rows = {key: row for key, row in kept.rows.items() if not row.error}
+        different = {point.key: point for point in every}
+        missing = [point for key, point in different.items() if key not in kept.rows]
+        missing.sort(key=lambda point: [kinds[axis.path].get(repr(point.parameters[axis.path]), 0) for axis in axes])
+        kept.begin()
+        if isinstance(scene, Scene):  # from now on the folder is this sweep's
+            subject = subject_of(scene, place)
+        apart = workers != 0 or scheduler is not None
+        job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart)
+        try:
+            if missing:
+                _run(job, missing, kept, every, (scheduler, workers), progress, say)
+        finally:
+            kept.finish(every)
+            kept.close()
+        lasting = None if folder is None else place
+        done = Sweep(subject, axes, plan, every, kept.rows, settings, measures, lasting)
+        if lasting is not None and done.rows:
+            done.report()
+        return done
+
+
+def _run(
+    job: Job,
+    missing: Sequence[Point],
+    kept: Folder,
+    every: Sequence[Point],
+    where: tuple[str | None, int | None],
+    progress: bool,
+    say: Callable[[str], None],
+) -> None:
+    """All that is missing."""
+    with connected(*where, say) as engine:
+        number = getattr(engine, "number", 1)
+        size = max(1, min(BATCH, -(-len(missing) // (FEW_TASKS * number))))
+        batches = [missing[k : k + size] for k in range(0, len(missing), size)]
+        already = len({point.key for point in every}) - len(missing)
+        say(f"{len(missing)} points to run, {already} done before; {engine.said}")
+        written = time.monotonic()
+        with _bar(already, already + len(missing), progress) as advance:
+            for rows in engine.run(job, batches):
+                kept.add(rows)
+                advance(len(rows), sum(bool(row.error) for row in rows))
+                if time.monotonic() - written > TABLE_EVERY:
+                    kept.finish(every)
+                    written = time.monotonic()
+
+
+@contextmanager
+def _place(folder: str | PathLike[str] | None) -> Iterator[Path]:
+    if folder is not None:
+        yield Path(folder)
+        return
+    with tempfile.TemporaryDirectory(prefix="taichi_sim_sweep_") as made:
+        yield Path(made)
+
+
+def _seeds(seeds: int | Sequence[int] | None) -> list[int | None]:
+    if seeds is None:
+        return [None]
+    if isinstance(seeds, (int, np.integer)):
+        return list(range(validation.whole("seeds", int(seeds), 1, 10_000_000)))
+    found = [validation.whole("seeds", int(seed), 0) for seed in seeds]
+    if not found:
+        raise SceneError("seeds", says="are none; give a number of them")
+    return list(dict.fromkeys(found))
+
+
+def _tried(
+    subject: Subject, axes: Sequence[Axis], seeds: Sequence[int | None], given: Mapping[str, Any]
+) -> tuple[dict[str, dict[str, int]], Any]:
+    """Make scenes with each value in turn, the others as they come first. For each axis the kind of structure of each value, by
+    which points are sorted; and the first scene. Raises SceneError for paths and values that are not allowed."""
+    from taichi_sim.simulation.settings import Settings
+    from taichi_sim.simulation.structure import kind_of
+
+    base = {axis.path: axis.tried[0] for axis in axes}
+    first = subject.scene(base, seeds[-1])
+    with first.in_file(dict(given)):
+        Settings.resolve(first, dict(given))
+    kinds: dict[str, dict[str, int]] = {}
+    for axis in axes:
+        values = axis.tried[:MOST_TRIED]
+        known: dict[str, int] = {}
+        kinds[axis.path] = {}
+        for value in values:
+            made = subject.scene(base | {axis.path: value}, seeds[0])
+            kinds[axis.path][repr(value)] = known.setdefault(kind_of(made), len(known))
+    return kinds, first
+
+
+@contextmanager
+def _bar(done: int, total: int, shown: bool) -> Iterator[Callable[[int, int], None]]:
+    """Counts points that are done, and that failed."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[failed]} failed"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
+        task = progress.add_task("", total=total, completed=done, failed=0)
+        failed = 0
+
+        def advance(more: int, wrong: int) -> None:
+            nonlocal failed
+            failed += wrong
+            progress.update(task, advance=more, failed=failed)
+
+        yield advance

@@ -1,0 +1,51 @@
+"""Small scenes for sweeps, as functions that other processes import."""
+
+import multiprocessing
+import os
+import signal
+
+import numpy as np
+
+import taichi_sim as ts
+
+
+def heap(restitution=0.5, friction=0.3, speed=0.0, seed=0):
+    """Nine balls over a floor."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_material("rubber", restitution=restitution, friction=friction)
+    x = np.stack(np.meshgrid(np.arange(3) * 0.12, 0.06 + np.arange(3) * 0.12), -1).reshape(-1, 2)
+    x += np.random.default_rng(seed).uniform(-0.005, 0.005, x.shape)
+    scene.add_balls(x, radius=0.05, velocity=(speed, 0.0), material="rubber")
+    scene.add_wall((0, 1), 0.0, "rubber")
+    scene.add_probe("floor", "force", wall=0)
+    scene.output["duration"] = 0.1
+    return scene
+
+
+def mortal(restitution=0.5):
+    """The same, but for restitution 0.5 it kills the worker that makes it."""
+    if restitution == 0.5 and multiprocessing.parent_process() is not None:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return heap(restitution)
+
+
+def springs(stiffness=100.0, mass=1.0):
+    """A ball on a damped spring, which ends where m g = k x."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls([[0, 0]], radius=0.05, pinned=True)
+    scene.add_balls([[0, -1]], radius=0.05, mass=mass)
+    scene.add_springs([[0, 1]], stiffness=stiffness, damping=2.0 * np.sqrt(stiffness * mass))
+    scene.add_probe("sag", "length", spring=0)
+    scene.output["duration"] = 2.0
+    scene.settings["contacts"] = "off"
+    return scene
+
+
+def top(simulation):
+    """Height of the uppermost ball [m]."""
+    return simulation.position[:, 1].max()
+
+
+def both(simulation):
+    """Two numbers."""
+    return {"x": simulation.position[:, 0].mean(), "time": simulation.time}

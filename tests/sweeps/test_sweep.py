@@ -1,0 +1,288 @@
+"""Sweeps from end to end, in this process but for the last."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from physics_support import PRECISION
+from sweep_scenes import both, heap, mortal, springs, top
+
+import taichi_sim as ts
+from taichi_sim.sweeps.folder import Folder
+from taichi_sim.sweeps.measures import measures_of
+from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
+from taichi_sim.sweeps.subject import FileSubject, put, subject_of
+
+HERE = {"workers": 0, "precision": PRECISION}
+FILE = """
+format = 1
+dim = 2
+gravity = [0.0, -10.0]
+[[materials]]
+name = "rubber"
+restitution = 0.5
+[[pile]]
+name = "heap"
+resolution = [3, 3]
+radius = 0.05
+position = [0.0, 0.05]
+material = "rubber"
+jitter = 0.1
+[[walls]]
+normal = [0.0, 1.0]
+[output]
+duration = 0.1
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "heap.toml"
+    path.write_text(FILE)
+    return path
+
+
+def table(folder):
+    with open(folder / "table.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_sweep_is_what_single_runs_are(tmp_path):
+    vary = {"restitution": "0.2:0.8:2", "friction": [0.1, 0.3]}
+    done = ts.sweep(
+        heap, vary, seeds=2, measure=["probes.floor.y", "energy.total.max", top], folder=tmp_path / "s", **HERE
+    )
+    assert len(done) == 8
+    assert [row.parameters for row in done.rows[:3]] == [{"restitution": 0.2, "friction": 0.1}] * 2 + [
+        {"restitution": 0.2, "friction": 0.3}
+    ]
+    assert sum(row.compiled for row in done.rows) == 1
+    for k in (0, 7):
+        row = done.rows[k]
+        with done.open(k) as sim, ts.Simulation(heap(**row.parameters, seed=row.seed), precision=PRECISION) as single:
+            force = [(s.run(0.1), s.probes(), s.energy().total)[1:] for s in (sim, single)]
+            assert row.measures["top"] == top(sim) == top(single)
+            assert force[0][1] == force[1][1] <= row.measures["energy.total.max"]
+    found = table(tmp_path / "s")
+    assert [float(line["top"]) for line in found] == [row.measures["top"] for row in done.rows]
+    assert list(found[0]) == [
+        "restitution", "friction", "seed", "probes.floor.y", "energy.total.max", "top", "error", "warning", "version", "wall",
+    ]  # fmt: skip
+    assert done.table()["restitution"].tolist() == [0.2] * 4 + [0.8] * 4
+    page = (tmp_path / "s" / "report.html").read_text()
+    assert "top" in page
+    assert "<svg" in page
+    assert "restitution" in page
+
+
+def test_the_same_call_does_what_is_missing(tmp_path, monkeypatch):
+    ran = []
+    run = Runner.run
+    monkeypatch.setattr(
+        Runner, "run", lambda self, point: (ran.append(point.parameters["restitution"]), run(self, point))[1]
+    )
+    given = {"measure": top, "folder": tmp_path / "s", "duration": 0.02, **HERE}
+    first = ts.sweep(heap, {"restitution": [0.2, 0.4]}, **given)
+    (tmp_path / "s" / "batches" / ".x.jsonl.1.1.part").write_text("what a killed worker left")
+    more = ts.sweep(heap, {"restitution": [0.4, 0.6, 0.2]}, **given)
+    assert ran == [0.2, 0.4, 0.6]
+    assert [row.parameters["restitution"] for row in more.rows] == [0.4, 0.6, 0.2]
+    assert more.rows[2] == first.rows[0]
+    assert not list((tmp_path / "s" / "batches").iterdir())
+    for changed in ({"measure": both}, {"duration": 0.03}, {"dt": 5e-4}):
+        with pytest.raises(
+            FileExistsError, match=f"holds another sweep, which differs in {next(iter(changed))[:8]}|settings"
+        ):
+            ts.sweep(heap, {"restitution": [0.4]}, **given | changed)
+    other = ts.sweep(heap, {"restitution": [0.4]}, **given | {"measure": both, "overwrite": True})
+    assert set(other.rows[0].measures) == {"x", "time"}
+    assert len(table(tmp_path / "s")) == 1
+
+
+def test_what_fails_is_a_row(tmp_path):
+    def broken(simulation):
+        raise AssertionError
+
+    done = ts.sweep(heap, {"speed": [1.0, 1e13], "restitution": [0.5]}, measure=top, duration=0.02, **HERE)
+    assert [bool(row.error) for row in done.rows] == [False, True]
+    assert "must be below 1e12 m" in done.rows[1].error
+    assert np.isnan(done.table()["top"][1])
+    assert done.failed == [done.rows[1]]
+    with pytest.raises(ts.SceneError, match="no name in a module"):
+        ts.sweep(heap, {}, measure=broken, **HERE)
+    with pytest.raises(ts.SceneError, match="measure: a lambda has no name in a module"):
+        ts.sweep(heap, {}, measure=lambda sim: 1.0, **HERE)
+    with pytest.raises(ValueError, match="no folder"):
+        done.report()
+
+
+def test_an_unstable_point_is_a_row():
+    row = ts.sweep(
+        springs, {"stiffness": [100.0, 1e5]}, measure="probes.sag", dt=0.02, integrator="explicit_euler", **HERE
+    )
+    assert row.rows[1].error.startswith("unstable: ")
+    assert "above the safe bound" in row.rows[1].warning
+
+
+@pytest.mark.once
+def test_scene_files_are_varied_in_their_own_words(file):
+    subject = FileSubject(file)
+    scene = subject.scene(
+        {"materials.rubber.restitution": 0.9, "pile.heap.radius": 0.04, "gravity[1]": -5.0, "simulation.dt": 1e-4}
+    )
+    assert scene.materials[1].restitution == 0.9
+    assert scene.radius[0] == 0.04
+    assert scene.gravity[1] == -5.0
+    assert scene.settings["dt"] == 1e-4
+    assert not np.array_equal(subject.scene({}, 1).position, subject.scene({}, 2).position)
+    assert np.array_equal(subject.scene({}, 0).position, subject.scene({}).position)
+    for path, why in (
+        ("material.rubber.restitution", "is not in this scene; did you mean 'materials'"),
+        ("materials.steel.restitution", r"there is materials\[0\]; or, by name, rubber"),
+        ("materials.rubber.restitutoin", "did you mean 'restitution'"),
+        ("pile[3].radius", r"there is pile\[0\]"),
+        ("gravity[2]", "is not in this scene"),
+        ("gravty", "did you mean 'gravity'"),
+        ("gravity[1][2]", "which has no parts"),
+        ("pile.heap.radius", "radius"),
+    ):
+        with pytest.raises(ts.SceneError, match=why) as error:
+            subject.scene({path: -1.0})
+        assert error.value.file == file
+
+
+@pytest.mark.once
+def test_a_table_that_a_file_may_have_once_is_made():
+    document = {}
+    put(document, "output.duration", 3.0)
+    assert document == {"output": {"duration": 3.0}}
+    with pytest.raises(ts.SceneError, match="cloth"):
+        put(document, "cloth[0].mass", 3.0)
+
+
+@pytest.mark.once
+def test_loose_balls_take_a_seed_where_nothing_else_does(tmp_path):
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1, pinned=[0])
+    subject = subject_of(scene, tmp_path / "s")
+    a, b = (subject.scene({}, seed).position for seed in (0, 1))
+    assert np.array_equal(a, scene.position)
+    assert np.array_equal(a[0], b[0])
+    assert 0 < np.abs(a - b)[1:].max() <= 1e-4
+    scene.set_balls(pinned=True)
+    with pytest.raises(ts.SceneError, match="seeds: mean nothing here"):
+        subject_of(scene, tmp_path / "s").scene({}, 1)
+
+
+@pytest.mark.once
+def test_measures_by_name():
+    scene = heap()
+    scene.add_probe("tip", "position", balls=[0])
+    scene.add_probe("strain", "energy")
+    default = measures_of(None, scene)
+    assert default.names[:2] == ["probes.floor.x", "probes.floor.y"]
+    assert default.every_frame
+    found = measures_of(["probes.tip.y.max", "energy.total", "contacts.max", "sweep_scenes:top"], scene)
+    assert [number.statistic for number in found.numbers] == ["max", "last", "max"]
+    assert found.identity()[-1].split()[0] == "top"
+    assert not measures_of("energy.total", scene).every_frame
+    for name, why in (
+        ("probes.tpi", "did you mean 'tip'"),
+        ("probes.tip", "is a vector"),
+        ("probes.tip.w", "has no number 'w'"),
+        ("energy.totl", "did you mean 'energy.total'"),
+        ("sweep_scenes:topp", "cannot be imported"),
+        ("nowhere:top", "cannot be imported"),
+        (3, "a name or a function"),
+    ):
+        with pytest.raises(ts.SceneError, match=why):
+            measures_of(name, scene)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"vary": {"restitutoin": [1]}}, "is no argument of heap.*did you mean 'restitution'"),
+        ({"vary": {"restitution": [0.5, 2.0]}}, "materials.restitution: 2.0 is not allowed"),
+        ({"vary": {"restitution": "0:1:1000", "friction": "0:1:10000"}}, "points: are 10000000"),
+        ({"seeds": 0}, "seeds: 0 is not allowed"),
+        ({"duration": -1.0}, "duration: -1.0 is not allowed"),
+        ({"workers": -1}, "workers: -1 is not allowed"),
+        ({"workers": 1, "scheduler": "tcp://127.0.0.1:1"}, "give one of the two"),
+        ({"integrator": "verlt"}, "integrator: 'verlt' is not allowed"),
+        ({"scene": 7}, "scene: 7 is not allowed"),
+        ({"scene": lambda: None}, "scene: a lambda has no name"),
+    ],
+)
+def test_what_is_refused_before_anything_runs(given, why, tmp_path):
+    folder = tmp_path / "s"
+    with pytest.raises(ts.SceneError, match=why):
+        ts.sweep(given.pop("scene", heap), **{"folder": folder, "workers": 0, **given})
+    assert not folder.exists()
+
+
+@pytest.mark.once
+def test_folders_that_cannot_be_used(tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").touch()
+    with pytest.raises(FileExistsError, match="is not empty and holds no sweep"):
+        ts.sweep(heap, folder=tmp_path / "full", **HERE)
+    with pytest.raises(FileNotFoundError, match="there is no folder"):
+        ts.sweep(heap, folder=tmp_path / "none" / "s", **HERE)
+
+
+@pytest.mark.once
+def test_batches_become_one_file_and_damage_is_told(tmp_path):
+    about = {"scene": "x"}
+    folder = Folder(tmp_path / "s", about)
+    folder.begin()
+    points = [Point({"a": k}) for k in range(4)]
+    for k in (0, 2):
+        keep_batch(folder.batches, [Row.of(point, measures={"m": float("nan")}) for point in points[k : k + 2]])
+    folder.close()
+    again = Folder(tmp_path / "s", about)
+    assert len(again.rows) == 4
+    again.begin()
+    assert not list(again.batches.iterdir())
+    again.finish(points)
+    assert len(table(tmp_path / "s")) == 4
+    assert json.loads((tmp_path / "s" / "sweep.json").read_text()) == about
+    again.close()
+    (tmp_path / "s" / "rows.jsonl").write_text('{"key"')
+    with pytest.raises(ts.SceneError, match=r"rows\.jsonl: is damaged; delete it"):
+        Folder(tmp_path / "s", about)
+
+
+@pytest.mark.slow
+@pytest.mark.once
+def test_workers_find_the_same_and_one_that_dies_is_a_row(tmp_path):
+    pytest.importorskip("distributed")
+    said = []
+    vary = {"restitution": [0.2, 0.4, 0.5, 0.6, 0.8]}
+    given = {"measure": top, "precision": PRECISION}
+    alone = ts.sweep(heap, vary, workers=0, **given)
+    done = ts.sweep(mortal, vary, folder=tmp_path / "s", workers=2, say=said.append, **given)
+    assert "5 points to run, 0 done before; 2 workers" in said[0]
+    assert [row.measures for row in done.rows if not row.error] == [
+        row.measures for row in alone.rows if row.parameters["restitution"] != 0.5
+    ]
+    assert [row.error for row in done.failed] == ["its worker ended 4 times: killed, or out of memory"]
+    assert len({row.key for row in done.rows}) == len(done.rows) == len(table(tmp_path / "s")) == 5
+
+
+def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path):
+    folder, scene = tmp_path / "s", heap()
+    ts.sweep(scene, {"gravity[1]": [-9.0]}, duration=0.02, folder=folder, **HERE)
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    with pytest.raises(FileExistsError, match="holds another sweep"):
+        ts.sweep(heap(restitution=0.9), {"gravity[1]": [-9.0]}, duration=0.02, folder=folder, **HERE)
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+    about = json.loads((folder / "sweep.json").read_text())
+    writing = Folder(folder, about)
+    writing.begin()
+    with pytest.raises(OSError, match="another sweep is writing it"):
+        ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)
+    writing.close()
+    assert len(ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)) == 1
