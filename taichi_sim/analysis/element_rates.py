@@ -1,5 +1,7 @@
 """How stiff cells, bending elements, gases and the wind are: lambda_max of M^-1 K and of M^-1 D, for the largest safe step."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -25,7 +27,7 @@ class Rates(NamedTuple):
     damping: float
     drag: float = 0.0
 
-    def plus(self, other: "Rates") -> "Rates":
+    def plus(self, other: Rates) -> Rates:
         """Of both together: lambda(A + B) <= lambda(A) + lambda(B)."""
         return Rates(*(a + b for a, b in zip(self, other)))
 

@@ -62,7 +62,7 @@ class Pointer:
         self._goal = fields.reals(np.zeros((1, model.dim)) if self.ball is None else np.array([self._target]))
         self._speed = fields.reals(np.array([self.rate]))
 
-    def grab(self, ball: int, target: ArrayLike) -> None:
+    def grab(self, ball: int, target: "ArrayLike") -> None:
         """Hold a ball, and nothing else, at a target (dim,) [m]. Raises SceneError for a pinned one."""
         scene = self._there()
         index = int(validation.indices("ball", [ball], scene.n_balls)[0])
@@ -78,7 +78,7 @@ class Pointer:
         self._set_target(goal)
         self._count[0] = len(self._balls)
 
-    def move(self, target: ArrayLike) -> None:
+    def move(self, target: "ArrayLike") -> None:
         """Put the target (dim,) [m] elsewhere; does nothing where no ball is dragged."""
         goal = validation.vector("target", target, self._there().dim)
         if self.ball is not None:

@@ -7,6 +7,8 @@ scene.add_collider(ts.Box((0, 0), (1, 1), path=[(0.0, (0, 0)), (1.0, (2, 0))])) 
 A user-defined shape is a subclass of `ColliderShape`.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, dataclass, field, fields, replace
 from os import PathLike
@@ -67,7 +69,7 @@ class Collider:
     given: dict[str, Any] = field(repr=False)
     group: int = ONLY  # bits, see Scene.groups
     mask: int = EVERY  # bits of the groups that it collides with
-    shape: "ColliderShape | None" = None  # of a CUSTOM one
+    shape: ColliderShape | None = None  # of a CUSTOM one
     label: str = ""  # the name that it was given
 
     @property
@@ -97,7 +99,7 @@ class Collider:
             d = np.linalg.norm(p - np.clip(p, -self.half, self.half), axis=1) - self.radius
         return d if self.hollow == 0.0 else np.maximum(-d, d - self.hollow)
 
-    def saved(self, where: str) -> "Collider":
+    def saved(self, where: str) -> Collider:
         """The collider that a file holds in its place. Raises SceneError where a file cannot hold it."""
         if self.shape is None:
             return self
@@ -129,7 +131,7 @@ class _Placed:
         repeat: whether the path starts again at its end, for ever.
     """
 
-    def __new__(cls, *_: Any, **given: Any) -> "_Placed":
+    def __new__(cls, *_: Any, **given: Any) -> _Placed:
         if "angular_velocity" in given:
             raise unknown_key(("colliders", "angular_velocity"), ("rotation_rate",))
         return object.__new__(cls)

@@ -1,5 +1,7 @@
 """What a scene can have besides balls, springs and walls: cells that keep their volume, bending, gas, wind, moving pins."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any

@@ -1,5 +1,7 @@
 """Objects: which balls are one thing, and what it is called: for files that other programs open."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,6 +5,8 @@ Everything is worked out in NumPy, in float64, from the state at the time of the
 colliders are summed while steps are made, and only where a probe asks for them.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -49,7 +51,7 @@ class Probe:
     start: ClassVar[bool] = False  # they have no zero of their own: what counts is how far they are from the start
 
     @classmethod
-    def make(cls, scene: Any, name: str, asked: Mapping[str, Any]) -> "Probe":
+    def make(cls, scene: Any, name: str, asked: Mapping[str, Any]) -> Probe:
         """Judge the arguments, those that were given. Raises SceneError."""
         return cls(name, dict(asked))
 

@@ -1,5 +1,7 @@
 """Scene: what exists, as NumPy arrays. It knows no solver and imports no Taichi."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy, deepcopy
@@ -479,7 +481,7 @@ class Scene(Stored, Elements):
                 error.file = None
             raise
 
-    def frozen(self) -> "Scene":
+    def frozen(self) -> Scene:
         """A copy that stays as it is: what is done to this scene does not reach it, and its own `add_` and `set_` methods raise
         SceneError. What a Simulation holds. Costs no memory for balls and springs, which both share."""
         if isinstance(self.walls, tuple):

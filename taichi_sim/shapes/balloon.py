@@ -1,5 +1,7 @@
 """Balloon: a ball of skin with gas in it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

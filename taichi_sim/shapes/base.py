@@ -1,5 +1,7 @@
 """What the shapes are made of: checked sizes, lattices, placing, a stiffness that is stable, and the handle."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike

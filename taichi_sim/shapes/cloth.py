@@ -1,5 +1,7 @@
 """Cloth: a flat sheet, or a shell from a surface mesh."""
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
 from os import PathLike
@@ -46,7 +48,7 @@ def cloth(
     scene: Scene,
     size: Sequence[float] | None = None,
     resolution: Sequence[int] | None = None,
-    mesh: "str | PathLike[str] | tuple[ArrayLike, ArrayLike] | None" = None,
+    mesh: str | PathLike[str] | tuple[ArrayLike, ArrayLike] | None = None,
     *,
     mass: float | None = None,
     stiffness: float | None = None,

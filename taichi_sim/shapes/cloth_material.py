@@ -4,6 +4,8 @@ A sheet has a mass per area [kg/m^2], a stretch stiffness [N/m] (force per width
 stiffness C44 [N/m] and a bending rigidity [N m]; see physics.md, "Elastic bodies".
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Jelly: a block, or a closed mesh that is filled."""
 
+from __future__ import annotations
+
 import math
 import warnings
 from collections.abc import Sequence
@@ -50,7 +52,7 @@ def jelly(
     scene: Scene,
     size: Sequence[float] | None = None,
     resolution: Sequence[int] | None = None,
-    mesh: "str | PathLike[str] | tuple[ArrayLike, ArrayLike] | None" = None,
+    mesh: str | PathLike[str] | tuple[ArrayLike, ArrayLike] | None = None,
     *,
     mass: float | None = None,
     stiffness: float | None = None,

@@ -4,6 +4,8 @@ A spring network has Lame's first constant lambda = mu (in 3D Poisson's ratio 1/
 with the bulk modulus lambda - mu what a larger ratio asks for. See physics.md, "Elastic bodies".
 """
 
+from __future__ import annotations
+
 import itertools
 import os
 import tempfile

@@ -1,5 +1,7 @@
 """Text, and drawings from SVG files: as jelly, cloth or colliders."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any

@@ -1,5 +1,7 @@
 """Pile and tower."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,5 +1,7 @@
 """Rope and wheel."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Truss and net: bars and ropes between knots."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Sequence
 

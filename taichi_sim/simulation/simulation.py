@@ -1,5 +1,7 @@
 """Simulation: a scene in motion."""
 
+from __future__ import annotations
+
 import math
 import warnings
 from collections.abc import Iterator, Sequence
@@ -410,7 +412,7 @@ class Simulation(Reader):
         save_state(self, path)
 
     @classmethod
-    def restore(cls, path: str | PathLike[str], **overrides: Any) -> "Simulation":
+    def restore(cls, path: str | PathLike[str], **overrides: Any) -> Simulation:
         """A simulation as `save` left it; any argument may be replaced."""
         from taichi_sim.files.checkpoint import restore_state
 
@@ -455,7 +457,7 @@ class Simulation(Reader):
         import_module("taichi_sim").picture(self).save(seen, "png")  # by name: it is an outer room's
         return as_html("Simulation", self._about() | parts_of(self.scene), seen.getvalue())
 
-    def __enter__(self) -> "Simulation":
+    def __enter__(self) -> Simulation:
         return self
 
     def __exit__(self, *_: object) -> None:
