@@ -16,7 +16,7 @@ except ImportError:  # Windows, where a file that is open cannot be deleted
 
 NUMBERS = itertools.count()  # of those of this process
 
-__all__ = ["PartFile", "locked", "naming", "replacing", "require_place", "sweep", "synced"]
+__all__ = ["PartFile", "lock", "locked", "naming", "replacing", "require_place", "sweep", "synced"]
 
 
 class PartFile:
@@ -99,6 +99,15 @@ def sweep(folder: Path, pattern: str) -> None:
         with suppress(OSError), open(part, "r+b") as file:  # gone meanwhile, or not ours to delete
             if locked(file):  # nobody writes it
                 part.unlink()
+
+
+def lock(path: Path, refusal: str) -> IO[bytes]:
+    """A file that keeps other processes out until it is closed. Raises OSError, which says `refusal`, where another has it."""
+    file = open(path, "ab")  # noqa: SIM115  # closed by the caller
+    if not locked(file):
+        file.close()
+        raise OSError(refusal)
+    return file
 
 
 def locked(file: IO[bytes]) -> bool:

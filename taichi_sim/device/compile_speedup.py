@@ -11,16 +11,14 @@ import textwrap
 from types import SimpleNamespace
 from typing import Any
 
-from taichi_sim.device.engine import ENGINE, VERSION
+from taichi_sim.device.engine import IS_KNOWN
 
 __all__ = ["quicken"]
-
-KNOWN = ("taichi", "1.7.4")
 
 
 def quicken() -> None:
     """Replace the slow parts; a second call does nothing."""
-    if (ENGINE, VERSION) != KNOWN:
+    if not IS_KNOWN:
         return
     from taichi.lang import kernel_impl
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext

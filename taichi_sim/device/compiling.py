@@ -12,11 +12,10 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from taichi_sim.common.remembered import recall, remember
-from taichi_sim.device.engine import ENGINE, VERSION
+from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION
 
 __all__ = ["Expected", "count_time", "seconds"]
 
-KNOWN = ("taichi", "1.7.4")
 TABLE, MOST_REMEMBERED = "compile_times", 500  # scenes
 # Seconds that kernels take to compile at first, measured with the demos on one core of an AMD EPYC; a slower machine
 # takes twice as long. "": what all scenes have.
@@ -35,7 +34,7 @@ def seconds() -> float:
 @functools.cache
 def count_time() -> None:
     """Count from now on."""
-    if (ENGINE, VERSION) != KNOWN:
+    if not IS_KNOWN:
         return
     from taichi._lib import core
     from taichi.lang.kernel_impl import Kernel

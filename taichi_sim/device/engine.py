@@ -11,7 +11,7 @@ from typing import Any
 
 from taichi_sim.common.errors import BackendError
 
-__all__ = ["ENGINE", "VERSION", "another", "finds", "has_right_sines", "on_device", "ti"]
+__all__ = ["ENGINE", "IS_KNOWN", "VERSION", "another", "finds", "has_right_sines", "on_device", "ti"]
 
 ENGINES = ("taichi", "quadrants")
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
@@ -53,6 +53,10 @@ def another(part: Any) -> Any:
         if callable(value) and hasattr(type(made), name):
             delattr(made, name)
     return made
+
+
+# whether the engine is that whose private names are touched, see compile_speedup, compiling and shared_kernels
+IS_KNOWN = (ENGINE, VERSION) == ("taichi", "1.7.4")
 
 
 def finds(arch: str) -> bool:

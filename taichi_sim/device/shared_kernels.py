@@ -16,11 +16,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from taichi_sim.device.engine import ENGINE, VERSION, ti
+from taichi_sim.device.engine import IS_KNOWN, ti
 
 __all__ = ["KEY", "Shared", "share_kernels"]
 
-KNOWN = ("taichi", "1.7.4")
 KEY = "_kernels_known_by"  # attribute of an object or a field
 OURS = "taichi_sim"  # the package; what lies elsewhere may read what is not seen here
 PLAIN = (bool, int, float, complex, str, bytes, type(None), np.generic)
@@ -50,7 +49,7 @@ def share_kernels(parts: dict[str, Any], apart: tuple[type, ...] = ()) -> Shared
     """
     walk = _Walk(apart)
     walk.value(parts)
-    if (ENGINE, VERSION) != KNOWN or walk.foreign:
+    if not IS_KNOWN or walk.foreign:
         for part in walk.kernel_holders:
             vars(part).pop(KEY, None)
         return Shared("", ())

@@ -10,7 +10,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from taichi_sim.common.atomic_file import locked, replacing
+from taichi_sim.common.atomic_file import lock, replacing
 from taichi_sim.common.errors import short
 
 ABOUT, CHECKPOINT, LOCK, STATE = "run.json", "checkpoint.json", "lock", "state_{:06d}.npz"
@@ -94,11 +94,8 @@ class RunLog:
     def _take(self) -> None:
         """Keep other runs out."""
         if self._lock is None:
-            lock = open(self.folder / LOCK, "ab")  # noqa: SIM115  # closed by close
-            if not locked(lock):
-                lock.close()
-                raise OSError(f"{self.output}: another run is writing it; wait for it, or give another name")
-            self._lock = lock
+            says = f"{self.output}: another run is writing it; wait for it, or give another name"
+            self._lock = lock(self.folder / LOCK, says)
 
     def _empty(self) -> None:
         """Remove what is in the folder: what points to others before these, and last what says whose it is."""

@@ -156,12 +156,12 @@ def _add(scene: Scene, shape: str, read: Any, given: dict[str, Any]) -> Shape:
             }
             with about(shape):
                 if kind == "collider":
-                    made.append(_collider(scene, points, triangles, spacing, depth, looks, placed))
+                    made.append(_collider(scene, shape, points, triangles, spacing, depth, looks, placed))
                 elif kind == "cloth":
                     upright = np.column_stack([points, np.zeros(len(points))])
                     own.append(upright)
                     faces.append(triangles)
-                    made.append(_cloth(scene, upright, triangles, spacing, given, looks, placed))
+                    made.append(_cloth(scene, shape, upright, triangles, spacing, given, looks, placed))
                 else:
                     if dim == 3:
                         points, cells = polygon_mesh.extruded(points, triangles, depth, layers)
@@ -185,6 +185,7 @@ def _radius(given: dict[str, Any], spacing: float) -> float:
 
 def _cloth(
     scene: Scene,
+    shape: str,
     points: NDArray,
     triangles: NDArray,
     spacing: float,
@@ -192,7 +193,7 @@ def _cloth(
     looks: dict[str, Any],
     placed: dict[str, Any],
 ) -> Shape:
-    ball = or_default("text.radius", given["radius"], _radius(given, spacing))
+    ball = or_default(f"{shape}.radius", given["radius"], _radius(given, spacing))
     names = (*WOVEN, "damping", "self_collision", "surface_collision", "velocity")
     more = {name: given[name] for name in names} | looks | placed
     return cloth(scene, mesh=(points, triangles), radius=ball, **more)
@@ -222,6 +223,7 @@ def _jelly(
 
 def _collider(
     scene: Scene,
+    shape: str,
     points: NDArray,
     triangles: NDArray,
     spacing: float,
@@ -236,7 +238,7 @@ def _collider(
         return Shape(np.zeros(0, dtype=np.int32))
     edges = polygon_mesh.outer_edges(triangles)
     used, ends = np.unique(edges, return_inverse=True)
-    x = moved("text", points[used], **placed)
+    x = moved(shape, points[used], **placed)
     balls = scene.add_balls(x, radius=EDGE_BALL * spacing, pinned=True, body=scene.new_body(), **looks)
     scene.new_object("outline", balls)
     return Shape(balls, scene.add_springs(balls[ends.reshape(-1, 2)], stiffness=0.0, collides=True))

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from taichi_sim.common.atomic_file import locked, replacing, sweep
+from taichi_sim.common.atomic_file import lock, replacing, sweep
 from taichi_sim.common.errors import SceneError, short
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.sweeps.points import Point, Row, lines_of, rows_of
@@ -31,12 +31,11 @@ class Folder:
         self.rows: dict[str, Row] = {}
         require_folder_place(path)
         self._lock: Any = None
+        self._overwrite = overwrite
         if path.is_dir() and any(path.iterdir()):
             if not (path / MARK).is_file():
                 raise FileExistsError(f"{path}: the folder is not empty and holds no sweep; use another name")
-            if overwrite:
-                self._empty()
-            else:
+            if not overwrite:
                 self._require_same()
                 self._load()
 
@@ -50,10 +49,10 @@ class Folder:
         self.path.mkdir(exist_ok=True)
         if not os.access(self.path, os.W_OK):
             raise PermissionError(f"{self.path}: cannot be written")
-        self._lock = open(self.path / LOCK, "ab")  # noqa: SIM115  # closed by close
-        if not locked(self._lock):
-            self.close()
-            raise OSError(f"{self.path}: another sweep is writing it; wait for it, or give another folder")
+        says = f"{self.path}: another sweep is writing it; wait for it, or give another folder"
+        self._lock = lock(self.path / LOCK, says)
+        if self._overwrite:
+            self._empty()
         self.batches.mkdir(exist_ok=True)
         sweep(self.batches, "*")
         with replacing(self.path / MARK) as file:

@@ -284,5 +284,9 @@ def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path
     writing.begin()
     with pytest.raises(OSError, match="another sweep is writing it"):
         ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)
+    keep_batch(writing.batches, [Row.of(Point({"gravity[1]": -7.0}))])
+    with pytest.raises(OSError, match="another sweep is writing it"):
+        ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, overwrite=True, **HERE)
+    assert list(writing.batches.glob("*.jsonl"))
     writing.close()
     assert len(ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)) == 1
