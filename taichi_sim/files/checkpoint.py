@@ -18,7 +18,7 @@ from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["restore_state", "save_state"]
 
-FORMAT = 4
+FORMAT = 5
 MESH = ("vertices", "triangles")
 
 

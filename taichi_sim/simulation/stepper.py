@@ -54,6 +54,7 @@ class Stepper:
         "primed",
         "moved",
         "remembers",
+        "largest_motion",
     )
 
     def __init__(
@@ -77,6 +78,7 @@ class Stepper:
         self.driven, self.size = own or moves or driven, size(scene)
         self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
         self.moved = False  # by steps, since places were set
+        self.largest_motion = 0.0  # J, kinetic and elastic, of all looks: reports alone may know of those within a chunk
         parts.moments.h[LIVE] = self.h
         self.monitor = EnergyMonitor(
             scene,
@@ -144,6 +146,7 @@ class Stepper:
             says = f"ball {sample.bad} starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.monitor.begin(sample)
+        self.largest_motion = sample.motion
         self.primed, self.moved = True, False
 
     @property
@@ -221,18 +224,16 @@ class Stepper:
         sample = self._run(target)
         if sample.bad is not None:
             sample = self._find_again(target)
-        growth = None
-        if target == self.end:
-            growth = self.monitor.judge(sample)
-            if growth is not None and self.may_shorten:
-                self._shorten(growth)
-                growth = None
+        whole = target == self.end
+        growth = self.monitor.judge(sample) if whole else self.monitor.growth(sample)
+        if growth is None:
+            self.largest_motion = max(self.largest_motion, sample.motion)
         elif not self.may_shorten:
-            growth = self.monitor.growth(sample)
-        if growth is not None:
             self._warn_of(growth)
+        elif whole:
+            self._shorten(growth)
         self.moved = True
-        if target == self.end:
+        if whole:
             self._keep(goes_on=True)
             self._begun = False
             self._new_chunk()
@@ -275,7 +276,7 @@ class Stepper:
             slow=2.0 * float(np.linalg.norm(scene.gravity)) * self.h,
             closed=monitor.closed,
             lossless=monitor.closed and takes_nothing(scene, self.method),
-            motion=monitor.most,
+            motion=max(monitor.most, self.largest_motion),
             swing=1.0 - 1.0 / self.method.swing(min(part, LARGEST_PART)),
             squeezes=self.squeezes,
         )
