@@ -14,11 +14,11 @@ __all__ = ["Moment"]
 class Moment(Frame):
     """A frame of a scene; spin (n, 1 or 3) [1/s]: angular velocities; torn (m,): springs that it does not show, or None."""
 
-    __slots__ = ("_energy", "_scene", "_spin", "_strain", "_torn")
+    __slots__ = ("_energy", "_scene", "_strain", "spin", "torn")
 
     def __init__(self, scene: Scene, spin: NDArray, torn: NDArray | None, **given: Any) -> None:
         super().__init__(objects=tuple(scene.objects), **given)
-        self._scene, self._spin, self._torn = scene, spin, torn
+        self._scene, self.spin, self.torn = scene, spin, torn
         self._energy: Any = None  # not asked for yet
         self._strain: Any = None
 
@@ -26,7 +26,7 @@ class Moment(Frame):
     def energy(self) -> Any:
         """Kinetic, spring, gravity, total [J]."""
         if self._energy is None:
-            self._energy = diagnostics.energy(self._scene, self.position, self.velocity, self._spin, self._torn)
+            self._energy = diagnostics.energy(self._scene, self.position, self.velocity, self.spin, self.torn)
         return self._energy
 
     @energy.setter
@@ -38,7 +38,7 @@ class Moment(Frame):
         """(m,) (length - rest) / rest; 0 where rest is 0."""
         if self._strain is None:
             strain = diagnostics.strain(self._scene, self.position)
-            self._strain = strain if self._torn is None else strain[~self._torn]
+            self._strain = strain if self.torn is None else strain[~self.torn]
         return self._strain
 
     @strain.setter

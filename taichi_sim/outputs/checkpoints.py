@@ -3,15 +3,17 @@
 import shutil
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Literal
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.device.engine import ENGINE, VERSION
+from taichi_sim.outputs import frames_file
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
 from taichi_sim.scene.contents import contents_of, described
@@ -39,17 +41,21 @@ class Checkpoints:
         """Whether it is time for one."""
         return time.perf_counter() >= self._next
 
-    def make(self, frame: int, simulation: Any, own: Mapping[str, Any]) -> bool:
-        """Keep all that goes on with `frame`, before which the simulation stands; own: plain values. Where the simulation cannot
-        be written to a file there is a warning, False, and none from then on."""
+    def make(self, frame: int, simulation: Any, own: Mapping[str, Any], undrawn: Sequence[Frame] | None = None) -> bool:
+        """Keep all that goes on with `frame`, before which the simulation stands; own: plain values; undrawn: all frames before,
+        where nothing was written so far. Where the simulation cannot be written to a file there is a warning, False, and none
+        from then on."""
         start = time.perf_counter()
-        save = simulation.save
+        files: dict[str, Callable[[Path], Any]] = {"state": simulation.save}
+        if undrawn is not None:
+            files["frames"] = partial(frames_file.save, frames=undrawn)
         try:
             for output in self._outputs:
-                output.log.keep(frame, save, {**own, "output": output.hold()})
+                written = output.hold() if undrawn is None else {}
+                output.log.keep(frame, files, {**own, "output": written})
                 checkpoint = output.log.checkpoint
                 assert checkpoint is not None  # just made
-                save = partial(shutil.copyfile, checkpoint.state)
+                files = {kind: partial(shutil.copyfile, getattr(checkpoint, kind)) for kind in files}
         except ValueError as error:
             warnings.warn(
                 f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew", stacklevel=3
@@ -65,20 +71,24 @@ class Checkpoints:
         return True
 
 
-def shared_checkpoint(outputs: Sequence[Resumable], about: Any, count: int) -> Checkpoint | None:
+def shared_checkpoint(outputs: Sequence[Resumable], about: Any, count: int, drawn_last: bool) -> Checkpoint | None:
     """Be ready for `count` frames of a run in all, and go on from the last checkpoint, where all outputs have the same one; None:
-    begin at the first frame. Of several outputs, each may have been cut off at another."""
-    found = [output.begin(about, count) for output in outputs]
+    begin at the first frame. Of several outputs, each may have been cut off at another. drawn_last: see Resumable.begin."""
+    found = [output.begin(about, count, drawn_last) for output in outputs]
     if not found or any(one is None or found[0] is None or one.frame != found[0].frame for one in found):
         return None
     for output, one in zip(outputs, found):
         assert one is not None
-        output.go_on(one)
+        if not drawn_last:
+            output.go_on(one)
     return found[0]
 
 
-def run_of(simulation: Any, first: Frame, fps: float, size: tuple[int, int], style: Mapping[str, Any]) -> Any:
-    """What decides the frames of a run, as plain values by their names in groups; first: the frame that it begins with."""
+def run_of(
+    simulation: Any, first: Frame, fps: float, size: tuple[int, int], style: Mapping[str, Any], fitted: float | None
+) -> Any:
+    """What decides the frames of a run, as plain values by their names in groups; first: the frame that it begins with; fitted:
+    the duration [s] that the camera is fitted to, where it is."""
     settings = {one.name: getattr(simulation.settings, one.name) for one in fields(simulation.settings)}
     settings = {name: value for name, value in settings.items() if name not in SAME_BITS}
     backend, package = simulation.backend, import_module("taichi_sim")  # by name: it imports this
@@ -88,7 +98,7 @@ def run_of(simulation: Any, first: Frame, fps: float, size: tuple[int, int], sty
         "scene": contents_of(simulation.scene),
         "settings": described({"arch": backend.arch, "precision": backend.precision, **settings, **forces}),
         "output": {"fps": fps},
-        "pictures": described({"size": list(size), **style}),
+        "pictures": described({"size": list(size), "duration": fitted, **style}),
         "start": described(
             {"start.time": first.time, "start.position": first.position, "start.velocity": first.velocity}
         ),

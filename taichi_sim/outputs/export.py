@@ -13,8 +13,9 @@ from taichi_sim.analysis.frame import Contacts, Frame
 from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.device import compiling
+from taichi_sim.outputs import frames_file, whole_run
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output
 from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
@@ -202,6 +203,8 @@ def export(
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
     and `checkpoint` may be others): ValueError otherwise. Where all have the same checkpoint the simulation is closed, and
     another goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again.
+
+    Where a camera is to show all of the run (see `CameraPath.fit`), it is simulated to its end before the first picture is drawn.
     """
     outputs: Sequence[Any] = () if output is None else output if isinstance(output, (list, tuple)) else [output]
     for one in outputs:
@@ -218,30 +221,46 @@ def export(
             if style.get("transparent") and one.needs_image and not one.alpha:
                 name = getattr(one, "path", "this output")
                 raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
-        count = round(fps * duration)
-        expected = compiling.Expected.of(simulation, any(one.needs_image for one in outputs))
-        advance = stack.enter_context(_bar(max(1, count), progress, expected.words))
+        count, is_drawn = round(fps * duration), any(one.needs_image for one in outputs)
+        expected = compiling.Expected.of(simulation, is_drawn)
+        bar = stack.enter_context(_bar(max(1, count), progress))
         first = simulation.frame()
+        drawn_last = is_drawn and whole_run.is_drawn_last(simulation.scene, count, style)
         for one in outputs:
             one.prepare(first, size, style)
         log, last, resumable = None, None, [one for one in outputs if isinstance(one, Resumable)]
         if resumable and len(resumable) == len(outputs):
-            last = shared_checkpoint(resumable, run_of(simulation, first, fps, size, style), count)
+            about = run_of(simulation, first, fps, size, style, duration if drawn_last else None)
+            last = shared_checkpoint(resumable, about, count, drawn_last)
             log = Checkpoints(resumable, checkpoint)
         if last is not None:
             simulation = stack.enter_context(restored(simulation, last))
         renderer: Any = None
-        if any(one.needs_image for one in outputs):
+        if is_drawn:
             renderer = stack.enter_context(_renderer(first, size, style))
         begin, frames = 0, simulation.frames(fps=fps, duration=duration)
         if last is not None:
             begin, frames = last.frame, frames_from(last.frame, simulation, fps, duration)
-            summary = clock.summary = _recall(last, simulation, renderer)
+            summary = clock.summary = _recall(last, renderer)
         frame, since = None, simulation.time
+        frames = _observed(simulation, frames, summary, clock)
+        bar.phase(expected.words, "frames simulated," if drawn_last else "frames,")
+        if drawn_last:
+            kept = [] if last is None or last.frames is None else frames_file.load(last.frames, simulation)
+            end: UnstableError | None = None
+            try:
+                for index, frame in enumerate(frames, begin):
+                    kept.append(frame)
+                    bar.advance(index + 1, frame.time - since)
+                    if log is not None and log.due:
+                        summary.checkpoints += log.make(index + 1, simulation, _own(summary, None), kept)
+                        clock.charge("checkpointing")
+            except UnstableError as error:
+                end = error
+            begin, frames, since, log = 0, whole_run.played(kept, end), first.time, None
+            renderer.fit(kept)
+            bar.phase("drawing", "frames drawn,")
         for index, frame in enumerate(frames, begin):
-            clock.charge("simulating")
-            frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
-            _observe(summary, frame)
             wanting = [one for one in writers if one.output.wants(index)]
             image = None
             if renderer is not None:
@@ -251,14 +270,14 @@ def export(
             for writer in wanting:
                 writer.write(index, frame, image)
             clock.charge("writing")
-            advance(index + 1, frame.time - since)
+            bar.advance(index + 1, frame.time - since)
             if index == begin + 1:  # as a rule nothing is compiled later
                 expected.remember(compiling.seconds())
             if log is not None and log.due and index + 1 < count:
                 for writer in writers:
                     writer.settle()
                 clock.charge("writing")
-                summary.checkpoints += log.make(index + 1, simulation, _own(summary, simulation, renderer))
+                summary.checkpoints += log.make(index + 1, simulation, _own(summary, renderer))
                 clock.charge("checkpointing")
         summary.duration, summary.units = duration, units_of(simulation.scene)
         summary.device, summary.decisions = str(simulation.backend), simulation.decisions()
@@ -272,19 +291,28 @@ def export(
     return summary
 
 
-def _own(summary: Summary, simulation: Any, renderer: Any) -> dict[str, Any]:
+def _own(summary: Summary, renderer: Any) -> dict[str, Any]:
     """What an export goes on from, beside the simulation and what is written."""
     drawn = None if renderer is None else renderer.memory()
     return {"summary": asdict(summary), "renderer": drawn}
 
 
-def _recall(last: Checkpoint, simulation: Any, renderer: Any) -> Summary:
+def _recall(last: Checkpoint, renderer: Any) -> Summary:
     """The reverse."""
-    if renderer is not None:
+    if renderer is not None and last.frames is None:
         renderer.recall(last.own["renderer"])
     summary = Summary.of(last.own["summary"])
     summary.resumed, summary.checkpoints = last.frame, summary.checkpoints + 1
     return summary
+
+
+def _observed(simulation: Any, frames: Iterator[Frame], summary: Summary, clock: _Clock) -> Iterator[Frame]:
+    """Frames with what the simulation says of contacts and probes at each, which the summary takes note of."""
+    for frame in frames:
+        clock.charge("simulating")
+        frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
+        _observe(summary, frame)
+        yield frame
 
 
 def _observe(summary: Summary, frame: Frame) -> None:
@@ -311,35 +339,45 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
     return Renderer(frame, size=size, **style)
 
 
+class _Bar:
+    """The frames that are done, in one phase or two."""
+
+    def __init__(self, progress: Any, total: int) -> None:
+        self._progress, self._total = progress, total
+        self._task = progress.add_task("", total=total, what="")
+
+    def phase(self, waiting: str, what: str) -> None:
+        """Begin to count what it names; `waiting` is said until the second frame."""
+        self._first: tuple[int, float, float] | None = None  # frames, simulated and wall time after the first frame
+        self._progress.reset(self._task, description=waiting, what=what)
+
+    def advance(self, done: int, simulated: float) -> None:
+        """So many frames are done, and so many seconds simulated since the beginning."""
+        now = time.perf_counter()
+        if self._first is None:
+            self._first = (done, simulated, now)
+            self._progress.update(self._task, completed=done)
+            return
+        frames, before, then = self._first
+        each = (now - then) / (done - frames)
+        speed = (simulated - before) / max(1e-9, now - then)
+        words = f"{timedelta(seconds=round(each * (self._total - done)))} left, {speed:.3g} x real time"
+        self._progress.update(self._task, completed=done, description=words)
+
+
 @contextmanager
-def _bar(total: int, shown: bool, waiting: str) -> Iterator[Any]:
-    """A progress bar on standard error, which says `waiting` until the second frame; after each frame, what it yields is called
-    with how many there are and the simulated time since the beginning."""
+def _bar(total: int, shown: bool) -> Iterator[_Bar]:
+    """A progress bar on standard error."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("frames,"),
+        TextColumn("{task.fields[what]}"),
         TimeElapsedColumn(),
         TextColumn("{task.description}"),
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        task = progress.add_task(waiting, total=total)
-        first: tuple[int, float, float] | None = None  # frames, simulated and wall time after the first frame
-
-        def advance(done: int, simulated: float) -> None:
-            nonlocal first
-            now = time.perf_counter()
-            if first is None:
-                first = (done, simulated, now)
-                progress.update(task, completed=done)
-                return
-            each = (now - first[2]) / (done - first[0])
-            speed = (simulated - first[1]) / max(1e-9, now - first[2])
-            words = f"{timedelta(seconds=round(each * (total - done)))} left, {speed:.3g} x real time"
-            progress.update(task, completed=done, description=words)
-
-        yield advance
+        yield _Bar(progress, total)

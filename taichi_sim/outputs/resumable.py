@@ -21,14 +21,15 @@ class Resumable(Output):
         self.path = Path(path)
         self.log = RunLog(self.path, resume=resume, within=within)
 
-    def begin(self, about: Mapping[str, Mapping[str, Any]], count: int) -> Checkpoint | None:
+    def begin(self, about: Mapping[str, Mapping[str, Any]], count: int, drawn_last: bool) -> Checkpoint | None:
         """Be ready for `count` frames in all: the checkpoint that it can go on from, or None where there is none. about: of the
-        run, see RunLog.begin; what it says of pictures counts where there are some."""
+        run, see RunLog.begin; what it says of pictures counts where there are some. drawn_last: no frame is written before all
+        are simulated."""
         parts = {group: values for group, values in about.items() if group != "pictures" or self.needs_image}
         last = self.log.begin({**parts, "format": self.options()})
-        if last is None or last.frame > count or not self.has(last):
+        if last is None or last.frame > count or drawn_last != (last.frames is not None):
             return None
-        return last
+        return last if drawn_last or self.has(last) else None
 
     def options(self) -> Mapping[str, Any]:
         """Plain values that decide what its file looks like."""

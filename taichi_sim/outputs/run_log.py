@@ -13,7 +13,7 @@ import numpy as np
 from taichi_sim.common.atomic_file import lock, replacing
 from taichi_sim.common.errors import short
 
-ABOUT, CHECKPOINT, LOCK, STATE = "run.json", "checkpoint.json", "lock", "state_{:06d}.npz"
+ABOUT, CHECKPOINT, LOCK = "run.json", "checkpoint.json", "lock"
 NAMED = 4  # things that differ, before the others are only counted
 READABLE = 40  # characters of a value that a message shows
 
@@ -21,11 +21,12 @@ READABLE = 40  # characters of a value that a message shows
 @dataclass(frozen=True)
 class Checkpoint:
     """Where a run can go on. frame: the first that is to come. state: the file of the simulation at the one before. own: what
-    else goes on, plain values."""
+    else goes on, plain values. frames: the file of the frames before that are still to be drawn, where there is one."""
 
     frame: int
     state: Path
     own: Mapping[str, Any] = field(default_factory=dict)
+    frames: Path | None = None
 
 
 class RunLog:
@@ -66,7 +67,9 @@ class RunLog:
             return None
         found = _read(self.folder / CHECKPOINT)
         state = self.folder / found["state"]
-        return Checkpoint(found["frame"], state, found["own"]) if state.is_file() else None
+        frames = None if found.get("frames") is None else self.folder / found["frames"]
+        there = state.is_file() and (frames is None or frames.is_file())
+        return Checkpoint(found["frame"], state, found["own"], frames) if there else None
 
     def open(self) -> Path:
         """The folder, made where it is not there; what another run left in it is dropped. Raises OSError."""
@@ -79,16 +82,17 @@ class RunLog:
             self.resumes = True
         return self.folder
 
-    def keep(self, frame: int, save: Callable[[Path], None], own: Mapping[str, Any]) -> None:
-        """Put a checkpoint in the place of the last one; `save` writes the simulation's state to a file. Whenever this is cut
-        off, one of the two is there."""
+    def keep(self, frame: int, files: Mapping[str, Callable[[Path], None]], own: Mapping[str, Any]) -> None:
+        """Put a checkpoint in the place of the last one. files: what writes the simulation's "state" to a file, and "frames" that
+        are still to be drawn. Whenever this is cut off, one of the two is there."""
         self.open()
-        state = self.folder / STATE.format(frame)
-        save(state)
+        names = {kind: f"{kind}_{frame:06d}.npz" for kind in files}
+        for kind, save in files.items():
+            save(self.folder / names[kind])
         with replacing(self.folder / CHECKPOINT) as file:
-            file.write(json.dumps({"frame": frame, "state": state.name, "own": own}, default=np.generic.item).encode())
-        for old in self.folder.glob(STATE.replace("{:06d}", "*")):
-            if old != state:
+            file.write(json.dumps({"frame": frame, "own": own, **names}, default=np.generic.item).encode())
+        for old in [*self.folder.glob("state_*.npz"), *self.folder.glob("frames_*.npz")]:
+            if old.name not in names.values():
                 old.unlink(missing_ok=True)
 
     def _take(self) -> None:

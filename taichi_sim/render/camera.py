@@ -1,6 +1,7 @@
 """Camera: where a 3D picture is seen from, and how to place it so that a scene fills the picture."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,30 +56,42 @@ class Camera:
     @classmethod
     def fit(
         cls,
-        frame: Frame,
+        frames: Frame | Sequence[Frame],
         aspect: float = 16 / 9,
         azimuth: float = AZIMUTH,
         elevation: float = ELEVATION,
         fov: float = FOV,
+        target: tuple[float, ...] | None = None,
+        orbit: float = 0.0,
     ) -> "Camera":
-        """A camera that shows a 3D frame but far-flung balls, and the walls that are near. Angles in degrees."""
-        points, radius = _content(frame)
-        a, e = math.radians(azimuth), math.radians(elevation)
-        back = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
-        axes = cls(triple(back), (0.0, 0.0, 0.0)).axes()
+        """A camera that shows 3D frames but far-flung balls, and the walls that are near. Angles in degrees.
+
+        target [m]: what it must look at; None: their middle. orbit: turning about it [degrees per second]; the camera is that of
+        time 0.
+        """
+        frames = [frames] if isinstance(frames, Frame) else frames
+        contents, radii = zip(*(_content(frame) for frame in frames))
+        radius = np.concatenate(radii)
+        turned = [
+            cls(triple(_back(azimuth + orbit * frame.time, elevation)), (0.0, 0.0, 0.0)).axes() for frame in frames
+        ]
         tall = math.tan(math.radians(fov) / 2) / FIT_MARGIN
         slopes = np.array([tall * aspect, tall])
-        target = (points.min(axis=0) + points.max(axis=0)) / 2
+        low = np.min([points.min(axis=0) for points in contents], axis=0)
+        high = np.max([points.max(axis=0) for points in contents], axis=0)
+        place = (low + high) / 2 if target is None else np.array(target)
         distance = 1.0
         for _ in range(4):  # place, then shift so that the margins on both sides are equal
-            local = (points - target) @ axes.T
+            local = np.concatenate([(points - place) @ axes.T for points, axes in zip(contents, turned)])
             need = (np.abs(local[:, :2]) + radius[:, None]) / slopes - local[:, 2:]
             distance = max(float(need.max()), 1e-30)
+            if target is not None or orbit:
+                break
             depth = local[:, 2:] + distance
             low = ((local[:, :2] - radius[:, None]) / depth).min(axis=0)
             high = ((local[:, :2] + radius[:, None]) / depth).max(axis=0)
-            target = target + ((low + high) / 2 * distance * 0.7) @ axes[:2]
-        return cls(triple(target + back * distance), triple(target), fov=fov)
+            place = place + ((low + high) / 2 * distance * 0.7) @ turned[0][:2]
+        return cls(triple(place + _back(azimuth, elevation) * distance), triple(place), fov=fov)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +176,12 @@ def rotated(vector: Floats, axis: Floats, angle: float) -> Floats:
 def triple(vector: Any) -> tuple[float, float, float]:
     """The numbers of a vector (3,)."""
     return float(vector[0]), float(vector[1]), float(vector[2])
+
+
+def _back(azimuth: float, elevation: float) -> Floats:
+    """The direction from what a camera looks at to it, by angles in degrees."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    return np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
 
 
 def _content(frame: Frame) -> tuple[Floats, Floats]:

@@ -1,6 +1,6 @@
 """Renderer: frames to pictures, without OpenGL, window or display."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from taichi_sim.render.colouring import Colouring
 from taichi_sim.scene.camera_path import CameraPath
 
 __all__ = ["Renderer"]
+
+MOST_SHOWN = 60  # frames that a camera is fitted to, evenly spread over all
 
 
 class Renderer:
@@ -75,6 +77,12 @@ class Renderer:
     def buffers(self) -> Any:
         """The fields of what is drawn, `Buffers` in 3D, a `Canvas` in 2D; made anew only where a frame has more of anything."""
         return self._open().buffers
+
+    def fit(self, frames: Sequence[Frame]) -> None:
+        """Place a CameraPath, as far as it leaves that open, so that all of these frames are shown."""
+        if frames:
+            shown = {k * (len(frames) - 1) // (MOST_SHOWN - 1) for k in range(MOST_SHOWN)}
+            self._open().fit([frames[k] for k in sorted(shown)])
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn, for later ones to look as if it had been."""

@@ -1,6 +1,6 @@
 """Pictures of 2D frames: discs, rods, triangles and walls with analytic edges."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,9 +54,12 @@ class Renderer2D:
     ) -> None:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
-        low, scale, self._extent = _view(frame, size)
-        self.camera = Flat((float(low[0]), float(low[1])), scale)
-        self._follower = self._place(frame, camera)
+        self._extent = robust_bounds(frame.position, frame.radius)[0].size
+        path = CameraPath.of(camera, 2, len(frame.position)) if isinstance(camera, Mapping) else camera
+        self._path: CameraPath = path or CameraPath()
+        self._follower = None if self._path.follow is None else Follower(self._path.follow, frame)
+        self.camera: Flat
+        self.fit([frame])
         self._top, bottom = background_colours(background, BACKGROUND_TOP, BACKGROUND_BOTTOM)
         self._dark = float(bottom.mean()) < 0.2
         wall, hatch, edge = (
@@ -111,19 +114,15 @@ class Renderer2D:
         """Look there from now on, whatever a CameraPath says."""
         self.camera, self._follower = camera, None
 
-    def _place(self, frame: Frame, camera: Any) -> Follower | None:
-        """Move the view to where a CameraPath, or the keys of one, wants it."""
-        path = CameraPath.of(camera, 2, len(frame.position)) if isinstance(camera, Mapping) else camera
-        if path is None:
-            return None
-        follower = None if path.follow is None else Follower(path.follow, frame)
-        half = np.array(self.size) / 2
-        middle = self.camera.low + half / self.camera.scale if follower is None else follower.begin
+    def fit(self, frames: Sequence[Frame]) -> None:
+        """See `Renderer`."""
+        path, follower, half = self._path, self._follower, np.array(self.size) / 2
+        low, scale = _view(frames, self.size)
+        middle = low + half / scale if follower is None else follower.begin
         middle = middle if path.centre is None else np.array(path.centre)
-        scale = self.camera.scale if path.width is None else self.size[0] / path.width
+        scale = scale if path.width is None else self.size[0] / path.width
         self._begin = middle - half / scale
         self.camera = Flat((float(self._begin[0]), float(self._begin[1])), scale)
-        return follower
 
     def close(self) -> None:
         """Free the fields."""
@@ -277,8 +276,19 @@ def _covered(frame: Frame, bounds: Bounds) -> tuple[NDArray, NDArray]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _view(frame: Frame, size: tuple[int, int]) -> tuple[NDArray, float, float]:
-    """Lower left corner (m), px per metre and size of the content (m): balls but far-flung ones, and near walls."""
+def _view(frames: Sequence[Frame], size: tuple[int, int]) -> tuple[NDArray, float]:
+    """Lower left corner (m) and px per metre that show frames: balls but far-flung ones, and near walls."""
+    lows, highs, shown, sizes = zip(*map(_content, frames))
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    extent = np.maximum(high - low, 1e-9 * max(sizes))
+    border = np.array(size) * VIEW_MARGIN + (min(SHOWN_WALL, 0.05 * min(size)) if any(shown) else 0.0)
+    scale = float(((np.array(size) - 2 * border) / extent).min())
+    return (low + high) / 2 - np.array(size) / 2 / scale, scale
+
+
+def _content(frame: Frame) -> tuple[NDArray, NDArray, bool, float]:
+    """Lowest and highest coordinates (m) of what of a frame is to be seen, whether there are walls, and the size of the balls'
+    box (m)."""
     bounds, kept = robust_bounds(frame.position, frame.radius)
     low, high = _covered(frame, bounds)
     points = frame.position[kept] if len(kept) else np.stack([low, high])
@@ -291,10 +301,7 @@ def _view(frame: Frame, size: tuple[int, int]) -> tuple[NDArray, float, float]:
             axis = int(np.argmax(np.abs(wall[:2])))
             low[axis], high[axis] = min(low[axis], foot[axis]), max(high[axis], foot[axis])
             shown = True
-    extent = np.maximum(high - low, 1e-9 * bounds.size)
-    border = np.array(size) * VIEW_MARGIN + (min(SHOWN_WALL, 0.05 * min(size)) if shown else 0.0)
-    scale = float(((np.array(size) - 2 * border) / extent).min())
-    return (low + high) / 2 - np.array(size) / 2 / scale, scale, bounds.size
+    return low, high, shown, bounds.size
 
 
 def _outline(triangles: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -1,7 +1,7 @@
 """Pictures of 3D frames: balls, rods and triangles with light and shadow, drawn by Taichi kernels alone."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,12 +46,11 @@ class Renderer3D:
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._table = Colouring.table()
         self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
-        self.camera = self._tracker.first
+        self._aim_from(self._tracker.first)
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
         self._zenith, self._horizon = background_colours(background, ZENITH, HORIZON)
-        self._lamp, self._fill = _lamp(self.camera), _fill(self.camera)  # they stay when the camera moves
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Any = None
         self.buffers: Any = None
@@ -92,6 +91,16 @@ class Renderer3D:
             shadow_lattice.sample(scene, canvas.seen, camera[0], lamp, *ground[:2], *last)
         shading_pass.resolve(scene, canvas.seen, camera[0], lamp, *ground, *last)
         return np.asarray(canvas.finish(width, height))
+
+    def fit(self, frames: Sequence[Frame]) -> None:
+        """See `Renderer`."""
+        if self._tracker is not None:
+            self._tracker.fit(frames)
+            self._aim_from(self._tracker.first)
+
+    def _aim_from(self, camera: Camera) -> None:
+        """Begin with a camera, whose lights stay when it moves."""
+        self.camera, self._lamp, self._fill = camera, _lamp(camera), _fill(camera)
 
     def _planes(self, frame: Frame, eye: NDArray, view: NDArray) -> Planes:
         """The walls that the eye is above."""

@@ -61,7 +61,7 @@ class Follower:
 
 
 class Tracker:
-    """camera: fixed, or a CameraPath or the keys of one, or None; what that leaves open is placed by the first frame.
+    """camera: fixed, or a CameraPath or the keys of one, or None; what that leaves open is placed by the first frame or by `fit`.
 
     Calls of `at` are in order of time, also for frames that are not drawn. Raises ValueError.
     """
@@ -75,9 +75,19 @@ class Tracker:
         if isinstance(camera, Mapping):
             camera = CameraPath.of(camera, 3, len(frame.position))
         path = self._path = camera or CameraPath()
+        self._aspect = aspect
         if path.follow is not None:
             self.follower = Follower(path.follow, frame)
-        self.first = self._along(path.path[0]["time"]) if path.path else _placed(path, frame, aspect, self.follower)
+        self.fit([frame])
+
+    def fit(self, frames: Sequence[Frame]) -> None:
+        """Place what the path leaves open so that all of these frames are shown."""
+        path = self._path
+        if path is None:
+            return
+        self.first = (
+            self._along(path.path[0]["time"]) if path.path else _placed(path, frames, self._aspect, self.follower)
+        )
         self.first.axes()  # refuses what has no direction
 
     def at(self, frame: Frame) -> Camera:
@@ -101,12 +111,12 @@ class Tracker:
         return Camera(triple(eye), triple(target), triple(self._path.up), FOV if fov is None else fov)
 
 
-def _placed(path: CameraPath, frame: Frame, aspect: float, follower: Follower | None) -> Camera:
-    """The camera at the start: as given, and where the scene fills the picture otherwise."""
+def _placed(path: CameraPath, frames: Sequence[Frame], aspect: float, follower: Follower | None) -> Camera:
+    """The camera at the start: as given, and where what frames show fills the picture otherwise."""
     azimuth = AZIMUTH if path.azimuth is None else path.azimuth
     elevation = ELEVATION if path.elevation is None else path.elevation
     fov = FOV if path.fov is None else path.fov
-    fit = Camera.fit(frame, aspect, azimuth, elevation, fov)
+    fit = Camera.fit(frames, aspect, azimuth, elevation, fov, path.target, path.orbit)
     target = np.array(fit.target) if follower is None else follower.begin
     target = target if path.target is None else np.array(path.target)
     back = np.subtract(fit.eye, fit.target)

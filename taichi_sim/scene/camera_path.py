@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, TypedDict
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from taichi_sim.common.errors import SceneError, unknown_key
 __all__ = ["CameraPath", "eased"]
 
 Vector = tuple[float, ...]
-KEYS_IN_2D = ("centre", "width", "follow")
+KEYS_IN_2D = ("centre", "width", "follow", "fit")
 KEYFRAME = ("time", "eye", "target", "fov")
 
 
@@ -48,6 +48,7 @@ class CameraPath:
         path: in 3D, in place of these, keyframes with time, eye, target and, if all have it, fov, which the camera passes through
             without overshooting; it rests before the first and after the last.
         follow: a ball or several, whose middle the camera moves along with, smoothly; in a file also a name.
+        fit: what is shown by what is left out: "run" all of an export, "start" its first frame.
         centre: in 2D, middle of the picture [m]. width: in 2D, of what the picture shows [m].
     """
 
@@ -61,8 +62,16 @@ class CameraPath:
     orbit: float = 0.0
     path: tuple[CameraKey, ...] = ()
     follow: NDArray[np.int32] | None = None
+    fit: Literal["run", "start"] = "run"
     centre: Vector | None = None
     width: float | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether something is left out that shows all of a run."""
+        in_3d = (self.eye is None and self.distance is None) or self.target is None
+        in_2d = self.centre is None or self.width is None
+        return self.fit == "run" and not self.path and self.follow is None and in_3d and in_2d
 
     @classmethod
     def of(cls, given: Mapping[str, Any], dim: int, n_balls: int) -> "CameraPath":
@@ -116,6 +125,10 @@ def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
     if key in ("eye", "target", "up", "centre"):
         checked = validation.direction if key == "up" else validation.vector
         return tuple(checked(where, value, dim).tolist())
+    if key == "fit":
+        if value not in ("run", "start"):
+            raise SceneError(where, value, '"run" or "start"')
+        return value
     if key == "fov":
         return validation.number(where, value, low=1, high=170)
     if key == "elevation":

@@ -111,6 +111,7 @@ class Simulation(Reader):
             warnings.warn(caution, stacklevel=3)
         self._closed = False
         self._still = scene.n_balls == 0
+        self._last_shown: Any = None
         self._begin_readings()
 
     def _check_tolerance(self, tolerance: float, substeps: int) -> None:
@@ -248,24 +249,30 @@ class Simulation(Reader):
 
     def frame(self) -> Frame:
         """The present moment as NumPy arrays."""
-        scene, x, v = self.scene, self.position, self.velocity
-        torn = self.torn
-        whole, triangles = self._whole(torn)
+        return self.frame_of(self.time, self.position, self.velocity, self._spin(), self.torn)
+
+    def frame_of(
+        self, time: float, position: NDArray, velocity: NDArray, spin: NDArray, torn: NDArray[np.bool_] | None
+    ) -> Moment:
+        """The frame of a moment [s] by its positions (n, dim) m, velocities (n, dim) m/s, angular velocities (n, 1 or 3) 1/s and
+        the springs (m,) that have torn."""
+        scene = self.scene
+        springs, sticks, triangles = self._shown(torn)
         return Moment(
             scene,
-            self._spin(),
+            spin,
             torn,
-            time=self.time,
-            position=x,
-            velocity=v,
+            time=time,
+            position=position,
+            velocity=velocity,
             radius=scene.radius,
-            springs=scene.pairs[whole],
-            sticks=scene.collides[whole],
+            springs=springs,
+            sticks=sticks,
             triangles=triangles,
             colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
             pinned=scene.pinned,
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
-            colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(self.time))) for c in scene.colliders),
+            colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(time))) for c in scene.colliders),
             embedded_surfaces=tuple(scene.embedded_surfaces),
             gravity=scene.gravity,
         )
@@ -276,12 +283,16 @@ class Simulation(Reader):
         tearing = None if self._still else self.parts.tearing
         return None if tearing is None else tearing.springs_torn
 
-    def _whole(self, torn: NDArray[np.bool_] | None) -> tuple[Any, NDArray]:
-        """The springs that are whole, as an index, and the triangles none of whose sides has torn."""
+    def _shown(self, torn: NDArray[np.bool_] | None) -> tuple[NDArray, NDArray, NDArray]:
+        """The springs (m, 2) that are whole, which of them are sticks, and the triangles none of whose sides has torn: the same
+        arrays until one more tears."""
         scene = self.scene
         if torn is None or not torn.any():
-            return slice(None), scene.triangles
-        return ~torn, scene.triangles[~diagnostics.cut(scene.triangles, scene.pairs[torn], scene.n_balls)]
+            return scene.pairs, scene.collides, scene.triangles
+        if self._last_shown is None or not np.array_equal(self._last_shown[0], torn):
+            cut = diagnostics.cut(scene.triangles, scene.pairs[torn], scene.n_balls)
+            self._last_shown = (torn, (scene.pairs[~torn], scene.collides[~torn], scene.triangles[~cut]))
+        return self._last_shown[1]
 
     def inverted(self) -> int:
         """How many cells are flat or turned inside out."""

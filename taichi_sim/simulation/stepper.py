@@ -78,7 +78,8 @@ class Stepper:
         self.driven, self.size = own or moves or driven, size(scene)
         self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
         self.moved = False  # by steps, since places were set
-        self.largest_motion = 0.0  # J, kinetic and elastic, of all looks: reports alone may know of those within a chunk
+        # J, kinetic and elastic, of all looks: reports alone may know of those within a chunk
+        self.largest_motion = 0.0
         parts.moments.h[LIVE] = self.h
         self.monitor = EnergyMonitor(
             scene,

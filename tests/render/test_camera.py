@@ -39,6 +39,69 @@ def test_the_default_shows_all():
         assert tracker.at(frame_at(1.0, START.position)) == Camera.fit(START, ASPECT)
 
 
+def on_screen(camera, frame):
+    """Places of balls (n, 2), within -1 and 1 where they are in the picture."""
+    local = (frame.position - camera.eye) @ camera.axes().T
+    tall = np.tan(np.radians(camera.fov) / 2)
+    return local[:, :2] / local[:, 2:] / (tall * ASPECT, tall)
+
+
+RUN = [frame_at(t, np.add(START.position, (9 * t, 4 * t * (2 - t), -6 * t))) for t in np.linspace(0, 2, 9)]
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"azimuth": 80, "elevation": 5}, {"target": (3, 0, 0)}, {"orbit": 70}, {"fov": 70, "orbit": -90}]
+)
+def test_a_fitted_camera_shows_all_frames(given):
+    tracker = Tracker(RUN[0], given, ASPECT)
+    assert any(np.abs(on_screen(tracker.at(frame), frame)).max() > 1 for frame in RUN)
+    tracker.fit(RUN)
+    reach = max(np.abs(on_screen(tracker.at(frame), frame)).max() for frame in RUN)
+    assert 0.7 < reach < 0.97  # no farther than it need be
+    first = tracker.first
+    if "azimuth" in given:
+        assert first.eye == pytest.approx(np.add(first.target, _towards(first, 80, 5)))
+    assert first.target == given.get("target", first.target)
+
+
+def _towards(camera, azimuth, elevation):
+    a, e = np.radians([azimuth, elevation])
+    distance = np.linalg.norm(np.subtract(camera.eye, camera.target))
+    return distance * np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+
+
+def test_a_fitted_view_in_2d_shows_all_frames():
+    frames = [frame_at(t, [[0, 0], [5 * t, 2 + t]], dim=2) for t in (0.0, 1.0, 2.0)]
+    with Renderer(frames[0], size=(160, 90)) as renderer:
+        start = renderer.camera
+        renderer.fit(frames)
+        assert renderer.camera.scale < 0.5 * start.scale
+        for frame in frames:
+            place = (frame.position - renderer.camera.low) * renderer.camera.scale
+            assert np.all((place > 0) & (place < (160, 90)))
+    with Renderer(frames[0], size=(160, 90), camera={"centre": (1.0, 2.0), "width": 8.0}) as renderer:
+        renderer.fit(frames)
+        assert renderer.camera.scale == 20.0
+        assert renderer.camera.low == pytest.approx((-3.0, -0.25))
+
+
+def test_what_is_left_open():
+    for given, dim, is_open in (
+        ({}, 3, True),
+        ({"azimuth": 10, "elevation": 3, "orbit": 5, "fov": 20}, 3, True),
+        ({"fit": "start"}, 3, False),
+        ({"eye": (1, 2, 3), "target": (0, 0, 0)}, 3, False),
+        ({"target": (0, 0, 0), "distance": 4}, 3, False),
+        ({"follow": [0]}, 3, False),
+        ({"path": KEYS}, 3, False),
+        ({"width": 3}, 2, True),
+        ({"width": 3, "centre": (0, 0)}, 2, False),
+    ):
+        assert CameraPath.of(given, dim, 1).is_open == is_open, given
+    with pytest.raises(SceneError, match=r"camera\.fit: 'all' is not allowed; it must be \"run\" or \"start\""):
+        CameraPath.of({"fit": "all"}, 3, 1)
+
+
 def test_placed():
     camera = Tracker(START, {"eye": (0, 0, 9), "target": (0, 1, 0), "up": (1, 0, 0), "fov": 20}, ASPECT).first
     assert camera == Camera((0, 0, 9), (0, 1, 0), (1, 0, 0), 20)

@@ -1,0 +1,179 @@
+"""Exports that are simulated to their end before they are drawn: their cameras show all, and they are resumed as others are."""
+
+import numpy as np
+import pytest
+from test_outputs import SIZE, FakeRenderer, draw_with
+
+import taichi_sim as ts
+from taichi_sim import UnstableError
+from taichi_sim.outputs import checkpoints, export, frames_file, open_output, whole_run
+from taichi_sim.render import Renderer
+
+pytestmark = pytest.mark.once
+COUNT = 30
+
+
+def scene(pull=9.0):
+    """Two balls on a spring that tears, and one far above the ground that they fall to."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_material("rubber", restitution=0.5, friction=0.4)
+    balls = scene.add_balls(
+        [[0, 0.5], [1, 0.5], [0.4, 3]], velocity=[[-pull, 0], [pull, 0], [0, 0]], radius=0.1, material="rubber"
+    )
+    scene.add_springs([balls[:2]], stiffness=100, break_strain=0.5)
+    scene.add_wall((0, 1), offset=0.0, material="rubber")
+    return scene
+
+
+class Interrupted(ts.Simulation):
+    """Ends at a frame, counting from the first of the whole run."""
+
+    ends = -1
+
+    def contacts(self):
+        if round(60 * self.time) == Interrupted.ends:
+            raise KeyboardInterrupt
+        return super().contacts()
+
+
+class Fitted(FakeRenderer):
+    """Its pictures show what it was fitted to."""
+
+    def fit(self, frames):
+        self.frames = list(frames)
+
+    def render(self, frame):
+        image = super().render(frame)
+        reach = int(max(np.abs(one.position).max() for one in self.frames))
+        image[: reach + len(frame.springs), :, 1] = 255
+        return image
+
+
+@pytest.fixture(autouse=True)
+def _drawn(monkeypatch):
+    draw_with(monkeypatch, Fitted)
+    monkeypatch.setattr(checkpoints, "SHARE", 1e9)
+    monkeypatch.setattr(Interrupted, "ends", -1)
+
+
+def run(folder, *names, ends=-1, resume=False, **given):
+    Interrupted.ends = ends
+    outputs = [open_output(f"{folder}/{name}", resume=resume) for name in names]
+    with Interrupted(scene(), dt=1 / 240) as sim:
+        return export(sim, outputs, **{"fps": 60, "duration": COUNT / 60, "size": SIZE, "checkpoint": None, **given})
+
+
+def test_pictures_are_drawn_when_all_is_simulated(tmp_path):
+    run(tmp_path, "x.mp4")
+    frames = Fitted.last.frames
+    assert len(frames) == COUNT
+    assert [len(frame.springs) for frame in frames] == sorted((len(frame.springs) for frame in frames), reverse=True)
+    assert len(frames[0].springs) == 1
+    assert len(frames[-1].springs) == 0
+    assert frames[-1].springs is frames[-2].springs  # what stays the same takes no memory
+    assert Fitted.last.drawn == list(range(COUNT))
+
+
+@pytest.mark.parametrize("camera", [{"fit": "start"}, {"centre": (0, 0), "width": 3}, {"follow": [0]}])
+def test_other_cameras_are_drawn_on_the_way(tmp_path, monkeypatch, camera):
+    monkeypatch.setattr(Fitted, "render", FakeRenderer.render)
+    Interrupted.ends = 7
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "frames/", ends=7, style={"camera": camera})
+    assert Fitted.last.drawn == list(range(7))
+
+
+def test_what_is_too_much_to_keep_is_drawn_on_the_way(tmp_path, monkeypatch):
+    monkeypatch.setattr(Fitted, "render", FakeRenderer.render)
+    monkeypatch.setattr(whole_run, "MOST_KEPT", 3 * COUNT - 1)
+    run(tmp_path, "x.mp4")
+    assert Fitted.last.drawn == list(range(COUNT))
+    assert not hasattr(Fitted.last, "frames")
+
+
+def test_frames_up_to_where_it_became_unstable_are_drawn(tmp_path, monkeypatch):
+    def fails(self):
+        if round(60 * self.time) == 9:
+            raise UnstableError("ball 1 is not finite", 0.1, 1, None, None)
+
+    monkeypatch.setattr(Interrupted, "contacts", fails)
+    with pytest.raises(UnstableError):
+        run(tmp_path, "frames/")
+    assert len(list(tmp_path.glob("frames/*.png"))) == 9
+
+
+def files(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("names", [["x.mp4"], ["frames/"], ["x.gif", "x.npz", "x.ply"]])
+@pytest.mark.parametrize("checkpoint", [None, 1e-9])
+def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, monkeypatch, names, checkpoint):
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, *names)
+    (folder := tmp_path / "cut").mkdir()
+    for ends in (13, 21):  # while it is simulated
+        with pytest.raises(KeyboardInterrupt):
+            run(folder, *names, ends=ends, resume=ends > 13, checkpoint=checkpoint)
+    rendered = Fitted.render
+
+    def cut(self, frame):
+        if round(60 * frame.time) >= 17:
+            raise KeyboardInterrupt
+        return rendered(self, frame)
+
+    monkeypatch.setattr(Fitted, "render", cut)  # while it is drawn
+    with pytest.raises(KeyboardInterrupt):
+        run(folder, *names, resume=True, checkpoint=checkpoint)
+    monkeypatch.setattr(Fitted, "render", rendered)
+    summary = run(folder, *names, resume=True, checkpoint=checkpoint)
+    assert files(folder) == files(whole)
+    assert summary.resumed == (0 if checkpoint is None else COUNT)
+    assert summary.frames == COUNT
+    if names == ["x.mp4"]:
+        assert Fitted.last.drawn == list(range(17, COUNT))
+
+
+def test_of_several_outputs_one_alone_begins_anew(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "x.gif", "x.npz", ends=13, checkpoint=1e-9)
+    assert run(tmp_path, "x.npz", resume=True).resumed == 0
+    assert len(np.load(tmp_path / "x.npz")["time"]) == COUNT
+
+
+def test_another_duration_is_another_camera(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "x.mp4", ends=13, checkpoint=1e-9)
+    with pytest.raises(ValueError, match=r"differs in duration \(0\.5 then, 0\.4 now\)"):
+        run(tmp_path, "x.mp4", resume=True, duration=0.4)
+
+
+def test_frames_are_the_same_from_a_file(tmp_path):
+    with ts.Simulation(scene(), dt=1 / 240) as sim:
+        frames = list(sim.frames(60, 0.5))
+        for frame in frames:
+            frame.contacts, frame.probes = sim.contacts(), {"load.tension": float("nan")}
+        frames_file.save(tmp_path / "x.npz", frames)
+        for one, other in zip(frames, frames_file.load(tmp_path / "x.npz", sim), strict=True):
+            for name in ("time", "position", "velocity", "springs", "sticks", "triangles", "strain", "energy", "spin"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+            assert one.contacts == other.contacts
+            assert np.isnan(other.probes["load.tension"])
+
+
+def test_the_last_frame_is_in_the_picture(tmp_path, monkeypatch):
+    """A ball that was beyond the first picture's edge."""
+    draw_with(monkeypatch, Renderer)
+    looks = []
+    monkeypatch.setattr(Renderer, "render", lambda self, frame: looks.append((self.camera, frame)) or _blank())
+    run(tmp_path, "x.mp4")
+    camera, frame = looks[-1]
+    place = (frame.position - camera.low) * camera.scale
+    assert np.all((place > 0) & (place < SIZE))
+    with ts.Simulation(scene(), dt=1 / 240) as sim, Renderer(sim.frame(), SIZE) as renderer:
+        place = (frame.position - renderer.camera.low) * renderer.camera.scale
+        assert not np.all((place > 0) & (place < SIZE))
+
+
+def _blank():
+    return np.zeros((SIZE[1], SIZE[0], 3), dtype=np.uint8)
