@@ -82,7 +82,7 @@ def plane_colour(view, planes, look, eye, ray, k, share, open_share):
     reach = distance * ti.f32(0.16)
     fog = 1 - 1 / (1 + reach * reach * reach)
     far = sky(ray[1] / length, axis(look, 2), axis(look, 3))
-    near = tone(illuminate(colour, ti.f32(0.0), n, ray, axis(look, 0), axis(look, 1), share, open_share))
+    near = tone(illuminate(colour, ti.f32(0.0), ti.f32(0.0), n, ray, axis(look, 0), axis(look, 1), share, open_share))
     return near + (far - near) * fog
 
 

@@ -40,8 +40,12 @@ class Surfaces(Protocol):
     samples: int  # in a pixel
     ball: Vertex  # (vertices)
     colour: Field  # (vertices) vector
-    normal: Field  # (vertices) unit vector, of triangles
+    normal: Field  # (normals) unit vector
     corner: Field  # (triangles) vector of three vertices
+    normal_of: Field  # (triangles) vector of the normals at them
+    part: Field  # (triangles) number of the smooth part of a surface that each is of
+    style_of: Field  # (triangles) number of its style
+    style: Field  # (styles) vector: gloss, share of the light that comes through
     rod: Field  # (rods) vector of two vertices
     rod_radius: Field  # (rods)
     rod_strain: Field  # (rods)

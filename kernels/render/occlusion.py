@@ -47,7 +47,7 @@ def occlude(
         if identity != 0:
             px, py = ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5)
             ray = pixel_ray(view, px, py)
-            p, n, _, _ = surface(scene, view, eye, ray, identity, w, px, py)
+            p, n, _, _, _ = surface(scene, view, eye, ray, identity, w, px, py)
             if (identity >> 28) == PLANE:
                 n = plane_normal(planes, identity & 0xFFFFFFF)
             radius = ti.min(ti.max(reach * view[3, 0] * w, ti.f32(3.0)), ti.f32(90.0))

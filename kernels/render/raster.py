@@ -251,7 +251,7 @@ def draw_rods(
 
 
 @ti.kernel
-def vertex_normals(
+def find_normals(
     ball: ti.template(),
     corner: ti.template(),
     start: ti.template(),
@@ -259,12 +259,11 @@ def vertex_normals(
     normal: ti.template(),
     count: ti.i32,
 ):
-    """Area-weighted normal of every ball on triangles, gathered in a fixed order (the same bits every time)."""
+    """Area-weighted normals of triangles that share one, gathered in a fixed order (the same bits every time)."""
     for v in range(count):
-        if start[v] < start[v + 1]:
-            total = vec3(0, 0, 0)
-            for e in range(start[v], start[v + 1]):
-                k = corner[incident[e]]
-                p = ball[k[0]].xyz
-                total += (ball[k[1]].xyz - p).cross(ball[k[2]].xyz - p)
-            normal[v] = total / ti.max(total.norm(), ti.f32(1e-20))
+        total = vec3(0, 0, 0)
+        for e in range(start[v], start[v + 1]):
+            k = corner[incident[e]]
+            p = ball[k[0]].xyz
+            total += (ball[k[1]].xyz - p).cross(ball[k[2]].xyz - p)
+        normal[v] = total / ti.max(total.norm(), ti.f32(1e-20))

@@ -38,9 +38,10 @@ def spring_colour(strain):
 
 @ti.func
 def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
-    """Point, normal (towards the eye), colour and gloss of what a pixel sees."""
+    """Point, normal (towards the eye), colour and gloss of what a pixel sees, and the share of the light that comes through."""
     kind, i = identity >> 28, identity & 0xFFFFFFF
     p, n, colour, gloss = eye + ray / w, -ray.normalized(), vec3(0.5, 0.5, 0.5), ti.f32(0.2)
+    through = ti.f32(0.0)
     if ti.static(scene.has_spheres):  # without them there is no such field
         if kind == SPHERE:
             b = scene.ball[i]
@@ -74,7 +75,8 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
             wb, wc = ti.max(winding * s.dot(h), ti.f32(0.0)), ti.max(winding * ray.dot(q), ti.f32(0.0))
             wa = ti.max(ti.abs(det) - wb - wc, ti.f32(0.0))  # the centre may lie beside the triangle that a sample hits
             flat = e1.cross(e2)
-            smooth = scene.normal[k[0]] * wa + scene.normal[k[1]] * wb + scene.normal[k[2]] * wc
+            normals = scene.normal_of[i]
+            smooth = scene.normal[normals[0]] * wa + scene.normal[normals[1]] * wb + scene.normal[normals[2]] * wc
             total = ti.max(wa + wb + wc, ti.f32(1e-30))
             if smooth.norm() < ti.f32(0.2) * total or smooth.dot(flat) < 0:
                 smooth = flat
@@ -85,18 +87,26 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
             if total > ti.f32(1e-20):
                 p = (a * wa + b * wb + c * wc) / total
             colour = (scene.colour[k[0]] * wa + scene.colour[k[1]] * wb + scene.colour[k[2]] * wc) / total
-            if flat.dot(ray) > 0:
-                colour *= ti.f32(0.82)
-            gloss = ti.f32(0.15)
-    return p, n, colour, gloss
+            style = scene.style[scene.style_of[i]]
+            gloss, through = style[0], style[1]
+    return p, n, colour, gloss, through
 
 
 @ti.func
-def illuminate(colour, gloss, n, ray, lamp, fill, light_share, openness):
-    """Colour of a surface under the lamp, the sky and the bounce."""
+def lit_side(n, lamp, through):
+    """The normal of the side that light falls on, and its cosine with the lamp: of a sheet the other one, too."""
+    side, cosine = n, n.dot(lamp)
+    if through > 0 and cosine < 0:
+        side, cosine = -n, -cosine
+    return side, cosine
+
+
+@ti.func
+def illuminate(colour, gloss, through, n, ray, lamp, fill, light_share, openness):
+    """Colour of a surface under the lamp, the sky and the bounce, and the share of their light that comes through."""
     to_eye = -ray.normalized()
-    cosine = ti.max(n.dot(lamp), ti.f32(0.0)) * light_share
-    up = ti.f32(0.5) + ti.f32(0.5) * n[1]
+    cosine = ti.max(n.dot(lamp), -through * n.dot(lamp), ti.f32(0.0)) * light_share
+    up = ti.f32(0.5) + (ti.f32(0.5) - through) * n[1]
     ambient = (vec3(BOUNCE_LIGHT) * (1 - up) + vec3(SKY_LIGHT) * up) * openness
     half = (lamp + to_eye).normalized()
     shine = ti.max(n.dot(half), ti.f32(0.0))

@@ -3,7 +3,7 @@
 from taichi_sim.kernels.render.backdrop import nearest_plane, plane_colour
 from taichi_sim.kernels.render.finish import alpha_byte, encode
 from taichi_sim.kernels.render.raster import PLANE, SAMPLE_OFFSETS, TRIANGLE, View, vec3
-from taichi_sim.kernels.render.shade import axis, illuminate, pixel_ray, surface, tone
+from taichi_sim.kernels.render.shade import axis, illuminate, lit_side, pixel_ray, surface, tone
 from taichi_sim.kernels.render.shadow_lattice import between, ground_share, surface_share
 from taichi_sim.kernels.render.visibility import TILE, closeness, found, identity_of, tiles_across
 
@@ -14,11 +14,13 @@ OPEN = 0.998  # share of the sky from which all of it is seen
 
 
 @ti.func
-def alike(ia, wa, ib, wb):
-    """Whether two samples may share one shading: the same primitive, or one sheet of triangles."""
+def alike(scene: ti.template(), ia, wa, ib, wb):
+    """Whether two samples may share one shading: the same primitive, or triangles of one smooth part of a surface."""
     result = ia == ib
-    if (ia >> 28) == TRIANGLE and (ib >> 28) == TRIANGLE:
-        result = result or ti.abs(wa - wb) < wa * ti.f32(SAME_SHEET_DEPTH)
+    if ti.static(scene.has_triangles):
+        if ia != ib and (ia >> 28) == TRIANGLE and (ib >> 28) == TRIANGLE:
+            if ti.abs(wa - wb) < wa * ti.f32(SAME_SHEET_DEPTH):
+                result = scene.part[ia & 0xFFFFFFF] == scene.part[ib & 0xFFFFFFF]
     return result
 
 
@@ -43,7 +45,7 @@ def weigh(scene: ti.template(), seen: ti.template(), on_screen, count, which, pi
             weight = 1
             for t in ti.static(range(samples)):
                 if ti.static(t != s):
-                    if identity[t] != 0 and alike(identity[s], near[s], identity[t], near[t]):
+                    if identity[t] != 0 and alike(scene, identity[s], near[s], identity[t], near[t]):
                         if ti.static(t < s):
                             weight = 0
                         else:
@@ -57,16 +59,16 @@ def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye,
     """Linear colour of what one sample shows."""
     lamp = axis(look, 0)
     px, py = ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5)
-    p, n, colour, gloss = surface(scene, view, eye, ray, identity_of(seen, key), closeness(seen, key), px, py)
+    w = closeness(seen, key)
+    p, n, colour, gloss, through = surface(scene, view, eye, ray, identity_of(seen, key), w, px, py)
     share = ti.f32(1.0)
     if ti.static(scene.has_shadow):
-        cosine = n.dot(lamp)
+        side, cosine = lit_side(n, lamp, through)
         if cosine > 0:
-            w = closeness(seen, key)
             share = between(scene, identity_of(seen, key), w, x, y, width)
             if share < 0:
-                share, _ = surface_share(scene, light, p, n, cosine)
-    return tone(illuminate(colour, gloss, n, ray, lamp, axis(look, 1), share, open_share))
+                share, _ = surface_share(scene, light, p, side, cosine)
+    return tone(illuminate(colour, gloss, through, n, ray, lamp, axis(look, 1), share, open_share))
 
 
 @ti.func

@@ -3,7 +3,7 @@ alike ones take theirs. Those at the edge of a shadow, of a surface, or near any
 
 from taichi_sim.kernels.render.backdrop import plane_normal, plane_place
 from taichi_sim.kernels.render.raster import PLANE, TRIANGLE, View, vec3
-from taichi_sim.kernels.render.shade import axis, pixel_ray, surface
+from taichi_sim.kernels.render.shade import axis, lit_side, pixel_ray, surface
 from taichi_sim.kernels.render.shadow import COARSE_TEXELS, WIDEST_BLUR, coarse_cell, filtered, light_place, slope_of
 from taichi_sim.kernels.render.visibility import TILE, closeness, found, identity_of, tiles_across
 
@@ -80,8 +80,8 @@ def sample(
             elif (identity >> 28) == PLANE:
                 share, thin = ground_share(scene, light, look, planes, eye, ray, which, pixel)
             elif identity != 0:
-                p, n, _, _ = surface(scene, view, eye, ray, identity, w, px, py)
-                cosine = n.dot(axis(look, 0))
+                p, n, _, _, through = surface(scene, view, eye, ray, identity, w, px, py)
+                n, cosine = lit_side(n, axis(look, 0), through)
                 if cosine > 0:
                     share, thin = surface_share(scene, light, p, n, cosine)
         scene.lattice_share[k] = ti.f32(UNKNOWN) if thin > 0 else share

@@ -221,6 +221,9 @@ class Output(Strict):
         None, "strain [1] or speed [m/s] that get the first and the last colour"
     )
     subdivide: Literal[0, 1, 2] = _key(0, "how many times each triangle of a surface is divided into four, smoothly")
+    crease: Annotated[FiniteFloat, Ge(0), Le(180)] = _key(
+        40.0, "between triangles at the start, from which their edge is sharp, in 3D; not where subdivide is [degrees]"
+    )
     camera: Annotated[
         dict[str, Any] | None, WithJsonSchema(_object(CameraPath, follow=str | int | tuple[int, ...]))
     ] = _key(None, "where the camera stands, and how it moves")

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.render.smoothing import CREASE, Smoothing
 from taichi_sim.scene.colliders import BOX, CUSTOM, Collider
 
 __all__ = ["Bodies", "filled"]
 
 COLLIDER_GREY = (0.64, 0.66, 0.70)  # sRGB
 FACES_AROUND = 96  # faces of a round shape about its axis; a quarter of it along each of its caps
-CREASE_COSINE = 0.77  # cosine of the angle between faces from which their edge is sharp
 
 
 class Bodies(NamedTuple):
@@ -26,9 +26,10 @@ class Bodies(NamedTuple):
     hollow: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, frame: Frame, around: int = FACES_AROUND) -> "Bodies":
-        """What the colliders of a 3D frame look like; around: faces of a round one about its axis, a multiple of 4."""
-        parts = [_surface(placed.collider, around) for placed in frame.colliders]
+    def of(cls, frame: Frame, around: int = FACES_AROUND, crease: float = CREASE) -> "Bodies":
+        """What the colliders of a 3D frame look like; around: faces of a round one about its axis, a multiple of 4; crease:
+        degrees between triangles of a mesh, from which their edge is sharp."""
+        parts = [_surface(placed.collider, around, crease) for placed in frame.colliders]
         sizes = [len(vertices) for vertices, _ in parts]
         first = np.cumsum([0, *sizes])
         shapes = [placed.collider for placed in frame.colliders]
@@ -67,10 +68,12 @@ def filled(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return np.concatenate([np.zeros((0, 3, 2)), *corners]), owner
 
 
-def _surface(collider: Collider, around: int) -> tuple[NDArray, NDArray]:
+def _surface(collider: Collider, around: int, crease: float) -> tuple[NDArray, NDArray]:
     """Vertices and triangles; one vertex for each smooth part of the surface that meets there."""
     if collider.is_meshed:
-        return _creased(collider.vertices, collider.triangles)
+        split = Smoothing.of(collider.vertices, collider.triangles, crease).normal_of
+        first = np.unique(split, return_index=True)[1]
+        return collider.vertices[collider.triangles.ravel()[first]], split
     if collider.kind == BOX:
         signs = np.array([[(k >> a & 1) * 2 - 1 for a in range(3)] for k in range(8)])
         faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
@@ -79,11 +82,11 @@ def _surface(collider: Collider, around: int) -> tuple[NDArray, NDArray]:
         triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
         return signs[corners] * collider.half, triangles
     per_cap = around // 4
-    rings = np.concatenate([np.linspace(0, 90, per_cap + 1), np.linspace(90, 180, per_cap + 1)])
+    second = 0 if collider.half[0] > 0 else 1  # of the rings at 90 degrees, which a sphere has one of
+    rings = np.concatenate([np.linspace(0, 90, per_cap + 1), np.linspace(90, 180, per_cap + 1)[second:]])
     angle = np.radians(rings)[:, None]
     about = np.linspace(0, 2 * np.pi, around, endpoint=False)[None]
-    x = np.where(rings > 90, -1.0, 1.0)
-    x[per_cap + 1] = -1.0  # the second ring at 90 degrees lies at the other end
+    x = np.where(np.arange(len(rings)) > per_cap, -1.0, 1.0)  # the second ring at 90 degrees lies at the other end
     middle = np.broadcast_to((x * collider.half[0])[:, None], (len(rings), around))
     r = collider.radius
     points = np.stack(
@@ -100,23 +103,3 @@ def _surface(collider: Collider, around: int) -> tuple[NDArray, NDArray]:
     sides = ((a, a_next, b), (b, a_next, b_next))
     triangles = np.concatenate([np.stack(side, -1).reshape(-1, 3) for side in sides])
     return points.reshape(-1, 3), triangles
-
-
-def _creased(vertices: NDArray, triangles: NDArray) -> tuple[NDArray, NDArray]:
-    """The same with vertices doubled along sharp edges, so that smooth shading stops there."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-    points: list[NDArray] = []
-    kinds: dict[int, list[tuple[NDArray, int]]] = {}
-    result = np.empty_like(triangles)
-    for t, corners in enumerate(triangles):
-        for k, v in enumerate(corners.tolist()):
-            known = kinds.setdefault(v, [])
-            own = next((index for n, index in known if n @ normal[t] > CREASE_COSINE), None)
-            if own is None:
-                own = len(points)
-                known.append((normal[t], own))
-                points.append(vertices[v])
-            result[t, k] = own
-    return np.array(points), result

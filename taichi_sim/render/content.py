@@ -11,6 +11,7 @@ from taichi_sim.geometry.mesh import Edges
 from taichi_sim.render.binding import Binding
 from taichi_sim.render.bodies import Bodies
 from taichi_sim.render.palette import body_colours
+from taichi_sim.render.smoothing import CREASE, Smoothing
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 from taichi_sim.scene.objects import SceneObject
@@ -24,7 +25,8 @@ class Content:
 
     radius (n,) m, 0 for balls on triangles; rods: indices of the springs drawn; rod_ends (k, 2); rod_radius (k,) m;
     rod_stick (k,). Vertices are the n balls and, after them, those of surfaces and of finer surfaces, which `binding` holds to
-    the balls; colour (n + s, 3) sRGB and triangles (t, 3) are theirs. bodies: colliders, in 3D.
+    the balls; colour (n + s, 3) sRGB and triangles (t, 3) are theirs. bodies: colliders, in 3D. smoothing: of these triangles
+    and those of colliders after them, in 3D.
     """
 
     source: tuple[NDArray, ...]
@@ -37,13 +39,17 @@ class Content:
     triangles: NDArray[np.int32]
     binding: Binding
     bodies: Bodies | None
+    smoothing: Smoothing | None
     colliders: tuple[Collider, ...]
     embedded_surfaces: tuple[EmbeddedSurface, ...]
     objects: tuple[SceneObject, ...]
 
     @classmethod
-    def of(cls, frame: Frame, size: float, subdivide: int = 0) -> "Content":
-        """size: of the scene in metres, for rods between balls without a radius. subdivide: surfaces so many times."""
+    def of(
+        cls, frame: Frame, size: float, subdivide: int = 0, crease: float = CREASE, rest: NDArray | None = None
+    ) -> "Content":
+        """size: of the scene in metres, for rods between balls without a radius. subdivide: surfaces so many times. crease:
+        see `Smoothing`; rest: where the balls (n, 3) [m] show it, those of the frame by default."""
         n = len(frame.position)
         covered = np.zeros(n, dtype=bool)
         for one in frame.embedded_surfaces:
@@ -56,6 +62,10 @@ class Content:
         rods = np.flatnonzero(~(hidden[springs[:, 0]] | hidden[springs[:, 1]]))  # inner ones would poke through
         ends = np.ascontiguousarray(springs[rods], dtype=np.int32)
         colour = body_colours(frame)
+        bodies, smoothing = None, None
+        if frame.dim == 3:
+            bodies = Bodies.of(frame, crease=crease)
+            smoothing = _smoothing(frame, triangles, binding, bodies, 180.0 if subdivide else crease, rest)
         stick = frame.sticks[rods] if len(frame.sticks) == len(springs) else np.zeros(len(rods), dtype=bool)
         return cls(
             source=_source(frame),
@@ -65,7 +75,8 @@ class Content:
             rod_ends=ends,
             rod_radius=_rod_radius(frame, ends, stick, size),
             rod_stick=stick,
-            bodies=Bodies.of(frame) if frame.dim == 3 else None,
+            bodies=bodies,
+            smoothing=smoothing,
             colliders=_colliders(frame),
             embedded_surfaces=frame.embedded_surfaces,
             objects=frame.objects,
@@ -99,6 +110,20 @@ def enclosed(frame: Frame) -> NDArray[np.bool_]:
     joined = components(n, np.concatenate([frame.springs.reshape(-1, 2), triangles[:, :2], triangles[:, 1:]]))
     body = joined.astype(np.int64) * len(is_open) + number
     return np.isin(body, np.unique(body[triangles])) & ~is_open[number]
+
+
+def _smoothing(
+    frame: Frame, triangles: NDArray, binding: Binding, bodies: Bodies, crease: float, rest: NDArray | None
+) -> Smoothing:
+    """Of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp edges."""
+    x = frame.position if rest is None or rest.shape != frame.position.shape else rest
+    flat = np.zeros(len(x) + len(binding), dtype=bool)
+    for one in frame.objects:
+        flat[one.balls] = one.uv is not None
+    flat[len(x) :] = binding.apply(flat[: len(x)]) > 0.5
+    points = np.concatenate([x, binding.apply(x)])
+    own = Smoothing.of(points, triangles, crease, flat[triangles].all(axis=1))
+    return own.joined(Smoothing.of(bodies.vertices, bodies.triangles, 180.0).closed())
 
 
 def _colliders(frame: Frame) -> tuple[Collider, ...]:

@@ -10,8 +10,11 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.render import raster, vertex_binding
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
+from taichi_sim.render.smoothing import Smoothing
 
 __all__ = ["Buffers", "padded"]
+
+STYLES = ((0.15, 0.0), (0.15, 0.4))  # of bodies and of sheets: gloss, share of the light that comes through
 
 
 class Buffers:
@@ -31,8 +34,10 @@ class Buffers:
         if self.has_rods:
             self.rod, self.rod_radius, self.rod_strain = fields.cells(m, 2), fields.reals(m), fields.reals(m)
         if self.has_triangles:
-            self.corner, self.incident = fields.cells(t, 3), fields.integers(3 * t)
-            self.start, self.normal = fields.integers(n + 1), fields.vectors(n, 3)
+            self.corner, self.normal_of, self.part = fields.cells(t, 3), fields.cells(t, 3), fields.integers(t)
+            self.style_of, self.style = fields.integers(t), fields.vectors(len(STYLES), 2)
+            self.incident = fields.integers(3 * t)
+            self.start, self.normal = fields.integers(3 * t + 1), fields.vectors(3 * t, 3)
         if self.has_bound:
             entries = content.binding.weights.nnz
             self.bound_start = fields.integers(len(content.binding) + 1)
@@ -72,17 +77,26 @@ class Buffers:
             if self.bodies is not None:
                 first = self.balls + self.bound
                 self._corners = np.concatenate([content.triangles, self.bodies.triangles + first]).astype(np.int32)
-            corners = self._corners.ravel()
-            order = np.argsort(corners, kind="stable")
-            start = np.zeros(n + 1, dtype=np.int32)
-            start[1:] = np.cumsum(np.bincount(corners, minlength=n))
             self.corner.from_numpy(padded(self._corners, self.capacity[2]))
-            self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * self.capacity[2]))
-            self.start.from_numpy(start)
+            assert content.smoothing is not None  # in 3D
+            self._load_smoothing(content.smoothing)
         if self.has_bound:
             self.bound_start.from_numpy(content.binding.weights.indptr.astype(np.int32))
             self.bound_entry.from_numpy(content.binding.weights.indices.astype(np.int32))
             self.bound_weight.from_numpy(content.binding.weights.data.astype(np.float32))
+
+    def _load_smoothing(self, smoothing: Smoothing) -> None:
+        t = self.capacity[2]
+        normal_of, self.normals = smoothing.normal_of.ravel(), smoothing.normals
+        start = np.zeros(3 * t + 1, dtype=np.int32)
+        start[1 : self.normals + 1] = np.cumsum(np.bincount(normal_of, minlength=self.normals))
+        self.start.from_numpy(start)
+        order = np.argsort(normal_of, kind="stable")
+        self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * t))
+        self.normal_of.from_numpy(padded(smoothing.normal_of, t))
+        self.part.from_numpy(padded(smoothing.part, t))
+        self.style.from_numpy(np.array(STYLES, dtype=np.float32))
+        self.style_of.from_numpy(padded(smoothing.sheet.astype(np.int32), t))
 
     def move(self, frame: Frame, origin: NDArray, unit: float, strain: NDArray | None, eye: NDArray) -> None:
         """Take over positions (m) and strains; eye (m)."""
@@ -130,7 +144,7 @@ class Buffers:
             )
 
     def find_normals(self) -> None:
-        raster.vertex_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.vertices)
+        raster.find_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.normals)
 
     def close(self) -> None:
         self._fields.free()

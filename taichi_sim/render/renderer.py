@@ -10,6 +10,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.device import backend
 from taichi_sim.render.camera import Camera
 from taichi_sim.render.colouring import Colouring
+from taichi_sim.render.smoothing import CREASE
 from taichi_sim.scene.camera_path import CameraPath
 
 __all__ = ["Renderer"]
@@ -24,8 +25,9 @@ class Renderer:
     sRGB colour in 0..1 or a pair (top, bottom); ambient_occlusion and shadow for 3D only; camera: a CameraPath or its keys,
     or, in 3D, a fixed Camera; None: one that shows all; transparent: neither
     background nor ground, and alpha; colour: "object", or "strain" or "speed" of balls and surfaces on a scale from the first
-    to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly. Raises
-    ValueError for a bad argument. `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which
+    to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly; crease: in 3D,
+    the angle between triangles in the first frame from which their edge is sharp [degrees], where surfaces are not subdivided.
+    Raises ValueError for a bad argument. `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which
     colours are not multiplied; row 0 at the top, sRGB.
     """
 
@@ -41,12 +43,15 @@ class Renderer:
         colour: str = "object",
         colour_range: tuple[float, float] | None = None,
         subdivide: int = 0,
+        crease: float = CREASE,
     ) -> None:
         width, height = (int(a) for a in size)
         if width < 1 or height < 1:
             raise ValueError(f"size: {size} is not allowed; width and height must be at least 1")
         if subdivide not in (0, 1, 2):
             raise ValueError(f"subdivide: {subdivide!r} is not allowed; it must be 0, 1 or 2")
+        if not 0 <= crease <= 180:
+            raise ValueError(f"crease: {crease!r} is not allowed; it must be an angle from 0 to 180 degrees")
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
         backend.start()
         self.size = (width, height)
@@ -54,7 +59,7 @@ class Renderer:
         if frame.dim == 3:
             from taichi_sim.render.renderer3d import Renderer3D
 
-            self._painter = Renderer3D(frame, self.size, background, ambient_occlusion, shadow, camera, *look)
+            self._painter = Renderer3D(frame, self.size, background, ambient_occlusion, shadow, camera, *look, crease)
         else:
             from taichi_sim.render.renderer2d import Renderer2D
 

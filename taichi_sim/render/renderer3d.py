@@ -15,6 +15,7 @@ from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import Buffers
 from taichi_sim.render.palette import background_colours, to_linear
+from taichi_sim.render.smoothing import CREASE
 from taichi_sim.render.tracker import Tracker
 
 __all__ = ["Renderer3D"]
@@ -41,9 +42,11 @@ class Renderer3D:
         transparent: bool = False,
         colouring: Colouring | None = None,
         subdivide: int = 0,
+        crease: float = CREASE,
     ) -> None:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
+        self._crease, self._rest = crease, frame.position.copy()
         self._table = Colouring.table()
         self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
         self._aim_from(self._tracker.first)
@@ -147,7 +150,7 @@ class Renderer3D:
         """Take over what changed beyond positions; allocate again where a frame has more of anything."""
         if self._content is not None and self._content.matches(frame):
             return
-        content = Content.of(frame, self._unit, self._subdivide)
+        content = Content.of(frame, self._unit, self._subdivide, self._crease, self._rest)
         self._content = content
         if self.buffers is None or not self.buffers.holds(content):
             if self.buffers is not None:

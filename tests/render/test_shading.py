@@ -1,0 +1,124 @@
+"""Light and looks: sharp edges where they are, both sides of a sheet, edges without steps."""
+
+import numpy as np
+import pytest
+from test_embedded_surfaces import frame_of
+from test_render import GREEN, RED, balls, linear, picture, placed
+
+from taichi_sim import Box, Scene, shapes
+from taichi_sim.device import backend
+from taichi_sim.render import Camera
+from taichi_sim.render.content import Content
+from taichi_sim.render.smoothing import Smoothing
+
+pytestmark = pytest.mark.once
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _backend():
+    if backend.running() is None:
+        backend.start(arch="cpu")
+
+
+def sheet(n, height):
+    """Vertices and triangles of a square of n x n points, from -1 to 1 in x and z, at heights of (x, z)."""
+    u, v = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij")
+    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    triangles = np.concatenate([np.stack([i, i + 1, i + n], 1), np.stack([i + 1, i + n + 1, i + n], 1)])
+    return np.stack([u, height(u, v), v], axis=-1).reshape(-1, 3), triangles.astype(np.int32)
+
+
+# Sharp edges --------------------------------------------------------------------------------------------------------
+
+
+def test_a_cube_has_six_smooth_parts():
+    scene = Scene(dim=3)
+    cube = shapes.jelly(scene, size=(1, 1, 1), resolution=(4, 4, 4))
+    for crease, parts, normals in ((40.0, 6, 6 * 16), (100.0, 1, 56)):
+        found = Smoothing.of(scene.position, cube.triangles, crease)
+        assert len(np.unique(found.part)) == parts
+        assert found.normals == normals
+        assert found.part.shape == (len(cube.triangles),)
+        assert not found.sheet.any()
+    for t, normals in zip(cube.triangles, Smoothing.of(scene.position, cube.triangles, 40.0).normal_of):
+        same = np.flatnonzero((cube.triangles == t[0]).any(axis=1))
+        assert len(same) >= 2
+        assert len(set(normals.tolist())) == 3
+
+
+def test_where_an_edge_is_sharp():
+    """Two triangles at an angle, wound alike or not; a third one at their edge; a border makes a sheet."""
+    angle = np.radians(50.0)
+    points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-np.cos(angle), np.sin(angle), 0], [0, -1, 0]])
+    pair = np.array([[0, 1, 2], [1, 0, 3]])
+    for triangles, crease, normals in (
+        (pair, 49.0, 6),
+        (pair, 51.0, 4),
+        (np.array([[0, 1, 2], [0, 1, 3]]), 180.0, 6),
+        (np.vstack([pair, [[0, 1, 4]]]), 180.0, 9),
+    ):
+        found = Smoothing.of(points, triangles, crease)
+        assert found.normals == normals
+        assert found.sheet.all()
+    assert Smoothing.of(points, pair, 49.0, np.array([True, True])).normals == 4
+
+
+def test_a_folded_cloth_and_a_finer_surface_are_smooth():
+    """Sharp is what is sharp at rest: a rectangular cloth never, whatever the first frame shows."""
+    scene = Scene(dim=3)
+    shapes.cloth(scene, size=(1, 1), resolution=(5, 5))
+    x = scene.position + np.where(np.arange(25) // 5 % 2 == 0, 0.0, 1.0)[:, None] * (0, 1, 0)
+    frame = frame_of(scene, x)
+    assert Content.of(frame, 1.0).smoothing.normals == 4 * 10  # four strips
+    frame.objects = tuple(scene.objects)
+    assert Content.of(frame, 1.0).smoothing.normals == 25
+    scene = Scene(dim=3)
+    shapes.jelly(scene, size=(1, 1, 1), resolution=(3, 3, 3))
+    assert Content.of(frame_of(scene), 1.0).smoothing.normals == 6 * 9
+    assert len(np.unique(Content.of(frame_of(scene), 1.0, 1).smoothing.part)) == 1
+
+
+def test_faces_of_a_block_are_evenly_lit():
+    """The block is turned; seen from the front, two faces, each of one brightness, with nothing between them."""
+    scene = Scene(dim=3)
+    shapes.jelly(scene, size=(2, 2, 2), resolution=(3, 3, 3), rotation=(0, 45, 0), colour=RED)
+    frame = frame_of(scene)
+    middle = frame.position.mean(axis=0)
+    camera = Camera(eye=(middle[0], middle[1], middle[2] + 1000.0), target=tuple(middle), fov=0.25)
+    seen = {}
+    for crease in (40.0, 180.0):
+        image = linear(picture(frame, camera=camera, shadow=False, crease=crease))[30:60]
+        left, right = image[:, 55:76, 0], image[:, 84:105, 0]
+        seen[crease] = left.std(), right.std(), abs(left.mean() - right.mean())
+    assert max(seen[40.0][:2]) < 0.01
+    assert seen[40.0][2] > 0.05
+    assert min(seen[180.0][:2]) > 0.02
+
+
+def test_edges_between_faces_have_no_steps():
+    """The upper edge of a box's front, a little slanted on the screen, is mixed from both faces."""
+    box = placed(Box((0, -1, 0), (4, 1.4, 2), rotation=(0, 8, 0)), 3)
+    frame = balls(np.array([[-2.0, -2, 0], [2, 1, 0]]), 0.01, [GREEN] * 2, colliders=(box,))
+    camera = Camera(eye=(0, 4, 10), target=(0, -1, 0), fov=30.0)
+    columns = linear(picture(frame, camera=camera, shadow=False))[:, 55:100, 1]
+    front, top = columns[50], columns[34]
+    assert np.all(top > front + 0.1)
+    covered = (columns[34:50] - front) / (top - front)  # by the top
+    between = np.any((covered > 0.15) & (covered < 0.85), axis=0)
+    assert between.mean() > 0.5  # with steps, no column
+
+
+# Sheets -------------------------------------------------------------------------------------------------------------
+
+
+def test_the_underside_of_a_sheet_is_neither_black_nor_flat():
+    """Seen from below, the lamp above it: light comes through, and shows folds; not so through a closed block."""
+    x, triangles = sheet(33, lambda u, v: 0.06 * np.sin(9 * u + 2 * v))
+    frame = balls(x, 0.0, np.tile((0.2, 0.45, 0.7), (len(x), 1)), triangles=triangles)
+    seen = []
+    for height in (5.0, -5.0):
+        camera = Camera(eye=(0.0, height, 3.0), target=(0.0, 0.0, 0.0), fov=20.0)
+        seen.append(linear(picture(frame, camera=camera))[30:60, 60:100].mean(axis=2))
+    above, below = seen
+    assert below.mean() > 0.35 * above.mean()
+    assert below.std() > 0.08 * below.mean()
