@@ -193,7 +193,7 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
         bias = ti.cast(RIGID, float)
         rests = (
             before > 0.0
-            or ti.abs(speed) <= pair_impacts.RESTING_SPEED * solver.threshold[0]
+            or pair_impacts.rests(solver, i, j, speed, depth)
             or not pair_impacts.is_lossless(solver, i, j)
         )
         if depth > 0.0 and not fast and rests:

@@ -17,6 +17,7 @@ FROM_ANYWHERE = ("mirror", "elsewhere", "in_other_masses", "renumbered", "moment
 
 SLOW, LONG = pytest.mark.slow, pytest.mark.long
 SINGLE = (SLOW, pytest.mark.long_in("f64"))  # in single precision only, but in tests that take hours
+DEPTH = ("nothing_overlaps_far",)
 LEDGERS = ("momentum_with_the_colliders", "energy_with_the_work", "in_a_moving_frame", "mirror")
 
 
@@ -60,9 +61,11 @@ def _fails(family, seed, scenes, reason, relations=None, mark=None):
         _holds("jelly_slides", 2, 8, mark=LONG),
         _holds("sled", 5, 4, mark=LONG),
         _holds("sled", 7, 8, mark=LONG),
-        _holds("unequal_crowd", 0, 4, mark=LONG),
+        _holds("unequal_crowd", 0, 4, ("energy_never_grows",), mark=LONG),
+        _fails("unequal_crowd", 0, 4, "masses 1 to 100: up to 0.6 of a radius for a moment", DEPTH, LONG),
         _holds("elastic_crowd", 1, 4, mark=LONG),
-        _holds("heavy_crowd", 1, 4, mark=LONG),
+        _holds("heavy_crowd", 1, 4, ("energy_is_kept",), mark=LONG),
+        _fails("heavy_crowd", 1, 4, "12 to 30 radii a step: up to 1.7 of a radius for a moment", DEPTH, LONG),
         _holds("slow_balls", 1, 10, mark=LONG),
         _holds("glancing", 0, 6, mark=LONG),
         _holds("led_chain", 0, 10, ("order_is_kept",), mark=LONG),
