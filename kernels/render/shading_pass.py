@@ -67,12 +67,12 @@ def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye,
         if cosine > 0:
             share = between(scene, identity_of(seen, key), w, x, y, width)
             if share < 0:
-                share, _ = surface_share(scene, light, p, side, cosine)
+                share, _ = surface_share(scene, view, light, eye, p, side, cosine)
     return tone(illuminate(colour, gloss, through, n, ray, lamp, axis(look, 1), share, open_share))
 
 
 @ti.func
-def behind_share(scene: ti.template(), light, look, planes, on_screen, eye, ray, k, x, y, width):
+def behind_share(scene: ti.template(), view, light, look, planes, on_screen, eye, ray, k, x, y, width):
     """Share of the lamp on a plane."""
     share = ti.f32(1.0)
     if ti.static(scene.has_shadow):
@@ -82,7 +82,7 @@ def behind_share(scene: ti.template(), light, look, planes, on_screen, eye, ray,
             if scene.coarse[cell] > scene.backdrop_level[pixel]:
                 share = between(scene, (PLANE << 28) | k, ti.f32(0.0), x, y, width)
                 if share < 0:
-                    share, _ = ground_share(scene, light, look, planes, eye, ray, k, pixel)
+                    share, _ = ground_share(scene, view, light, look, planes, eye, ray, k, pixel)
     return share
 
 
@@ -139,7 +139,7 @@ def resolve(
                 behind = scene.backdrop[pixel]
                 k = ti.abs(which) - 1
                 if k >= 0:
-                    share = behind_share(scene, light, look, planes, on_screen, eye, ray, k, x, y, width)
+                    share = behind_share(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
                     if share < 1 or open_share < ti.f32(OPEN):
                         behind = plane_colour(view, planes, look, eye, ray, k, share, open_share)
                         plain = False

@@ -94,30 +94,22 @@ def slope_of(cosine):
 
 
 @ti.func
-def lit(scene: ti.template(), light, p, n, slope):
-    """Share of the lamp that reaches p."""
-    q, level = light_place(light, p, n, slope)
-    result = ti.f32(1.0)
-    if coarse_tap(scene.coarse, scene.shadow_size // COARSE_TEXELS, q[0], q[1]) > level:
-        result = filtered(scene, light, q, level, slope)
-    return result
-
-
-@ti.func
-def filtered(scene: ti.template(), light, q, level, slope):
-    """Share of the lamp: blockers searched near by, then a blur as wide as they are far."""
+def filtered(scene: ti.template(), light, q, level, slope, pixel):
+    """Share of the lamp, and the texels that it is blurred over: blockers searched near by, then a blur as wide as they are far,
+    and as a pixel is, so many texels."""
     texel = 1 / light[3, 0]
     per_px = texel * ti.min(slope, ti.f32(3.0))
-    result = ti.f32(1.0)
+    result, radius = ti.f32(1.0), ti.f32(WIDEST_BLUR)
     size = scene.shadow_size
     blockers, nearest = blocker_search(scene.shadow, size, q, level, per_px)
     if blockers > 0:
-        radius = ti.min(ti.max((nearest - q[2]) * ti.f32(LAMP_SOFTNESS) / texel, ti.f32(1.2)), ti.f32(WIDEST_BLUR))
+        narrowest = ti.max(ti.f32(1.2), ti.f32(0.5) * pixel)
+        radius = ti.min(ti.max((nearest - q[2]) * ti.f32(LAMP_SOFTNESS) / texel, narrowest), ti.f32(WIDEST_BLUR))
         if blockers < BLOCKER_TAPS or radius > ti.f32(WIDEST_BLUR * 0.5):
             result = blurred(scene.shadow, size, q, level + per_px * radius * ti.f32(0.5), radius)
         else:
             result = ti.f32(0.0)
-    return result
+    return result, radius
 
 
 @ti.func
@@ -125,15 +117,6 @@ def coarse_cell(cells, x, y):
     """The coarse cell of a place in the shadow map, -1 outside."""
     i, j = ti.cast(ti.floor(x / COARSE_TEXELS), ti.i32), ti.cast(ti.floor(y / COARSE_TEXELS), ti.i32)
     return j * cells + i if i >= 0 and j >= 0 and i < cells and j < cells else -1
-
-
-@ti.func
-def coarse_tap(coarse: ti.template(), cells, x, y):
-    w = ti.f32(0.0)
-    c = coarse_cell(cells, x, y)
-    if c >= 0:
-        w = coarse[c]
-    return w
 
 
 @ti.kernel

@@ -21,30 +21,44 @@ def lattice_width(width):
 
 
 @ti.func
-def ground_share(scene: ti.template(), light, look, planes, eye, ray, k, pixel):
-    """Share of the lamp on a plane, and whether something thin may be near."""
-    share, thin = ti.f32(1.0), 0
+def map_share(scene: ti.template(), view, light, q, level, slope, cell, eye, p, n):
+    """Share of the lamp at p, and whether that of pixels near by may be quite another one: at narrow edges of shadows, and near
+    anything thin."""
+    away = p - eye
+    steep = ti.max(ti.abs(n.dot(away)) / away.norm(), ti.f32(0.2))
+    pixel = axis(view, 2).dot(away) / view[3, 0] * light[3, 0] / steep  # texels, along its longer side on the surface
+    share, radius = filtered(scene, light, q, level, slope, pixel)
+    abrupt = scene.thin[cell] > 0
+    if radius < STEP * pixel and share > 0 and share < 1:
+        abrupt = True
+    return share, abrupt
+
+
+@ti.func
+def ground_share(scene: ti.template(), view, light, look, planes, eye, ray, k, pixel):
+    """The same on a plane."""
+    share, abrupt = ti.f32(1.0), False
     cell = scene.backdrop_cell[pixel]
     if cell >= 0:
         if scene.coarse[cell] > scene.backdrop_level[pixel]:
             n = plane_normal(planes, k)
-            slope = slope_of(n.dot(axis(look, 0)))
-            q, level = light_place(light, eye + ray * plane_place(planes, eye, ray, k), n, slope)
-            share, thin = filtered(scene, light, q, level, slope), scene.thin[cell]
-    return share, thin
+            slope, p = slope_of(n.dot(axis(look, 0))), eye + ray * plane_place(planes, eye, ray, k)
+            q, level = light_place(light, p, n, slope)
+            share, abrupt = map_share(scene, view, light, q, level, slope, cell, eye, p, n)
+    return share, abrupt
 
 
 @ti.func
-def surface_share(scene: ti.template(), light, p, n, cosine):
+def surface_share(scene: ti.template(), view, light, eye, p, n, cosine):
     """The same on a surface that faces the lamp."""
     slope = slope_of(cosine)
     q, level = light_place(light, p, n, slope)
-    share, thin = ti.f32(1.0), 0
+    share, abrupt = ti.f32(1.0), False
     cell = coarse_cell(scene.shadow_size // COARSE_TEXELS, q[0], q[1])
     if cell >= 0:
         if scene.coarse[cell] > level:
-            share, thin = filtered(scene, light, q, level, slope), scene.thin[cell]
-    return share, thin
+            share, abrupt = map_share(scene, view, light, q, level, slope, cell, eye, p, n)
+    return share, abrupt
 
 
 @ti.kernel
@@ -62,7 +76,7 @@ def sample(
 ):
     for k in range(lattice_width(width) * lattice_width(height)):
         x, y = k % lattice_width(width) * STEP, k // lattice_width(width) * STEP
-        share, identity, w, thin = ti.f32(UNKNOWN), 0, ti.f32(0.0), 0
+        share, identity, w, abrupt = ti.f32(UNKNOWN), 0, ti.f32(0.0), False
         if x < width and y < height:
             pixel = y * width + x
             px, py = ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5)
@@ -78,13 +92,13 @@ def sample(
             if STEP * light[3, 0] > ti.f32(WIDEST_BLUR) * view[3, 0] * w:  # the next one is out of reach of its taps
                 pass
             elif (identity >> 28) == PLANE:
-                share, thin = ground_share(scene, light, look, planes, eye, ray, which, pixel)
+                share, abrupt = ground_share(scene, view, light, look, planes, eye, ray, which, pixel)
             elif identity != 0:
                 p, n, _, _, through = surface(scene, view, eye, ray, identity, w, px, py)
                 n, cosine = lit_side(n, axis(look, 0), through)
                 if cosine > 0:
-                    share, thin = surface_share(scene, light, p, n, cosine)
-        scene.lattice_share[k] = ti.f32(UNKNOWN) if thin > 0 else share
+                    share, abrupt = surface_share(scene, view, light, eye, p, n, cosine)
+        scene.lattice_share[k] = ti.f32(UNKNOWN) if abrupt else share
         scene.lattice_identity[k] = identity
         scene.lattice_depth[k] = w
 

@@ -5,9 +5,9 @@ import pytest
 from test_embedded_surfaces import frame_of
 from test_render import GREEN, RED, balls, linear, picture, placed
 
-from taichi_sim import Box, Scene, shapes
+from taichi_sim import Box, Capsule, Scene, shapes
 from taichi_sim.device import backend
-from taichi_sim.render import Camera
+from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
 from taichi_sim.render.smoothing import Smoothing
 
@@ -122,3 +122,27 @@ def test_the_underside_of_a_sheet_is_neither_black_nor_flat():
     above, below = seen
     assert below.mean() > 0.35 * above.mean()
     assert below.std() > 0.08 * below.mean()
+
+
+# Shadows ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_edge_of_a_shadow_has_no_notches():
+    """A capsule over the ground, seen from low: the straight edges of its shadow are straight in a small picture."""
+    capsule = placed(Capsule((-1.5, 0.2, 0.6), (1.5, 0.9, -0.6), 0.2), 3)
+    ground = np.array([[0.0, 1.0, 0.0, 0.0]])
+    frame = balls(np.array([[-2.0, 0.1, -0.5], [2, 0.1, 0.5]]), 0.01, [GREEN] * 2, colliders=(capsule,), walls=ground)
+    seen, size = [], (640, 360)
+    for shadow in (False, True):
+        camera = Camera(eye=(0.5, 1.7, 5.0), target=(0.5, 0.2, 0.0), fov=22.0)
+        with Renderer(frame, size=size, camera=camera, shadow=shadow) as renderer:
+            seen.append(linear(renderer.render(frame)).mean(axis=2))
+    share = np.clip(seen[1] / seen[0], 0.0, 1.0)[:, 220:460]
+    share = (share - share.min()) / (1 - share.min())
+    column = np.arange(share.shape[1])
+    for level in (0.2, 0.5, 0.85):
+        row = len(share) - 1 - np.argmax(share[::-1] < level, axis=0)  # the near edge, below the capsule
+        low, high = share[row + 1, column], share[row, column]
+        place = row + (level - high) / (low - high)
+        fit = np.polyval(np.polyfit(column, place, 2), column)
+        assert np.abs(place - fit).max() < 0.6  # px; notches were more than one deep
