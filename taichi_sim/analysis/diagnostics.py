@@ -28,9 +28,11 @@ __all__ = [
     "largest_speed",
     "momentum",
     "strain",
+    "torn_open",
 ]
 
 Floats = NDArray[np.float64]
+GAPING = 2.0  # rest lengths between the ends of a torn spring
 
 
 class Energy(NamedTuple):
@@ -115,6 +117,17 @@ def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
     pairs = np.sort(torn.astype(np.int64), axis=1)
     gone = np.isin(sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1])
     return np.asarray(gone.any(axis=1))
+
+
+def torn_open(scene: Scene, position: NDArray, torn: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which triangles (t,) of a scene are no more where springs (m,) have torn: those with two torn sides, or one that gapes.
+    A thread that tears leaves no hole in cloth that holds."""
+    n, pairs = scene.n_balls, np.sort(scene.pairs[torn].astype(np.int64), axis=1)
+    length = np.linalg.norm(position[pairs[:, 1]] - position[pairs[:, 0]], axis=1)
+    gapes = length > GAPING * scene.rest_length[torn]
+    sides = np.sort(scene.triangles[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
+    side, spring = sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1]
+    return np.asarray((np.isin(side, spring).sum(axis=1) > 1) | np.isin(side, spring[gapes]).any(axis=1))
 
 
 def check_tearing(scene: Scene) -> None:

@@ -77,6 +77,8 @@ class Frame:
     sticks: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (m,) True: balls bounce off
     strain: Floats = field(default_factory=lambda: _empty(0))  # (m,) (length - rest) / rest; 0 where rest is 0
     triangles: Ints = field(default_factory=lambda: _empty(0, 3, dtype=np.int32))  # (t, 3) ball indices
+    torn_springs: Ints = field(default_factory=lambda: _empty(0, 2, dtype=np.int32))  # (k, 2) that are no more
+    torn_triangles: Ints = field(default_factory=lambda: _empty(0, 3, dtype=np.int32))  # (j, 3) the same
     colour: Floats = field(default_factory=lambda: _empty(0, 3))  # (n, 3) sRGB in 0..1; (0, 3): the renderer chooses
     pinned: NDArray[np.bool_] = field(default_factory=lambda: _empty(0, dtype=np.bool_))  # (n,)
     walls: Floats = field(default_factory=lambda: _empty(0, 0))  # (w, dim + 1): unit normal, offset; solid below it

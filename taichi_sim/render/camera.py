@@ -186,8 +186,11 @@ def _back(azimuth: float, elevation: float) -> Floats:
 
 def _content(frame: Frame) -> tuple[Floats, Floats]:
     """Points and radii that the picture must hold: a sample of the balls, and their feet on walls that are near."""
-    step = max(1, len(frame.position) // SAMPLED_BALLS)
-    position, radius = frame.position[::step], frame.radius[::step]
+    seen = np.ones(len(frame.position), dtype=bool)
+    seen[frame.torn_triangles] = False
+    seen[frame.triangles] = True
+    shown = np.flatnonzero(seen)[:: max(1, len(seen) // SAMPLED_BALLS)]
+    position, radius = frame.position[shown], frame.radius[shown]
     bounds, kept = robust_bounds(position, radius)
     if len(position) == 0:
         return np.stack([bounds.low, bounds.high]), np.zeros(2)

@@ -58,6 +58,7 @@ class Content:
         triangles, binding = Binding.finer(frame.embedded_surfaces, own[~covered[own].all(axis=1)], n, subdivide)
         hidden = covered | enclosed(frame)
         hidden[own.ravel()] = True
+        hidden[frame.torn_triangles.ravel()] = True  # threads and crumbs of what has torn are too fine to be seen
         springs = frame.springs.reshape(-1, 2)
         rods = np.flatnonzero(~(hidden[springs[:, 0]] | hidden[springs[:, 1]]))  # inner ones would poke through
         ends = np.ascontiguousarray(springs[rods], dtype=np.int32)

@@ -51,8 +51,9 @@ def body_colours(frame: Frame) -> NDArray[np.float64]:
     missing = ~np.all(np.isfinite(given), axis=1)
     if not missing.any():
         return np.clip(given, 0.0, 1.0)
-    triangles = frame.triangles
-    label = components(n, np.concatenate([frame.springs, triangles[:, :2], triangles[:, 1:]]).reshape(-1, 2))
+    triangles = np.concatenate([frame.triangles, frame.torn_triangles])
+    springs = np.concatenate([frame.springs, frame.torn_springs])  # what tears keeps its colour
+    label = components(n, np.concatenate([springs, triangles[:, :2], triangles[:, 1:]]).reshape(-1, 2))
     order = np.cumsum(label == np.arange(n)) - 1  # bodies counted in order of their first ball
     body = order[label]
     bodies = int(body.max()) + 1

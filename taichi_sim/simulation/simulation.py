@@ -111,7 +111,7 @@ class Simulation(Reader):
             warnings.warn(caution, stacklevel=3)
         self._closed = False
         self._still = scene.n_balls == 0
-        self._last_shown: Any = None
+        self._last_torn: Any = None
         self._begin_readings()
 
     def _check_tolerance(self, tolerance: float, substeps: int) -> None:
@@ -257,7 +257,7 @@ class Simulation(Reader):
         """The frame of a moment [s] by its positions (n, dim) m, velocities (n, dim) m/s, angular velocities (n, 1 or 3) 1/s and
         the springs (m,) that have torn."""
         scene = self.scene
-        springs, sticks, triangles = self._shown(torn)
+        springs, sticks, triangles, torn_springs, torn_triangles = self._shown(position, torn)
         return Moment(
             scene,
             spin,
@@ -269,6 +269,8 @@ class Simulation(Reader):
             springs=springs,
             sticks=sticks,
             triangles=triangles,
+            torn_springs=torn_springs,
+            torn_triangles=torn_triangles,
             colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
             pinned=scene.pinned,
             walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
@@ -283,16 +285,19 @@ class Simulation(Reader):
         tearing = None if self._still else self.parts.tearing
         return None if tearing is None else tearing.springs_torn
 
-    def _shown(self, torn: NDArray[np.bool_] | None) -> tuple[NDArray, NDArray, NDArray]:
-        """The springs (m, 2) that are whole, which of them are sticks, and the triangles none of whose sides has torn: the same
-        arrays until one more tears."""
+    def _shown(self, position: NDArray, torn: NDArray[np.bool_] | None) -> tuple[NDArray, ...]:
+        """Springs (m, 2), which of them are sticks, and triangles; springs and triangles that have torn: the same arrays until
+        there are more of these."""
         scene = self.scene
-        if torn is None or not torn.any():
-            return scene.pairs, scene.collides, scene.triangles
-        if self._last_shown is None or not np.array_equal(self._last_shown[0], torn):
-            cut = diagnostics.cut(scene.triangles, scene.pairs[torn], scene.n_balls)
-            self._last_shown = (torn, (scene.pairs[~torn], scene.collides[~torn], scene.triangles[~cut]))
-        return self._last_shown[1]
+        gone = None if torn is None or not torn.any() else diagnostics.torn_open(scene, position, torn)
+        if torn is None or gone is None:
+            return scene.pairs, scene.collides, scene.triangles, scene.pairs[:0], scene.triangles[:0]
+        last = self._last_torn
+        if last is None or not (np.array_equal(last[0], torn) and np.array_equal(last[1], gone)):
+            springs = scene.pairs[~torn], scene.collides[~torn]
+            shown = *springs, scene.triangles[~gone], scene.pairs[torn], scene.triangles[gone]
+            self._last_torn = torn, gone, shown
+        return self._last_torn[2]
 
     def inverted(self) -> int:
         """How many cells are flat or turned inside out."""

@@ -1,5 +1,7 @@
 """Finer surfaces and colours by speed or strain: weights against a slow reference, pictures of what they should look like."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_embedded_surfaces import frame_of
@@ -8,7 +10,7 @@ from taichi_sim import Frame, Scene, Simulation, shapes
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.colouring import COLOUR_SCALE, Colouring
 from taichi_sim.render.content import Content
-from taichi_sim.render.palette import to_linear
+from taichi_sim.render.palette import body_colours, to_linear
 from taichi_sim.render.subdivision import subdivide
 
 pytestmark = pytest.mark.once
@@ -97,6 +99,31 @@ def test_what_is_drawn_of_a_finer_surface(embedded, times):
         matrix, triangles = loop(triangles, n), subdivide(triangles, n)[0]
         base, n = matrix @ base, len(matrix)
     assert content.binding.apply(x) == pytest.approx(base, abs=1e-13)
+
+
+def test_of_torn_cloth_only_triangles_are_drawn():
+    """No ball that lost them, and no thread of it."""
+    frame = Frame(0.0, np.eye(3)[[0, 1, 2, 0, 1]] * 2.0, np.zeros((5, 3)), np.full(5, 0.1))
+    frame.triangles = np.array([[0, 1, 2]], dtype=np.int32)
+    frame.springs = np.array([[3, 4]], dtype=np.int32)
+    assert np.flatnonzero(Content.of(frame, 1.0).radius).tolist() == [3, 4]
+    frame.torn_triangles = np.array([[2, 3, 4]], dtype=np.int32)
+    content = Content.of(frame, 1.0)
+    assert not content.radius.any()
+    assert len(content.rods) == 0
+    assert content.triangles.tolist() == [[0, 1, 2]]
+
+
+def test_colours_stay_when_springs_tear():
+    """Also those of bodies that come after what is now in pieces."""
+    whole = Frame(0.0, np.random.default_rng(0).normal(size=(6, 3)), np.zeros((6, 3)), np.full(6, 0.1))
+    whole.springs = np.array([[0, 1], [1, 2], [3, 4]], dtype=np.int32)
+    torn = replace(whole, springs=whole.springs[1:], torn_springs=whole.springs[:1])
+    assert len(np.unique(body_colours(whole), axis=0)) == 3
+    assert np.array_equal(body_colours(torn), body_colours(whole))
+    sheet = replace(whole, springs=whole.springs[:0], triangles=np.array([[0, 1, 2], [2, 3, 4]], dtype=np.int32))
+    torn = replace(sheet, triangles=sheet.triangles[:1], torn_triangles=sheet.triangles[1:])
+    assert np.array_equal(body_colours(torn), body_colours(sheet))
 
 
 def test_what_a_closed_surface_holds_is_not_drawn():
