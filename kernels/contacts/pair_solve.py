@@ -192,9 +192,7 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
     if ti.static(how.impacts and solver.plan.soft):
         bias = ti.cast(RIGID, float)
         rests = (
-            before > 0.0
-            or pair_impacts.rests(solver, i, j, speed, depth)
-            or not pair_impacts.is_lossless(solver, i, j)
+            before > 0.0 or pair_impacts.rests(solver, i, j, speed, depth) or not pair_impacts.is_lossless(solver, i, j)
         )
         if depth > 0.0 and not fast and rests:
             bias = push_out_speed(solver, depth)
