@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from taichi_sim.outputs import Output, export, open_output
     from taichi_sim.outputs.quick import picture, video
     from taichi_sim.simulation.simulation import Simulation
+    from taichi_sim.sweeps.fit import fit
     from taichi_sim.sweeps.sweep import sweep
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces itself on standard output
@@ -61,6 +62,7 @@ __all__ = [
     "UnstableError",
     "__version__",
     "export",
+    "fit",
     "largest_rate",
     "load_scene",
     "open_output",
@@ -79,6 +81,7 @@ _LAZY = {
     "Pointer": "taichi_sim.forces.pointer",
     "Simulation": "taichi_sim.simulation.simulation",
     "export": "taichi_sim.outputs",
+    "fit": "taichi_sim.sweeps.fit",
     "load_scene": "taichi_sim.files.toml_reader",
     "open_output": "taichi_sim.outputs",
     "picture": "taichi_sim.outputs.quick",

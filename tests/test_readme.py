@@ -109,6 +109,26 @@ def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
     assert len(Path("heap_sweep/table.csv").read_text().splitlines()) == 41
 
 
+@pytest.mark.slow
+@pytest.mark.once
+def test_the_cloth_of_the_page_on_sweeps_is_found(tmp_path, monkeypatch, capfd):
+    page = (Path(__file__).parent.parent / "docs" / "sweeps.md").read_text()
+    monkeypatch.chdir(tmp_path)
+    Path("sheet.toml").write_text(re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[1])
+    (command,) = re.findall(r"^taichi-sim (fit .*)$", page, re.MULTILINE)
+    from taichi_sim.cli.main import main
+
+    with pytest.raises(SystemExit) as ended:
+        main([*command.split(), "--workers", "0"])
+    assert ended.value.code == 0
+    said = capfd.readouterr().out
+    found, told = (
+        float(re.search(r"stretch_stiffness = (\S+)", text)[1]) for text in (said, page.split("which says")[1])
+    )
+    assert found == pytest.approx(told, rel=5e-3)
+    assert found == pytest.approx(3 * 0.228 * 9.81 * 0.5**4 / (64 * 0.025**3), rel=0.02)  # a flat strip
+
+
 def anchors(page: Path) -> set[str]:
     """What headings of a page are called in links."""
     titles = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)

@@ -54,8 +54,8 @@ def is_lossless(solver: ti.template(), i, j):
 
 @ti.func
 def rests(solver: ti.template(), i, j, speed, depth):
-    """Whether a pair that parts with `speed` [m/s] stays as it is, and overlaps by more than an impact explains: where a shock has
-    gone through a pack, all move alike, and are as deep in each other as the way of a step."""
+    """Whether a pair that parts with `speed` [m/s] stays as it is, and overlaps by more than an impact explains: where a shock
+    has gone through a pack, all move alike, and are as deep in each other as the way of a step."""
     way = (solver.velocity_before[i].norm() + solver.velocity_before[j].norm()) / solver.rate[0]
     return ti.abs(speed) <= RESTING_SPEED * solver.threshold[0] and depth > way
 

@@ -23,7 +23,7 @@ NAMES = (
 main = typer.Typer(
     help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
     " simulation(), or the name of a demo.",
-    epilog="Exit status: 0 done, 1 a hard case failed, tune found nothing or verify found a fault, 2 bad input,"
+    epilog="Exit status: 0 done, 1 a hard case failed, tune or fit found nothing or verify found a fault, 2 bad input,"
     " 3 the simulation became unstable, 130 interrupted.",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -45,6 +45,8 @@ SceneName = Annotated[str, _scene("SCENE")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
 Precisions = Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")]
 Compared = Annotated[float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")]
+Workers = Annotated[int | None, typer.Option(help="Processes; one for each core otherwise, 0: this one alone.")]
+Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
 Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
 SIMULATION = ("arch", "dt", "tolerance", "integrator", "precision")  # with "threads", arguments of a Simulation
 
@@ -249,10 +251,8 @@ def sweep(
     design: Annotated[str, typer.Option(help="product, random, latin or sobol.")] = "product",
     points: Annotated[int | None, typer.Option(help="How many, of designs that sample.")] = None,
     luck: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes; one for each core otherwise, 0: this one alone.")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     overwrite: Annotated[bool, _flag("overwrite", "Replace another sweep in that folder.")] = False,
     retry: Annotated[bool, _flag("retry", "Run points that failed once more.")] = False,
     yes: Annotated[bool, _flag("yes", "Run more than 100 000 points.")] = False,
@@ -286,6 +286,62 @@ def sweep(
         if len(done.failed) > SHOWN:
             typer.echo(f"failed       {len(done.failed) - SHOWN} more, see the table")
         typer.echo(f"written      {folder}: {len(done)} points, {len(done.failed)} of them failed; see report.html")
+
+
+@_command(*SIMULATION, "fps", "duration", "allow_outside")
+def fit(
+    scene: SceneName,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(help="PATH=RANGE, like cloth[0].stiffness=1e2:1e4:log. May be given several times."),
+    ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="MEASURE=VALUE",
+            help="What is measured, as of sweep, and what it should be, like probes.tip.y=-0.12. May be given several times.",
+        ),
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="nelder-mead, or evolution where there may be several optima.")
+    ] = "nelder-mead",
+    misfit: Annotated[float, typer.Option(help="How far from the target it may be, relative.")] = 1e-3,
+    runs: Annotated[int, typer.Option(help="Points at most.")] = 100,
+    seeds: Annotated[
+        int | None, typer.Option(help="How often each point is run, with other chance; the mean counts.")
+    ] = None,
+    luck: Annotated[int, typer.Option(help="Seed of what is chosen by chance.")] = 0,
+    out: Annotated[
+        str | None, typer.Option("--out", "-o", help="Folder that keeps all runs; the same command goes on.")
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    overwrite: Annotated[bool, _flag("overwrite", "Replace another fit in that folder.")] = False,
+    quiet: Quiet = False,
+    **options: Any,
+) -> None:
+    """Find the parameters by which SCENE measures given values, and how well these tell them; exit status 1 where none do."""
+    from taichi_sim.common.errors import SceneError
+    from taichi_sim.sweeps.fit import fit as find
+
+    given = {key: value for key, value in options.items() if value is not None}
+    if "dt" in given:
+        given["dt"] = step(given["dt"])
+    goal: dict[str, float] = {}
+    for text in target or ():
+        name, _, value = text.rpartition("=")
+        try:
+            goal[name] = float(value)
+        except ValueError:
+            raise SceneError("target", text, "MEASURE=VALUE, like probes.tip.y=-0.12") from None
+    found = find(
+        scene, vary or (), goal, method=method, misfit=misfit, runs=runs, seeds=seeds, luck=luck, folder=out,
+        workers=workers, scheduler=scheduler, overwrite=overwrite, say=_quiet if quiet else typer.echo, **given,
+    )  # fmt: skip
+    for line in found.lines():
+        typer.echo(line)
+    if not found.reached:
+        raise typer.Exit(FAILED)
 
 
 @_command()

@@ -14,8 +14,10 @@ from taichi_sim.scene.colliders import Box, Capsule, Sphere, build, shape_of
 __all__ = ["Pins", "chosen"]
 
 Side = Literal["border", "corners", "left", "right", "bottom", "top", "front", "back"]
-Pins = bool | Side | Sequence[int] | Sequence[bool] | NDArray | Box | Sphere | Capsule
+Part = Side | Box | Sphere | Capsule
+Pins = bool | Part | Sequence[Part] | Sequence[int] | Sequence[bool] | NDArray
 
+PARTS = (str, Mapping, Box, Sphere, Capsule)
 SIDES = {"left": (0, -1), "right": (0, 1), "bottom": (1, -1), "top": (1, 1), "front": (2, 1), "back": (2, -1)}
 AT_SIDE = 1e-6  # of the longest extent
 
@@ -28,13 +30,16 @@ def chosen(
     pins: a bool, a bool per ball, numbers of them, a solid shape (or a table that describes one, as in [[colliders]]): those with
     their centre in it; or a word: left, right (along x), bottom, top (y), back, front (z): the outermost that way; border: on
     edges of the `triangles` (t, 3) that belong to one alone, or, without such edges, outermost along an axis; corners: outermost
-    along all axes. own: (n, dim) [m], where border and corners are looked for, the places before a shape was turned.
+    along all axes. A list of shapes and words means all that any of them does. own: (n, dim) [m], where border and corners are
+    looked for, the places before a shape was turned.
     """
     n = len(x)
     if isinstance(pins, str):
         return _named(where, pins, x, x if own is None else own, triangles)
-    if isinstance(pins, (Mapping, Box, Sphere, Capsule)):
+    if isinstance(pins, PARTS):
         return _within(where, pins, x)
+    if isinstance(pins, (list, tuple)) and pins and all(isinstance(one, PARTS) for one in pins):
+        return np.any([chosen(f"{where}[{k}]", one, x, own, triangles) for k, one in enumerate(pins)], axis=0)
     array = validation.as_array(pins)
     if array.dtype == object:
         says = "is not a bool, a bool per ball, a list of positions, the name of a side, or a box or sphere"

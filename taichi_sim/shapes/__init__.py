@@ -13,7 +13,7 @@ Args that several shapes have:
     velocity: (dim,) of all of its balls that are not pinned [m/s]; none by default.
     pinned: true or false for all of its balls, a list of that for each, or their numbers within the shape; or "border",
         "corners", "left", "right", "bottom", "top", in 3D "front", "back" (the side toward -x, +x, -y, +y, +z, -z once it is
-        placed); or a box, sphere or capsule, as a collider is described, for all with their centre in it.
+        placed); or a box, sphere or capsule, as a collider is described, for all with their centre in it; or a list of such.
     material: name of a material added before, or of a preset (`taichi-sim materials`): then what is not given of mass, stiffness
         and the like is the preset's, where it knows such a shape.
     position: (dim,) by how far the shape is shifted [m].

@@ -3,10 +3,9 @@
 import logging
 import os
 import platform
-import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -26,19 +25,25 @@ PATIENCE = 10.0  # s, for a scheduler
 class Here:
     """Points one after another in this process."""
 
-    said = "in this process"
+    said, number = "in this process", 1
+
+    def __init__(self) -> None:
+        self._runner: Runner | None = None
 
     def run(self, job: Job, batches: Sequence[Sequence[Point]]) -> Iterator[list[Row]]:
         """Rows, batch by batch."""
-        runner = Runner(job)
-        try:
-            for batch in batches:
-                rows = [runner.run(point) for point in batch]
-                if job.folder is not None:
-                    keep_batch(Path(job.folder), rows)
-                yield rows
-        finally:
-            runner.close()
+        if self._runner is None:
+            self._runner = Runner(job)
+        for batch in batches:
+            rows = [self._runner.run(point) for point in batch]
+            if job.folder is not None:
+                keep_batch(Path(job.folder), rows)
+            yield rows
+
+    def close(self) -> None:
+        """Give the memory back."""
+        if self._runner is not None:
+            self._runner.close()
 
 
 class Workers:
@@ -59,7 +64,6 @@ class Workers:
         again and again becomes a row that says so."""
         from distributed import KilledWorker, as_completed
 
-        known_by = uuid.uuid4().hex
         waiting: deque[Sequence[Point]] = deque(batches)
         repeated: dict[str, int] = {}
         running: dict[Any, Sequence[Point]] = {}
@@ -68,7 +72,7 @@ class Workers:
         def submit() -> None:
             while waiting and len(running) < (1 + AHEAD) * self.number:
                 batch = waiting.popleft()
-                future = self.client.submit(run_batch, job, known_by, batch, pure=False, retries=0)
+                future = self.client.submit(run_batch, job, batch, pure=False, retries=0)
                 running[future] = batch
                 done.add(future)
 
@@ -123,7 +127,8 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
     """What runs points: with 0 workers this process; a number of processes of this machine, None: one for each core; or those
     of a scheduler. Raises SceneError or BackendError where that is not possible."""
     if workers == 0 and scheduler is None:
-        yield Here()
+        with closing(Here()) as here:
+            yield here
         return
     try:
         import dask

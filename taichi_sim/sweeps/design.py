@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["DESIGNS", "Axis", "Design", "axes_of", "axis_of", "plain"]
+__all__ = ["DESIGNS", "Axis", "Design", "axes_of", "axis_of", "plain", "seeded"]
 
 DESIGNS = ("product", "random", "latin", "sobol")
 FORMS = "like 1,2,5 or 0.1:0.9:9 (9 values) or 1e2:1e4:5:log, or a range to sample, 0.1:0.9 or 1e2:1e4:log"
@@ -141,10 +141,10 @@ class Design:
             for values in itertools.product(*(axis.values for axis in self.axes)):
                 yield dict(zip(names, values))
             return
-        for row in self._units():
+        for row in self.units():
             yield {axis.path: axis.at(float(u)) for axis, u in zip(self.axes, row)}
 
-    def _units(self) -> NDArray[np.float64]:
+    def units(self) -> NDArray[np.float64]:
         """The points in the unit cube (count, axes). Of "sobol": samples A, B, then for each axis A with that axis of B, see
         scipy.stats.sobol_indices."""
         from scipy.stats import qmc
@@ -153,18 +153,18 @@ class Design:
         if self.kind == "random":
             return np.random.default_rng(self.luck).uniform(size=(n, d))
         if self.kind == "latin":
-            return qmc.LatinHypercube(d, **_seeded(qmc.LatinHypercube, self.luck)).random(n)
-        both = qmc.Sobol(2 * d, **_seeded(qmc.Sobol, self.luck)).random(n)
+            return qmc.LatinHypercube(d, **seeded(qmc.LatinHypercube, self.luck)).random(n)
+        both = qmc.Sobol(2 * d, **seeded(qmc.Sobol, self.luck)).random(n)
         a, b = both[:, :d], both[:, d:]
         mixed = [np.where(np.arange(d) == k, b, a) for k in range(d)]
         return np.concatenate([a, b, *mixed])
 
 
-def _seeded(kind: Any, luck: int) -> dict[str, Any]:
-    """The argument that seeds a sampler: SciPy 1.15 renamed it."""
+def seeded(function: Any, luck: int) -> dict[str, Any]:
+    """The argument of a function of SciPy that seeds it: 1.15 renamed it."""
     import inspect
 
-    name = "rng" if "rng" in inspect.signature(kind).parameters else "seed"
+    name = "rng" if "rng" in inspect.signature(function).parameters else "seed"
     return {name: np.random.default_rng(luck)}
 
 

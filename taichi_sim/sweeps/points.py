@@ -3,6 +3,7 @@
 import hashlib
 import json
 import time
+import uuid
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -71,6 +72,9 @@ class Job:
     fps: float | None = None
     folder: str | None = None
     apart: bool = True
+    known_by: str = field(
+        default_factory=lambda: uuid.uuid4().hex
+    )  # a worker keeps its simulation from task to task of a job
 
 
 class Runner:
@@ -155,17 +159,15 @@ def _cut(text: str) -> str:
 
 
 _runner: Runner | None = None  # of this process: a worker's tasks share one
-_job: str = ""
 
 
-def run_batch(job: Job, known_by: str, points: Sequence[Point]) -> list[Row]:
-    """A task: run points in a worker, and keep their rows in a file of their own. known_by: the job's name; a worker keeps its
-    simulation from one task of a job to the next."""
-    global _runner, _job
-    if _runner is None or _job != known_by:
+def run_batch(job: Job, points: Sequence[Point]) -> list[Row]:
+    """A task: run points in a worker, and keep their rows in a file of their own."""
+    global _runner
+    if _runner is None or _runner.job.known_by != job.known_by:
         if _runner is not None:
             _runner.close()
-        _runner, _job = Runner(job), known_by
+        _runner = Runner(job)
     rows = [_runner.run(point) for point in points]
     if job.folder is not None and Path(job.folder).is_dir():
         keep_batch(Path(job.folder), rows)

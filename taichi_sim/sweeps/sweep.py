@@ -1,6 +1,5 @@
 """A sweep from end to end: what is varied is checked, points are run, and what they come to is a table."""
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,19 +11,15 @@ import numpy as np
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.version import __version__
-from taichi_sim.scene.scene import Scene
-from taichi_sim.sweeps.cluster import BATCH, connected
 from taichi_sim.sweeps.design import MOST_POINTS, Axis, Design, axes_of
-from taichi_sim.sweeps.folder import Folder, columns_of
-from taichi_sim.sweeps.measures import Measures, measures_of
-from taichi_sim.sweeps.points import Job, Point, Row
-from taichi_sim.sweeps.subject import Subject, subject_of
+from taichi_sim.sweeps.folder import columns_of
+from taichi_sim.sweeps.measures import Measures
+from taichi_sim.sweeps.points import Point, Row
+from taichi_sim.sweeps.study import Study, open_study
+from taichi_sim.sweeps.subject import Subject
 
 __all__ = ["Sweep", "sweep"]
 
-MOST_TRIED = 200  # values of an axis that are looked at before anything runs
-FEW_TASKS = 4  # for each worker, at least: so that all have work until the end
 TABLE_EVERY = 5.0  # s
 
 
@@ -141,96 +136,43 @@ def sweep(
     Raises SceneError, ValueError or OSError, before anything runs, for what is not allowed. A point that fails, an unstable one
     for instance, is a row with its error.
     """
-    if scheduler is not None and workers is not None:
-        raise SceneError("workers", says="are those of the scheduler; give one of the two")
-    if workers is not None:
-        workers = validation.whole("workers", workers, 0, 4096)
-    for name, value in (("duration", duration), ("fps", fps)):
-        if value is not None:
-            validation.number(name, value, positive=True)
     axes = axes_of(vary)
     plan = Design(axes, design, points, luck)
     plan.check()
-    numbers = _seeds(seeds)
+    numbers = seeds_of(seeds)
     if plan.count * len(numbers) > MOST_POINTS and not yes:
         says = f"are {plan.count * len(numbers)}, more than {MOST_POINTS}; say yes to that (--yes), or take fewer"
         raise SceneError("points", says=says)
-    with _place(folder) as place, tempfile.TemporaryDirectory() as aside:
-        subject = subject_of(scene, Path(aside), allow_outside)
-        given = settings if workers == 0 and scheduler is None else {"arch": "cpu", "threads": 1, **settings}
-        kinds, first = _tried(subject, axes, numbers, given)
-        measures = measures_of(measure, first)
-        every = [Point(parameters, seed) for parameters in plan for seed in numbers]
-        about = {
-            "scene": subject.name,
-            "contents": subject.identity(),
-            "parameters": [axis.path for axis in axes],
-            "measures": measures.identity(),
-            "duration": duration,
-            "fps": fps,
-            "settings": {name: str(value) for name, value in settings.items()},
-            "version": __version__,
-        }
-        kept = Folder(place, about, overwrite)
-        if retry:
-            kept.rows = {key: row for key, row in kept.rows.items() if not row.error}
-        different = {point.key: point for point in every}
-        missing = [point for key, point in different.items() if key not in kept.rows]
-        missing.sort(key=lambda point: [kinds[axis.path].get(repr(point.parameters[axis.path]), 0) for axis in axes])
-        kept.begin()
-        if isinstance(scene, Scene):  # from now on the folder is this sweep's
-            subject = subject_of(scene, place)
-        apart = workers != 0 or scheduler is not None
-        job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart)
+    every = [Point(parameters, seed) for parameters in plan for seed in numbers]
+    with open_study(
+        scene, axes, numbers, measure, {"parameters": [axis.path for axis in axes]}, duration=duration, fps=fps, folder=folder,
+        workers=workers, scheduler=scheduler, overwrite=overwrite, retry=retry, say=say, allow_outside=allow_outside,
+        settings=settings,
+    ) as study:  # fmt: skip
         try:
-            if missing:
-                _run(job, missing, kept, every, (scheduler, workers), progress, say)
+            _run(study, every, progress)
         finally:
-            kept.finish(every)
-            kept.close()
-        lasting = None if folder is None else place
-        done = Sweep(subject, axes, plan, every, kept.rows, settings, measures, lasting)
+            study.kept.finish(every)
+        lasting = None if folder is None else Path(folder)
+        done = Sweep(study.subject, axes, plan, every, study.rows, settings, study.measures, lasting)
         if lasting is not None and done.rows:
             done.report()
         return done
 
 
-def _run(
-    job: Job,
-    missing: Sequence[Point],
-    kept: Folder,
-    every: Sequence[Point],
-    where: tuple[str | None, int | None],
-    progress: bool,
-    say: Callable[[str], None],
-) -> None:
-    """All that is missing."""
-    with connected(*where, say) as engine:
-        number = getattr(engine, "number", 1)
-        size = max(1, min(BATCH, -(-len(missing) // (FEW_TASKS * number))))
-        batches = [missing[k : k + size] for k in range(0, len(missing), size)]
-        already = len({point.key for point in every}) - len(missing)
-        say(f"{len(missing)} points to run, {already} done before; {engine.said}")
-        written = time.monotonic()
-        with _bar(already, already + len(missing), progress) as advance:
-            for rows in engine.run(job, batches):
-                kept.add(rows)
-                advance(len(rows), sum(bool(row.error) for row in rows))
-                if time.monotonic() - written > TABLE_EVERY:
-                    kept.finish(every)
-                    written = time.monotonic()
+def _run(study: Study, points: Sequence[Point], progress: bool) -> None:
+    """All that is missing; the table every few seconds."""
+    missing, total = len(study.missing(points)), len({point.key for point in points})
+    written = time.monotonic()
+    with bar(total - missing, total, progress) as advance:
+        for rows in study.run(points):
+            advance(len(rows), sum(bool(row.error) for row in rows))
+            if time.monotonic() - written > TABLE_EVERY:
+                study.kept.finish(points)
+                written = time.monotonic()
 
 
-@contextmanager
-def _place(folder: str | PathLike[str] | None) -> Iterator[Path]:
-    if folder is not None:
-        yield Path(folder)
-        return
-    with tempfile.TemporaryDirectory(prefix="taichi_sim_sweep_") as made:
-        yield Path(made)
-
-
-def _seeds(seeds: int | Sequence[int] | None) -> list[int | None]:
+def seeds_of(seeds: int | Sequence[int] | None) -> list[int | None]:
     if seeds is None:
         return [None]
     if isinstance(seeds, (int, np.integer)):
@@ -241,31 +183,8 @@ def _seeds(seeds: int | Sequence[int] | None) -> list[int | None]:
     return list(dict.fromkeys(found))
 
 
-def _tried(
-    subject: Subject, axes: Sequence[Axis], seeds: Sequence[int | None], given: Mapping[str, Any]
-) -> tuple[dict[str, dict[str, int]], Any]:
-    """Make scenes with each value in turn, the others as they come first. For each axis the kind of structure of each value, by
-    which points are sorted; and the first scene. Raises SceneError for paths and values that are not allowed."""
-    from taichi_sim.simulation.settings import Settings
-    from taichi_sim.simulation.structure import kind_of
-
-    base = {axis.path: axis.tried[0] for axis in axes}
-    first = subject.scene(base, seeds[-1])
-    with first.in_file(dict(given)):
-        Settings.resolve(first, dict(given))
-    kinds: dict[str, dict[str, int]] = {}
-    for axis in axes:
-        values = axis.tried[:MOST_TRIED]
-        known: dict[str, int] = {}
-        kinds[axis.path] = {}
-        for value in values:
-            made = subject.scene(base | {axis.path: value}, seeds[0])
-            kinds[axis.path][repr(value)] = known.setdefault(kind_of(made), len(known))
-    return kinds, first
-
-
 @contextmanager
-def _bar(done: int, total: int, shown: bool) -> Iterator[Callable[[int, int], None]]:
+def bar(done: int, total: int, shown: bool) -> Iterator[Callable[[int, int], None]]:
     """Counts points that are done, and that failed."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

@@ -69,8 +69,8 @@ def _heaps(rng: Rng, n: int) -> list[Case]:
 
 
 def _on_sticks(rng: Rng, n: int) -> list[Case]:
-    """Balls that fall on a stick, a line that is pinned or moves, one by one. When a contact is noticed differs by a step, so that
-    they differ from a capsule by a part of the motion that goes with the step: up to 0.033 of it at 1 / 4096 s."""
+    """Balls that fall on a stick, a line that is pinned or moves, one by one. When a contact is noticed differs by a step, so
+    that they differ from a capsule by a part of the motion that goes with the step: up to 0.033 of it at 1 / 4096 s."""
     dim, moves = int(rng.integers(2, 4)), rng.random() < 0.5
     g = float(rng.choice([0.0, 10.0]))
     cases = []

@@ -43,6 +43,16 @@ def test_border_and_corners_are_those_of_the_shape_however_it_is_turned(turn):
     assert pinned(pinned="corners", rotation=turn)[0] == [0, 2, 12, 14]
 
 
+def test_a_list_means_all_of_its_parts():
+    sides = [pinned(pinned=word)[0] for word in ("left", "right")]
+    assert pinned(pinned=["left", "right"])[0] == sorted(set().union(*sides))
+    _, x = pinned()
+    ball = {"shape": "sphere", "center": x[7].tolist(), "radius": 0.01}
+    assert pinned(pinned=["corners", ball])[0] == [0, 2, 7, 12, 14]
+    with pytest.raises(ts.SceneError, match=r"cloth\.pinned\[1\]: 'lefft'"):
+        pinned(pinned=["right", "lefft"])
+
+
 @pytest.mark.parametrize(
     ("word", "axis", "sign"),
     [("left", 0, -1), ("right", 0, 1), ("bottom", 1, -1), ("top", 1, 1), ("back", 2, -1), ("front", 2, 1)],

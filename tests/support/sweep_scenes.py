@@ -49,3 +49,8 @@ def top(simulation):
 def both(simulation):
     """Two numbers."""
     return {"x": simulation.position[:, 0].mean(), "time": simulation.time}
+
+
+def load(simulation):
+    """Weight of what hangs on the spring of `springs` [N]."""
+    return simulation.scene.mass[1] * 10.0
