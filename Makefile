@@ -68,6 +68,7 @@ referee: env
 KILLS ?= 200
 kills: env
 	$(BIN)/python -m tests.support.kills --kills $(KILLS) --seed $(SEED)
+	$(BIN)/python -m tests.support.sweep_kills --seed $(SEED)
 
 # thousands of scene files, states and meshes that something happened to: each is read, or refused in one sentence
 CASES ?= 10000
