@@ -18,7 +18,7 @@ def scene():
         size=(SIDE, SIDE, SIDE),
         resolution=(11, 11, 11),
         mass=MASS,
-        stiffness=1500,
+        stiffness=1800,
         damping=0.15,
         material="jelly",
         position=(-0.2, 0.6, -0.5),

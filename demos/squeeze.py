@@ -1,4 +1,4 @@
-"""A ring of jelly, a mesh filled with it, is pressed flat by a piston until some is inside out, and springs back."""
+"""A ring of jelly, a mesh filled with it, is pressed flat by a piston and springs back."""
 
 import numpy as np
 from taichi_sim.demos.shell import LARGE, SMALL, ring
@@ -20,13 +20,14 @@ def scene():
         damping=1.0,
         radius=0.02,
         material="rubber",
-        position=(0, LARGE + SMALL + 0.03, 0),
+        position=(0, SMALL + 0.03, 0),
+        rotation=(90, 0, 0),
         colour=(0.9, 0.3, 0.35),
     )
-    top, flat = 2 * (LARGE + SMALL) + 0.35, 0.25
-    path = [(0.0, 0.0), (0.2, 0.0), (1.4, flat - top), (1.6, flat - top), (2.2, 3.0 - top), (9.0, 3.0 - top)]
+    top, flat = 1.2, 0.27
+    path = [(0.0, 0.0), (0.2, 0.0), (1.4, flat - top), (1.8, flat - top), (2.2, 0.0), (9.0, 0.0)]
     scene.add_collider(
-        ts.Box((0, top, 0), (2.4, 0.4, 1.2), path=[(time, (0, y, 0)) for time, y in path], colour=(0.45, 0.5, 0.55))
+        ts.Box((0, top, 0), (1.7, 0.2, 1.7), path=[(time, (0, y, 0)) for time, y in path], colour=(0.45, 0.5, 0.55))
     )
     return scene
 

@@ -2,10 +2,13 @@
 
 from runpy import run_path
 
+import numpy as np
 import pytest
 
 import taichi_sim as ts
 from taichi_sim.files.source import built_in, demos, open_scene, resolve
+from taichi_sim.geometry.intersections import crossings
+from taichi_sim.render.content import Content
 
 pytestmark = pytest.mark.once
 
@@ -36,6 +39,7 @@ LONG = (
     "thread/15_ball_stick",
     "thread/16_many_kinds",
 )  # up to minutes each
+WHOLE = ("jelly", "squeeze", "stairs")  # surfaces that never pierce themselves
 CHECKS = {"box": check_box}  # scene files hold no code
 
 
@@ -51,6 +55,17 @@ def test_demo_ends_as_its_check_says(name):
     with ts.Simulation(scene) as sim:
         sim.run(scene.output["duration"])
         check(sim)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", WHOLE)
+def test_surfaces_that_are_drawn_do_not_pierce_themselves(name):
+    scene = open_scene(DEMOS[name])
+    with ts.Simulation(scene) as sim:
+        for k, frame in enumerate(sim.frames(scene.output["fps"], scene.output["duration"])):
+            shown = Content.of(frame, 1.0)
+            x = np.concatenate([frame.position, shown.binding.apply(frame.position)])
+            assert len(crossings(x, shown.triangles)) == 0, f"frame {k}"
 
 
 @pytest.mark.parametrize("name", DEMOS)
