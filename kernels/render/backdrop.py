@@ -32,8 +32,8 @@ def grid_line(a, footprint):
 
 
 @ti.func
-def ground(p, n, width, spacing):
-    """Share of the horizon's colour on a plane: fine lines of `spacing`, a faint checker, filtered over `width`."""
+def ground(scene: ti.template(), p, n, width, spacing, horizon):
+    """Colour of a plane: that of the horizon with fine lines of `spacing` and a faint checker, filtered over `width`."""
     helper = vec3(1, 0, 0)
     if ti.abs(n[0]) > ti.f32(0.7):
         helper = vec3(0, 0, 1)
@@ -45,7 +45,12 @@ def ground(p, n, width, spacing):
     sharp = ti.min(ti.max((a - ti.floor(a)) - ti.f32(0.5), -1), 1) * ((b - ti.floor(b)) - ti.f32(0.5))
     checker = ti.f32(0.5) if sharp > 0 else ti.f32(-0.5)
     fade = 1 / (1 + footprint * footprint * 60)
-    return vec3(0.775, 0.765, 0.755) * (1 + ti.f32(0.05) * checker * fade - ti.f32(0.30) * line * fade)
+    plain = ti.min(horizon * vec3(scene.stage.floor), ti.f32(1.0)) * (1 + scene.stage.checker * checker * fade)
+    if ti.static(scene.stage.line > 0):
+        plain += (1 - plain) * (scene.stage.line * line * fade)
+    else:
+        plain *= 1 + scene.stage.line * line * fade
+    return plain
 
 
 @ti.func
@@ -72,17 +77,21 @@ def plane_place(planes, eye, ray, k):
 
 
 @ti.func
-def plane_colour(view, planes, look, eye, ray, k, share, open_share):
+def plane_colour(scene: ti.template(), view, planes, look, eye, ray, k, share, open_share):
     """Colour of the ground under a share of the lamp and of the sky."""
     n, t = plane_normal(planes, k), plane_place(planes, eye, ray, k)
     length = ray.norm()
     distance = t * length
     footprint = distance / view[3, 0] / ti.max(-n.dot(ray) / length, ti.f32(0.02))
-    colour = ground(eye + ray * t, n, footprint, look[0, 3]) * axis(look, 3)
-    reach = distance * ti.f32(0.16)
+    colour = ground(scene, eye + ray * t, n, footprint, look[0, 3], axis(look, 3))
+    reach = distance * scene.stage.fog
     fog = 1 - 1 / (1 + reach * reach * reach)
     far = sky(ray[1] / length, axis(look, 2), axis(look, 3))
-    near = tone(illuminate(colour, ti.f32(0.0), ti.f32(0.0), n, ray, axis(look, 0), axis(look, 1), share, open_share))
+    middle = eye + ray * t
+    colour /= 1 + scene.stage.pool * middle.dot(middle)
+    near = tone(
+        illuminate(scene, colour, ti.f32(0.0), ti.f32(0.0), n, ray, axis(look, 0), axis(look, 1), share, open_share)
+    )
     return near + (far - near) * fog
 
 
@@ -125,7 +134,7 @@ def paint(
                         _, which = nearest_plane(on_screen, count, place[0], place[1])
             colour = sky(ray[1] / ray.norm(), axis(look, 2), axis(look, 3))
             if which > 0:
-                colour = plane_colour(view, planes, look, eye, ray, which - 1, ti.f32(1.0), ti.f32(1.0))
+                colour = plane_colour(scene, view, planes, look, eye, ray, which - 1, ti.f32(1.0), ti.f32(1.0))
             total += colour * (ti.cast(weight, ti.f32) / scene.samples)
             samples += weight
         scene.plane[pixel] = -first if mixed > 0 else first

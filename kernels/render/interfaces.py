@@ -38,6 +38,7 @@ class Surfaces(Protocol):
     has_occlusion: bool  # whether pixels see only a share of the sky
     transparent: bool  # whether background and ground stay clear
     samples: int  # in a pixel
+    stage: Any  # lights and ground, see render/stages.py: constants of the kernels
     ball: Vertex  # (vertices)
     colour: Field  # (vertices) vector
     normal: Field  # (normals) unit vector

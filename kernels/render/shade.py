@@ -1,16 +1,12 @@
 """Light: from the visible primitive of a pixel to its colour, linear, in 0..1.
 
-A warm key light, a cool fill and sky, a bounce from the ground, a soft highlight.
+A key light, a fill, sky, a bounce from the ground, a soft highlight; how much of each is the stage's.
 """
 
 from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, rod_ends, vec3
 
 from taichi_sim.device.engine import ti
 
-KEY_LIGHT = (2.35, 2.18, 1.92)  # light from the lamp
-FILL_LIGHT = (0.26, 0.30, 0.38)  # cool light from the other side, without shadow
-SKY_LIGHT = (0.50, 0.60, 0.76)  # light from above
-BOUNCE_LIGHT = (0.34, 0.31, 0.29)  # light from below
 STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
 
@@ -102,12 +98,12 @@ def lit_side(n, lamp, through):
 
 
 @ti.func
-def illuminate(colour, gloss, through, n, ray, lamp, fill, light_share, openness):
+def illuminate(scene: ti.template(), colour, gloss, through, n, ray, lamp, fill, light_share, openness):
     """Colour of a surface under the lamp, the sky and the bounce, and the share of their light that comes through."""
     to_eye = -ray.normalized()
     cosine = ti.max(n.dot(lamp), -through * n.dot(lamp), ti.f32(0.0)) * light_share
     up = ti.f32(0.5) + (ti.f32(0.5) - through) * n[1]
-    ambient = (vec3(BOUNCE_LIGHT) * (1 - up) + vec3(SKY_LIGHT) * up) * openness
+    ambient = (vec3(scene.stage.bounce) * (1 - up) + vec3(scene.stage.sky) * up) * openness
     half = (lamp + to_eye).normalized()
     shine = ti.max(n.dot(half), ti.f32(0.0))
     shine *= shine  # power 32 by squaring
@@ -115,14 +111,15 @@ def illuminate(colour, gloss, through, n, ray, lamp, fill, light_share, openness
     shine *= shine
     shine *= shine
     shine *= shine
+    gloss *= scene.stage.gloss
     rim = 1 - ti.max(n.dot(to_eye), ti.f32(0.0))
     rim *= rim
     aside = ti.max(n.dot(fill), ti.f32(0.0)) * openness
-    result = colour * (vec3(KEY_LIGHT) * (cosine * ti.f32(0.62)) + vec3(FILL_LIGHT) * aside + ambient)
+    result = colour * (vec3(scene.stage.key) * (cosine * ti.f32(0.62)) + vec3(scene.stage.fill) * aside + ambient)
     return (
         result
-        + vec3(KEY_LIGHT) * (shine * gloss * light_share * ti.f32(0.35))
-        + vec3(SKY_LIGHT) * (rim * rim * openness * (ti.f32(0.05) + gloss * ti.f32(0.3)))
+        + vec3(scene.stage.key) * (shine * gloss * light_share * ti.f32(0.35))
+        + vec3(scene.stage.sky) * (rim * rim * openness * (ti.f32(0.05) + gloss * ti.f32(0.3)))
     )
 
 

@@ -9,6 +9,7 @@ from taichi_sim.kernels.render.visibility import TILE, closeness, found, identit
 
 from taichi_sim.device.engine import ti
 
+OUTLINE_DEPTH = 0.03  # samples of a surface whose depths differ by more have an outline between them
 SAME_SHEET_DEPTH = 0.004  # samples of a mesh whose depths differ by less share their shading
 OPEN = 0.998  # share of the sky from which all of it is seen
 
@@ -55,6 +56,33 @@ def weigh(scene: ti.template(), seen: ti.template(), on_screen, count, which, pi
 
 
 @ti.func
+def outline(scene: ti.template(), seen: ti.template(), on_screen, count, which, x, y, width, height):
+    """How much of a line a pixel lies on, with an edge among its samples and one of the next pixels to the right and below. What
+    lies behind is one thing, a smooth part of a surface another one."""
+    samples = ti.static(scene.samples)
+    first, depth, same = 0, ti.f32(0.0), 0
+    for s in ti.static(range(samples + 2)):
+        i, j = ti.min(x + ti.static(int(s == samples)), width - 1), ti.min(y + ti.static(int(s > samples)), height - 1)
+        offset = ti.static(SAMPLE_OFFSETS[samples][s if s < samples else 0])
+        px, py = ti.cast(i, ti.f32) + ti.f32(0.5 + offset[0]), ti.cast(j, ti.f32) + ti.f32(0.5 + offset[1])
+        key, behind = found(seen, (j * width + i) * samples + ti.static(s if s < samples else 0)), ti.f32(0.0)
+        if which != 0:
+            behind, _ = nearest_plane(on_screen, count, px, py)
+        identity, w = identity_of(seen, key), closeness(seen, key)
+        if w <= behind:
+            identity = 0
+        elif ti.static(scene.has_triangles):
+            if (identity >> 28) == TRIANGLE:
+                identity = (TRIANGLE << 28) | scene.part[identity & 0xFFFFFFF]
+        if ti.static(s == 0):
+            first, depth = identity, w
+        if identity == first and (first == 0 or ti.abs(w - depth) < depth * ti.f32(OUTLINE_DEPTH)):
+            same += 1
+    part = ti.cast(same, ti.f32) / ti.static(samples + 2)
+    return 4 * part * (1 - part)
+
+
+@ti.func
 def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye, ray, key, x, y, width, open_share):
     """Linear colour of what one sample shows."""
     lamp = axis(look, 0)
@@ -68,7 +96,8 @@ def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye,
             share = between(scene, identity_of(seen, key), w, x, y, width)
             if share < 0:
                 share, _ = surface_share(scene, view, light, eye, p, side, cosine)
-    return tone(illuminate(colour, gloss, through, n, ray, lamp, axis(look, 1), share, open_share))
+    colour += (axis(look, 3) + ti.f32(0.15) - colour) * scene.stage.wash
+    return tone(illuminate(scene, colour, gloss, through, n, ray, lamp, axis(look, 1), share, open_share))
 
 
 @ti.func
@@ -130,6 +159,10 @@ def resolve(
             code >>= 4
         if weights != covered:  # of three samples the outer ones may be alike to the middle one only
             total *= ti.cast(covered, ti.f32) / weights
+        if ti.static(scene.stage.outline > 0):
+            if covered > 0:
+                line = outline(scene, seen, on_screen, count, which, x, y, width, height)
+                total += (covered - total) * (scene.stage.outline * line)
         packed = 0
         if ti.static(scene.transparent):
             packed = encode(total / ti.max(covered, 1), x, y) | alpha_byte(ti.cast(covered, ti.f32) / scene.samples)
@@ -141,7 +174,7 @@ def resolve(
                 if k >= 0:
                     share = behind_share(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
                     if share < 1 or open_share < ti.f32(OPEN):
-                        behind = plane_colour(view, planes, look, eye, ray, k, share, open_share)
+                        behind = plane_colour(scene, view, planes, look, eye, ray, k, share, open_share)
                         plain = False
                 total += (scene.samples - covered) * behind
             if ti.static(scene.samples > 1):

@@ -12,6 +12,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.render import backdrop, finish, raster, shadow_lattice, visibility
 from taichi_sim.kernels.render.shadow import COARSE_TEXELS
 from taichi_sim.kernels.render.visibility import TILE
+from taichi_sim.render.stages import Stage
 
 __all__ = ["Canvas", "Planes", "finished", "matrix_of", "tiles", "vector_of"]
 
@@ -61,9 +62,16 @@ class Canvas:
     """What is seen in the picture and in the shadow map, what lies behind all, colours, and the sky that each pixel sees."""
 
     def __init__(
-        self, size: tuple[int, int], samples: int, shadow: bool, occlusion: bool, transparent: bool = False
+        self,
+        size: tuple[int, int],
+        samples: int,
+        stage: Stage,
+        shadow: bool,
+        occlusion: bool,
+        transparent: bool = False,
     ) -> None:
         pixels = size[0] * size[1]
+        self.stage = stage
         self.samples, self.transparent, self.shadow_size = samples, transparent, SHADOW_SIDE[samples]
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
         self.seen = Visibility(fields, size, samples)

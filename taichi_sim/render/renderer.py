@@ -11,6 +11,7 @@ from taichi_sim.device import backend
 from taichi_sim.render.camera import Camera
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.smoothing import CREASE
+from taichi_sim.render.stages import STAGES
 from taichi_sim.scene.camera_path import CameraPath
 
 __all__ = ["Renderer"]
@@ -26,8 +27,9 @@ class Renderer:
     or, in 3D, a fixed Camera; None: one that shows all; transparent: neither
     background nor ground, and alpha; colour: "object", or "strain" or "speed" of balls and surfaces on a scale from the first
     to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly; crease: in 3D,
-    the angle between triangles in the first frame from which their edge is sharp [degrees], where surfaces are not subdivided.
-    Raises ValueError for a bad argument. `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which
+    the angle between triangles in the first frame from which their edge is sharp [degrees], where surfaces are not subdivided;
+    stage: "day", "studio" or "blueprint", the light and what lies behind, in place of which a background may be. Raises
+    ValueError for a bad argument. `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which
     colours are not multiplied; row 0 at the top, sRGB.
     """
 
@@ -44,6 +46,7 @@ class Renderer:
         colour_range: tuple[float, float] | None = None,
         subdivide: int = 0,
         crease: float = CREASE,
+        stage: str = "day",
     ) -> None:
         width, height = (int(a) for a in size)
         if width < 1 or height < 1:
@@ -52,6 +55,8 @@ class Renderer:
             raise ValueError(f"subdivide: {subdivide!r} is not allowed; it must be 0, 1 or 2")
         if not 0 <= crease <= 180:
             raise ValueError(f"crease: {crease!r} is not allowed; it must be an angle from 0 to 180 degrees")
+        if stage not in STAGES:
+            raise ValueError(f"stage: {stage!r} is not allowed; it must be {', '.join(STAGES)}")
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
         backend.start()
         self.size = (width, height)
@@ -59,11 +64,13 @@ class Renderer:
         if frame.dim == 3:
             from taichi_sim.render.renderer3d import Renderer3D
 
-            self._painter = Renderer3D(frame, self.size, background, ambient_occlusion, shadow, camera, *look, crease)
+            self._painter = Renderer3D(
+                frame, self.size, background, ambient_occlusion, shadow, camera, *look, crease, STAGES[stage]
+            )
         else:
             from taichi_sim.render.renderer2d import Renderer2D
 
-            self._painter = Renderer2D(frame, self.size, background, *look, camera)
+            self._painter = Renderer2D(frame, self.size, background, *look, camera, STAGES[stage])
 
     def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
         """The picture of a frame of the same scene. In 3D it may be `coarse` times less wide and high, and so much quicker."""

@@ -19,6 +19,7 @@ from taichi_sim.render.colouring import FULL_STRAIN, Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.fields import padded
 from taichi_sim.render.palette import background_colours, to_linear
+from taichi_sim.render.stages import DAY, Stage
 from taichi_sim.render.tiles import tile_lists
 from taichi_sim.render.tracker import Follower
 from taichi_sim.scene.camera_path import CameraPath
@@ -26,7 +27,6 @@ from taichi_sim.scene.colliders import CUSTOM
 
 __all__ = ["Renderer2D"]
 
-BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.975, 0.975, 0.970), (0.925, 0.935, 0.945)  # sRGB
 COMPRESSED_COLOUR, NEUTRAL_COLOUR, STRETCHED_COLOUR = (
     (0.13, 0.40, 0.67),
     (0.60, 0.60, 0.62),
@@ -51,6 +51,7 @@ class Renderer2D:
         colouring: Colouring | None = None,
         subdivide: int = 0,
         camera: Any = None,
+        stage: Stage = DAY,
     ) -> None:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
@@ -60,7 +61,7 @@ class Renderer2D:
         self._follower = None if self._path.follow is None else Follower(self._path.follow, frame)
         self.camera: Flat
         self.fit([frame])
-        self._top, bottom = background_colours(background, BACKGROUND_TOP, BACKGROUND_BOTTOM)
+        self._top, bottom = background_colours(background, stage.flat_top, stage.flat_bottom)
         self._dark = float(bottom.mean()) < 0.2
         wall, hatch, edge = (
             (bottom + shift for shift in (0.05, 0.14, 0.35))

@@ -16,16 +16,14 @@ from taichi_sim.render.content import Content
 from taichi_sim.render.fields import Buffers
 from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.smoothing import CREASE
+from taichi_sim.render.stages import DAY, Stage
 from taichi_sim.render.tracker import Tracker
 
 __all__ = ["Renderer3D"]
 
-HORIZON, ZENITH = (0.905, 0.915, 0.925), (0.56, 0.65, 0.76)  # sRGB
 PINNED_COLOUR = (0.24, 0.25, 0.28)
 MANY_PRIMITIVES = 150_000  # primitives: from here one sample per pixel and a smoothing pass instead of four samples
 MOST_TESTS = 1.5e8  # ray tests of spheres in one picture
-LAMP_AZIMUTH, LAMP_ELEVATION = -58.0, 52.0  # degrees: to the left of the camera, above the ground
-FILL_AZIMUTH, FILL_ELEVATION = 65.0, 12.0  # degrees
 
 
 class Renderer3D:
@@ -43,9 +41,11 @@ class Renderer3D:
         colouring: Colouring | None = None,
         subdivide: int = 0,
         crease: float = CREASE,
+        stage: Stage = DAY,
     ) -> None:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
+        self._stage = stage
         self._crease, self._rest = crease, frame.position.copy()
         self._table = Colouring.table()
         self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
@@ -53,7 +53,7 @@ class Renderer3D:
         self._bounds = self._extent(frame)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
-        self._zenith, self._horizon = background_colours(background, ZENITH, HORIZON)
+        self._zenith, self._horizon = background_colours(background, stage.zenith, stage.horizon)
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Any = None
         self.buffers: Any = None
@@ -103,7 +103,8 @@ class Renderer3D:
 
     def _aim_from(self, camera: Camera) -> None:
         """Begin with a camera, whose lights stay when it moves."""
-        self.camera, self._lamp, self._fill = camera, _lamp(camera), _fill(camera)
+        self.camera = camera
+        self._lamp, self._fill = (_around(camera, *at) for at in (self._stage.lamp_angle, self._stage.fill_angle))
 
     def _planes(self, frame: Frame, eye: NDArray, view: NDArray) -> Planes:
         """The walls that the eye is above."""
@@ -159,7 +160,9 @@ class Renderer3D:
         if self._canvas is None:
             drawn = int(np.count_nonzero(content.radius)) + len(content.rods)
             samples = 1 if drawn > MANY_PRIMITIVES and not self._transparent else 4
-            self._canvas = Canvas(self.size, samples, self._shadow, self._ambient_occlusion, self._transparent)
+            self._canvas = Canvas(
+                self.size, samples, self._stage, self._shadow, self._ambient_occlusion, self._transparent
+            )
         colour = to_linear(content.colour)
         if len(frame.pinned) == len(colour) and not len(frame.triangles):
             colour = np.where(
@@ -227,15 +230,6 @@ class Renderer3D:
             pad = 0.15 * grown.size
             self._bounds = Bounds(low - pad, high + pad)
         return self._bounds
-
-
-def _lamp(camera: Camera) -> NDArray[np.float64]:
-    """Direction to the key light: from the left, above and a little before the camera."""
-    return _around(camera, LAMP_AZIMUTH, LAMP_ELEVATION)
-
-
-def _fill(camera: Camera) -> NDArray[np.float64]:
-    return _around(camera, FILL_AZIMUTH, FILL_ELEVATION)
 
 
 def _around(camera: Camera, azimuth: float, height: float) -> NDArray[np.float64]:

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from test_embedded_surfaces import frame_of
-from test_render import GREEN, RED, balls, linear, picture, placed
+from test_render import FRONT, GREEN, RED, balls, linear, picture, placed
 
 from taichi_sim import Box, Capsule, Scene, shapes
 from taichi_sim.device import backend
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
 from taichi_sim.render.smoothing import Smoothing
+from taichi_sim.render.stages import STAGES
 
 pytestmark = pytest.mark.once
 
@@ -146,3 +147,35 @@ def test_the_edge_of_a_shadow_has_no_notches():
         place = row + (level - high) / (low - high)
         fit = np.polyval(np.polyfit(column, place, 2), column)
         assert np.abs(place - fit).max() < 0.6  # px; notches were more than one deep
+
+
+# Stages -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_stages_and_a_background_over_each(dim):
+    """Bright, dark and blue; what is in front of a background of one's own keeps the stage's light."""
+    frame = balls(np.eye(3)[:, :dim], 0.5, [RED] * 3)
+    options = {"camera": FRONT} if dim == 3 else {}
+    corner, middle = {}, {}
+    for stage in STAGES:
+        for background in (None, (0.1, 0.5, 0.1)):
+            image = picture(frame, stage=stage, background=background, **options)
+            corner[stage, background is None], middle[stage, background is None] = image[0, 0], image[45, 80]
+        assert np.all(np.abs(corner[stage, False].astype(int) - (26, 128, 26)) <= 2)
+    assert corner["day", True].min() > 130
+    assert corner["studio", True].max() < 60
+    assert corner["blueprint", True][2] > 2 * corner["blueprint", True][0]
+    if dim == 3:
+        assert np.array_equal(middle["studio", True], middle["studio", False])
+        assert not np.array_equal(middle["studio", True], middle["day", True])
+
+
+def test_a_blueprint_has_lines_at_outlines_and_sharp_edges():
+    box = placed(Box((0, 0, 0), (3, 2, 2), rotation=(0, 30, 0)), 3)
+    frame = balls(np.array([[-2.0, -2, 0], [2, 2, 0]]), 0.01, [GREEN] * 2, colliders=(box,))
+    row = linear(picture(frame, camera=FRONT, stage="blueprint"))[45].mean(axis=1)
+    bright = np.flatnonzero(row > 1.5 * np.median(row[70:76]))
+    groups = np.split(bright, np.flatnonzero(np.diff(bright) > 1) + 1)
+    assert len(groups) == 3  # two outlines and the edge between the faces
+    assert max(len(group) for group in groups) <= 2
