@@ -46,7 +46,10 @@ class Surfaces(Protocol):
     normal_of: Field  # (triangles) vector of the normals at them
     part: Field  # (triangles) number of the smooth part of a surface that each is of
     style_of: Field  # (triangles) number of its style
-    style: Field  # (styles) vector: gloss, share of the light that comes through
+    style: Field  # (styles) vector of 8 numbers, see render/styles.py
+    is_patterned: bool  # whether any of them has a pattern
+    place: Field  # (vertices) vector, 0 to 1: where each lies in its pattern
+    texel: Field  # (texels) vector, colours of textures, row after row from the top, each followed by its smaller sizes
     rod: Field  # (rods) vector of two vertices
     rod_radius: Field  # (rods)
     rod_strain: Field  # (rods)

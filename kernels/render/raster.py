@@ -148,8 +148,21 @@ def edge(ax, ay, bx, by):
 
 
 @ti.func
-def draw_triangle(seen: ti.template(), samples: ti.template(), a, b, c, identity, width, height):
-    """Either winding, by barycentrics about the vertex a."""
+def screen_door(x, y, sample: ti.template(), samples: ti.template()):
+    """Threshold of a sample, from 0 to 1: of several in a pixel each its own, or 4 x 4 pixels in an order that looks even."""
+    threshold = ti.f32(ti.static((sample + 0.5) / samples))
+    if ti.static(samples == 1):
+        i, j = x & 3, y & 3
+        rank = (((i ^ j) & 1) << 3) | ((j & 1) << 2) | ((i ^ j) & 2) | ((j & 2) >> 1)  # Bayer
+        threshold = (ti.cast(rank, ti.f32) + ti.f32(0.5)) / 16
+    return threshold
+
+
+@ti.func
+def draw_triangle(
+    seen: ti.template(), samples: ti.template(), see_through: ti.template(), opacity, a, b, c, identity, width, height
+):
+    """Either winding, by barycentrics about the vertex a; of what is see-through a part of all samples, its opacity."""
     bx, by, cx, cy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
     area = edge(bx, by, cx, cy)
     if ti.abs(area) > ti.f32(1e-9):
@@ -164,7 +177,10 @@ def draw_triangle(seen: ti.template(), samples: ti.template(), a, b, c, identity
                     dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1])) - a[1]
                     u = edge(dx, dy, cx, cy) * inverse
                     v = edge(bx, by, dx, dy) * inverse
-                    if u >= 0 and v >= 0 and u + v <= 1:
+                    covers = u >= 0 and v >= 0 and u + v <= 1
+                    if ti.static(see_through):
+                        covers = covers and screen_door(x, y, ti.static(s), samples) < opacity
+                    if covers:
                         w = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
                         put(seen, (y * width + x) * samples + s, w, identity)
 
@@ -173,6 +189,9 @@ def draw_triangle(seen: ti.template(), samples: ti.template(), a, b, c, identity
 def draw_triangles(
     ball: ti.template(),
     corner: ti.template(),
+    style_of: ti.template(),
+    style: ti.template(),
+    see_through: ti.template(),
     seen: ti.template(),
     samples: ti.template(),
     view: View,
@@ -180,14 +199,18 @@ def draw_triangles(
     height: ti.i32,
     count: ti.i32,
 ):
-    """Triangles over balls. One that crosses the near plane is left out."""
+    """Triangles over balls. One that crosses the near plane is left out, and what is see-through casts no shadow."""
     for i in range(count):
-        k = corner[i]
+        k, opacity = corner[i], ti.f32(1.0)
+        if ti.static(see_through):
+            opacity = style[style_of[i]][2]
+            if ti.static(seen.depth_only):
+                opacity = ti.floor(opacity)
         a = screen(view, to_view(view, ball[k[0]].xyz))
         b = screen(view, to_view(view, ball[k[1]].xyz))
         c = screen(view, to_view(view, ball[k[2]].xyz))
         if a[2] > 0 and b[2] > 0 and c[2] > 0:
-            draw_triangle(seen, samples, a, b, c, (TRIANGLE << 28) | i, width, height)
+            draw_triangle(seen, samples, see_through, opacity, a, b, c, (TRIANGLE << 28) | i, width, height)
 
 
 @ti.func

@@ -33,6 +33,44 @@ def spring_colour(strain):
 
 
 @ti.func
+def wave(a, width):
+    """1 and -1 in turn, each for half of a unit, smoothed over a width."""
+    rise = ti.f32(0.25) - ti.abs(a - ti.floor(a) - ti.f32(0.5))
+    return ti.min(ti.max(2 * rise / ti.max(width, ti.f32(1e-6)), ti.f32(-1.0)), ti.f32(1.0)) / ti.max(
+        2 * width, ti.f32(1.0)
+    )
+
+
+@ti.func
+def pattern(kind, place, width):
+    """Share of the other colour at a place in a pattern, smoothed over a width: stripes, or checks."""
+    sign = wave(place[0], width)
+    if kind > 1:
+        sign *= wave(place[1], width) * wave(place[2], width)
+    return ti.f32(0.5) - ti.f32(0.5) * sign
+
+
+@ti.func
+def texture_at(scene: ti.template(), style, place, width):
+    """Colour of a texture at a place, between four texels of that of its sizes, each half the last one, that fits the width."""
+    first, across, down = ti.cast(style[4], ti.i32), ti.cast(style[5], ti.i32), ti.cast(style[6], ti.i32)
+    wide = width * ti.cast(ti.max(across, down), ti.f32)
+    while wide > ti.f32(1.5) and ti.max(across, down) > 1:
+        first += across * down
+        across, down = (across + 1) // 2, (down + 1) // 2
+        wide *= ti.f32(0.5)
+    x = (place[0] - ti.floor(place[0])) * across - ti.f32(0.5)
+    y = (1 - place[1] + ti.floor(place[1])) * down - ti.f32(0.5)
+    i, j = ti.cast(ti.floor(x), ti.i32), ti.cast(ti.floor(y), ti.i32)
+    u, v = x - ti.floor(x), y - ti.floor(y)
+    i0, i1 = ti.max(i, 0), ti.min(i + 1, across - 1)
+    j0, j1 = ti.max(j, 0), ti.min(j + 1, down - 1)
+    upper = scene.texel[first + j0 * across + i0] * (1 - u) + scene.texel[first + j0 * across + i1] * u
+    lower = scene.texel[first + j1 * across + i0] * (1 - u) + scene.texel[first + j1 * across + i1] * u
+    return upper * (1 - v) + lower * v
+
+
+@ti.func
 def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
     """Point, normal (towards the eye), colour and gloss of what a pixel sees, and the share of the light that comes through."""
     kind, i = identity >> 28, identity & 0xFFFFFFF
@@ -85,6 +123,21 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
             colour = (scene.colour[k[0]] * wa + scene.colour[k[1]] * wb + scene.colour[k[2]] * wc) / total
             style = scene.style[scene.style_of[i]]
             gloss, through = style[0], style[1]
+            if ti.static(scene.is_patterned):
+                if style[3] > 0 and total > ti.f32(1e-20):
+                    inner = 1 / ti.max(ti.abs(det), ti.f32(1e-20))
+                    tb, tc = winding * s.dot(h) * inner, winding * ray.dot(q) * inner  # also beside a thin triangle
+                    ab, ac = scene.place[k[1]] - scene.place[k[0]], scene.place[k[2]] - scene.place[k[0]]
+                    place = ti.min(ti.max(scene.place[k[0]] + ab * tb + ac * tc, ti.f32(0.0)), ti.f32(1.0)) * style[7]
+                    size = ti.max(
+                        ab.norm() / ti.max(e1.norm(), ti.f32(1e-20)), ac.norm() / ti.max(e2.norm(), ti.f32(1e-20))
+                    )
+                    steep = ti.max(ti.abs(n.dot(ray)) / ray.norm(), ti.f32(0.15))
+                    wide = size * style[7] / (w * view[3, 0] * steep)
+                    if style[3] > 2:
+                        colour = texture_at(scene, style, place, wide)
+                    else:
+                        colour += (vec3(style[4], style[5], style[6]) - colour) * pattern(style[3], place, wide)
     return p, n, colour, gloss, through
 
 

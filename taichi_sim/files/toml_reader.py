@@ -25,6 +25,7 @@ from taichi_sim.files.toml_lines import deepest_line, line_of
 from taichi_sim.geometry.outlines import FONT_FILES
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.colliders import shape_of
+from taichi_sim.scene.looks import Look
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import Shape
 
@@ -172,6 +173,7 @@ class Reader:
                 scene.add_probe(**arguments)
         with self._at("output", "camera"):
             self._camera(scene)
+        self._looks(scene)
         if scene.n_balls == 0:
             says = "holds no ball; a scene needs at least one, from [[balls]] or a shape"
             raise SceneError((), says=says, file=self.file)
@@ -269,6 +271,15 @@ class Reader:
         if isinstance(name, str):
             camera["follow"] = self._named("camera.follow", name).tolist()
         CameraPath.of(camera, scene.dim, scene.n_balls)
+
+    def _looks(self, scene: Scene) -> None:
+        """Check [[output.looks]]; textures lie beside the file."""
+        shapes, colliders = [one.name for one in scene.objects], [one.label for one in scene.colliders if one.label]
+        for k, look in enumerate(scene.output.get("looks") or ()):
+            with self._at("output", "looks", k):
+                if isinstance(look.get("texture"), str):
+                    look["texture"] = str(self._beside("texture", look["texture"]))
+                Look.of_table(f"looks[{k}]", look, shapes, colliders)
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 

@@ -33,6 +33,7 @@ from taichi_sim.analysis.methods import BUILT_IN_METHODS, VERLET
 from taichi_sim.common.docstrings import described, unit_of
 from taichi_sim.scene import colliders
 from taichi_sim.scene.camera_path import CameraPath
+from taichi_sim.scene.looks import Look
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -224,6 +225,9 @@ class Output(Strict):
     subdivide: Literal[0, 1, 2] = _key(0, "how many times each triangle of a surface is divided into four, smoothly")
     crease: Annotated[FiniteFloat, Ge(0), Le(180)] = _key(
         40.0, "between triangles at the start, from which their edge is sharp, in 3D; not where subdivide is [degrees]"
+    )
+    looks: Annotated[tuple[dict[str, Any], ...] | None, WithJsonSchema({"type": "array", "items": _object(Look)})] = (
+        _key(None, "how the surfaces of shapes and colliders look, in 3D")
     )
     camera: Annotated[
         dict[str, Any] | None, WithJsonSchema(_object(CameraPath, follow=str | int | tuple[int, ...]))

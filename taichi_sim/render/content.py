@@ -1,5 +1,6 @@
 """What of a frame is drawn: which balls as spheres or discs, which springs as rods, which surfaces, and in which colour."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,10 @@ from taichi_sim.render.binding import Binding
 from taichi_sim.render.bodies import Bodies
 from taichi_sim.render.palette import body_colours
 from taichi_sim.render.smoothing import CREASE, Smoothing
+from taichi_sim.render.styles import Styles
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
+from taichi_sim.scene.looks import Look
 from taichi_sim.scene.objects import SceneObject
 
 __all__ = ["Content"]
@@ -25,8 +28,8 @@ class Content:
 
     radius (n,) m, 0 for balls on triangles; rods: indices of the springs drawn; rod_ends (k, 2); rod_radius (k,) m;
     rod_stick (k,). Vertices are the n balls and, after them, those of surfaces and of finer surfaces, which `binding` holds to
-    the balls; colour (n + s, 3) sRGB and triangles (t, 3) are theirs. bodies: colliders, in 3D. smoothing: of these triangles
-    and those of colliders after them, in 3D.
+    the balls; colour (n + s, 3) sRGB and triangles (t, 3) are theirs. bodies: colliders, in 3D. smoothing, styles: of these
+    triangles and those of colliders after them, in 3D.
     """
 
     source: tuple[NDArray, ...]
@@ -40,16 +43,23 @@ class Content:
     binding: Binding
     bodies: Bodies | None
     smoothing: Smoothing | None
+    styles: Styles | None
     colliders: tuple[Collider, ...]
     embedded_surfaces: tuple[EmbeddedSurface, ...]
     objects: tuple[SceneObject, ...]
 
     @classmethod
     def of(
-        cls, frame: Frame, size: float, subdivide: int = 0, crease: float = CREASE, rest: NDArray | None = None
+        cls,
+        frame: Frame,
+        size: float,
+        subdivide: int = 0,
+        crease: float = CREASE,
+        rest: NDArray | None = None,
+        looks: Sequence[Look] = (),
     ) -> "Content":
         """size: of the scene in metres, for rods between balls without a radius. subdivide: surfaces so many times. crease:
-        see `Smoothing`; rest: where the balls (n, 3) [m] show it, those of the frame by default."""
+        see `Smoothing`; rest: where the balls (n, 3) [m] show it, those of the frame by default; looks: of surfaces."""
         n = len(frame.position)
         covered = np.zeros(n, dtype=bool)
         for one in frame.embedded_surfaces:
@@ -63,10 +73,12 @@ class Content:
         rods = np.flatnonzero(~(hidden[springs[:, 0]] | hidden[springs[:, 1]]))  # inner ones would poke through
         ends = np.ascontiguousarray(springs[rods], dtype=np.int32)
         colour = body_colours(frame)
-        bodies, smoothing = None, None
+        bodies, smoothing, styles = None, None, None
         if frame.dim == 3:
             bodies = Bodies.of(frame, crease=crease)
+            rest = frame.position if rest is None or rest.shape != frame.position.shape else rest
             smoothing = _smoothing(frame, triangles, binding, bodies, 180.0 if subdivide else crease, rest)
+            styles = Styles.of(frame, looks, triangles, binding, bodies, smoothing.sheet, rest)
         stick = frame.sticks[rods] if len(frame.sticks) == len(springs) else np.zeros(len(rods), dtype=bool)
         return cls(
             source=_source(frame),
@@ -78,6 +90,7 @@ class Content:
             rod_stick=stick,
             bodies=bodies,
             smoothing=smoothing,
+            styles=styles,
             colliders=_colliders(frame),
             embedded_surfaces=frame.embedded_surfaces,
             objects=frame.objects,
@@ -114,10 +127,9 @@ def enclosed(frame: Frame) -> NDArray[np.bool_]:
 
 
 def _smoothing(
-    frame: Frame, triangles: NDArray, binding: Binding, bodies: Bodies, crease: float, rest: NDArray | None
+    frame: Frame, triangles: NDArray, binding: Binding, bodies: Bodies, crease: float, x: NDArray
 ) -> Smoothing:
     """Of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp edges."""
-    x = frame.position if rest is None or rest.shape != frame.position.shape else rest
     flat = np.zeros(len(x) + len(binding), dtype=bool)
     for one in frame.objects:
         flat[one.balls] = one.uv is not None

@@ -11,10 +11,9 @@ from taichi_sim.kernels.render import raster, vertex_binding
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 from taichi_sim.render.smoothing import Smoothing
+from taichi_sim.render.styles import Styles
 
 __all__ = ["Buffers", "padded"]
-
-STYLES = ((0.15, 0.0), (0.15, 0.4))  # of bodies and of sheets: gloss, share of the light that comes through
 
 
 class Buffers:
@@ -35,7 +34,11 @@ class Buffers:
             self.rod, self.rod_radius, self.rod_strain = fields.cells(m, 2), fields.reals(m), fields.reals(m)
         if self.has_triangles:
             self.corner, self.normal_of, self.part = fields.cells(t, 3), fields.cells(t, 3), fields.integers(t)
-            self.style_of, self.style = fields.integers(t), fields.vectors(len(STYLES), 2)
+            assert content.styles is not None  # in 3D
+            self.is_patterned, self.is_see_through = content.styles.are_patterned, content.styles.are_see_through
+            self.style_of, self.style = fields.integers(t), fields.vectors(len(content.styles.rows), 8)
+            self.place = fields.vectors(n if self.is_patterned else 1, 3)
+            self.texel = fields.vectors(len(content.styles.texel), 3)
             self.incident = fields.integers(3 * t)
             self.start, self.normal = fields.integers(3 * t + 1), fields.vectors(3 * t, 3)
         if self.has_bound:
@@ -79,7 +82,9 @@ class Buffers:
                 self._corners = np.concatenate([content.triangles, self.bodies.triangles + first]).astype(np.int32)
             self.corner.from_numpy(padded(self._corners, self.capacity[2]))
             assert content.smoothing is not None  # in 3D
+            assert content.styles is not None
             self._load_smoothing(content.smoothing)
+            self._load_styles(content.styles)
         if self.has_bound:
             self.bound_start.from_numpy(content.binding.weights.indptr.astype(np.int32))
             self.bound_entry.from_numpy(content.binding.weights.indices.astype(np.int32))
@@ -95,8 +100,14 @@ class Buffers:
         self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * t))
         self.normal_of.from_numpy(padded(smoothing.normal_of, t))
         self.part.from_numpy(padded(smoothing.part, t))
-        self.style.from_numpy(np.array(STYLES, dtype=np.float32))
-        self.style_of.from_numpy(padded(smoothing.sheet.astype(np.int32), t))
+
+    def _load_styles(self, styles: Styles) -> None:
+        self.style.from_numpy(styles.rows)
+        self.style_of.from_numpy(padded(styles.of_triangle, self.capacity[2]))
+        if self.is_patterned:
+            self.place.from_numpy(styles.place)
+        if len(styles.texel):
+            self.texel.from_numpy(styles.texel)
 
     def move(self, frame: Frame, origin: NDArray, unit: float, strain: NDArray | None, eye: NDArray) -> None:
         """Take over positions (m) and strains; eye (m)."""

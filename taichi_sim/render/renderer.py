@@ -13,6 +13,7 @@ from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.smoothing import CREASE
 from taichi_sim.render.stages import STAGES
 from taichi_sim.scene.camera_path import CameraPath
+from taichi_sim.scene.looks import Look
 
 __all__ = ["Renderer"]
 
@@ -28,9 +29,10 @@ class Renderer:
     background nor ground, and alpha; colour: "object", or "strain" or "speed" of balls and surfaces on a scale from the first
     to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly; crease: in 3D,
     the angle between triangles in the first frame from which their edge is sharp [degrees], where surfaces are not subdivided;
-    stage: "day", "studio" or "blueprint", the light and what lies behind, in place of which a background may be. Raises
-    ValueError for a bad argument. `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which
-    colours are not multiplied; row 0 at the top, sRGB.
+    stage: "day", "studio" or "blueprint", the light and what lies behind, in place of which a background may be; looks: in 3D,
+    the keys of a `Look` for each of some shapes and colliders. Raises ValueError for a bad argument.
+    `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which colours are not multiplied; row 0 at
+    the top, sRGB.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class Renderer:
         subdivide: int = 0,
         crease: float = CREASE,
         stage: str = "day",
+        looks: Sequence[Mapping[str, Any]] = (),
     ) -> None:
         width, height = (int(a) for a in size)
         if width < 1 or height < 1:
@@ -58,6 +61,9 @@ class Renderer:
         if stage not in STAGES:
             raise ValueError(f"stage: {stage!r} is not allowed; it must be {', '.join(STAGES)}")
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
+        shapes = [one.name for one in frame.objects]
+        colliders = [placed.collider.label for placed in frame.colliders if placed.collider.label]
+        styles = [Look.of_table(f"looks[{k}]", one, shapes, colliders) for k, one in enumerate(looks)]
         backend.start()
         self.size = (width, height)
         self._painter: Any
@@ -65,7 +71,7 @@ class Renderer:
             from taichi_sim.render.renderer3d import Renderer3D
 
             self._painter = Renderer3D(
-                frame, self.size, background, ambient_occlusion, shadow, camera, *look, crease, STAGES[stage]
+                frame, self.size, background, ambient_occlusion, shadow, camera, *look, crease, STAGES[stage], styles
             )
         else:
             from taichi_sim.render.renderer2d import Renderer2D

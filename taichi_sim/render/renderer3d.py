@@ -18,6 +18,7 @@ from taichi_sim.render.palette import background_colours, to_linear
 from taichi_sim.render.smoothing import CREASE
 from taichi_sim.render.stages import DAY, Stage
 from taichi_sim.render.tracker import Tracker
+from taichi_sim.scene.looks import Look
 
 __all__ = ["Renderer3D"]
 
@@ -42,10 +43,11 @@ class Renderer3D:
         subdivide: int = 0,
         crease: float = CREASE,
         stage: Stage = DAY,
+        looks: Sequence[Look] = (),
     ) -> None:
         self.size = size
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
-        self._stage = stage
+        self._stage, self._looks = stage, looks
         self._crease, self._rest = crease, frame.position.copy()
         self._table = Colouring.table()
         self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
@@ -151,7 +153,7 @@ class Renderer3D:
         """Take over what changed beyond positions; allocate again where a frame has more of anything."""
         if self._content is not None and self._content.matches(frame):
             return
-        content = Content.of(frame, self._unit, self._subdivide, self._crease, self._rest)
+        content = Content.of(frame, self._unit, self._subdivide, self._crease, self._rest, self._looks)
         self._content = content
         if self.buffers is None or not self.buffers.holds(content):
             if self.buffers is not None:
@@ -198,7 +200,8 @@ class Renderer3D:
         if b.has_rods:
             raster.draw_rods(b.ball, b.rod, b.rod_radius, seen, samples, v, width, height, b.rods)
         if b.has_triangles:
-            raster.draw_triangles(b.ball, b.corner, seen, samples, v, width, height, b.triangles)
+            styles = (b.style_of, b.style, b.is_see_through)
+            raster.draw_triangles(b.ball, b.corner, *styles, seen, samples, v, width, height, b.triangles)
 
     def _extent(self, frame: Frame) -> Bounds:
         step = max(1, len(frame.position) // 4096)

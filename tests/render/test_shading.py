@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 from test_embedded_surfaces import frame_of
-from test_render import FRONT, GREEN, RED, balls, linear, picture, placed
+from test_render import FRONT, GREEN, RED, SIZE, balls, greenish, linear, picture, placed, reddish
 
-from taichi_sim import Box, Capsule, Scene, shapes
+from taichi_sim import Box, Capsule, Scene, SceneError, load_scene, shapes
 from taichi_sim.device import backend
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
@@ -179,3 +180,106 @@ def test_a_blueprint_has_lines_at_outlines_and_sharp_edges():
     groups = np.split(bright, np.flatnonzero(np.diff(bright) > 1) + 1)
     assert len(groups) == 3  # two outlines and the edge between the faces
     assert max(len(group) for group in groups) <= 2
+
+
+# Looks --------------------------------------------------------------------------------------------------------------
+
+
+def upright(**more):
+    """A cloth of 2 x 2 m, white, that stands upright and faces the camera, called flag."""
+    scene = Scene(dim=3)
+    sheet = shapes.cloth(
+        scene, size=(2, 2), resolution=(9, 9), rotation=(90, 0, 0), position=(-1, 1, 0), colour=(1, 1, 1), **more
+    )
+    scene.set_name(sheet.balls, "flag")
+    frame = frame_of(scene)
+    frame.objects = tuple(scene.objects)
+    return frame
+
+
+def test_stripes_and_checks_on_a_cloth():
+    frame, dark = upright(), (0.0, 0.0, 0.0)
+    seen = {}
+    for pattern in ("plain", "stripes", "checks"):
+        look = {"of": "flag", "pattern": pattern, "repeat": 2, "pattern_colour": dark}
+        image = linear(picture(frame, camera=FRONT, shadow=False, looks=[look])).mean(axis=2)
+        seen[pattern] = image[30:60, 66:94] > 0.3
+    assert seen["plain"].all()
+    for pattern in ("stripes", "checks"):
+        assert 0.35 < seen[pattern].mean() < 0.65
+    assert np.all(seen["stripes"] == seen["stripes"][0])  # along the columns
+    assert np.count_nonzero(np.diff(seen["checks"][7])) >= 2
+    assert np.count_nonzero(np.diff(seen["checks"][:, 5])) >= 2
+
+
+def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
+    image = np.zeros((64, 64, 3), dtype=np.uint8)
+    image[:32, :32], image[:32, 32:], image[32:, :32], image[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255), 255
+    Image.fromarray(image).save(tmp_path / "four.png")
+    look = {"of": "flag", "texture": tmp_path / "four.png"}
+    drawn = picture(upright(), camera=FRONT, shadow=False, looks=[look]).astype(int)
+    red, green, blue, white = (drawn[row, column] for row in (35, 55) for column in (70, 90))
+    assert reddish(red)
+    assert greenish(green)
+    assert blue[2] > 1.5 * max(blue[0], blue[1])
+    assert white.min() > 100
+    for name, text in (("none.png", "No such file"), ("test.txt", "image")):
+        (tmp_path / "test.txt").write_text("no image")
+        with pytest.raises(SceneError, match=rf"looks\[0\].texture: .* is not an image that can be read: .*{text}"):
+            picture(upright(), looks=[{"of": "flag", "texture": tmp_path / name}])
+
+
+def test_a_see_through_collider_shows_what_is_behind_it():
+    """Half of a green ball through a red box; in a picture with alpha half of nothing. It casts no shadow, and gloss shines."""
+    box = placed(Box((0, 0, 0), (2, 2, 2), colour=RED, name="glass"), 3)
+    frame = balls([(0.0, 0.0, -2.5)], 0.5, [GREEN], colliders=(box,))
+    look = {"of": "glass", "opacity": 0.5}
+    options = {"camera": FRONT, "shadow": False, "transparent": True}
+    solid, glass = (picture(frame, looks=looks, **options) for looks in ([], [look]))
+    behind = picture(balls([(0.0, 0.0, -2.5)], 0.5, [GREEN]), **options)
+    assert solid[45, 80, 3] == 255
+    assert glass[45, 80, 3] == 255
+    mixed = linear(glass[45, 80, :3])
+    assert mixed == pytest.approx((linear(solid[45, 80, :3]) + linear(behind[45, 80, :3])) / 2, abs=0.02)
+    assert glass[30, 66, 3] == 128
+    assert solid[30, 66, 3] == 255
+    ground = np.array([[0.0, 1.0, 0.0, -1.0]])
+    frame = balls([(-1.5, -0.9, 0.0), (1.5, 1.0, 0.0)], 0.01, colliders=(box,), walls=ground)
+    above = Camera(eye=(0.0, 5.0, 7.0), target=(0.0, 0.0, 0.0))
+    dark = [
+        np.count_nonzero(
+            picture(frame, camera=above, looks=looks, shadow=False).astype(int).sum(axis=2)
+            > picture(frame, camera=above, looks=looks).astype(int).sum(axis=2) + 60
+        )
+        for looks in ([], [look])
+    ]
+    assert dark[0] > 100
+    assert dark[1] < 10
+
+
+def test_looks_that_are_refused(tmp_path):
+    frame = upright()
+    for look, message in (
+        (
+            {"of": "flga"},
+            r"looks\[0\].of: 'flga' is not allowed; it must be the name of a shape or of a collider: flag",
+        ),
+        ({"pattern": "checks"}, "with of"),
+        ({"of": "flag", "glos": 1}, "did you mean 'gloss'"),
+        ({"of": "flag", "gloss": 2}, r"looks\[0\].gloss: 2"),
+        ({"of": "flag", "pattern": "dots"}, "'plain', 'stripes', 'checks'"),
+        ({"of": "flag", "opacity": 0.5}, "is for colliders"),
+    ):
+        with pytest.raises(SceneError, match=message):
+            Renderer(frame, size=SIZE, looks=[look])
+    file = tmp_path / "scene.toml"
+    text = 'format = 1\ndim = 3\n[[cloth]]\nname = "flag"\n[[output.looks]]\nof = "flag"\n'
+    for more, message in (
+        ('texture = "none.png"', r"line 7: output\.looks\[0\]\.texture: .* is not an image"),
+        ("gloss = -1", r"line 7: output\.looks\[0\]\.gloss: -1"),
+    ):
+        file.write_text(text + more)
+        with pytest.raises(SceneError, match=message):
+            load_scene(file)
+    file.write_text(text + 'pattern = "checks"')
+    assert load_scene(file).output["looks"] == ({"of": "flag", "pattern": "checks"},)

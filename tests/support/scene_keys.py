@@ -29,6 +29,8 @@ def tables():
     result["[[output.camera.path]]"] = rows(
         camera["properties"]["path"]["items"]["properties"], camera["properties"]["path"]["items"]
     )
+    looks = output["properties"]["looks"]["items"]
+    result["[[output.looks]]"] = rows(looks["properties"], looks)
     result["[wind]"] = rows(definitions["wind"]["properties"], definitions["wind"])
     for name in schema["properties"]:
         if name in SHAPES or name in ("simulation", "output", "wind") or name in top:
