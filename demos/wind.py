@@ -5,7 +5,7 @@ import numpy as np
 import taichi_sim as ts
 
 SIZE, NUMBER = (1.6, 1.2), (65, 49)
-WIND = 2.2  # m/s
+WIND = 1.9  # m/s
 
 
 def scene():
@@ -24,7 +24,7 @@ def scene():
         colour=(0.85, 0.32, 0.22),
     )
     scene.add_wall((0, 1, 0))
-    scene.add_wind((0.3 * WIND, 0, WIND), gust=0.9, gust_length=1.8)
+    scene.add_wind((0.3 * WIND, 0, WIND), gust=0.6, gust_length=1.8)
     return scene
 
 
