@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from taichi_sim.cli.options import interval, pixels, positive, share, step, takes_only
+from taichi_sim.cli.options import interval, keys_and_values, pixels, positive, share, step, takes_only
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
 from taichi_sim.common.version import __version__
@@ -45,6 +45,8 @@ SceneName = Annotated[str, _scene("SCENE")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
 Precisions = Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")]
 Compared = Annotated[float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")]
+Codec = Annotated[str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")]
+Transparent = Annotated[bool, _flag("transparent", "PNG frames without background and ground, with alpha.")]
 Workers = Annotated[int | None, typer.Option(help="Processes; one for each core otherwise, 0: this one alone.")]
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
 Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
@@ -95,10 +97,12 @@ def run(
             help="Wall time between checkpoints, like 60s or 5m, or off; 60s from the second minute on otherwise."
         ),
     ] = None,
-    codec: Annotated[
-        str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")
+    codec: Codec = None,
+    transparent: Transparent = False,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes that draw, once all is simulated; this one, meanwhile, otherwise.")
     ] = None,
-    transparent: Annotated[bool, _flag("transparent", "PNG frames without background and ground, with alpha.")] = False,
+    scheduler: Scheduler = None,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
@@ -111,6 +115,11 @@ def run(
     if transparent:
         job.output["style"]["transparent"] = True
     every = interval("--checkpoint", checkpoint)
+    if workers is not None or scheduler is not None:
+        if not out or resume or checkpoint:
+            raise ValueError("--workers and --scheduler need --out, and go neither with --resume nor with --checkpoint")
+        _drawn_apart(job, out, (workers, scheduler), overwrite, codec, quiet)
+        return
     targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
@@ -131,6 +140,79 @@ def run(
     if not quiet:
         written = [target.pattern or name for name, target in zip(out or [], targets)]
         typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
+
+
+def _drawn_apart(
+    job: "_Job",
+    out: Sequence[str],
+    where: tuple[int | None, str | None],
+    overwrite: bool,
+    codec: str | None,
+    quiet: bool,
+) -> None:
+    """Simulate into a recording beside the first output, and draw that by many processes."""
+    from pathlib import Path
+
+    from taichi_sim.outputs import export, open_outputs
+    from taichi_sim.sweeps.pictures import draw
+
+    first = Path(out[0])
+    recording = first.with_name(f".{first.name}.states.npz")
+    options = {**job.output}
+    style, size = options.pop("style"), options["size"]
+    for one in open_outputs(
+        out, fps=job.output["fps"], overwrite=overwrite, codec=codec
+    ):  # refused before anything runs
+        one.discard()
+    try:
+        with job.simulation() as sim:
+            precision = sim.backend.precision
+            summary = export(sim, open_outputs([recording]), progress=not quiet, checkpoint=None, **options)
+        draw(
+            recording, out, size=size, style=style, fps=job.output["fps"], workers=where[0], scheduler=where[1],
+            overwrite=overwrite, codec=codec, precision=precision, progress=not quiet, say=_quiet if quiet else typer.echo,
+        )  # fmt: skip
+    finally:
+        recording.unlink(missing_ok=True)
+    if not quiet:
+        typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
+
+
+@_command("size", "fps")
+def render(
+    recording: Annotated[str, typer.Argument(metavar="STATES.npz", help="What `run SCENE -o STATES.npz` wrote.")],
+    out: Annotated[
+        list[str], typer.Option("--out", "-o", metavar="NAME", help=f"{NAMES}. May be given several times.")
+    ],
+    style: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="A key of [output] over the scene's, like colour=speed or camera.azimuth=40. May be given several times.",
+        ),
+    ] = None,
+    overwrite: Annotated[bool, _flag("overwrite", "Replace the frames in a folder that is not empty.")] = False,
+    codec: Codec = None,
+    transparent: Transparent = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    precision: Annotated[str | None, typer.Option(help="f32 or f64, as of the run; f32 otherwise.")] = None,
+    quiet: Quiet = False,
+    **options: Any,
+) -> None:
+    """Draw a run that was written as arrays, without simulating again: in another style, by many processes."""
+    from taichi_sim.sweeps.pictures import draw
+
+    chosen = keys_and_values("--style", style or ())
+    if transparent:
+        chosen["transparent"] = True
+    count = draw(
+        recording, out, size=pixels(options["size"]), style=chosen, fps=positive("--fps", options["fps"]), workers=workers,
+        scheduler=scheduler, overwrite=overwrite, codec=codec, precision=precision, progress=not quiet,
+        say=_quiet if quiet else typer.echo,
+    )  # fmt: skip
+    if not quiet:
+        typer.echo("\n".join(f"written      {name}: {count} frames" for name in out))
 
 
 @_command("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")

@@ -1,7 +1,7 @@
 """Options of the command line: those that several commands share, and what they mean."""
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any, Literal
 
 import typer
@@ -97,3 +97,25 @@ def pixels(text: str | None) -> tuple[int, int] | None:
     if not all(16 <= side <= 8192 for side in (int(width), int(height))):
         raise ValueError(f"--size: {text!r} is not allowed; each side must be from 16 to 8192")
     return int(width), int(height)
+
+
+def keys_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
+    """Tables of what texts like `camera.azimuth=40` say, values as in TOML, or plain words."""
+    from taichi_sim.common.errors import SceneError
+    from taichi_sim.files.toml_reader import tomllib
+
+    found: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals or not all(key.split(".")):
+            raise SceneError(option, text, "KEY=VALUE, like colour=speed or camera.azimuth=40")
+        try:
+            plain = tomllib.loads(f"x = {value}")["x"]
+        except ValueError:
+            plain = value
+        *parents, last = key.split(".")
+        table = found
+        for parent in parents:
+            table = table.setdefault(parent, {})
+        table[last] = plain
+    return found

@@ -11,7 +11,18 @@ from typing import Any
 
 from taichi_sim.common.errors import BackendError
 
-__all__ = ["ENGINE", "IS_KNOWN", "VERSION", "another", "finds", "has_right_sines", "on_device", "ti"]
+__all__ = [
+    "ENGINE",
+    "IS_KNOWN",
+    "VERSION",
+    "CompilationError",
+    "another",
+    "finds",
+    "has_right_sines",
+    "on_device",
+    "program",
+    "ti",
+]
 
 ENGINES = ("taichi", "quadrants")
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
@@ -31,6 +42,7 @@ def _taichi() -> ModuleType:
 
 
 def _quadrants() -> ModuleType:
+    os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "0")  # it greets on standard output
     try:
         import quadrants
     except (ImportError, OSError) as error:
@@ -57,6 +69,16 @@ def another(part: Any) -> Any:
 
 # whether the engine is that whose private names are touched, see compile_speedup, compiling and shared_kernels
 IS_KNOWN = (ENGINE, VERSION) == ("taichi", "1.7.4")
+
+
+def program() -> Any:
+    """What runs, or None: the same object until the engine is stopped."""
+    runtime = ti.lang.impl.get_runtime()
+    return runtime.prog if ENGINE == "taichi" else runtime._prog
+
+
+# what a mistake in a user's kernel raises
+CompilationError: type[Exception] = ti.TaichiCompilationError if ENGINE == "taichi" else ti.QuadrantsCompilationError
 
 
 def finds(arch: str) -> bool:

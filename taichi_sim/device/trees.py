@@ -7,7 +7,7 @@ another tree. So a freed tree is kept for a while, and fields of the same layout
 from copy import copy
 from typing import Any
 
-from taichi_sim.device.engine import ti
+from taichi_sim.device.engine import program, ti
 from taichi_sim.device.shared_kernels import KEY
 
 __all__ = ["Tree", "drop", "forget", "kept", "lead", "take", "take_back", "twin"]
@@ -26,9 +26,8 @@ class Tree:
     def __init__(self, layout: tuple[Any, ...], declared: list[Any], builder: Any, size: int) -> None:
         self.layout, self.bytes = layout, size
         self._tree = builder.finalize()
-        runtime = ti.lang.impl.get_runtime()
-        runtime.materialize()  # fields learn where their entries lie
-        self._program = runtime.prog
+        ti.lang.impl.get_runtime().materialize()  # fields learn where their entries lie
+        self._program = program()
         self.fields = [twin(field) for field in declared]
         self._zeros: list[_Zeros] | None = None
         self.lend(declared)
@@ -36,7 +35,7 @@ class Tree:
     @property
     def alive(self) -> bool:
         """Whether the engine still runs that holds it."""
-        return self._program is ti.lang.impl.get_runtime().prog
+        return self._program is program()
 
     def lend(self, declared: list[Any]) -> None:
         """Let declared fields of this layout mean this memory."""

@@ -16,7 +16,7 @@ from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 
-__all__ = ["restore_state", "save_state"]
+__all__ = ["FORMAT", "parts_of", "restore_state", "save_state", "scene_of"]
 
 FORMAT = 5
 MESH = ("vertices", "triangles")
@@ -34,6 +34,15 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     settings = {name.name: getattr(own, name.name) for name in fields(own)}
     settings.update(integrator=own.integrator.method.name, precision=simulation.backend.precision)
     snapshot = simulation.snapshot()
+    about, arrays = parts_of(scene)
+    about |= {"settings": settings, "time": snapshot.time, "stepping": snapshot.stepping}
+    with replacing(path) as file:
+        text = np.array(json.dumps(about, default=np.ndarray.tolist))
+        np.savez(file, about=text, **snapshot.arrays(), **arrays)
+
+
+def parts_of(scene: Scene) -> tuple[dict[str, Any], dict[str, Any]]:
+    """All that a scene is: plain values, and arrays. Raises SceneError for a user-defined collider that cannot be written."""
     colliders = [collider.saved(f"colliders[{k}]") for k, collider in enumerate(scene.colliders)]
     about = {
         "format": FORMAT,
@@ -41,19 +50,16 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         "gravity": scene.gravity.tolist(),
         **scene.plain(),
         "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in colliders],
-        "settings": settings,
         "output": scene.output,
-        "time": snapshot.time,
-        "stepping": snapshot.stepping,
         "elements": scene.elements(),
     }
-    state = snapshot.arrays()
-    for k, collider in enumerate(colliders):
-        if "mesh" in collider.given:
-            state.update({f"colliders.{k}.{name}": getattr(collider, name) for name in MESH})
-    with replacing(path) as file:
-        text = np.array(json.dumps(about, default=np.ndarray.tolist))
-        np.savez(file, about=text, **state, **scene.to_arrays(), **scene.element_arrays())
+    meshes = {
+        f"colliders.{k}.{name}": getattr(collider, name)
+        for k, collider in enumerate(colliders)
+        if "mesh" in collider.given
+        for name in MESH
+    }
+    return about, {**meshes, **scene.to_arrays(), **scene.element_arrays()}
 
 
 def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, Any]) -> Any:
@@ -72,7 +78,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
     if found != FORMAT:
         raise SceneError("format", found, f"{FORMAT}, the one that this version reads and writes", file=path)
     try:
-        scene = _scene(about, arrays)
+        scene = scene_of(about, arrays)
         snapshot = Snapshot.of_file(arrays, about["time"], about.get("stepping", {})).checked(scene)
         settings = dict(about["settings"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
@@ -90,7 +96,8 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
     return simulation
 
 
-def _scene(about: dict[str, Any], arrays: dict[str, Any]) -> Scene:
+def scene_of(about: Mapping[str, Any], arrays: Mapping[str, Any]) -> Scene:
+    """The reverse of `parts_of`. Raises what the parts of a scene raise, and KeyError, TypeError, ... for what is damaged."""
     scene = Scene(about["dim"], about["gravity"])
     scene.set_plain(about)
     for k, given in enumerate(about["colliders"]):

@@ -66,7 +66,7 @@ def open_output(
     if suffix not in OTHERS:
         raise ValueError(f"{name}: {suffix!r} is not allowed; {USE}")
     module, kind = OTHERS[suffix]
-    timed: dict[str, Any] = {"fps": fps} if suffix in (".gif", ".usdc", ".usda") else {}
+    timed: dict[str, Any] = {"fps": fps} if suffix in (".gif", ".npz", ".usdc", ".usda") else {}
     made: Output = getattr(import_module(f"taichi_sim.outputs.{module}"), kind)(name, resume=resume, **timed)
     return made
 

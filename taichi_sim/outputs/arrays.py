@@ -1,5 +1,6 @@
 """Positions, velocities, energy and contacts over time as NumPy arrays in an .npz file."""
 
+import json
 import shutil
 import zipfile
 from collections.abc import Mapping
@@ -13,35 +14,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.analysis.lazy_frame import Moment
 from taichi_sim.common.atomic_file import naming, replacing, require_place, synced
+from taichi_sim.common.errors import SceneError
+from taichi_sim.files.checkpoint import parts_of
 from taichi_sim.outputs.base import Image
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
 from taichi_sim.render.palette import body_colours
 from taichi_sim.scene.objects import named
 
+NUMBER, FLAG = "<f8", "|b1"
+SCENE = "scene/"  # what the names of the arrays of the scene begin with
 NAMES = ("time", "position", "velocity", "energy", "contacts", "penetration", "residual", "largest_speed")
 
 
 class _Column:
-    """An array of float64 that grows along its first axis on disk, so that a long run needs no memory. shape: of a row; rows:
-    that are there already."""
+    """An array that grows along its first axis on disk, so that a long run needs no memory. shape, dtype: of a row; rows: that
+    are there already."""
 
-    def __init__(self, path: Path, shape: tuple[int, ...], rows: int = 0) -> None:
-        self.shape, self._rows = shape, rows
+    def __init__(self, path: Path, shape: tuple[int, ...], dtype: str, rows: int = 0) -> None:
+        self.shape, self.dtype, self._rows = shape, dtype, rows
         self._file: IO[bytes] = open(path, "r+b" if rows else "w+b")  # noqa: SIM115  # closed with the column
-        self._file.truncate(rows * bytes_of(shape))
+        self._file.truncate(rows * bytes_of(shape, dtype))
         self._file.seek(0, 2)
 
-    def append(self, row: NDArray[np.float64]) -> None:
-        self._file.write(row.tobytes())
+    def append(self, row: NDArray) -> None:
+        self._file.write(row.astype(self.dtype).tobytes())
         self._rows += 1
 
     def hold(self) -> None:
         synced(self._file)
 
     def copy_to(self, out: IO[bytes]) -> None:
-        descr = np.lib.format.dtype_to_descr(np.dtype(np.float64))
+        descr = np.lib.format.dtype_to_descr(np.dtype(self.dtype))
         header = {"descr": descr, "fortran_order": False, "shape": (self._rows, *self.shape)}
         np.lib.format.write_array_header_2_0(out, header)
         self._file.seek(0)
@@ -52,9 +58,9 @@ class _Column:
             self._file.close()
 
 
-def bytes_of(shape: tuple[int, ...]) -> int:
+def bytes_of(shape: tuple[int, ...], dtype: str) -> int:
     """Of a row."""
-    return 8 * prod(shape)
+    return np.dtype(dtype).itemsize * prod(shape)
 
 
 def constants_of(first: Frame | None) -> dict[str, NDArray[Any]]:
@@ -71,7 +77,21 @@ def constants_of(first: Frame | None) -> dict[str, NDArray[Any]]:
         "triangles": first.triangles,
         "object": number,
         "names": np.array(names, dtype=np.str_),
+        **_scene_of(first),
     }
+
+
+def _scene_of(first: Frame) -> dict[str, Any]:
+    """The scene that a frame is of, from which `Recording` makes frames again; nothing where it cannot be written, or the frame
+    is from elsewhere."""
+    if not isinstance(first, Moment):
+        return {}
+    try:
+        about, arrays = parts_of(first.scene)
+    except SceneError:
+        return {}
+    text = np.array(json.dumps(about, default=np.ndarray.tolist))
+    return {SCENE + name: np.asarray(array) for name, array in {"about": text, **arrays}.items()}
 
 
 class Arrays(Resumable):
@@ -80,7 +100,8 @@ class Arrays(Resumable):
     probe, under its name, `load.tension`.
 
     And what stays the same: radius (n,) m, colour (n, 3) sRGB, pinned (n,), springs (m, 2) and sticks (m,), triangles (t, 3), all
-    as in the first frame, and object (n,), which of names (k,) each ball belongs to.
+    as in the first frame, and object (n,), which of names (k,) each ball belongs to; fps (1,) 1/s; and under names that begin
+    with scene/ all that the scene is, by which `Recording` makes frames of it again. Where springs can tear, torn (f, m).
 
     The columns of energy are kinetic, spring, gravity, total, those of penetration largest and mean; nan where the frame does
     not know them. Frames wait on disk beside the file, which may be larger than the memory. resume: go on from the last
@@ -89,9 +110,10 @@ class Arrays(Resumable):
 
     needs_image = False
 
-    def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
+    def __init__(self, path: str | PathLike[str], resume: bool = False, fps: float = 60.0) -> None:
         super().__init__(path, resume=resume)
         require_place(path)
+        self._fps = fps
         self._columns: dict[str, _Column] = {}
         self._first: Frame | None = None
 
@@ -100,24 +122,24 @@ class Arrays(Resumable):
 
     def has(self, checkpoint: Checkpoint) -> bool:
         shapes = checkpoint.own["output"]["columns"].items()
-        files = [(self._place(k), checkpoint.frame * bytes_of(shape)) for k, (_, shape) in enumerate(shapes)]
+        files = [(self._place(k), checkpoint.frame * bytes_of(*row)) for k, (_, row) in enumerate(shapes)]
         return all(file.is_file() and file.stat().st_size >= size for file, size in files)
 
     def go_on(self, checkpoint: Checkpoint) -> None:
         self.frames = checkpoint.frame
-        for name, shape in checkpoint.own["output"]["columns"].items():
-            self._add(name, tuple(shape), checkpoint.frame)
+        for name, (shape, dtype) in checkpoint.own["output"]["columns"].items():
+            self._add(name, tuple(shape), dtype, checkpoint.frame)
 
     def hold(self) -> Mapping[str, Any]:
         for column in self._columns.values():
             column.hold()
-        return {"columns": {name: column.shape for name, column in self._columns.items()}}
+        return {"columns": {name: (column.shape, column.dtype) for name, column in self._columns.items()}}
 
     def _place(self, number: int) -> Path:
         return self.log.folder / f"column_{number:03d}"
 
-    def _add(self, name: str, shape: tuple[int, ...], rows: int = 0) -> None:
-        self._columns[name] = _Column(self._place(len(self._columns)), shape, rows)
+    def _add(self, name: str, shape: tuple[int, ...], dtype: str, rows: int = 0) -> None:
+        self._columns[name] = _Column(self._place(len(self._columns)), shape, dtype, rows)
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         energy = (np.nan,) * 4 if frame.energy is None else tuple(frame.energy)
@@ -129,10 +151,11 @@ class Arrays(Resumable):
         self.log.open()
         self._first = self._first or frame
         with naming(self.path):
-            for name, value in [*zip(NAMES, rows, strict=True), *frame.probes.items()]:
-                row = np.asarray(value, dtype=np.float64)
+            torn = {"torn": frame.torn} if isinstance(frame, Moment) and frame.torn is not None else {}
+            for name, value in [*zip(NAMES, rows, strict=True), *torn.items(), *frame.probes.items()]:
+                row = np.asarray(value)
                 if name not in self._columns:
-                    self._add(name, row.shape)
+                    self._add(name, row.shape, FLAG if row.dtype == np.bool_ else NUMBER)
                 self._columns[name].append(row)
 
     def finish(self) -> None:
@@ -141,7 +164,7 @@ class Arrays(Resumable):
             for name, column in self._columns.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     column.copy_to(member)
-            for name, array in constants_of(self._first).items():
+            for name, array in {"fps": np.array([float(self._fps)]), **constants_of(self._first)}.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, array, allow_pickle=False)
         for column in self._columns.values():

@@ -246,7 +246,7 @@ def export(
         frames = _observed(simulation, frames, summary, clock)
         bar.phase(expected.words, "frames simulated," if drawn_last else "frames,")
         if drawn_last:
-            kept = [] if last is None or last.frames is None else frames_file.load(last.frames, simulation)
+            kept = [] if last is None or last.frames is None else frames_file.load(last.frames, simulation.scene)
             end: UnstableError | None = None
             try:
                 for index, frame in enumerate(frames, begin):

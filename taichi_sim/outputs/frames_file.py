@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.frame import Contacts, Frame
+from taichi_sim.analysis.lazy_frame import MomentsOf
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["load", "save"]
 
@@ -23,15 +25,16 @@ def save(path: Path, frames: Sequence[Any]) -> None:
     np.savez(path, time=[one.time for one in frames], about=about, **columns)
 
 
-def load(path: Path, simulation: Any) -> list[Frame]:
-    """The frames of a simulation of the same scene."""
+def load(path: Path, scene: Scene) -> list[Frame]:
+    """The frames, of the same scene."""
     with np.load(path) as file:
         columns = {name: file[name] for name in file.files}
     frames: list[Frame] = []
+    moments = MomentsOf(scene)
     for k, (contacts, probes) in enumerate(json.loads(str(columns["about"]))):
         torn = columns["torn"][k] if "torn" in columns else None
-        own = (columns[name][k] for name in ("position", "velocity", "spin"))
-        frame = simulation.frame_of(float(columns["time"][k]), *own, torn)
+        x, v, spin = (columns[name][k] for name in ("position", "velocity", "spin"))
+        frame = moments.at(float(columns["time"][k]), x, v, spin, torn)
         frame.contacts, frame.probes = None if contacts is None else Contacts(*contacts), probes
         frames.append(frame)
     return frames

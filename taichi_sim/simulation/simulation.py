@@ -18,8 +18,8 @@ from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.analysis.collider_checks import check_colliders
 from taichi_sim.analysis.element_rates import declared_rates
-from taichi_sim.analysis.frame import Contacts, Frame, Placed
-from taichi_sim.analysis.lazy_frame import Moment
+from taichi_sim.analysis.frame import Contacts, Frame
+from taichi_sim.analysis.lazy_frame import MomentsOf
 from taichi_sim.analysis.outcome import Scales
 from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.probe_readings import Reader
@@ -111,7 +111,7 @@ class Simulation(Reader):
             warnings.warn(caution, stacklevel=3)
         self._closed = False
         self._still = scene.n_balls == 0
-        self._last_torn: Any = None
+        self._moments = MomentsOf(scene)
         self._begin_readings()
 
     def _check_tolerance(self, tolerance: float, substeps: int) -> None:
@@ -249,55 +249,13 @@ class Simulation(Reader):
 
     def frame(self) -> Frame:
         """The present moment as NumPy arrays."""
-        return self.frame_of(self.time, self.position, self.velocity, self._spin(), self.torn)
-
-    def frame_of(
-        self, time: float, position: NDArray, velocity: NDArray, spin: NDArray, torn: NDArray[np.bool_] | None
-    ) -> Moment:
-        """The frame of a moment [s] by its positions (n, dim) m, velocities (n, dim) m/s, angular velocities (n, 1 or 3) 1/s and
-        the springs (m,) that have torn."""
-        scene = self.scene
-        springs, sticks, triangles, torn_springs, torn_triangles = self._shown(position, torn)
-        return Moment(
-            scene,
-            spin,
-            torn,
-            time=time,
-            position=position,
-            velocity=velocity,
-            radius=scene.radius,
-            springs=springs,
-            sticks=sticks,
-            triangles=triangles,
-            torn_springs=torn_springs,
-            torn_triangles=torn_triangles,
-            colour=scene.colour if scene.n_balls else np.zeros((0, 3)),
-            pinned=scene.pinned,
-            walls=np.array([[*w.normal, w.offset] for w in scene.walls]).reshape(-1, scene.dim + 1),
-            colliders=tuple(Placed(c, *(part[0] for part in c.motion.at(time))) for c in scene.colliders),
-            embedded_surfaces=tuple(scene.embedded_surfaces),
-            gravity=scene.gravity,
-        )
+        return self._moments.at(self.time, self.position, self.velocity, self._spin(), self.torn)
 
     @property
     def torn(self) -> NDArray[np.bool_] | None:
         """(m,) springs that have torn, a copy; None where none can."""
         tearing = None if self._still else self.parts.tearing
         return None if tearing is None else tearing.springs_torn
-
-    def _shown(self, position: NDArray, torn: NDArray[np.bool_] | None) -> tuple[NDArray, ...]:
-        """Springs (m, 2), which of them are sticks, and triangles; springs and triangles that have torn: the same arrays until
-        there are more of these."""
-        scene = self.scene
-        gone = None if torn is None or not torn.any() else diagnostics.torn_open(scene, position, torn)
-        if torn is None or gone is None:
-            return scene.pairs, scene.collides, scene.triangles, scene.pairs[:0], scene.triangles[:0]
-        last = self._last_torn
-        if last is None or not (np.array_equal(last[0], torn) and np.array_equal(last[1], gone)):
-            springs = scene.pairs[~torn], scene.collides[~torn]
-            shown = *springs, scene.triangles[~gone], scene.pairs[torn], scene.triangles[gone]
-            self._last_torn = torn, gone, shown
-        return self._last_torn[2]
 
     def inverted(self) -> int:
         """How many cells are flat or turned inside out."""

@@ -10,11 +10,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from taichi_sim.common import validation
 from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.common.version import __version__
 from taichi_sim.sweeps.points import Job, Point, Row, Runner, keep_batch, run_batch
 
-__all__ = ["Here", "Workers", "connected"]
+__all__ = ["Here", "Workers", "connected", "place"]
 
 BATCH = 20  # points of a task
 AHEAD = 3  # tasks for each worker that wait for it
@@ -120,6 +121,13 @@ def versions() -> dict[str, str]:
         engine.ENGINE: engine.VERSION,
         "Python": ".".join(platform.python_version_tuple()[:2]),
     }
+
+
+def place(scheduler: str | None, workers: int | None) -> tuple[str | None, int | None]:
+    """The two, judged. Raises SceneError."""
+    if scheduler is not None and workers is not None:
+        raise SceneError("workers", says="are those of the scheduler; give one of the two")
+    return scheduler, None if workers is None else validation.whole("workers", workers, 0, 4096)
 
 
 @contextmanager

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
 from taichi_sim.common.version import __version__
 from taichi_sim.scene.scene import Scene
-from taichi_sim.sweeps.cluster import BATCH, connected
+from taichi_sim.sweeps.cluster import BATCH, connected, place
 from taichi_sim.sweeps.design import Axis
 from taichi_sim.sweeps.folder import Folder
 from taichi_sim.sweeps.measures import Measures, measures_of
@@ -92,10 +91,7 @@ def open_study(
     """A study of `scene`, see `taichi_sim.sweeps.sweep.sweep` for the arguments. about: plain values that tell it from others,
     besides those that all studies have. Raises SceneError, ValueError or OSError, before anything runs or is written, for what is
     not allowed."""
-    if scheduler is not None and workers is not None:
-        raise SceneError("workers", says="are those of the scheduler; give one of the two")
-    if workers is not None:
-        workers = validation.whole("workers", workers, 0, 4096)
+    scheduler, workers = place(scheduler, workers)
     for name, value in (("duration", duration), ("fps", fps)):
         if value is not None:
             validation.number(name, value, positive=True)
@@ -106,9 +102,9 @@ def open_study(
         given = {"arch": "cpu", "threads": 1, **settings} if apart else settings
         kinds, first = _tried(subject, axes, seeds, given)
         measures = measures_of(measure, first)
-        place = aside / "study" if folder is None else Path(folder)
+        home = aside / "study" if folder is None else Path(folder)
         kept = Folder(
-            place,
+            home,
             {
                 "scene": subject.name,
                 "contents": subject.identity(),
@@ -126,7 +122,7 @@ def open_study(
         kept.begin()
         stack.callback(kept.close)
         if isinstance(scene, Scene) and folder is not None:  # from now on the folder is this study's
-            subject = subject_of(scene, place)
+            subject = subject_of(scene, home)
         job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart)
         yield Study(
             subject, measures, job, kept, kinds, lambda: stack.enter_context(connected(scheduler, workers, say)), say

@@ -154,7 +154,7 @@ def test_frames_are_the_same_from_a_file(tmp_path):
         for frame in frames:
             frame.contacts, frame.probes = sim.contacts(), {"load.tension": float("nan")}
         frames_file.save(tmp_path / "x.npz", frames)
-        for one, other in zip(frames, frames_file.load(tmp_path / "x.npz", sim), strict=True):
+        for one, other in zip(frames, frames_file.load(tmp_path / "x.npz", sim.scene), strict=True):
             for name in ("time", "position", "velocity", "springs", "sticks", "triangles", "strain", "energy", "spin"):
                 np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
             assert one.contacts == other.contacts

@@ -1,0 +1,217 @@
+"""Pictures of a recording, drawn by many processes: each draws frames that follow each other, and one puts them together."""
+
+import io
+from collections import deque
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common.errors import BackendError
+from taichi_sim.outputs import Output, open_outputs
+from taichi_sim.outputs.recording import Recording
+from taichi_sim.outputs.whole_run import is_drawn_last
+from taichi_sim.sweeps.cluster import MOST_REPEATS, connected, place
+from taichi_sim.sweeps.sweep import bar
+
+__all__ = ["draw"]
+
+MOST_IN_CHUNK = 16  # frames
+CHUNKS = 4  # for each process, at least: so that all draw until the end
+AHEAD = 3  # chunks of each process that are drawn, or wait, before they are asked for
+
+Images = list[NDArray[np.uint8]]
+
+
+def draw(
+    recording: str | PathLike[str],
+    paths: Sequence[str | PathLike[str]],
+    *,
+    size: tuple[int, int] | None = None,
+    style: Mapping[str, Any] | None = None,
+    fps: float | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    codec: str | None = None,
+    precision: str | None = None,
+    progress: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> int:
+    """Draw the frames of an .npz of `ts.export` into videos, pictures and files, the same to the last pixel as the run that wrote
+    it would have done, or in another style. Returns how many frames there are.
+
+    Args:
+        recording: the .npz. Workers elsewhere must see it under the same name.
+        paths: of the outputs, as of `ts.open_output`; overwrite, codec: the same.
+        size (width, height) [px], style (arguments of `Renderer`; of a camera some keys will do): over those of the scene.
+        fps [1/s]: of the film; as recorded by default.
+        workers: processes on this machine that draw, one for each core by default; 0: this one. scheduler: address of Dask's.
+        precision: "f32" or "f64", as of the run, which in the last digit pictures may show; that of this process, else "f32".
+        progress: a bar on standard error. say: what is told on the way.
+    """
+    from taichi_sim.outputs.quick import output_options
+
+    where = place(scheduler, workers)
+    frames = Recording(recording)
+    old = frames.scene.output
+    for key, value in (style or {}).items():
+        both = isinstance(value, Mapping) and isinstance(old.get(key), Mapping)
+        old[key] = {**old[key], **value} if both else value
+    options = output_options(frames.scene, {"size": size})
+    outputs = open_outputs(paths, fps=fps or frames.fps, overwrite=overwrite, codec=codec)
+    try:
+        return _drawn(frames, outputs, options["size"], options["style"], where, precision, progress, say)
+    except BaseException:
+        for output in outputs:
+            output.discard()
+        raise
+
+
+def _drawn(
+    frames: Recording,
+    outputs: Sequence[Output],
+    size: tuple[int, int],
+    style: Mapping[str, Any],
+    where: tuple[str | None, int | None],
+    precision: str | None,
+    progress: bool,
+    say: Callable[[str], None],
+) -> int:
+    for one in outputs:
+        if style.get("transparent") and one.needs_image and not one.alpha:
+            raise ValueError(
+                f"transparent: {getattr(one, 'path', 'this output')} holds no transparency; write PNG frames, to a folder/"
+            )
+    needed = any(one.needs_image for one in outputs)
+    with ExitStack() as stack:
+        for one in outputs:
+            stack.enter_context(one)
+            one.prepare(frames[0], size, style)
+        images: Generator[NDArray[np.uint8]] | None = None
+        if needed:
+            engine = stack.enter_context(connected(*where, say))
+            images = _images(engine, (str(frames.path.resolve()), size, dict(style), precision), len(frames))
+            stack.callback(images.close)
+        advance = stack.enter_context(bar(0, len(frames), progress))
+        for index, frame in enumerate(frames):
+            image = next(images) if images is not None else None
+            for one in outputs:
+                one.write(index, frame, image if one.needs_image else None)
+                one.frames += 1
+            advance(1, 0)
+    return len(frames)
+
+
+def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray[np.uint8]]:
+    """All pictures, in order."""
+    length = max(1, min(MOST_IN_CHUNK, -(-count // (CHUNKS * engine.number))))
+    chunks = [(begin, min(count, begin + length)) for begin in range(0, count, length)]
+    client = getattr(engine, "client", None)
+    if client is None:
+        try:
+            for chunk in chunks:
+                yield from _draw_chunk(task, *chunk)
+        finally:
+            _forget()
+        return
+    waiting, running = deque(chunks), deque[Any]()
+    try:
+        while waiting or running:
+            while waiting and len(running) < AHEAD * engine.number:
+                chunk = waiting.popleft()
+                running.append((chunk, client.submit(_packed_chunk, task, *chunk, pure=False, retries=0)))
+            chunk, future = running.popleft()
+            yield from map(_unpacked, _result(client, task, chunk, future))
+    finally:
+        client.cancel([future for _, future in running])
+
+
+def _result(client: Any, task: tuple[Any, ...], chunk: tuple[int, int], future: Any) -> list[bytes]:
+    """A chunk, drawn elsewhere where its worker ended."""
+    from distributed import KilledWorker
+
+    for _ in range(MOST_REPEATS):
+        try:
+            return future.result()  # type: ignore[no-any-return]
+        except KilledWorker:
+            future = client.submit(_packed_chunk, task, *chunk, pure=False, retries=0)
+    try:
+        return future.result()  # type: ignore[no-any-return]
+    except KilledWorker:
+        begin, end = chunk
+        raise BackendError(f"pictures {begin} to {end - 1}: their workers ended {MOST_REPEATS + 1} times") from None
+
+
+class _Painter:
+    """Draws frames of one recording in order; those between are passed over, as if they had been drawn."""
+
+    def __init__(self, path: str, size: tuple[int, int], style: Mapping[str, Any], precision: str | None) -> None:
+        from taichi_sim.device import backend
+        from taichi_sim.render.renderer import Renderer
+
+        backend.start(precision=precision)
+        self.frames = Recording(path)
+        self.renderer = Renderer(self.frames[0], size=size, **style)
+        if is_drawn_last(self.frames.scene, len(self.frames), style):
+            self.renderer.fit(self.frames)
+        self.start, self.next = self.renderer.memory(), 0
+
+    def draw(self, begin: int, end: int) -> Images:
+        if begin < self.next:
+            self.renderer.recall(self.start)
+            self.next = 0
+        for k in range(self.next, begin):
+            self.renderer.skip(self.frames[k])
+        images = [self.renderer.render(self.frames[k]) for k in range(begin, end)]
+        self.next = end
+        return images
+
+
+_painters: dict[str, _Painter] = {}  # of this process, one at most, by what it draws
+
+
+def _draw_chunk(task: tuple[Any, ...], begin: int, end: int) -> Images:
+    path = Path(task[0])
+    key = repr((task, path.stat().st_mtime_ns, path.stat().st_size))
+    if key not in _painters:
+        _forget()
+        _painters[key] = _Painter(*task)
+    return _painters[key].draw(begin, end)
+
+
+def _forget() -> None:
+    for painter in _painters.values():
+        painter.renderer.close()
+    _painters.clear()
+
+
+def _packed_chunk(task: tuple[Any, ...], begin: int, end: int) -> list[bytes]:
+    """Without loss, for the way to another process. A worker has one thread, as in a sweep."""
+    from PIL import Image
+
+    from taichi_sim.device import backend
+
+    given = ("cpu", task[-1] or "f32", 1)
+    try:
+        backend.start(*given)
+    except BackendError:  # it was another task's
+        _forget()
+        backend.stop()
+        backend.start(*given)
+    packed = []
+    for image in _draw_chunk(task, begin, end):
+        file = io.BytesIO()
+        Image.fromarray(image).save(file, "png", compress_level=1)
+        packed.append(file.getvalue())
+    return packed
+
+
+def _unpacked(data: bytes) -> NDArray[np.uint8]:
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(data)))
