@@ -22,6 +22,7 @@ import numpy as np
 
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device import backend
+from taichi_sim.device.engine import program as running
 from taichi_sim.device.engine import ti
 
 __all__ = ["PROFILED", "Counts", "count"]
@@ -51,7 +52,7 @@ def count(work: Callable[[], object]) -> Counts:
     with _watched() as watch:
         work()
     ti.sync()  # Vulkan records what has ended
-    program = ti.lang.impl.get_runtime().prog
+    program = running()
     program.sync_kernel_profiler()
     program.update_kernel_profiler()
     names = [record.name for record in program.get_kernel_profiler_records()]
@@ -81,9 +82,9 @@ def _watched() -> Iterator[_Watch]:
     watch, runtime, kind = _Watch(), ti.lang.impl.get_runtime(), ti.lang.kernel_impl.Kernel
     launch, sync = kind.launch_kernel, runtime.sync
 
-    def watched_launch(kernel: Any, compiled: Any, *arguments: Any) -> Any:
+    def watched_launch(kernel: Any, compiled: Any, *arguments: Any, **named: Any) -> Any:
         watch.launched(compiled)
-        found = launch(kernel, compiled, *arguments)
+        found = launch(kernel, compiled, *arguments, **named)
         if any(isinstance(argument, np.ndarray) for argument in arguments):  # copied back before the launch returns
             watch.waited()
         return found
@@ -101,7 +102,7 @@ def _one_thread(kernels: dict[int, Any]) -> Callable[[str], bool]:
     is made for Vulkan and Metal in the description that the engine writes for programs without Python."""
     if backend.has_wide_numbers():  # made by LLVM
         return lambda name: name.endswith("_serial")
-    program = ti.lang.impl.get_runtime().prog
+    program = running()
     arch = program.config().arch
     builder = program.make_aot_module_builder(arch, [])
     for number, kernel in enumerate(kernels.values()):

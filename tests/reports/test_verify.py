@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from taichi_sim.cli.main import main
 from taichi_sim.common.errors import UnstableError
+from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.reports import verify
 
 pytestmark = pytest.mark.once
@@ -56,7 +57,7 @@ def test_one_scene_that_is_off_is_named_and_ends_with_status_1(what, monkeypatch
     assert next(line for line in lines if line.startswith("WRONG")).startswith("WRONG   cloth, implicit_euler: ")
     assert sum(line.startswith("passed") for line in lines) == len(verify.CASES) - 1
     assert "1 of 6 scenes are not what they should be: cloth, implicit_euler" in ended.output
-    for part in ("taichi-sim 0", "f32", "taichi 1", "NumPy", "Python", "allowed 1e-05"):
+    for part in ("taichi-sim 0", "f32", f"{ENGINE} {VERSION}", "NumPy", "Python", "allowed 1e-05"):
         assert part in ended.output
 
 

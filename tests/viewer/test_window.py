@@ -13,6 +13,7 @@ from PIL import Image
 from window_support import MISSING, Display, Window
 
 from taichi_sim import Frame
+from taichi_sim.device.engine import ENGINE
 from taichi_sim.render import Renderer
 from taichi_sim.viewer.orbit import view_of
 
@@ -21,7 +22,10 @@ pytestmark = pytest.mark.once
 SIZE = (320, 240)
 HELD, OTHER, PINNED = 0, 1, 2
 
-needs_tools = pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not installed")
+needs_tools = pytest.mark.skipif(
+    bool(MISSING) or ENGINE != "taichi",
+    reason=f"{' and '.join(MISSING)} not installed" if MISSING else "the window needs ti.GUI, which only Taichi has",
+)
 
 
 @pytest.fixture(scope="module")
