@@ -100,7 +100,7 @@ def _drawn(
         advance = stack.enter_context(bar(0, len(frames), progress))
         for index, frame in enumerate(frames):
             image = next(images) if images is not None else None
-            for one in outputs:
+            for one in [one for one in outputs if one.wants(index)]:
                 one.write(index, frame, image if one.needs_image else None)
                 one.frames += 1
             advance(1, 0)

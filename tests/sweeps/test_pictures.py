@@ -124,3 +124,43 @@ def test_what_is_refused_before_anything_is_drawn(run, tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
         draw(tmp_path / "none.npz", [tmp_path / "x.mp4"], workers=0)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.once
+def test_the_command(run, tmp_path, capfd):
+    from taichi_sim.cli.main import main
+
+    def ended(*words):
+        with pytest.raises(SystemExit) as end:
+            main(["render", str(run / "s.npz"), "-o", str(tmp_path / "x.csv"), "--workers", "0", *words])
+        return end.value.code, capfd.readouterr()
+
+    status, said = ended("--style", "camera.azimuth=80", "--style", "colour=speed", "--fps", "10")
+    assert status == 0
+    assert "x.csv: 10 frames" in said.out
+    for words, why in (
+        (("--style", "camera"), "KEY=VALUE"),
+        (("--style", "colour=sped"), "colour"),
+        (("--fps", "0"), "--fps"),
+        (("-o", str(tmp_path / "x.csv")), "is given twice"),
+    ):
+        status, said = ended(*words)
+        assert status == 2, words
+        assert why in said.err
+        assert "Traceback" not in said.err
+
+
+@pytest.mark.slow
+@pytest.mark.once
+def test_a_run_drawn_by_workers_is_the_run(tmp_path, monkeypatch, capfd):
+    pytest.importorskip("distributed")
+    from taichi_sim.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    common = ("--duration", "0.2", "--fps", "20", "--size", "96x54", "--arch", "cpu", "--precision", PRECISION, "-q")
+    for name, words in (("a.gif", ()), ("b.gif", ("--workers", "2"))):
+        with pytest.raises(SystemExit) as end:
+            main(["run", "box", "-o", name, *common, *words])
+        assert end.value.code == 0, capfd.readouterr().err
+    assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "b.gif"]
