@@ -285,7 +285,14 @@ def test_arrays(tmp_path):
         nothing = {"pinned": (0,), "springs": (0, 2), "sticks": (0,), "triangles": (0, 3)}
         state = {"time": (10,), "position": (10, 2, 2), "velocity": (10, 2, 2), "energy": (10, 4)}
         state |= {"contacts": (10,), "penetration": (10, 2), "residual": (10,), "largest_speed": (10,)}
-        assert shapes == state | {"radius": (2,), "colour": (2, 3), "object": (2,), "names": (1,), **nothing}
+        assert shapes == state | {
+            "fps": (1,),
+            "radius": (2,),
+            "colour": (2, 3),
+            "object": (2,),
+            "names": (1,),
+            **nothing,
+        }
         assert data["time"] == pytest.approx(np.arange(10) / 10)
         assert data["position"][:, 1, 1].tolist() == list(range(10))
         assert data["velocity"][:, 0, 1] == pytest.approx(-np.arange(10.0))

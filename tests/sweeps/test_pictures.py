@@ -12,6 +12,7 @@ from taichi_sim.files.checkpoint import FORMAT
 from taichi_sim.outputs.recording import Recording
 from taichi_sim.sweeps.pictures import draw
 
+pytestmark = pytest.mark.slow
 SIZE = (96, 54)
 FORMATS = [f'"format": {number}'.encode("utf-32-le") for number in (FORMAT, FORMAT + 1)]  # texts in .npy
 
@@ -75,7 +76,6 @@ def test_it_is_drawn_as_the_run_was(run, tmp_path):
     assert len((tmp_path / "x.csv").read_text().splitlines()) == 11
 
 
-@pytest.mark.slow
 @pytest.mark.once
 def test_workers_draw_the_same(run, tmp_path):
     pytest.importorskip("distributed")
@@ -150,7 +150,6 @@ def test_the_command(run, tmp_path, capfd):
         assert "Traceback" not in said.err
 
 
-@pytest.mark.slow
 @pytest.mark.once
 def test_a_run_drawn_by_workers_is_the_run(tmp_path, monkeypatch, capfd):
     pytest.importorskip("distributed")
