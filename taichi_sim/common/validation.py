@@ -85,6 +85,8 @@ def _bounds(where: str, array: NDArray, low: float | None, high: float | None, p
         require(where, array, (array >= low) & (array <= high), f"from {low:g} to {high:g}")
     elif low is not None:
         require(where, array, array >= low, f"at least {low:g}")
+    elif high is not None:
+        require(where, array, array <= high, f"at most {high:g}")
 
 
 def number(

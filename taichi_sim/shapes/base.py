@@ -80,11 +80,11 @@ class Springs:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What every shape is told about its balls, and where it is put. radius is that of each [m]; border: (n,) which balls are at
-    its border, where its triangles or extents do not tell."""
+    """What every shape is told about its balls, and where it is put. radius is that of all, or (n,) of each [m]; border: (n,)
+    which balls are at its border, where its triangles or extents do not tell."""
 
     mass: float | NDArray  # kg, of all of them together, or (n,) of each
-    radius: float
+    radius: float | NDArray
     pinned: Any
     material: str
     colour: Sequence[float] | None

@@ -33,6 +33,7 @@ def pile(
     resolution: Sequence[int],
     radius: float,
     *,
+    smallest_radius: float | None = None,
     spacing: float | None = None,
     jitter: float = 0.05,
     seed: int = 0,
@@ -48,10 +49,12 @@ def pile(
 
     Args:
         resolution: balls along each axis; radius: of each [m].
-        mass: of each [kg]; by default 1, or as heavy as a preset is.
+        smallest_radius: where balls differ [m]: their radii lie between it and `radius`, all alike likely.
+        mass: of each [kg], of those of `radius` where balls differ, others by their volume; by default 1, or as heavy as a preset
+            is.
         spacing: between centres [m]; 2.2 radii by default.
         jitter: the balls are moved at random by up to this fraction of a radius per axis, so that no column stands by
-            luck [1]. seed: of that chance: the same one gives the same heap.
+            luck [1]. seed: of chance: the same one gives the same heap.
     """
     dim = scene.dim
     number = counts("pile.resolution", resolution, dim, 1)
@@ -60,10 +63,17 @@ def pile(
     step = or_default("pile.spacing", spacing, 2.2 * size)
     shake = validation.number("pile.jitter", jitter, low=0, high=1) * size
     points = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, dim) * step
-    points = points + np.random.default_rng(validation.whole("pile.seed", seed, 0)).uniform(-shake, shake, points.shape)
-    total = or_default("pile.mass", mass, _mass(scene, material, size)) * len(points)
+    chance = np.random.default_rng(validation.whole("pile.seed", seed, 0))
+    points = points + chance.uniform(-shake, shake, points.shape)
+    each = or_default("pile.mass", mass, _mass(scene, material, size))
+    total: Any = each * len(points)
+    radii: Any = size
+    if smallest_radius is not None:
+        least = validation.number("pile.smallest_radius", smallest_radius, high=size, positive=True)
+        radii = chance.uniform(least, size, len(points))
+        total = each * (radii / size) ** dim
     placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation}
-    part = Part(total, size, pinned, material, colour, self_collision=True, **placed)
+    part = Part(total, radii, pinned, material, colour, self_collision=True, **placed)
     return build(scene, "pile", points, [], np.zeros((0, 3)), part, 0.0, None)
 
 

@@ -135,6 +135,23 @@ def test_jelly_is_elastic_alike_in_all_directions(dim):
     assert stored[0] == pytest.approx(stored[1], rel=1e-9)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_pile_of_different_balls_has_one_density(dim):
+    scene = Scene(dim=dim)
+    kind = {"resolution": (20,) * 2 + (3,) * (dim - 2), "radius": 0.05, "mass": 0.2, "jitter": 0.1, "seed": 4}
+    heap = shapes.pile(scene, smallest_radius=0.02, **kind)
+    same = shapes.pile(scene, **kind)
+    r, n = scene.radius[heap.balls], len(heap.balls)
+    assert 0.02 <= r.min() < 0.0205 < 0.0495 < r.max() <= 0.05
+    assert abs(r.mean() - 0.035) < 4 * 0.03 / np.sqrt(12 * n)
+    assert scene.mass[heap.balls] == pytest.approx(0.2 * (r / 0.05) ** dim)
+    assert np.array_equal(scene.position[heap.balls], scene.position[same.balls])
+    assert np.all(scene.radius[same.balls] == 0.05)
+    for wrong in (0.0, 0.06):
+        with pytest.raises(SceneError, match=r"pile\.smallest_radius"):
+            shapes.pile(scene, smallest_radius=wrong, **kind)
+
+
 def test_rope_wheel_pile():
     scene = Scene(dim=2)
     rope = shapes.rope(scene, (0, 0), (4, 0), 5, bending_stiffness=7.0, pinned=[0])
