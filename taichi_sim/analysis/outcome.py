@@ -79,4 +79,4 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
             "" if grade == "good" else "; nothing in the scene takes it, but contacts: take shorter steps, see `check`"
         )
         return f"off by {much}: {grade}{cure}"
-    return f"lost {much}: restitution, friction and damping take their part" if part < -kept else ""
+    return f"{start - end:.4g} J of it went into restitution, friction and damping, as it may" if part < -kept else ""
