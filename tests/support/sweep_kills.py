@@ -2,7 +2,8 @@
 
     python -m tests.support.sweep_kills --kills 20 --seed 1
 
-First workers: so many sweeps, in each of which some worker is killed at a random moment, as often as the machine has time for.
+First workers: in each of several sweeps one is killed at a random moment after each five rows or more, so that points come
+further than their killers.
 Then the command: it is killed at random moments, and the same one run again, until it ends. Judged: every point once, the same
 measures to the last bit, no error, the report there, and no file of a batch left over.
 """
@@ -37,6 +38,7 @@ normal = [0.0, 1.0]
 duration = 2.0
 """
 POINTS = ("--vary", "materials.rubber.restitution=0.1:0.7:25", "--seeds", "4", "--measure", "energy.kinetic.max")
+BETWEEN = 5  # rows, from one killed worker to the next
 CHANGING = ("wall", "version")  # columns that differ from run to run
 
 
@@ -62,10 +64,13 @@ def table(folder: Path) -> list[dict[str, str]]:
 
 
 def rows_so_far(folder: Path) -> int:
-    """Points that are done."""
-    return sum(
-        len(file.read_text().splitlines()) for file in (*folder.glob("batches/*.jsonl"), *folder.glob("rows.jsonl"))
-    )
+    """Points that are done; 0 where files were joined at this moment."""
+    try:
+        return sum(
+            len(file.read_text().splitlines()) for file in (*folder.glob("batches/*.jsonl"), *folder.glob("rows.jsonl"))
+        )
+    except FileNotFoundError:
+        return 0
 
 
 def faults(folder: Path, process: subprocess.Popen[str], right: list[dict[str, str]]) -> list[str]:
@@ -87,16 +92,18 @@ def kill_workers(root: Path, kills: int, chance: random.Random, right: list[dict
     wrong, done = [], 0
     while done < kills:
         process, folder = start(root, "swept", 2), root / "swept"
+        rows = 0
         while process.poll() is None and done < kills:
-            moment = time.time() + chance.uniform(0.5, 6.0)
-            while process.poll() is None and time.time() < moment:
-                time.sleep(0.01)
-            if process.poll() is None and rows_so_far(folder) and (found := workers_of(process)):
+            while process.poll() is None and rows_so_far(folder) < rows + BETWEEN:
+                time.sleep(0.05)
+            time.sleep(chance.uniform(0.0, 3.0))
+            if process.poll() is None and (found := workers_of(process)):
                 try:
                     signal.pidfd_send_signal(pidfd(chance.choice(found)), signal.SIGKILL)
                 except ProcessLookupError:
                     continue
                 done += 1
+                rows = rows_so_far(folder)
         wrong += faults(folder, process, right)
         print(f"workers: {done} killed, {len(wrong)} wrong", flush=True)
         shutil.rmtree(folder)
