@@ -118,7 +118,7 @@ def run(
     if workers is not None or scheduler is not None:
         if not out or resume or checkpoint:
             raise ValueError("--workers and --scheduler need --out, and go neither with --resume nor with --checkpoint")
-        _drawn_apart(job, out, (workers, scheduler), overwrite, codec, quiet)
+        _drawn_apart(job, out, (scheduler, workers), overwrite, codec, quiet)
         return
     targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
@@ -145,7 +145,7 @@ def run(
 def _drawn_apart(
     job: "_Job",
     out: Sequence[str],
-    where: tuple[int | None, str | None],
+    where: tuple[str | None, int | None],
     overwrite: bool,
     codec: str | None,
     quiet: bool,
@@ -154,26 +154,37 @@ def _drawn_apart(
     from pathlib import Path
 
     from taichi_sim.outputs import export, open_outputs
+    from taichi_sim.sweeps.cluster import require_workers
     from taichi_sim.sweeps.pictures import draw
 
     first = Path(out[0])
     recording = first.with_name(f".{first.name}.states.npz")
     options = {**job.output}
     style, size = options.pop("style"), options["size"]
-    for one in open_outputs(
-        out, fps=job.output["fps"], overwrite=overwrite, codec=codec
-    ):  # refused before anything runs
+    # what is not allowed is refused before anything runs
+    for one in open_outputs(out, fps=job.output["fps"], overwrite=overwrite, codec=codec):
         one.discard()
-    try:
-        with job.simulation() as sim:
-            precision = sim.backend.precision
+    require_workers(*where)
+    end: UnstableError | None = None
+    with job.simulation() as sim:
+        precision = sim.backend.precision
+        try:
             summary = export(sim, open_outputs([recording]), progress=not quiet, checkpoint=None, **options)
+        except UnstableError as error:
+            if not recording.is_file():
+                raise
+            end = error  # the frames until then are drawn
+    try:
         draw(
-            recording, out, size=size, style=style, fps=job.output["fps"], workers=where[0], scheduler=where[1],
+            recording, out, size=size, style=style, fps=job.output["fps"], scheduler=where[0], workers=where[1],
             overwrite=overwrite, codec=codec, precision=precision, progress=not quiet, say=_quiet if quiet else typer.echo,
         )  # fmt: skip
-    finally:
-        recording.unlink(missing_ok=True)
+    except BaseException:
+        typer.echo(f"{recording}: holds the run; `taichi-sim render` draws it", err=True)
+        raise
+    recording.unlink(missing_ok=True)
+    if end is not None:
+        raise end
     if not quiet:
         typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
 

@@ -15,7 +15,7 @@ from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.common.version import __version__
 from taichi_sim.sweeps.points import Job, Point, Row, Runner, keep_batch, run_batch
 
-__all__ = ["Here", "Workers", "connected", "place"]
+__all__ = ["Here", "Workers", "connected", "place", "require_workers"]
 
 BATCH = 20  # points of a task
 AHEAD = 3  # tasks for each worker that wait for it
@@ -138,12 +138,7 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
         with closing(Here()) as here:
             yield here
         return
-    try:
-        import dask
-        import distributed
-    except ImportError:
-        says = 'workers need one more package: pip install "taichi-sim[sweep]"; with workers 0 this process runs all points'
-        raise SceneError("sweep", says=says) from None
+    dask, distributed = _packages()
     # logs of lost workers are ours to tell
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with dask.config.set({"distributed.scheduler.allowed-failures": 0, "distributed.admin.log-format": "%(message)s"}):
@@ -168,6 +163,24 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
             distributed.Client(cluster) as client,
         ):
             yield Workers(client, _checked(client, "local"))
+
+
+def require_workers(scheduler: str | None, workers: int | None) -> None:
+    """Raise SceneError or BackendError where `connected` would, as far as can be told without starting workers."""
+    scheduler, workers = place(scheduler, workers)
+    if scheduler is not None:
+        with connected(scheduler, None, lambda line: None):
+            pass
+    elif workers != 0:
+        _packages()
+
+
+def _packages() -> tuple[Any, Any]:
+    try:
+        return import_module("dask"), import_module("distributed")
+    except ImportError:
+        says = 'workers need one more package: pip install "taichi-sim[sweep]"; with workers 0 this process does all'
+        raise SceneError("sweep", says=says) from None
 
 
 def _has_dashboard() -> bool:

@@ -163,3 +163,32 @@ def test_a_run_drawn_by_workers_is_the_run(tmp_path, monkeypatch, capfd):
         assert end.value.code == 0, capfd.readouterr().err
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "b.gif"]
+
+
+@pytest.mark.once
+def test_what_cannot_be_drawn_is_not_simulated_and_what_was_simulated_is_kept(tmp_path, monkeypatch, capfd):
+    pytest.importorskip("distributed")
+    from taichi_sim.cli.main import main
+    from taichi_sim.sweeps import cluster, pictures
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    common = ["run", "box", "-o", "a.gif", "--duration", "0.1", "--fps", "20", "--size", "64x48", "-q"]
+    with pytest.raises(SystemExit) as end:
+        main([*common, "--scheduler", "tcp://127.0.0.1:9"])
+    assert end.value.code == 2
+    assert "no scheduler answers there" in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+    def broken(*_):
+        raise OSError("disk is gone")
+
+    monkeypatch.setattr(pictures, "_images", broken)
+    with pytest.raises(SystemExit) as end:
+        main([*common, "--workers", "0"])
+    assert end.value.code == 2
+    said = capfd.readouterr().err
+    assert "disk is gone" in said
+    assert "holds the run" in said
+    monkeypatch.undo()
+    assert draw(tmp_path / ".a.gif.states.npz", [tmp_path / "a.gif"], size=(64, 48), workers=0) == 2
