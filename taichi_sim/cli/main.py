@@ -169,7 +169,9 @@ def _drawn_apart(
     with job.simulation() as sim:
         precision = sim.backend.precision
         try:
-            summary = export(sim, open_outputs([recording]), progress=not quiet, checkpoint=None, **options)
+            summary = export(
+                sim, open_outputs([recording], fps=options["fps"]), progress=not quiet, checkpoint=None, **options
+            )
         except UnstableError as error:
             if not recording.is_file():
                 raise
@@ -358,9 +360,7 @@ def sweep(
     from taichi_sim.files.source import resolve
     from taichi_sim.sweeps.sweep import sweep as run_all
 
-    given = {key: value for key, value in options.items() if value is not None}
-    if "dt" in given:
-        given["dt"] = step(given["dt"])
+    given = _given(options)
     folder = Path(out or f"{resolve(scene).stem}_sweep")
     say = _quiet if quiet else typer.echo
     try:
@@ -417,9 +417,7 @@ def fit(
     from taichi_sim.common.errors import SceneError
     from taichi_sim.sweeps.fit import fit as find
 
-    given = {key: value for key, value in options.items() if value is not None}
-    if "dt" in given:
-        given["dt"] = step(given["dt"])
+    given = _given(options)
     goal: dict[str, float] = {}
     for text in target or ():
         name, _, value = text.rpartition("=")
@@ -551,6 +549,12 @@ def list_demos(
 
 
 # What they share ---------------------------------------------------------------------------------------------------
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """The options that were given, the step as a number."""
+    given = {key: value for key, value in options.items() if value is not None}
+    return given | {"dt": step(given["dt"])} if "dt" in given else given
 
 
 class _Job:

@@ -13,7 +13,7 @@ Without `needs_image = False` pictures are drawn, and `image` is that of the fra
 anywhere may be given to it, `with Heights() as output: output.write(0, frame, None)`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -34,6 +34,14 @@ def require_folder_place(path: Path) -> None:
         raise FileNotFoundError(f"{path}: there is no folder {str(path.parent)!r}; make it first")
     if path.exists() and not path.is_dir():
         raise NotADirectoryError(f"{path}: is a file; give the name of a folder")
+
+
+def require_alpha(outputs: Sequence["Output"], style: Mapping[str, Any]) -> None:
+    """Raises ValueError where pictures with alpha are asked for, by arguments of `Renderer`, and an output cannot hold them."""
+    for one in outputs:
+        if style.get("transparent") and one.needs_image and not one.alpha:
+            name = getattr(one, "path", "this output")
+            raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
 
 
 class Output:

@@ -17,7 +17,7 @@ from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.device import compiling
 from taichi_sim.outputs import frames_file, whole_run
 from taichi_sim.outputs.background_writer import Behind
-from taichi_sim.outputs.base import Image, Output
+from taichi_sim.outputs.base import Image, Output, require_alpha
 from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
@@ -217,10 +217,7 @@ def export(
     style = style or {}
     with ExitStack() as stack:
         writers = [_Writer(one, stack) for one in outputs]
-        for one in outputs:
-            if style.get("transparent") and one.needs_image and not one.alpha:
-                name = getattr(one, "path", "this output")
-                raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
+        require_alpha(outputs, style)
         count, is_drawn = round(fps * duration), any(one.needs_image for one in outputs)
         expected = compiling.Expected.of(simulation, is_drawn)
         bar = stack.enter_context(_bar(max(1, count), progress))

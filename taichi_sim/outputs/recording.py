@@ -20,9 +20,9 @@ from taichi_sim.outputs.arrays import SCENE
 
 __all__ = ["Recording"]
 
-LOCAL_HEADER = (
-    30  # bytes, before the name of a member of a zip archive; its last four are the lengths of name and extra field
-)
+ALWAYS, SOMETIMES = ("time", "fps", "position", "velocity"), ("energy", "torn")  # arrays of the run
+# bytes before the name of a member of a zip archive; the last four are the lengths of name and extra field
+LOCAL_HEADER = 30
 
 
 class Recording(Sequence[Moment]):
@@ -42,12 +42,10 @@ class Recording(Sequence[Moment]):
                 says = f"was written by another version (format {about['format']}, this one reads {FORMAT})"
                 raise SceneError((), says=says, file=self.path)
             self.scene = scene_of(about, arrays)
-            names = set(zipfile.ZipFile(self.path).namelist())
-            columns = {
-                name: _column(self.path, name)
-                for name in ("time", "fps", "position", "velocity", "energy", "torn")
-                if f"{name}.npy" in names
-            }
+            with zipfile.ZipFile(self.path) as archive:
+                members = {member.filename: member for member in archive.infolist()}
+            names = [*ALWAYS, *(name for name in SOMETIMES if f"{name}.npy" in members)]
+            columns = {name: _column(self.path, members[f"{name}.npy"]) for name in names}
             self._check(columns)
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, zipfile.BadZipFile) as error:
             if isinstance(error, SceneError):
@@ -92,10 +90,9 @@ class Recording(Sequence[Moment]):
         return frame
 
 
-def _column(path: Path, name: str) -> NDArray:
+def _column(path: Path, member: zipfile.ZipInfo) -> NDArray:
     """An array of the archive as it lies in the file, which is not read before it is asked for."""
-    with zipfile.ZipFile(path) as archive:
-        member = archive.getinfo(f"{name}.npy")
+    name = member.filename
     if member.compress_type != zipfile.ZIP_STORED:
         raise ValueError(f"{name} is packed")
     with open(path, "rb") as file:

@@ -21,12 +21,11 @@ from taichi_sim.sweeps.sweep import seeds_of
 __all__ = ["METHODS", "Fit", "fit"]
 
 METHODS = ("nelder-mead", "evolution")
-SCAN = 8  # points for each parameter, from which the search starts
+SCAN = 8  # points for each parameter, from which the search starts; with evolution its population
 RESOLUTION = 1e-4  # of a range, to which parameters are found
 PROBE = 0.01  # of a range: how far to each side sensitivities look
 EDGE = 1e-3  # of a range: so near its end, a parameter is there
 FLAT = 1e-3  # of the largest: targets tell nothing of combinations of parameters to which they are less sensitive
-POPULATION = 8  # of evolution, for each parameter
 FAILED = 1e30  # misfit of a point without measures
 Floats = NDArray[np.float64]
 
@@ -72,8 +71,9 @@ class Fit:
     def lines(self) -> list[str]:
         """In words."""
         verdict = "found" if self.reached else "NOT reached, nearest"
-        said = [f"{verdict:12} {name} = {value:.6g}" for name, value in self.parameters.items()]
-        said[1:] = [f"{'':12} {line[len(verdict) + 1 :].lstrip()}" for line in said[1:]]
+        said = [
+            f"{'' if k else verdict:12} {name} = {value:.6g}" for k, (name, value) in enumerate(self.parameters.items())
+        ]
         for name, value in self.measured.items():
             least, most = self.seen[name]
             said.append(
@@ -162,10 +162,9 @@ def fit(
             raise SceneError("vary", says=f"no run within the ranges gave a measure; the first failed: {error}")
         box = [(0.0, 1.0)] * len(axes)
         if method == "evolution":
-            first = _population(start, found, luck)
             optimize.differential_evolution(
-                lambda u: search.misfits(np.atleast_2d(u.T)), box, init=first, vectorized=True, updating="deferred",
-                maxiter=max(0, search.left // len(first) - 1), callback=lambda *_, **__: search.least <= misfit, polish=False,
+                lambda u: search.misfits(np.atleast_2d(u.T)), box, init=start, vectorized=True, updating="deferred",
+                maxiter=max(0, search.left // len(start) - 1), callback=lambda *_, **__: search.least <= misfit, polish=False,
                 **seeded(optimize.differential_evolution, luck),
             )  # fmt: skip
         simplex = _simplex(search.best, 0.5 / SCAN if method == METHODS[0] else PROBE)
@@ -278,14 +277,6 @@ def _scan(axes: Sequence[Axis], luck: int) -> Floats:
     if d == 1:
         return np.linspace(0.0, 1.0, SCAN)[:, None]
     return Design(tuple(Axis(str(k), (), 0.0, 1.0) for k in range(d)), "latin", SCAN * d, luck).units()
-
-
-def _population(places: Floats, misfits: Floats, luck: int) -> Floats:
-    """Of evolution: the best of the scan, and others by chance."""
-    d = places.shape[1]
-    best = places[np.argsort(misfits)[: POPULATION * d]]
-    more = max(5, POPULATION * d) - len(best)
-    return np.concatenate([best, np.random.default_rng(luck).uniform(size=(max(0, more), d))])
 
 
 def _simplex(start: Floats, size: float) -> Floats:

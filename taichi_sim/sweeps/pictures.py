@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import BackendError
 from taichi_sim.outputs import Output, open_outputs
+from taichi_sim.outputs.base import require_alpha
 from taichi_sim.outputs.recording import Recording
 from taichi_sim.outputs.whole_run import is_drawn_last
 from taichi_sim.sweeps.cluster import MOST_REPEATS, connected, place
@@ -82,11 +83,7 @@ def _drawn(
     progress: bool,
     say: Callable[[str], None],
 ) -> int:
-    for one in outputs:
-        if style.get("transparent") and one.needs_image and not one.alpha:
-            raise ValueError(
-                f"transparent: {getattr(one, 'path', 'this output')} holds no transparency; write PNG frames, to a folder/"
-            )
+    require_alpha(outputs, style)
     needed = any(one.needs_image for one in outputs)
     with ExitStack() as stack:
         for one in outputs:
@@ -124,7 +121,7 @@ def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray
         while waiting or running:
             while waiting and len(running) < AHEAD * engine.number:
                 chunk = waiting.popleft()
-                running.append((chunk, client.submit(_packed_chunk, task, *chunk, pure=False, retries=0)))
+                running.append((chunk, _submitted(client, task, chunk)))
             chunk, future = running.popleft()
             yield from map(_unpacked, _result(client, task, chunk, future))
     finally:
@@ -135,16 +132,17 @@ def _result(client: Any, task: tuple[Any, ...], chunk: tuple[int, int], future: 
     """A chunk, drawn elsewhere where its worker ended."""
     from distributed import KilledWorker
 
-    for _ in range(MOST_REPEATS):
+    for repeats in range(MOST_REPEATS + 1):
         try:
             return future.result()  # type: ignore[no-any-return]
         except KilledWorker:
-            future = client.submit(_packed_chunk, task, *chunk, pure=False, retries=0)
-    try:
-        return future.result()  # type: ignore[no-any-return]
-    except KilledWorker:
-        begin, end = chunk
-        raise BackendError(f"pictures {begin} to {end - 1}: their workers ended {MOST_REPEATS + 1} times") from None
+            if repeats < MOST_REPEATS:
+                future = _submitted(client, task, chunk)
+    raise BackendError(f"pictures {chunk[0]} to {chunk[1] - 1}: their workers ended {MOST_REPEATS + 1} times")
+
+
+def _submitted(client: Any, task: tuple[Any, ...], chunk: tuple[int, int]) -> Any:
+    return client.submit(_packed_chunk, task, *chunk, pure=False, retries=0)
 
 
 class _Painter:
@@ -172,22 +170,24 @@ class _Painter:
         return images
 
 
-_painters: dict[str, _Painter] = {}  # of this process, one at most, by what it draws
+_painter: tuple[str, _Painter] | None = None  # of this process, and what it draws
 
 
 def _draw_chunk(task: tuple[Any, ...], begin: int, end: int) -> Images:
-    path = Path(task[0])
-    key = repr((task, path.stat().st_mtime_ns, path.stat().st_size))
-    if key not in _painters:
+    global _painter
+    status = Path(task[0]).stat()
+    drawn = repr((task, status.st_mtime_ns, status.st_size))
+    if _painter is None or _painter[0] != drawn:
         _forget()
-        _painters[key] = _Painter(*task)
-    return _painters[key].draw(begin, end)
+        _painter = (drawn, _Painter(*task))
+    return _painter[1].draw(begin, end)
 
 
 def _forget() -> None:
-    for painter in _painters.values():
-        painter.renderer.close()
-    _painters.clear()
+    global _painter
+    if _painter is not None:
+        _painter[1].renderer.close()
+        _painter = None
 
 
 def _packed_chunk(task: tuple[Any, ...], begin: int, end: int) -> list[bytes]:
