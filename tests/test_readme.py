@@ -69,28 +69,6 @@ def test_the_page_on_python_runs(tmp_path, monkeypatch, capsys):
     assert len(names["scene"].colliders) == 1
 
 
-@pytest.mark.slow
-def test_the_recipe_of_letters_on_a_trampoline_runs(tmp_path, monkeypatch, capfd):
-    """Its text, its command; coarse, small and short."""
-    page = (Path(__file__).parent.parent / "docs" / "scenes.md").read_text()
-    recipe = page.split("## Recipe: HELLO")[1].split("\n## ")[0]
-    scene = re.findall(r"```toml\n(.*?)```", recipe, re.DOTALL)[0]
-    scene = scene.replace("spacing = 0.07", "spacing = 0.25").replace("resolution = [49, 25]", "resolution = [13, 7]")
-    monkeypatch.chdir(tmp_path)
-    Path("hello.toml").write_text(scene)
-    made = ts.load_scene("hello.toml")
-    assert len(next(one for one in made.objects if one.name == "hello").balls) > 5 * 12
-    assert 0.1 < made.pinned.mean() < 0.5
-    (command,) = re.findall(r"^taichi-sim (run .*)$", recipe, re.MULTILINE)
-    from taichi_sim.cli.main import main
-
-    with pytest.raises(SystemExit) as ended:
-        main([*command.split(), "--size", "96x54", "--duration", "0.2", "--fps", "10"])
-    assert ended.value.code == 0
-    assert "written      hello.mp4" in capfd.readouterr().out
-    assert Path("hello.mp4").stat().st_size > 500
-
-
 def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
     page = (Path(__file__).parent.parent / "docs" / "sweeps.md").read_text()
     monkeypatch.chdir(tmp_path)

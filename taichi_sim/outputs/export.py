@@ -1,10 +1,13 @@
 """From a simulation to an output: the loop over frames, its progress bar and its summary."""
 
 import time
+from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import timedelta
+from html import escape
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +24,9 @@ from taichi_sim.outputs.base import Image, Output, require_alpha
 from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
+
+SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}  # by browsers
+MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
 
 @dataclass(slots=True)
@@ -54,6 +60,7 @@ class Summary:
     checkpoints: int = 0
     checkpointing: float = 0.0
     resumed: int = 0  # the frame that a resumed run went on with; 0 where there was no checkpoint
+    video: str = ""  # the file that `ts.video` wrote, for notebooks
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> "Summary":
@@ -63,6 +70,10 @@ class Summary:
         one.energy_start = tuple(one.energy_start)
         one.probes = {name: (last, least, most) for name, (last, least, most) in one.probes.items()}
         return one
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the video, if it is there and small enough to be kept in one, and the summary in words."""
+        return f"{_shown(Path(self.video))}<pre>{escape(chr(10).join(self.lines()))}</pre>"
 
     def _seen(self, scales: Scales) -> Scales:
         """With the start and the end, which samples between steps may miss."""
@@ -131,6 +142,15 @@ class Summary:
         lines.append(f"device       {self.device}")
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
         return lines
+
+
+def _shown(video: Path) -> str:
+    """A video or an animated picture as HTML that holds all of it; nothing where it is none, has gone or is large."""
+    kind = SHOWN.get(video.suffix.lower())
+    if kind is None or not video.is_file() or video.stat().st_size > MOST_SHOWN:
+        return ""
+    data = f"data:{kind};base64,{b64encode(video.read_bytes()).decode()}"
+    return f'<img alt="" src="{data}">' if kind == "image/gif" else f'<video controls loop src="{data}"></video>'
 
 
 def _check_output(output: Any) -> None:

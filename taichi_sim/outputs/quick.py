@@ -45,15 +45,17 @@ def video(
         progress: a bar on standard error. overwrite, codec: see `ts.open_output`.
         settings: arguments of Simulation, where a Scene is given: dt, integrator, ...
 
-    Returns what the run did; `print("\\n".join(summary.lines()))` says it in words. Raises what Simulation, `ts.open_output` and
-    `ts.export` raise.
+    Returns what the run did; `print("\\n".join(summary.lines()))` says it in words, and a notebook shows it with the
+    video. Raises what Simulation, `ts.open_output` and `ts.export` raise.
     """
     scene, context = _simulation(what, settings)
     options = output_options(scene, {"duration": duration, "fps": fps, "size": size})
     options["style"] |= style or {}
     with context() as simulation:
         output = open_output(path, fps=options["fps"], overwrite=overwrite, codec=codec)
-        return export(simulation, output, progress=progress, **options)
+        summary = export(simulation, output, progress=progress, **options)
+    summary.video = str(path)
+    return summary
 
 
 def picture(what: Any, *, size: tuple[int, int] = (640, 360), **style: Any) -> Any:

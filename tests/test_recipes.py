@@ -1,0 +1,131 @@
+"""What docs/recipes.md shows does what it says: its text, its commands, smaller or shorter where a test says so."""
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from taichi_sim.cli.main import main
+
+pytestmark = pytest.mark.once
+
+PAGE = (Path(__file__).parent.parent / "docs" / "recipes.md").read_text()
+
+
+def recipe(title: str) -> str:
+    return PAGE.split(f"## {title}")[1].split("\n## ")[0]
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def other(text: str, *changes: tuple[str, str]) -> str:
+    """With each of these replaced; each must be there."""
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new)
+    return text
+
+
+def run(text: str, *more: str) -> None:
+    """The recipe's command, with further arguments."""
+    (command,) = re.findall(r"^taichi-sim (run .*)$", text, re.MULTILINE)
+    with pytest.raises(SystemExit) as ended:
+        main([*command.split(), *more])
+    assert ended.value.code == 0
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.slow
+def test_letters_on_a_trampoline(capfd):
+    text = recipe("HELLO")
+    scene = other(blocks(text, "toml")[0], ("spacing = 0.07", "spacing = 0.25"), ("[49, 25]", "[13, 7]"))
+    Path("hello.toml").write_text(scene)
+    made = ts.load_scene("hello.toml")
+    assert len(next(one for one in made.objects if one.name == "hello").balls) > 5 * 12
+    assert 0.1 < made.pinned.mean() < 0.5
+    run(text, "--size", "96x54", "--duration", "0.2", "--fps", "10")
+    assert "written      hello.mp4" in capfd.readouterr().out
+    assert Path("hello.mp4").stat().st_size > 500
+
+
+@pytest.mark.slow
+def test_cloth_over_a_mesh_of_ones_own(capfd):
+    """On a ball for a statue; coarse, and until it has landed."""
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    statue = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    statue.apply_translation([0.0, 0.5, 0.0])
+    statue.export("statue.obj")
+    text = recipe("Cloth over your own mesh")
+    changes = ("resolution = [49, 49]", "resolution = [21, 21]"), ("resolution = 96", "resolution = 32")
+    Path("drape.toml").write_text(other(blocks(text, "toml")[0], *changes))
+    run(text, "--size", "96x54", "--duration", "0.75")
+    assert "written      drape.usdc" in capfd.readouterr().out
+    assert Path("drape.mp4").stat().st_size > 500
+    stage = usd.Stage.Open("drape.usdc")
+    assert stage.GetFramesPerSecond() == 24
+    sheet = stage.GetPrimAtPath("/World/dust_sheet/surface")
+    points = np.array([sheet.GetAttribute("points").Get(k) for k in range(18)])
+    assert points.shape == (18, 21 * 21, 3)
+    assert np.allclose(points[0, :, 1], 1.05)
+    assert points[-1, :, 1].min() < 0.7  # its corners hang
+    assert points[-1, :, 1].max() > 1.0  # and its middle lies on the statue
+    body = np.array(stage.GetPrimAtPath("/World/statue").GetAttribute("points").Get(0))
+    assert np.allclose(body.min(axis=0), [-0.5, 0.0, -0.5], atol=1e-6)
+    assert stage.GetPrimAtPath("/World/camera")
+
+
+@pytest.mark.slow
+def test_discharge_of_a_hopper(monkeypatch):
+    """The video of fewer grains; the law as it stands there."""
+    text = recipe("A hopper")
+    program, plot, law = blocks(text, "python")
+    Path("hopper.py").write_text(other(program, ("ROWS = 0.01, 0.7, 50", "ROWS = 0.01, 0.7, 8")))
+    run(text, "--size", "96x72", "--duration", "1.0", "--fps", "20")
+    assert Path("hopper.mp4").stat().st_size > 500
+    names: dict = {}
+    exec(compile(plot, "recipes.md", "exec"), names)
+    out = names["table"]["out.count"]
+    assert len(out) == 20
+    assert out[0] == 0
+    assert 50 < out[-1] <= 33 * 8
+    assert Path("discharge.png").stat().st_size > 5000
+    Path("hopper.py").write_text(program)
+    monkeypatch.syspath_prepend(".")
+    monkeypatch.delitem(sys.modules, "hopper", raising=False)
+    exec(compile(law, "recipes.md", "exec"), names)
+    monkeypatch.delitem(sys.modules, "hopper")
+    rates = np.array(names["rates"])
+    assert np.abs(rates / names["law"] - 1).max() < 0.08  # 0.04, the page says
+    told = re.search(r"rates of ([\d, and]+) discs", text)[1]
+    assert np.allclose(rates, [float(one) for one in re.findall(r"\d+", told)], rtol=0.1)
+
+
+def shown(cell: str, names: dict):
+    """What a notebook gets to show: the value of the last expression."""
+    *first, last = ast.parse(cell).body
+    exec(compile(ast.Module(first, []), "cell", "exec"), names)
+    return eval(compile(ast.Expression(last.value), "cell", "eval"), names)
+
+
+@pytest.mark.slow
+def test_video_in_a_notebook():
+    scene, look, video = blocks(recipe("A video in a notebook"), "python")
+    names: dict = {}
+    assert "<th>balls</th><td>584</td>" in shown(scene, names)._repr_html_()
+    assert shown(look, names)._repr_png_()
+    page = shown(other(video, ("duration=2", "duration=0.2"), ("(640, 360)", "(96, 54)")), names)._repr_html_()
+    assert '<video controls loop src="data:video/mp4;base64,' in page
+    assert "<pre>frames       6, 0.2 s simulated" in page
+    Path("drop.mp4").unlink()
+    assert names["ts"].video(names["scene"], "x.npz", duration=0.0)._repr_html_().startswith("<pre>frames       0")
