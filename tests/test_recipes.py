@@ -111,6 +111,26 @@ def test_discharge_of_a_hopper(monkeypatch):
     assert np.allclose(rates, [float(one) for one in re.findall(r"\d+", told)], rtol=0.1)
 
 
+@pytest.mark.slow
+def test_an_eel_swims():
+    """A third of a second of video; two seconds without, in which it reaches the speed that the page tells."""
+    text = recipe("An eel")
+    (program,) = blocks(text, "python")
+    Path("eel.py").write_text(program)
+    run(text, "--size", "96x54", "--duration", "0.3", "--fps", "10")
+    assert Path("eel.mp4").stat().st_size > 500
+    names: dict = {}
+    exec(compile(program, "eel.py", "exec"), names)
+    told = float(re.search(r"reaches ([\d.]+) m/s", text)[1])
+    with ts.Simulation(names["scene"]()) as sim:
+        sim.run(1.0)
+        before = sim.position.mean(axis=0)
+        sim.run(1.0)  # a whole beat
+        speed = sim.position.mean(axis=0) - before
+    assert speed[0] == pytest.approx(told, rel=0.1)
+    assert abs(speed[2]) < 0.2 * speed[0]
+
+
 def shown(cell: str, names: dict):
     """What a notebook gets to show: the value of the last expression."""
     *first, last = ast.parse(cell).body

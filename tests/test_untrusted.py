@@ -88,12 +88,15 @@ class Counted(list):
 def test_many_of_a_kind_are_added_in_as_many_steps():
     scene = ts.Scene()
     scene.materials, scene.moving_pins, scene.probes = Counted(scene.materials), Counted(), Counted()
-    scene.add_balls([[k, 0] for k in range(300)], radius=0.1)
+    scene.motors = Counted()
+    scene.add_balls([[k, 0] for k in range(301)], radius=0.1)
+    scene.add_springs([[k, k + 1] for k in range(300)], stiffness=1.0)
     for k in range(300):
         scene.add_material(f"m{k}")
         scene.add_moving_pins([k], velocity=(1, 0))
+        scene.add_motor([k], amplitude=0.1, frequency=1.0)
         scene.add_probe(f"p{k}", "position", balls=[k])
-    for kind in (scene.materials, scene.moving_pins, scene.probes):
+    for kind in (scene.materials, scene.moving_pins, scene.motors, scene.probes):
         assert kind.looked_at < 10 * len(kind)
     for again in (lambda: scene.add_material("m7"), lambda: scene.add_probe("p7", "energy")):
         with pytest.raises(ts.SceneError, match="exists already"):

@@ -27,7 +27,8 @@ class Moment(Frame):
     def energy(self) -> Any:
         """Kinetic, spring, gravity, total [J]."""
         if self._energy is None:
-            self._energy = diagnostics.energy(self.scene, self.position, self.velocity, self.spin, self.torn)
+            scene = self.scene.at(self.time)
+            self._energy = diagnostics.energy(scene, self.position, self.velocity, self.spin, self.torn)
         return self._energy
 
     @energy.setter
@@ -38,7 +39,7 @@ class Moment(Frame):
     def strain(self) -> Any:
         """(m,) (length - rest) / rest; 0 where rest is 0."""
         if self._strain is None:
-            strain = diagnostics.strain(self.scene, self.position)
+            strain = diagnostics.strain(self.scene.at(self.time), self.position)
             self._strain = strain if self.torn is None else strain[~self.torn]
         return self._strain
 

@@ -12,6 +12,7 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["cautions"]
 
 FASTEST = 4.0  # radii that a pin may move in a substep
+MOST_FLEXED = 0.1  # of a rest length, that a motor may change it by
 
 
 def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
@@ -31,6 +32,7 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     if setup.rule != "off":
         yield from map(through, sieves(scene))
     yield from _of_pins(scene, h)
+    yield from _of_motors(scene, h)
     if scene.wind is not None and not len(scene.triangles):
         yield "wind: acts on triangles, and this scene has none"
     sinking = sinking_spring(scene, h) if method.single_pass else None
@@ -41,6 +43,15 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
             f" of passes, and at the end of a chain of light balls by tens of times that; take {IMPLICIT_EULER}, {TR_BDF2}"
             " or much shorter steps"
         )
+
+
+def _of_motors(scene: Scene, h: float) -> Iterator[str]:
+    for k, motor in enumerate(scene.motors):
+        if motor.fastest * h > MOST_FLEXED:
+            yield (
+                f"motors[{k}]: changes rest lengths by {motor.fastest * h:.2g} of themselves in a substep of {h:.3g} s: its"
+                " springs cannot follow; make it slower, or give a smaller dt"
+            )
 
 
 def _of_pins(scene: Scene, h: float) -> Iterator[str]:

@@ -101,7 +101,7 @@ class Reader:
         x, v, low = self.position, self.velocity, self._state.rounded_off
         if low is not None:  # what a stiff spring carries lies in digits that single precision rounds off
             x, v = x + low[0], v + low[1]
-        return ProbeSample(self.scene, x, v, self.torn, self.energy, self.parts.impulses())
+        return ProbeSample(self.scene.at(self.time), x, v, self.torn, self.energy, self.parts.impulses())
 
 
 # One of them by its name -------------------------------------------------------------------------------------------

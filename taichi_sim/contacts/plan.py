@@ -147,7 +147,8 @@ def plan_contacts(
         walls and (soft or impacts_in_turn),
         "walls, and soft contacts or impacts in turn: balls that touch others are pushed into walls within a step",
     )
-    driven = scene.moving_pins or any(collider.motion.moves for collider in scene.colliders)  # they may do work
+    # they may do work
+    driven = scene.moving_pins or scene.motors or any(collider.motion.moves for collider in scene.colliders)
     gains = joints if rule.in_turn else warm_starts  # split masses gain nothing from nothing, nor pairs in turn
     decide(
         "limits_energy",

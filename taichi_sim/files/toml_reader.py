@@ -233,6 +233,14 @@ class Reader:
                 arguments = self._with_file(("moving_pins", index), table, ("balls",))
                 arguments["balls"] = self._chosen(scene, "moving_pins.balls", arguments, "balls", "members")
                 scene.add_moving_pins(**arguments)
+        for index, table in enumerate(model.motors):
+            with self._at("motors", index):
+                arguments = self._with_file(("motors", index), table, ())
+                if "balls" in arguments:
+                    arguments["balls"] = self._chosen(scene, "motors.balls", arguments, "balls", "members")
+                elif "members" in arguments:
+                    raise SceneError("motors.members", says="count within `balls`, which is missing")
+                scene.add_motor(**arguments)
         if model.wind is not None:
             with self._at("wind"):
                 scene.add_wind(**_given(model.wind))
@@ -309,7 +317,7 @@ class Reader:
         arguments = _given(table)
         name, prefix = arguments.pop("file", None), arguments.pop("prefix", "")
         if name is not None:
-            named = place[0] in ("moving_pins", "probes", "objects")  # there `balls` may be numbers
+            named = place[0] in ("moving_pins", "motors", "probes", "objects")  # there `balls` may be numbers
             own = ("file", "prefix", "name") if named else ("file", "prefix", "name", "balls")
             known = [key for key in type(table).model_fields if key not in own]
             for key, array in self._arrays(name, prefix).items():

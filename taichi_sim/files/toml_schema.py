@@ -298,6 +298,7 @@ TABLES: Mapping[str, type[BaseModel]] = {
     "bending": _arguments("bending", Scene.add_bending, ("corners", "weights", "stiffness"), **_group, **_file),
     "gases": _arguments("gases", Scene.add_gas, ("triangles",), **_group, **_file),
     "moving_pins": _arguments("moving_pins", Scene.add_moving_pins, **_led, **_file),
+    "motors": _arguments("motors", Scene.add_motor, **_led, **_file),
     "walls": _arguments("walls", Scene.add_wall),
     "colliders": _colliders(),
     "triangles": _arguments("triangles", Scene.add_triangles, ("triangles",), **_group, **_file),

@@ -39,6 +39,7 @@ from taichi_sim.forces.cells import Cells
 from taichi_sim.forces.element import Element
 from taichi_sim.forces.gas import Gases
 from taichi_sim.forces.incidence import Corners
+from taichi_sim.forces.motors import motors_of
 from taichi_sim.forces.springs import Springs
 from taichi_sim.forces.wind import Wind
 from taichi_sim.scene.scene import Scene
@@ -59,6 +60,8 @@ class TotalForce:
         self.external_forces = self.extra  # those that `external` sums
         self.elements = [*elements, *(force for force in extra if isinstance(force, Corners))]
         self.stores = [force for force in elements if force.elastic]  # energy, that the state probe counts
+        self.motors = motors_of(model, springs, fields)
+        self.flexes = self.motors is not None
         self.has_springs, self.has_impulse = springs is not None, springs is not None or bool(self.extra)
         self.impulse = fields.vectors(model.n if self.has_impulse else 0, model.dim)  # N s, summed from old values
         self.damped = springs is not None and springs.damped
@@ -81,7 +84,15 @@ class TotalForce:
         """What is compiled in, for `Simulation.kernels()`."""
         names = ["gravity"] if self.model.has_gravity else []
         names += self.springs.names() if self.springs is not None else []
+        names += ["springs.motors"] if self.motors is not None else []
         return names + [getattr(force, "name", f"force.{type(force).__name__}") for force in self.extra]
+
+    @ti.func
+    def flex(self, part):
+        """Give springs with motors the rest lengths of a later time, once that part of the present substep, in 0..1, is over. At
+        the start of a substep they have those of its start: a method calls this before it asks for forces at another time."""
+        if ti.static(self.flexes):
+            self.motors.flex(part)
 
     @ti.func
     def change(self, i, h):

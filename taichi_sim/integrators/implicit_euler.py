@@ -20,6 +20,7 @@ class ImplicitEuler(Implicit):
     def begin(self, stage, h, time):
         """From the present places; gravity, the user's forces and all elements but gas act on old values."""
         self.forces.external(self.ball, h, time)
+        self.forces.flex(1.0)
         for i in range(self.model.n):
             self.solver.base[i] = self.ball[i]
             self.solver.q[i] = self.ball[i].v + self.forces.external_change(i, h)

@@ -42,8 +42,10 @@ class RK4(Integrator):
     def substep(self, h, time):
         """Four stages; then, as in Verlet, one part of the kick, contacts, the move, the rest of the kick, contacts."""
         self._stage(self.ball, h, time, 1.0, 0.5)
+        self.forces.flex(0.5)
         self._stage(self.stage, h, time + 0.5 * h, 2.0, 0.5)
         self._stage(self.stage, h, time + 0.5 * h, 2.0, 1.0)
+        self.forces.flex(1.0)
         self._stage(self.stage, h, time + h, 1.0, 0.0)
         self.contacts.advance(self.ball, self, h, 0.5 * h)
         for i in range(self.model.n):

@@ -55,6 +55,8 @@ class TRBDF2(Implicit):
     def begin(self, stage, h, time):
         """Places and velocities from which each stage starts."""
         s = self.part * h
+        if stage > 0:  # the opening one asks for what acts at the start
+            self.forces.flex(ti.select(stage == 2, 1.0, GAMMA))
         if ti.static(bool(self.forces.extra)):
             for i in range(self.model.n):
                 self.here[i] = self.ball[i]

@@ -177,6 +177,7 @@ class Verlet(Integrator):
             self.kick.undamped(h, self.pull, self.delayed)
         self.kick.lone_springs(h, self.pull, self.delayed)
         self.contacts.advance(self.ball, self, h, 0.5 * h)
+        self.forces.flex(1.0)
         if ti.static(self.network):
             self.forces.elastic_and_damping(self.ball, h, 0.5 * h, time + h)
             self.kick.start(1, h, self.pull, False)
@@ -207,6 +208,7 @@ class Verlet(Integrator):
                 self.state.kick(i, change)
         if ti.static(self.driven):  # what acts here acts half in this step and half in the next
             self.pins.set_velocities(True)
+        self.forces.flex(1.0)
         self.forces.total(self.ball, h, time + h)
         if ti.static(self.driven):
             self.pins.set_velocities(False)
@@ -219,6 +221,7 @@ class Verlet(Integrator):
     def _undamped(self, h, time):
         """With neither damping nor user-defined forces."""
         self.contacts.advance(self.ball, self, h, 0.5 * h)
+        self.forces.flex(1.0)
         self.forces.elastic(self.ball, h, time + h)
         for i in range(self.model.n):
             self.state.kick(i, 0.5 * self.forces.change(i, h))

@@ -113,6 +113,7 @@ class XPBD(Integrator):
         if ti.static(self.inflated):
             self.gas.push(self.ball, self.state, h)
         if ti.static(self.active):
+            self.forces.flex(1.0)
             self._kick_by_springs(h)
         self.contacts.advance(self.ball, self, h, h)
         self.contacts.relax(self.ball, 0.0)

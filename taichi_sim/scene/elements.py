@@ -1,4 +1,5 @@
-"""What a scene can have besides balls, springs and walls: cells that keep their volume, bending, gas, wind, moving pins."""
+"""What a scene can have besides balls, springs and walls: cells that keep their volume, bending, gas, wind, moving pins,
+motors."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Table, sealed
 from taichi_sim.scene.keyframes import Keyframe, Motion, plain_keyframe
+from taichi_sim.scene.motors import Motorised
 from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.probes import Probed
 
@@ -57,7 +59,7 @@ class MovingPins:
     given: Mapping[str, Any]  # the arguments, for saving
 
 
-class Elements(Probed, Objects):
+class Elements(Probed, Objects, Motorised):
     """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
 
     def _begin_elements(self, dim: int) -> None:
@@ -75,6 +77,7 @@ class Elements(Probed, Objects):
         self.gases: list[Gas] = []
         self.moving_pins: list[MovingPins] = []
         self._driven_of = 0, np.zeros(0, dtype=bool)  # the first so many of them drive these balls
+        self._begin_motors()
         self._begin_probes()
         self._begin_objects()
 
@@ -338,11 +341,12 @@ class Elements(Probed, Objects):
         )
 
     def elements(self) -> dict[str, Any]:
-        """Wind, gases, moving pins, probes and objects as plain values, arrays apart, for files and digests."""
+        """Wind, gases, moving pins, motors, probes and objects as plain values, arrays apart, for files and digests."""
         return {
             "wind": None if self.wind is None else asdict(self.wind),
             "gases": [{"pressure": g.pressure, "outside": g.outside, "volume": g.volume} for g in self.gases],
             "moving_pins": [dict(pins.given) for pins in self.moving_pins],
+            "motors": [dict(motor.given) for motor in self.motors],
             "probes": [{"name": one.name, "kind": one.kind, **one.plain()} for one in self.probes],
             "objects": [one.name for one in self.objects],
         }
@@ -351,6 +355,8 @@ class Elements(Probed, Objects):
         """The arrays that go with `elements`."""
         arrays: dict[str, Any] = {f"gases.{k}.triangles": gas.triangles for k, gas in enumerate(self.gases)}
         arrays |= {f"moving_pins.{k}.balls": pins.balls for k, pins in enumerate(self.moving_pins)}
+        arrays |= {f"motors.{k}.springs": motor.springs for k, motor in enumerate(self.motors)}
+        arrays |= {f"motors.{k}.phase": one.phase for k, one in enumerate(self.motors) if one.phase.any()}
         arrays |= {f"objects.{k}.balls": one.balls for k, one in enumerate(self.objects)}
         arrays |= {f"objects.{k}.uv": one.uv for k, one in enumerate(self.objects) if one.uv is not None}
         return arrays | {
@@ -361,7 +367,8 @@ class Elements(Probed, Objects):
         """Add what `elements` and `element_arrays` gave, judged as what is added by hand is. Raises SceneError that names what is
         wrong, an array by its name among the arrays."""
         gases, pins = (validation.tables(about, name) for name in ("gases", "moving_pins"))
-        probes = validation.tables(about, "probes") if "probes" in about else []  # older versions had none
+        # older versions had none
+        motors, probes = (validation.tables(about, name) if name in about else [] for name in ("motors", "probes"))
         with self.all_or_nothing():
             if about.get("wind") is not None:
                 (wind,) = validation.tables({"wind": [about["wind"]]}, "wind")
@@ -376,6 +383,10 @@ class Elements(Probed, Objects):
             for k, table in enumerate(pins):
                 balls = {"balls": _array(arrays, "moving_pins", k, "balls")}
                 validation.call(f"moving_pins[{k}]", self.add_moving_pins, table | balls)
+            for k, table in enumerate(motors):
+                springs = {"springs": _array(arrays, "motors", k, "springs")}
+                phase = {"phase": arrays[f"motors.{k}.phase"]} if f"motors.{k}.phase" in arrays else {}
+                validation.call(f"motors[{k}]", self.add_motor, table | springs | phase)
             for k, table in enumerate(probes):
                 start = f"probes.{table.get('name')}."
                 own = {key.removeprefix(start): array for key, array in arrays.items() if key.startswith(start)}

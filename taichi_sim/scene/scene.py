@@ -31,7 +31,7 @@ __all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
 
 
 # what a scene holds in lists
-LISTS = ("materials", "walls", "colliders", "embedded_surfaces", "gases", "moving_pins", "probes", "objects")
+LISTS = ("materials", "walls", "colliders", "embedded_surfaces", "gases", "moving_pins", "motors", "probes", "objects")
 
 
 class Scene(Stored, Elements):

@@ -16,6 +16,7 @@ def parts_of(scene: Any) -> dict[str, int]:
         "triangles": len(scene.triangles),
         "cells": len(scene.cells),
         "bends": len(scene.bends),
+        "motors": len(scene.motors),
         "walls": len(scene.walls),
         "colliders": len(scene.colliders),
         "probes": len(scene.probes),

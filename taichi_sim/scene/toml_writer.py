@@ -194,6 +194,14 @@ def _elements(scene: Any, store: _Arrays) -> dict[str, Any]:
         store.table(f"moving_pins_{k}_", {"balls": pins.balls}, **{key: _plain(v) for key, v in pins.given.items()})
         for k, pins in enumerate(scene.moving_pins)
     ]
+    tables["motors"] = [
+        store.table(
+            f"motors_{k}_",
+            {"springs": motor.springs} | ({"phase": _one(motor.phase)} if motor.phase.any() else {}),
+            **{key: _plain(v) for key, v in motor.given.items()},
+        )
+        for k, motor in enumerate(scene.motors)
+    ]
     return tables
 
 

@@ -179,12 +179,13 @@ class Assembly:
             self.tearing = Tearing(self.model, springs, self.forces.elements, self.fields)
             self.state.followers.append(self.tearing)
         moves = self.colliders is not None and self.colliders.moves
-        self.driven = [part for part in (self.colliders if moves else None, self.pins) if part is not None]
+        driven = (self.colliders if moves else None, self.pins, self.forces.motors)
+        self.driven = [part for part in driven if part is not None]
         self.integrator.pins = self.pins
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         kind = Moments if settings.tolerance is None else SecondSolution
         self.moments = kind(self.state, self.integrator, self.contacts, self.fields, self.fused)
-        self.drivers = Drivers(self.integrator, self.pins, self.tearing)
+        self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
@@ -300,7 +301,7 @@ class Assembly:
             first = now
 
     def _load(self, block: int, h: float, time: float) -> None:
-        """Work out how pins and colliders move in a block of TICKS substeps."""
+        """Work out how pins, colliders and motors move in a block of TICKS substeps."""
         self._block = block
         for part in self.driven:
             part.load(time, h, block * TICKS)

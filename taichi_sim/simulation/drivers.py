@@ -11,17 +11,19 @@ __all__ = ["Drivers"]
 
 @ti.data_oriented
 class Drivers:
-    """The kernels of one simulation. `integrator` is any bound Integrator; `pins`: moving ones, `tearing`: of springs, or
-    None."""
+    """The kernels of one simulation. `integrator` is any bound Integrator; `pins`: moving ones, `motors`, `tearing`: of springs,
+    or None."""
 
-    def __init__(self, integrator: Any, pins: Any = None, tearing: Any = None) -> None:
-        self.integrator, self.pins, self.tearing = integrator, pins, tearing
-        self.leads, self.tears = pins is not None, tearing is not None
+    def __init__(self, integrator: Any, pins: Any = None, motors: Any = None, tearing: Any = None) -> None:
+        self.integrator, self.pins, self.motors, self.tearing = integrator, pins, motors, tearing
+        self.leads, self.flexes, self.tears = (part is not None for part in (pins, motors, tearing))
 
     @ti.func
     def _lead(self, forth: ti.template()):
         if ti.static(self.leads):
             self.pins.drive(forth)
+        if ti.static(self.flexes):
+            self.motors.drive(forth)
 
     @ti.func
     def _tear(self):
@@ -58,7 +60,7 @@ class Drivers:
 
     @ti.kernel
     def lead(self):
-        """Moving pins, for methods that launch a substep in parts."""
+        """Moving pins and motors, for methods that launch a substep in parts."""
         self._lead(True)
 
     @ti.kernel
@@ -73,7 +75,7 @@ class Drivers:
             self.fused(first, steps, h, time)
         elif self.integrator.hosted:
             for k in range(first, first + steps):
-                if self.leads:
+                if self.leads or self.flexes:
                     self.lead()
                 self.integrator.advance(h, time + k * h)
                 if self.tears:

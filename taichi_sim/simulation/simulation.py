@@ -216,7 +216,8 @@ class Simulation(Reader):
 
     def energy(self) -> diagnostics.Energy:
         """Kinetic, spring, gravity and total energy [J], computed in float64."""
-        return diagnostics.energy(self.scene, self.position, self.velocity, self._spin(), self.torn, self._forces)
+        scene = self.scene.at(self.time)
+        return diagnostics.energy(scene, self.position, self.velocity, self._spin(), self.torn, self._forces)
 
     def momentum(self) -> NDArray[np.float64]:
         """(dim,) kg m/s."""

@@ -74,7 +74,7 @@ class Stepper:
         self._looks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
-        driven = bool(scene.moving_pins or scene.gases or scene.wind is not None)
+        driven = bool(scene.moving_pins or scene.motors or scene.gases or scene.wind is not None)
         self.driven, self.size = own or moves or driven, size(scene)
         self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
         self.moved = False  # by steps, since places were set
@@ -442,7 +442,9 @@ class Stepper:
             )
 
     def _present(self) -> tuple[float, int]:
-        return present_limit(self.scene, self.method, self.parts.state.position, self.parts.forces.declared)
+        return present_limit(
+            self.scene.at(self.time), self.method, self.parts.state.position, self.parts.forces.declared
+        )
 
     def _warn(self, kind: str, text: str, stacklevel: int = 6) -> None:
         if kind not in self._warned:

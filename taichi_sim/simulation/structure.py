@@ -20,6 +20,8 @@ COUNTS: dict[str, Callable[[Scene], Any]] = {
     "bends": lambda scene: len(scene.bends),
     "gases": lambda scene: len(scene.gases),
     "moving pins": lambda scene: len(scene.moving_pins),
+    "motors": lambda scene: len(scene.motors),
+    "springs with motors": lambda scene: sum(len(motor.springs) for motor in scene.motors),
     "walls": lambda scene: len(scene.walls),
     "colliders": lambda scene: len(scene.colliders),
     "materials": lambda scene: len(scene.materials),

@@ -17,6 +17,7 @@ def world():
     scene.add_material("ice", friction=0.01)
     scene.add_collider(ts.Sphere((0, -3, 0), 0.4))
     scene.add_moving_pins([1, 2], velocity=(0, 1, 0))
+    scene.add_motor([0], path=[(0, 0), (1, 0.2)])
     surface = sheet.triangles[:1]
     scene.add_embedded_surface(surface.T, np.ones((3, 1)), [[0, 1, 2]])
     return scene
@@ -25,7 +26,13 @@ def world():
 def arrays_of(scene):
     yield from ((name, array) for name, array in scene.to_arrays().items() if not name.endswith("0.colour"))
     yield "gravity", scene.gravity
-    held = [*scene.colliders, *(c.motion for c in scene.colliders), *scene.moving_pins, *scene.embedded_surfaces]
+    held = [
+        *scene.colliders,
+        *(c.motion for c in scene.colliders),
+        *scene.moving_pins,
+        *scene.motors,
+        *scene.embedded_surfaces,
+    ]
     for one in held:
         for name in one.__dataclass_fields__:
             if isinstance(array := getattr(one, name), np.ndarray):
@@ -35,7 +42,9 @@ def arrays_of(scene):
 def test_no_array_of_a_scene_can_be_written_to():
     scene = world()
     named = dict(arrays_of(scene))
-    assert {"balls.mass", "cells.corners", "bends.weights", "Motion.times", "MovingPins.balls"} <= set(named)
+    assert {"balls.mass", "cells.corners", "bends.weights", "Motion.times", "MovingPins.balls", "Motor.springs"} <= set(
+        named
+    )
     for name, array in named.items():
         with pytest.raises(ValueError, match="read-only"):
             array[...] = array

@@ -41,6 +41,8 @@ def tables():
         result |= shared(family, {name: definitions[one] for name, one in members.items()})
     keyframe = definitions["collider_box"]["properties"]["path"]["items"]["anyOf"][0]
     result["Keyframes: `path` of [[colliders]] and [[moving_pins]]"] = rows(keyframe["properties"], keyframe)
+    keyframe = definitions["motors"]["properties"]["path"]["items"]["anyOf"][0]
+    result["Keyframes: `path` of [[motors]]"] = rows(keyframe["properties"], keyframe)
     return result
 
 

@@ -123,6 +123,12 @@ class _Level:
                 self._move(table, side, f"{side}_members", fill=False)
         for table in document.get("moving_pins", []):
             self._move(table, "balls", "members", fill=True)
+        for k, table in enumerate(document.get("motors", [])):
+            if "balls" not in table:
+                raise SceneError(
+                    f"--resolutions: {self.file}: motors[{k}]: say by `balls` which springs it drives; numbers are others"
+                )
+            self._move(table, "balls", "members", fill=True)
         for k, table in enumerate(document.get("springs", [])):
             if "file" in table:
                 raise SceneError(
