@@ -13,7 +13,8 @@ from taichi_sim.cli.main import main
 
 pytestmark = pytest.mark.once
 
-PAGE = (Path(__file__).parent.parent / "docs" / "recipes.md").read_text()
+ROOT = Path(__file__).parent.parent
+PAGE = (ROOT / "docs" / "recipes.md").read_text()
 
 
 def recipe(title: str) -> str:
@@ -129,6 +130,37 @@ def test_an_eel_swims():
         speed = sim.position.mean(axis=0) - before
     assert speed[0] == pytest.approx(told, rel=0.1)
     assert abs(speed[2]) < 0.2 * speed[0]
+
+
+@pytest.mark.slow
+def test_a_mesh_that_changes_shape():
+    """A plate bulges under a ball, which goes up with it; another slides, and takes its ball along by friction."""
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "scenes.md").read_text(), re.DOTALL)
+    names: dict = {}
+    exec(compile(code, "scenes.md", "exec"), names)
+    x, z = (part.ravel() for part in np.meshgrid([-0.4, 0.0, 0.4], [-0.4, 0.0, 0.4], indexing="ij"))
+    corner = np.array([0, 1, 3, 4])
+    triangles = np.concatenate([[[a, a + 1, a + 4], [a, a + 4, a + 3]] for a in corner])
+    plate = np.stack([x, np.zeros(9), z], axis=1)
+    bulge, slide = np.zeros((9, 3)), np.full((9, 3), [0.2, 0.0, 0.0])
+    bulge[4, 1] = 0.4
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
+    scene.add_material("rough", friction=1.0)
+    for change, place in ((bulge, 0.0), (slide, 3.0)):
+        at = plate + np.array([place, 0.0, 0.0])
+        meshes = [(at + part * change, triangles) for part in (0.0, 0.25, 0.5, 1.0)]  # over 0.3 s, faster at the end
+        names["add_animated"](scene, meshes, 10, 0.01, "rough")
+        on = [place, 0.11, 0.0]
+        scene.add_balls([on], radius=0.1, mass=0.1, material="rough")
+    up, along = 9, 19
+    with ts.Simulation(scene, spin=False, dt=1e-3) as sim:
+        for until, part in ((0.19, 2.5), (0.29, 5.0)):  # 1/s
+            sim.run(until - sim.time)
+            assert sim.velocity[up, 1] == pytest.approx(0.4 * part, rel=1e-3)
+            assert sim.velocity[along, 0] == pytest.approx(0.2 * part, rel=1e-3)
+        sim.run(0.2)
+        assert abs(sim.velocity[along, 0]) < 1e-3  # it stands still, and so does what lies on it
+        assert sim.position[up, 1] > 0.3
 
 
 def shown(cell: str, names: dict):

@@ -26,6 +26,8 @@ from taichi_sim.geometry.outlines import FONT_FILES
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.looks import Look
+from taichi_sim.scene.pins import chosen as chosen_balls
+from taichi_sim.scene.pins import is_described
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import Shape
 
@@ -253,7 +255,15 @@ class Reader:
                 raise SceneError(("table", members), says=f"count within a group; {key} must be the name of one")
             return validation.indices(where, value, scene.n_balls)
         balls = self._named(where, value)
-        return balls if chosen is None else balls[validation.indices(f"table.{members}", chosen, len(balls))]
+        if chosen is None:
+            return balls
+        if is_described(chosen):
+            within = np.full(scene.n_balls, -1, dtype=np.int64)
+            within[balls] = np.arange(len(balls))
+            triangles = within[scene.triangles]
+            inside = triangles[(triangles >= 0).all(axis=1)]
+            return balls[chosen_balls(f"table.{members}", chosen, scene.position[balls], None, inside)]
+        return balls[validation.indices(f"table.{members}", chosen, len(balls))]
 
     def _named(self, where: str, name: str) -> NDArray[np.int32]:
         """The balls of a group."""

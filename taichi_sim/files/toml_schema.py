@@ -34,6 +34,7 @@ from taichi_sim.common.docstrings import described, unit_of
 from taichi_sim.scene import colliders
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.looks import Look
+from taichi_sim.scene.pins import Members
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -256,14 +257,17 @@ _group: dict[str, Any] = {
 }
 _led: dict[str, Any] = {
     "balls": (str | tuple[int, ...] | None, _key(None, "a name, of a shape or of balls, or ball numbers in the scene")),
-    "members": (tuple[int, ...] | None, _key(None, "those of the named balls that are meant, counted within them")),
+    "members": (
+        _typed(Members | None),
+        _key(None, "those of the named balls that are meant: numbers within them, or words or shapes, as for `pinned`"),
+    ),
 }
 _joined: dict[str, Any] = {
     key: (kind, _key(default, says))
     for side in ("one", "other")
     for key, kind, default, says in (
         (side, str | tuple[int, ...], ..., "a name, of a shape or of balls, or ball numbers in the scene"),
-        (f"{side}_members", tuple[int, ...] | None, None, f"those of the balls named by `{side}` that are meant"),
+        (f"{side}_members", _typed(Members | None), None, f"those of the balls named by `{side}` that are meant"),
     )
 }
 _body: dict[str, Any] = {

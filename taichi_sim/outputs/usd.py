@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.frame import Frame
+from taichi_sim.analysis.frame import Frame, Placed
 from taichi_sim.common.atomic_file import naming, require_place
 from taichi_sim.outputs.base import Image
 from taichi_sim.outputs.extras import needed
@@ -22,6 +22,7 @@ from taichi_sim.outputs.parts import Parts, in_3d, normals_of, placed
 from taichi_sim.outputs.resumable import Recorded
 from taichi_sim.render.camera import Camera, robust_bounds
 from taichi_sim.render.palette import to_linear
+from taichi_sim.render.renderer import evenly
 from taichi_sim.render.tracker import Tracker
 
 APERTURE = 24.0  # mm, height of the camera's film: only its ratio to the focal length means something
@@ -71,15 +72,17 @@ class Usd(Recorded):
         assert self._first is not None
         if self._kept and index == self._kept:
             self._recall()
-        now: dict[str, Any] = {"position": frame.position.astype(np.float32)}
+        now: dict[str, Any] = {"position": frame.position.astype(np.float32), "time": np.array(frame.time)}
         for name in ("springs", "triangles"):
             if not np.array_equal(getattr(frame, name), getattr(self._first, name)):  # something has torn
                 now[name] = getattr(frame, name)
+        if len(frame.torn_triangles):
+            now["torn_triangles"] = frame.torn_triangles
         if frame.colliders:
             now["centres"], now["rotations"] = (np.array(part) for part in zip(*placed(frame)))
         if self._tracker is not None:
             camera, follower = self._tracker.at(frame), self._tracker.follower
-            now["camera"] = np.array([*camera.eye, *camera.target, *camera.up, camera.fov])
+            now["camera"] = _as_row(camera)
             now["follower"] = np.array(json.dumps(None if follower is None else follower.memory()))
         data = io.BytesIO()
         np.savez(data, **now)
@@ -98,9 +101,14 @@ class Usd(Recorded):
         part.unlink(missing_ok=True)
         with naming(self.path):
             stage = _Stage(part, self._first, self.fps, self._aspect)
+            shows_all = self._fit()
             for index, data in enumerate(self._records):
                 if index < self.frames:
-                    stage.add(index, _read(data))
+                    now = _read(data)
+                    if shows_all:
+                        assert self._tracker is not None
+                        now["camera"] = _as_row(self._tracker.at(self._moment(now)))
+                    stage.add(index, now)
             stage.save(self.frames)
             with open(part, "r+b") as file:
                 os.fsync(file.fileno())
@@ -108,10 +116,38 @@ class Usd(Recorded):
         self._records.close()
         self.log.delete()
 
+    def _fit(self) -> bool:
+        """Whether the camera is to show all of the run; then it is placed so, as that of pictures is."""
+        if self._tracker is None or not self._tracker.is_open or not self.frames:
+            return False
+        shown = evenly(self.frames)
+        self._tracker.fit([self._moment(_read(data)) for k, data in enumerate(self._records) if k in shown])
+        return True
+
+    def _moment(self, now: Mapping[str, NDArray]) -> Any:
+        """What a camera looks at in a frame that was kept."""
+        first = self._first
+        assert first is not None
+        places = zip(first.colliders, now.get("centres", ()), now.get("rotations", ()))
+        return SimpleNamespace(
+            dim=first.dim,
+            time=float(now["time"]),
+            position=now["position"].astype(np.float64),
+            radius=first.radius,
+            triangles=now.get("triangles", first.triangles),
+            torn_triangles=now.get("torn_triangles", first.triangles[:0]),
+            walls=first.walls,
+            colliders=tuple(Placed(one.collider, centre, rotation) for one, centre, rotation in places),
+        )
+
     def discard(self) -> None:
         """Give it up; its frames stay beside it, for resume."""
         self._records.close()
         self.leave()
+
+
+def _as_row(camera: Camera) -> NDArray[np.float64]:
+    return np.array([*camera.eye, *camera.target, *camera.up, camera.fov])
 
 
 def _read(data: bytes) -> dict[str, NDArray]:

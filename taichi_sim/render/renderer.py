@@ -20,6 +20,11 @@ __all__ = ["Renderer"]
 MOST_SHOWN = 60  # frames that a camera is fitted to, evenly spread over all
 
 
+def evenly(number: int) -> set[int]:
+    """Which of so many frames a camera is fitted to that is to show all."""
+    return {k * (number - 1) // (MOST_SHOWN - 1) for k in range(MOST_SHOWN)}
+
+
 class Renderer:
     """Draws the frames of one scene.
 
@@ -99,8 +104,7 @@ class Renderer:
     def fit(self, frames: Sequence[Frame]) -> None:
         """Place a CameraPath, as far as it leaves that open, so that all of these frames are shown."""
         if frames:
-            shown = {k * (len(frames) - 1) // (MOST_SHOWN - 1) for k in range(MOST_SHOWN)}
-            self._open().fit([frames[k] for k in sorted(shown)])
+            self._open().fit([frames[k] for k in sorted(evenly(len(frames)))])
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn, for later ones to look as if it had been."""

@@ -80,6 +80,11 @@ class Tracker:
             self.follower = Follower(path.follow, frame)
         self.fit([frame])
 
+    @property
+    def is_open(self) -> bool:
+        """Whether something is left out that shows all of a run."""
+        return self._path is not None and self._path.is_open
+
     def fit(self, frames: Sequence[Frame]) -> None:
         """Place what the path leaves open so that all of these frames are shown."""
         path = self._path

@@ -11,15 +11,22 @@ from taichi_sim.common.errors import SceneError, about
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.colliders import Box, Capsule, Sphere, build, shape_of
 
-__all__ = ["Pins", "chosen"]
+__all__ = ["Members", "Pins", "chosen", "is_described"]
 
 Side = Literal["border", "corners", "left", "right", "bottom", "top", "front", "back"]
 Part = Side | Box | Sphere | Capsule
 Pins = bool | Part | Sequence[Part] | Sequence[int] | Sequence[bool] | NDArray
+Members = Part | Sequence[Part] | Sequence[int]
 
 PARTS = (str, Mapping, Box, Sphere, Capsule)
 SIDES = {"left": (0, -1), "right": (0, 1), "bottom": (1, -1), "top": (1, 1), "front": (2, 1), "back": (2, -1)}
 AT_SIDE = 1e-6  # of the longest extent
+
+
+def is_described(pins: Any) -> bool:
+    """Whether balls are meant by words or shapes, and not by their numbers."""
+    several = isinstance(pins, (list, tuple)) and len(pins) > 0 and all(isinstance(one, PARTS) for one in pins)
+    return isinstance(pins, PARTS) or several
 
 
 def chosen(
@@ -38,7 +45,7 @@ def chosen(
         return _named(where, pins, x, x if own is None else own, triangles)
     if isinstance(pins, PARTS):
         return _within(where, pins, x)
-    if isinstance(pins, (list, tuple)) and pins and all(isinstance(one, PARTS) for one in pins):
+    if is_described(pins):
         return np.any([chosen(f"{where}[{k}]", one, x, own, triangles) for k, one in enumerate(pins)], axis=0)
     array = validation.as_array(pins)
     if array.dtype == object:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, did_you_mean
+from taichi_sim.common.spelling import takes_color
 from taichi_sim.scene.colliders import Collider, build
 from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
 from taichi_sim.scene.columns import Names, Table, sealed
@@ -129,6 +130,7 @@ class Scene(Stored, Elements):
 
     # What can be added ---------------------------------------------------------------------------------------------
 
+    @takes_color
     def add_material(
         self,
         name: str,
@@ -164,6 +166,7 @@ class Scene(Stored, Elements):
             self.materials.append(new)
         return name
 
+    @takes_color
     def add_balls(
         self,
         position: ArrayLike,
@@ -318,6 +321,7 @@ class Scene(Stored, Elements):
             raise SceneError(f"triangles.triangles[{k}]", t[k], says=says)
         self._triangles.append(len(t), triangles=t, collides=solid)
 
+    @takes_color
     def add_embedded_surface(
         self,
         corners: ArrayLike,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry.mesh import Surface, surface_area
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
@@ -23,6 +24,7 @@ STRAIN = 0.1  # of the skin, by default
 MOST_STRETCH = 0.5  # part of the present length by which the skin may be stretched
 
 
+@takes_color
 def balloon(
     scene: Scene,
     centre: Sequence[float],

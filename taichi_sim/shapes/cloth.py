@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
@@ -44,6 +45,7 @@ SHEAR_PART = 0.2  # of the stretch stiffness
 BENDING_RIGIDITY = 1e-5  # N m, cotton
 
 
+@takes_color
 def cloth(
     scene: Scene,
     size: Sequence[float] | None = None,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import jelly_material
@@ -48,6 +49,7 @@ FILLS = ("voxels", "tetrahedra")
 BALL_SHARE = 0.25  # radius of a filled mesh's balls, of its spacing
 
 
+@takes_color
 def jelly(
     scene: Scene,
     size: Sequence[float] | None = None,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
+from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry import outlines, polygon_mesh
 from taichi_sim.scene.colliders import Mesh
 from taichi_sim.scene.pins import chosen
@@ -32,6 +33,7 @@ MOVES = ("damping", "radius", "velocity", "pinned", "self_collision", "surface_c
 TAKES = {"jelly": {*ELASTIC, *MOVES}, "cloth": {*WOVEN, *MOVES}, "collider": set()}
 
 
+@takes_color
 def text(
     scene: Scene,
     text: str,
@@ -80,6 +82,7 @@ def text(
     return _add(scene, "text", lambda: outlines.text_outlines("text", text, tall, font), given)
 
 
+@takes_color
 def svg(
     scene: Scene,
     file: str | PathLike[str],

@@ -10,6 +10,7 @@ import numpy as np
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import about
+from taichi_sim.common.spelling import takes_color
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import (
     Part,
@@ -28,6 +29,7 @@ from taichi_sim.shapes.jelly import jelly
 __all__ = ["pile", "tower"]
 
 
+@takes_color
 def pile(
     scene: Scene,
     resolution: Sequence[int],
@@ -85,6 +87,7 @@ def _mass(scene: Scene, material: str, radius: float) -> float:
     return density * math.pi * radius**2 * (1.0 if scene.dim == 2 else 4 / 3 * radius)
 
 
+@takes_color
 def tower(
     scene: Scene,
     levels: int = 3,

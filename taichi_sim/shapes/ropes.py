@@ -8,6 +8,7 @@ import numpy as np
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.spelling import takes_color
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import (
     Part,
@@ -27,6 +28,7 @@ __all__ = ["rope", "wheel"]
 ROPE_DENSITY = 0.1  # kg/m
 
 
+@takes_color
 def rope(
     scene: Scene,
     start: Sequence[float],
@@ -81,6 +83,7 @@ def rope(
     return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, at_least_0("rope.damping", damping))
 
 
+@takes_color
 def wheel(
     scene: Scene,
     centre: Sequence[float],

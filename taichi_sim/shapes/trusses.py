@@ -9,6 +9,7 @@ import numpy as np
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.spelling import takes_color
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import (
     Part,
@@ -31,6 +32,7 @@ ROPE_DENSITY = 0.1  # kg/m
 BAR_DENSITY = 1.0  # kg/m
 
 
+@takes_color
 def truss(
     scene: Scene,
     size: Sequence[float],
@@ -88,6 +90,7 @@ def truss(
     return build(scene, "truss", points, kinds, np.zeros((0, 3)), part, strength, at_least_0("truss.damping", damping))
 
 
+@takes_color
 def net(
     scene: Scene,
     size: Sequence[float] | None = None,

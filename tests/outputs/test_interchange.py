@@ -164,12 +164,16 @@ def test_the_camera_of_usd_is_that_of_pictures(stage, run):
 
     frames = run[1]
     tracker = Tracker(frames[0], {"orbit": 40.0}, 16 / 9)
+    assert tracker.is_open
+    begin = np.array(tracker.first.eye)
+    tracker.fit(frames)  # all of them are shown
+    assert np.linalg.norm(np.array(tracker.first.eye) - begin) > 0.001
     prim = stage.GetPrimAtPath("/World/camera")
     for k, frame in enumerate(frames):
         camera = tracker.at(frame)
         found = UsdGeom.Camera(prim).GetCamera(k)
-        assert np.array(found.transform)[3, :3] == pytest.approx(np.array(camera.eye))
-        assert -np.array(found.transform)[2, :3] == pytest.approx(camera.axes()[2])
+        assert np.array(found.transform)[3, :3] == pytest.approx(np.array(camera.eye), rel=1e-5)
+        assert -np.array(found.transform)[2, :3] == pytest.approx(camera.axes()[2], abs=1e-5)
         assert found.GetFieldOfView(found.FOVVertical) == pytest.approx(camera.fov, rel=1e-6)
         assert found.aspectRatio == pytest.approx(16 / 9)
 

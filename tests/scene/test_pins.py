@@ -217,3 +217,77 @@ def test_angular_velocity_is_now_called_rotation_rate(tmp_path):
     file.write_text(f"{text}[[moving_pins]]\nballs = [0]\nangular_velocity = 2.0\n")
     with pytest.raises(ts.SceneError, match=rf"line 7: moving_pins\[0\].{says}"):
         ts.load_scene(file)
+
+
+MEMBERS = """
+format = 1
+dim = 3
+[[cloth]]
+name = "flag"
+size = [1.0, 0.5]
+resolution = [5, 3]
+position = [0.0, 2.0, 0.0]
+[[jelly]]
+name = "block"
+size = [0.2, 0.2, 0.2]
+resolution = [2, 2, 2]
+position = [0.0, 1.0, 0.0]
+[[attachments]]
+one = "flag"
+one_members = "corners"
+other = "block"
+other_members = "top"
+stiffness = 10.0
+[[moving_pins]]
+balls = "flag"
+members = "left"
+velocity = [1.0, 0.0, 0.0]
+[[moving_pins]]
+balls = "block"
+members = ["bottom", { shape = "sphere", center = [0.2, 1.2, 0.2], radius = 0.05 }]
+velocity = [0.0, 1.0, 0.0]
+[[motors]]
+balls = "flag"
+members = "border"
+amplitude = 0.1
+frequency = 1.0
+"""
+
+
+def test_members_of_a_shape_by_words_and_places(tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text(MEMBERS)
+    scene = ts.load_scene(file)
+    flag, block = (one.balls for one in scene.objects)
+    x = scene.position
+    assert scene.moving_pins[0].balls.tolist() == flag[np.isclose(x[flag, 0], 0.0)].tolist()
+    driven = set(block[np.isclose(x[block, 1], 1.0)]) | {block[np.argmax(x[block].sum(axis=1))]}
+    assert set(scene.moving_pins[1].balls) == driven
+    joined = scene.pairs[-4:]
+    assert np.isin(x[joined[:, 0]][:, [0, 2]], [[0.0, 0.0], [1.0, 0.5]]).all()
+    assert np.allclose(x[joined[:, 1], 1], 1.2)
+    inside = x[flag[(x[flag, 0] % 1.0 > 0.1) & (x[flag, 2] % 0.5 > 0.1)]]
+    ends = x[scene.pairs[scene.motors[0].springs]].reshape(-1, 3)
+    assert len(ends) >= 2 * 12
+    assert not (ends[:, None] == inside[None]).all(axis=2).any()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('members = "left"', 'members = "lift"', r"line 22: moving_pins\[0\].members: 'lift' .*'corners', 'left'"),
+        ('members = "left"', "members = [99]", r"line 22: moving_pins\[0\].members\[0\]: 99"),
+        (
+            'members = "left"',
+            'members = { shape = "sphere", center = [9, 9, 9], radius = 1 }',
+            r"members: holds no ball",
+        ),
+        ('one_members = "corners"', 'one_members = "left"', r"attachments\[0\].other: names 4 balls"),
+    ],
+)
+def test_mistakes_in_members_are_named(tmp_path, old, new, words):
+    file = tmp_path / "scene.toml"
+    assert old in MEMBERS
+    file.write_text(MEMBERS.replace(old, new))
+    with pytest.raises(ts.SceneError, match=words):
+        ts.load_scene(file)

@@ -331,3 +331,12 @@ def test_refused_and_the_scene_unchanged(dim, make, message):
     with pytest.raises(SceneError, match=message):
         make(scene)
     assert scene.n_balls == scene.n_springs == len(scene.triangles) == len(scene.gases) == 0
+
+
+def test_color_is_colour():
+    scene = Scene(dim=3)
+    balls = shapes.rope(scene, (0, 0, 0), (1, 0, 0), n=3, color=(1, 0, 0)).balls
+    scene.add_balls([[0, 2, 0]], radius=0.1, color=(0, 1, 0))
+    assert scene.colour[[balls[0], 3]].tolist() == [[1, 0, 0], [0, 1, 0]]
+    with pytest.raises(TypeError, match="got colour and color"):
+        shapes.cloth(scene, colour=(1, 0, 0), color=(1, 0, 0))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.toml_reader import Reader
 from taichi_sim.files.toml_schema import SHAPES
+from taichi_sim.scene.pins import is_described
 from taichi_sim.scene.scene import Scene
 
 if sys.version_info >= (3, 11):
@@ -154,6 +155,8 @@ class _Level:
                 table[key] = self.everywhere[table[key]].tolist()
             return
         inside, grid = self.named[table[key]]
+        if members in table and is_described(table[members]):  # the same words in any mesh
+            return
         if members in table:
             chosen = table[members]
             table[members] = _filled(grid, chosen) if fill and grid is not None else inside[chosen].tolist()
