@@ -5,13 +5,16 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, NoReturn
 
-__all__ = ["INTERRUPTED", "TERMINATED", "heard", "insistent_signals", "leave"]
+__all__ = ["INTERRUPTED", "TERMINATED", "heard", "insistent_signals", "leave", "without_interrupts"]
 
 INTERRUPTED, TERMINATED = 130, 143  # exit status: 128 + SIGINT, 128 + SIGTERM
 AGAIN = 2.0  # s; long enough for a half-written file to be removed
 TIMES = 10
+
+_held_back = False
 
 
 @contextmanager
@@ -25,7 +28,8 @@ def insistent_signals() -> Iterator[None]:
             os._exit(TERMINATED if asked[0] is SystemExit else INTERRUPTED)
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, AGAIN)
-        raise answer()
+        if not _held_back:
+            raise answer()
 
     def answer() -> BaseException:
         return SystemExit(TERMINATED) if asked[0] is SystemExit else KeyboardInterrupt()
@@ -36,6 +40,13 @@ def insistent_signals() -> Iterator[None]:
     if hasattr(signal, "SIGALRM"):
         numbers.append(signal.SIGALRM)
     before = {number: signal.signal(number, insist) for number in numbers}
+    tell = sys.unraisablehook
+
+    def tell_others(lost: Any) -> None:  # of those swallowed in a callback nothing need be said: they come again
+        if not (asked and isinstance(lost.exc_value, (KeyboardInterrupt, SystemExit))):
+            tell(lost)
+
+    sys.unraisablehook = tell_others
     try:
         yield
     except BaseException:
@@ -43,6 +54,7 @@ def insistent_signals() -> Iterator[None]:
             raise answer() from None
         raise
     finally:
+        sys.unraisablehook = tell
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
@@ -53,6 +65,26 @@ def heard() -> None:
     """Ctrl-C was taken as an end like others: it does not come again, so that what is open can be closed in peace."""
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+@contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Within `insistent_signals` these come again once the block is left. Processes that are started in it never get SIGINT: a
+    terminal sends it to all processes of a command, and those that work for another one are ended by that."""
+    global _held_back
+    _held_back = (
+        True  # the mask is not enough: threads that were there before take signals, and the main one hears of it
+    )
+    masks = hasattr(signal, "pthread_sigmask")
+    if masks:
+        resource_tracker.ensure_running()  # its start lets SIGINT through again, in the thread that starts the first process
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        _held_back = False
 
 
 def leave(status: int) -> NoReturn:

@@ -5,13 +5,14 @@ import os
 import platform
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import BackendError, SceneError
+from taichi_sim.common.signals import heard, without_interrupts
 from taichi_sim.common.version import __version__
 from taichi_sim.sweeps.points import Job, Point, Row, Runner, keep_batch, run_batch
 
@@ -152,17 +153,21 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
                 yield Workers(client, _checked(client, scheduler))
             return
         number = workers or os.cpu_count() or 1
-        with (
-            distributed.LocalCluster(
-                n_workers=number,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=":0" if _has_dashboard() else None,
-                silence_logs=logging.CRITICAL,
-            ) as cluster,
-            distributed.Client(cluster) as client,
-        ):
-            yield Workers(client, _checked(client, "local"))
+        with ExitStack() as stack:
+            try:
+                with without_interrupts():  # what is half started cannot be closed
+                    cluster = distributed.LocalCluster(
+                        n_workers=number,
+                        threads_per_worker=1,
+                        processes=True,
+                        dashboard_address=":0" if _has_dashboard() else None,
+                        silence_logs=logging.CRITICAL,
+                    )
+                    client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
+                yield Workers(client, _checked(client, "local"))
+            except (KeyboardInterrupt, SystemExit):
+                heard()  # workers are ended in peace
+                raise
 
 
 def require_workers(scheduler: str | None, workers: int | None) -> None:

@@ -89,8 +89,11 @@ class Folder:
                 ) from None
 
     def _compact(self) -> None:
-        """One file in place of many: it is complete before they go."""
+        """One file in place of many: it is complete before they go. A worker may have written some that have not come in."""
         found = list(self.batches.glob("*.jsonl"))
+        for one in found:
+            for row in rows_of(one.read_bytes()):
+                self.rows.setdefault(row.key, row)
         if found:
             with replacing(self.path / ROWS) as file:
                 file.write(lines_of(self.rows.values()))

@@ -10,7 +10,7 @@ from typing import Any
 from taichi_sim.common import validation
 from taichi_sim.common.version import __version__
 from taichi_sim.scene.scene import Scene
-from taichi_sim.sweeps.cluster import BATCH, connected, place
+from taichi_sim.sweeps.cluster import BATCH, connected, place, require_workers
 from taichi_sim.sweeps.design import Axis
 from taichi_sim.sweeps.folder import Folder
 from taichi_sim.sweeps.measures import Measures, measures_of
@@ -117,10 +117,12 @@ def open_study(
             },
             overwrite,
         )
-        if retry:
-            kept.rows = {key: row for key, row in kept.rows.items() if not row.error}
+        if not kept.rows and scheduler is not None:
+            require_workers(scheduler, workers)  # else it is refused with the first point, and an empty folder there
         kept.begin()
         stack.callback(kept.close)
+        if retry:
+            kept.rows = {key: row for key, row in kept.rows.items() if not row.error}
         if isinstance(scene, Scene) and folder is not None:  # from now on the folder is this study's
             subject = subject_of(scene, home)
         job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart)

@@ -256,6 +256,27 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
         Folder(tmp_path / "s", about)
 
 
+@pytest.mark.once
+def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
+    folder = Folder(tmp_path / "s", {"scene": "x"})
+    folder.begin()
+    points = [Point({"a": k}) for k in range(3)]
+    keep_batch(folder.batches, [Row.of(point) for point in points[:2]])
+    folder.add([Row.of(points[2])])
+    folder.finish(points)
+    folder.close()
+    assert len(table(tmp_path / "s")) == 3
+    assert len(Folder(tmp_path / "s", {"scene": "x"}).rows) == 3
+
+
+@pytest.mark.once
+def test_no_folder_is_made_where_no_scheduler_answers(tmp_path):
+    pytest.importorskip("distributed")
+    with pytest.raises(ts.SceneError, match="no scheduler answers there"):
+        ts.sweep(heap, folder=tmp_path / "s", scheduler="tcp://127.0.0.1:9")
+    assert not (tmp_path / "s").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.once
 def test_workers_find_the_same_and_one_that_dies_is_a_row(tmp_path):

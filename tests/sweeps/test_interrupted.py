@@ -1,0 +1,108 @@
+"""Ctrl-C, as a terminal sends it, to a sweep with two workers: rows are kept, processes end, the same command goes on."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from sweep_kills import rows_so_far, table, workers_of
+
+pytestmark = [pytest.mark.slow, pytest.mark.once]
+
+SCENE = """format = 1
+dim = 2
+gravity = [0.0, -10.0]
+[[pile]]
+name = "heap"
+resolution = [6, 6]
+radius = 0.05
+position = [0.0, 0.1]
+[simulation]
+contacts = "off"
+[output]
+duration = 2.0
+"""
+POINTS = 80
+COMMAND = (
+    "sweep", "heap.toml", "--vary", f"gravity[1]=-20:-1:{POINTS}", "--measure", "energy.kinetic.max",
+    "--measure", "sweep_wait:wait", "-o", "swept",
+)  # fmt: skip
+WAIT = (
+    "import time\n\ndef wait(simulation):\n    time.sleep(0.05)\n    return 0.0\n"  # so that there is time to interrupt
+)
+LONGEST = 120.0  # s; machines that test are busy
+
+
+def start(folder, workers):
+    """The command, in a group of its own, which is what a terminal sends Ctrl-C to."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "taichi_sim", *COMMAND, "--workers", str(workers)], cwd=folder, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, env={**os.environ, "PYTHONPATH": str(folder)},
+    )  # fmt: skip
+
+
+def is_alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def until(true, process):
+    """Wait for it, and say whether it came before the end of the process."""
+    limit = time.monotonic() + LONGEST
+    while time.monotonic() < limit and process.poll() is None:
+        if true():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def interrupted(folder, moment):
+    """Interrupt the command at a moment; the rows that were there then."""
+    process, swept = start(folder, 2), folder / "swept"
+    try:
+        came = until(lambda: moment(process, swept), process)
+        workers, rows = workers_of(process), rows_so_far(swept)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=LONGEST)
+    finally:
+        process.kill()
+    assert came, said
+    assert process.returncode == 130
+    assert said.splitlines() == [
+        "swept: keeps the points that are done; the same command goes on",
+        "taichi-sim: interrupted",
+    ]
+    assert len(table(swept)) >= rows
+    assert len(table(swept)) == rows_so_far(swept)
+    limit = time.monotonic() + 10.0
+    while any(map(is_alive, workers)) and time.monotonic() < limit:
+        time.sleep(0.1)
+    assert not any(map(is_alive, workers))
+    return rows
+
+
+def test_ctrl_c_at_any_moment(tmp_path):
+    pytest.importorskip("distributed")
+    (tmp_path / "heap.toml").write_text(SCENE)
+    (tmp_path / "sweep_wait.py").write_text(WAIT)
+    interrupted(tmp_path, lambda process, swept: (swept / "sweep.json").is_file())  # before workers are started
+    interrupted(tmp_path, lambda process, swept: len(workers_of(process)) > 0)  # while they are
+    interrupted(tmp_path, lambda process, swept: len(workers_of(process)) == 2)
+    few = interrupted(tmp_path, lambda process, swept: rows_so_far(swept) > 0)
+    many = interrupted(tmp_path, lambda process, swept: rows_so_far(swept) > few + 30)
+    assert 0 < few < many < POINTS
+    process = start(tmp_path, 2)
+    _, said = process.communicate(timeout=LONGEST)
+    assert (process.returncode, said) == (0, "")
+    found = table(tmp_path / "swept")
+    assert len(found) == POINTS
+    (tmp_path / "swept").rename(tmp_path / "by_two")
+    process = start(tmp_path, 0)
+    _, said = process.communicate(timeout=LONGEST)
+    assert (process.returncode, said) == (0, "")
+    assert table(tmp_path / "swept") == found
