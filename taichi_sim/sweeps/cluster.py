@@ -49,17 +49,16 @@ class Here:
 
 
 class Workers:
-    """Points by Dask's workers."""
+    """Points by Dask's workers. watched: whether there is a dashboard."""
 
-    def __init__(self, client: Any, number: int) -> None:
-        self.client, self.number = client, number
+    def __init__(self, client: Any, number: int, watched: bool) -> None:
+        self.client, self.number, self.watched = client, number, watched
 
     @property
     def said(self) -> str:
         """How many, and where they can be watched."""
-        link = self.client.dashboard_link if self.client.scheduler_info().get("services") else ""
         workers = f"{self.number} worker{'s' * (self.number != 1)}"
-        return f"{workers}, {link}" if link else workers
+        return f"{workers}, {self.client.dashboard_link}" if self.watched else workers
 
     def run(self, job: Job, batches: Sequence[Sequence[Point]]) -> Iterator[list[Row]]:
         """Rows, batch by batch. A batch whose worker ended is repeated, point by point, elsewhere; a point that ends its worker
@@ -150,7 +149,7 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
                 says = f"no scheduler answers there ({' '.join(str(error).split())[:120]})"
                 raise SceneError("scheduler", scheduler, says=says) from None
             with client:
-                yield Workers(client, _checked(client, scheduler))
+                yield Workers(client, _checked(client, scheduler), bool(client.scheduler_info().get("services")))
             return
         number = workers or os.cpu_count() or 1
         with ExitStack() as stack:
@@ -160,11 +159,11 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
                         n_workers=number,
                         threads_per_worker=1,
                         processes=True,
-                        dashboard_address=":0" if _has_dashboard() else None,
+                        dashboard_address=":0",  # without Bokeh a page that says so
                         silence_logs=logging.CRITICAL,
                     )
                     client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
-                yield Workers(client, _checked(client, "local"))
+                yield Workers(client, _checked(client, "local"), _has_dashboard())
             except (KeyboardInterrupt, SystemExit):
                 heard()  # workers are ended in peace
                 raise

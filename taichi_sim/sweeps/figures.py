@@ -9,7 +9,7 @@ from taichi_sim.reports.speed_error.plot import INK
 from taichi_sim.sweeps.design import Axis
 from taichi_sim.sweeps.effects import Group, half_width
 
-__all__ = ["draw"]
+__all__ = ["draw", "is_logarithmic"]
 
 COLOUR = "#3d85c6"
 BANDS = ((0.05, 0.95, 0.15), (0.25, 0.75, 0.25))  # quantiles, and how dense
@@ -94,12 +94,27 @@ def _curve(axis: Any, groups: Sequence[Group], along: Axis, measure: str) -> Non
     _dress(axis)
 
 
+def is_logarithmic(along: Axis, x: np.ndarray) -> bool:
+    """Whether it was said so, or values were named one by one that lie far apart."""
+    different = np.unique(x)
+    if different[0] <= 0.0 or len(different) < 2:
+        return False
+    steps = np.diff(different)
+    named = bool(along.values) and not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0)
+    return along.log or (named and different[-1] > 30.0 * different[0])
+
+
 def _ticks(axis: Any, along: Axis, words: list[Any] | None, x: np.ndarray, side: str = "x") -> None:
     """Words, or a logarithmic scale, where values need them."""
     if words is not None:
         getattr(axis, f"set_{side}ticks")(range(len(words)), words)
-    elif x.min() > 0 and (along.log or x.max() / x.min() > 30.0):
+    elif is_logarithmic(along, x):
+        from matplotlib.ticker import LogFormatter
+
         getattr(axis, f"set_{side}scale")("log")
+        numbers = getattr(axis, f"{side}axis")
+        numbers.set_major_formatter(LogFormatter())
+        numbers.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.4)))
 
 
 def _map(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Axis], measure: str) -> None:
@@ -140,7 +155,7 @@ def _parallel(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Ax
     heights, ends = [], []
     for one in axes:
         x, words = _places(one, some)
-        if words is None and x.min() > 0 and (one.log or x.max() / x.min() > 30.0):
+        if words is None and is_logarithmic(one, x):
             heights.append(np.log(x / x.min()) / np.log(x.max() / x.min()))
         else:
             heights.append((x - x.min()) / max(np.ptp(x), 1e-300))

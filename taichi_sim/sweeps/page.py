@@ -1,14 +1,15 @@
 """report.html of a sweep: pictures, effects, means over seeds, and what failed."""
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.version import __version__
 from taichi_sim.reports.machine import processor
-from taichi_sim.reports.speed_error.pages import HTML, Table
+from taichi_sim.reports.speed_error.pages import HTML, Table, html_table
 from taichi_sim.reports.speed_error.plot import svg
 from taichi_sim.sweeps import figures
 from taichi_sim.sweeps.effects import Group, grouped, half_width, main_effects, sobol
@@ -18,13 +19,17 @@ __all__ = ["write_page"]
 MOST_MEASURES, MOST_ROWS, MOST_REASONS = 12, 60, 20
 NOTE = """Share: of the variance between points that the means at the values of a parameter explain; the rest is due to others
 and to their interplay. First: the part of the variance that goes when a parameter is known; total: that which stays while only
-it is unknown (Sobol; Saltelli's estimator)."""
+it is unknown (Sobol; Saltelli's estimator): of few points it is off by so much that it may leave 0 to 1."""
 
 
 def write_page(sweep: Any, name: str) -> Path:
     """Write the page, whole when it appears, and return its path."""
     path: Path = sweep.folder / "report.html"
-    content = "".join(HTML[kind](value) for kind, value in _content(sweep, name))
+    forms: dict[str, Callable[[Any], str]] = {
+        **HTML,
+        "table": partial(html_table, of="numbers"),
+    }  # all but the first column
+    content = "".join(forms[kind](value) for kind, value in _content(sweep, name))
     with replacing(path) as file:
         file.write(content.encode() + b"</body></html>\n")
     return path

@@ -10,6 +10,7 @@ from sweep_scenes import both, heap, mortal, springs, top
 
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
+from taichi_sim.sweeps.cluster import Workers
 from taichi_sim.sweeps.folder import Folder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
@@ -267,6 +268,15 @@ def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
     folder.close()
     assert len(table(tmp_path / "s")) == 3
     assert len(Folder(tmp_path / "s", {"scene": "x"}).rows) == 3
+
+
+@pytest.mark.once
+def test_a_dashboard_is_told_where_there_is_one(monkeypatch):
+    class Client:
+        dashboard_link = "http://127.0.0.1:1/status"
+
+    assert Workers(Client(), 2, True).said == "2 workers, http://127.0.0.1:1/status"
+    assert Workers(Client(), 1, False).said == "1 worker"
 
 
 @pytest.mark.once

@@ -28,6 +28,7 @@ table { border-collapse: collapse; font-size: .82rem; font-variant-numeric: tabu
 th, td { padding: .3rem .7rem; text-align: right; white-space: nowrap; border-bottom: 1px solid var(--line) }
 th { background: var(--soft); font-weight: 600 } tr:last-child td { border-bottom: 0 }
 th:nth-child(-n+3), td:nth-child(-n+3) { text-align: left }
+table.numbers :is(th, td):not(:first-child) { text-align: right }
 td.words { text-align: left; white-space: normal; min-width: 22rem } tr.front td { font-weight: 650 }
 tr.bad td { color: var(--bad) }
 """
@@ -164,9 +165,14 @@ def _html_list(lines: Sequence[str]) -> str:
     return "".join(f"<li>{html.escape(line)}</li>" for line in lines)
 
 
-def _html_table(table: Table) -> str:
+def html_table(table: Table, of: str = "") -> str:
+    """of: the class of the table in HTML."""
     head, rows, kinds = table
-    lines = ["<div class=wide><table><tr>", *(f"<th>{html.escape(name)}</th>" for name in head), "</tr>"]
+    lines = [
+        f"<div class=wide><table{of and f' class={of}'}><tr>",
+        *(f"<th>{html.escape(name)}</th>" for name in head),
+        "</tr>",
+    ]
     for kind, row in zip(kinds, rows):
         cells = (f"<td{' class=words' if len(cell) > 40 else ''}>{html.escape(cell)}</td>" for cell in row)
         lines.append(f'<tr class="{kind}">{"".join(cells)}</tr>')
@@ -182,6 +188,6 @@ HTML: dict[str, Callable[[Any], str]] = {
     "list": lambda lines: f"<ul>{_html_list(lines)}</ul>",
     "picture": lambda svg: svg,
     "heading": lambda text: f"<h2>{html.escape(text)}</h2>",
-    "table": _html_table,
+    "table": html_table,
     "reasons": lambda lines: f"<details open><summary>Why</summary><ul class=small>{_html_list(lines)}</ul></details>",
 }

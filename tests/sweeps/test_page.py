@@ -1,0 +1,27 @@
+"""Pictures of a sweep: when an axis is logarithmic."""
+
+import numpy as np
+import pytest
+
+from taichi_sim.sweeps.design import axis_of
+from taichi_sim.sweeps.figures import is_logarithmic
+
+pytestmark = pytest.mark.once
+
+
+@pytest.mark.parametrize(
+    ("given", "is_so"),
+    [
+        ("0:1", False),
+        ("1e2:1e4:log", True),
+        ("0.01:1:9", False),
+        ("1,10,100", True),
+        ("1,2,5", False),
+        ("1e-9,1e-8,1e-6", True),
+        ("-1,10,100", False),
+    ],
+)
+def test_axes_are_logarithmic_where_it_was_said_or_values_lie_far_apart(given, is_so):
+    along = axis_of("x", given)
+    x = np.array(along.values or [along.at(u) for u in (0.006, 0.3, 0.9)], dtype=float)
+    assert is_logarithmic(along, x) == is_so
