@@ -16,8 +16,8 @@ from taichi_sim.common.version import __version__
 FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3
 SHOWN = 5  # failed points of a sweep
 NAMES = (
-    "x.mp4, x.webm or x.gif; folder/ for PNG frames; x.npz arrays; x.usdc or x.usda for Blender and others; x.pvd for ParaView;"
-    " x.gsd for OVITO; x.csv energies and probes; x.ply or x.obj meshes"
+    "x.mp4, x.webm, x.gif or x.webp; folder/ for PNG frames; x.npz arrays; x.usdc or x.usda for Blender and others;"
+    " x.pvd for ParaView; x.gsd for OVITO; x.csv energies and probes; x.ply or x.obj meshes"
 )
 
 main = typer.Typer(

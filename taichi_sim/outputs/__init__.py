@@ -16,6 +16,7 @@ __all__ = ["Output", "Summary", "export", "open_output", "open_outputs"]
 CODECS = {".mp4": ("h264", "h265"), ".webm": ("vp9",)}  # of videos, the usual one first
 OTHERS = {  # the module and the class of each ending
     ".gif": ("gif", "Gif"),
+    ".webp": ("gif", "Webp"),
     ".npz": ("arrays", "Arrays"),
     ".usdc": ("usd", "Usd"),
     ".usda": ("usd", "Usd"),
@@ -36,9 +37,9 @@ def open_output(
     resume: bool = False,
     codec: str | None = None,
 ) -> Output:
-    """The output for a name: x.mp4 or x.webm a video, x.gif an animation, x.npz arrays, x.usdc or x.usda a USD scene, x.pvd files
-    for ParaView, x.gsd a trajectory, x.csv a table of energies and probes, x.ply or x.obj a mesh for each frame, a name without
-    an ending PNG frames.
+    """The output for a name: x.mp4 or x.webm a video, x.gif or x.webp an animation, x.npz arrays, x.usdc or x.usda a USD scene,
+    x.pvd files for ParaView, x.gsd a trajectory, x.csv a table of energies and probes, x.ply or x.obj a mesh for each frame, a
+    name without an ending PNG frames.
 
     It is opened at once: ValueError for another ending or where a package that it needs is missing, OSError where it cannot be
     written. overwrite is for a folder of frames that is not empty; a file is replaced when the new one is complete, x.gsd and
@@ -66,7 +67,7 @@ def open_output(
     if suffix not in OTHERS:
         raise ValueError(f"{name}: {suffix!r} is not allowed; {USE}")
     module, kind = OTHERS[suffix]
-    timed: dict[str, Any] = {"fps": fps} if suffix in (".gif", ".npz", ".usdc", ".usda") else {}
+    timed: dict[str, Any] = {"fps": fps} if suffix in (".gif", ".webp", ".npz", ".usdc", ".usda") else {}
     made: Output = getattr(import_module(f"taichi_sim.outputs.{module}"), kind)(name, resume=resume, **timed)
     return made
 

@@ -25,7 +25,7 @@ from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, r
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
 
-SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif"}  # by browsers
+SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
 
@@ -150,7 +150,7 @@ def _shown(video: Path) -> str:
     if kind is None or not video.is_file() or video.stat().st_size > MOST_SHOWN:
         return ""
     data = f"data:{kind};base64,{b64encode(video.read_bytes()).decode()}"
-    return f'<img alt="" src="{data}">' if kind == "image/gif" else f'<video controls loop src="{data}"></video>'
+    return f'<img alt="" src="{data}">' if kind.startswith("image") else f'<video controls loop src="{data}"></video>'
 
 
 def _check_output(output: Any) -> None:

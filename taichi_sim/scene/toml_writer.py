@@ -38,7 +38,8 @@ class _Arrays:
 def save_scene(scene: Any, path: str | os.PathLike[str]) -> None:
     """Write a scene file; arrays of more than 200 numbers go to `<stem>_arrays.npz` beside it. Each is replaced whole.
 
-    Springs and triangles are written as they are, not as the shapes that made them. Raises OSError where the file
+    Springs and triangles are written as they are, not as the shapes that made them, textures in its folder by their place
+    there. Raises OSError where the file
     cannot be written.
     """
     import tomli_w
@@ -47,12 +48,21 @@ def save_scene(scene: Any, path: str | os.PathLike[str]) -> None:
     arrays_file = file.with_name(file.stem + "_arrays.npz")  # not x.npz, which `run -o` may be asked to write
     store = _Arrays(arrays_file.name)
     document = _document(scene, store)
+    for look in document.get("output", {}).get("looks") or ():
+        if "texture" in look:
+            look["texture"] = _from(file, look["texture"])
     text = tomli_w.dumps(document).encode()
     with replacing(file) as out:
         out.write(text)
         if store.arrays:
             with replacing(arrays_file) as arrays:
                 np.savez(arrays, **store.arrays)  # type: ignore[arg-type]
+
+
+def _from(file: Path, name: str) -> str:
+    """A path as a scene file names it: from its folder, where it lies there, so that both may be moved; else as it is."""
+    folder, place = file.resolve().parent, Path(name).resolve()
+    return place.relative_to(folder).as_posix() if place.is_relative_to(folder) else name
 
 
 def _document(scene: Any, store: _Arrays) -> dict[str, Any]:

@@ -122,7 +122,7 @@ def cloth(
         if wrong := meshes.flaws(surface, closed=False):
             warnings.warn(
                 f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters",
-                stacklevel=2,
+                stacklevel=3,
             )
         spacing, area = 0.4 * _mean_edge(surface), meshes.surface_area(surface)
     area = area * factor**2

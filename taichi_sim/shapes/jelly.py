@@ -303,7 +303,7 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid,
         warnings.warn(
             f"jelly.mesh: {'; '.join(wrong)}. What is inside, {part:.4g} m^3, was decided by a majority of rays: look at the"
             " result, or mend the mesh",
-            stacklevel=3,
+            stacklevel=4,
         )
     body = jelly_material.lattice("jelly", filled, np.full(3, step))
     return body._replace(points=body.points + low), jelly_material.skin_of_boxes(

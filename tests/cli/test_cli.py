@@ -270,7 +270,7 @@ REFUSED = [
     ),
     (
         ("run", "ball.toml", "-o", "x.avi"),
-        "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.npz, x.usdc, x.usda, x.pvd, x.gsd, x.csv, x.ply, x.obj or",
+        "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.webp, x.npz, x.usdc, x.usda, x.pvd, x.gsd, x.csv, x.ply,",
     ),
     (
         ("run", "ball.toml", "-o", "x.npz", "-o", "full/../x.npz"),

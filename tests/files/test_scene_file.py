@@ -378,3 +378,21 @@ def test_lines():
     found = [("a",), ("t", "b"), ("t", "b", 1), ("t", "b", 2, 0), ("u", 1, "x"), ("u", 0), ("u", 1, "none"), ("none",)]
     assert [line_of(text, path) for path in found] == [1, 3, 4, 5, 9, 6, 8, None]
     assert key_name(("springs", 3, "pairs", 12)) == "springs[3].pairs[12]"
+
+
+def test_a_saved_scene_moves_with_its_texture(tmp_path):
+    from PIL import Image
+
+    (home := tmp_path / "home" / "art").mkdir(parents=True)
+    Image.new("RGB", (4, 4)).save(home / "face.png")
+    cloth = '[[cloth]]\nname = "flag"\nresolution = [3, 3]\n[[output.looks]]\nof = "flag"\ntexture = "art/face.png"\n'
+    (tmp_path / "home" / "scene.toml").write_text(f"format = 1\ndim = 3\n{cloth}")
+    scene = load_scene(tmp_path / "home" / "scene.toml")
+    scene.save(tmp_path / "home" / "again.toml")
+    assert 'texture = "art/face.png"' in (tmp_path / "home" / "again.toml").read_text()
+    (tmp_path / "home").rename(tmp_path / "moved")
+    look = load_scene(tmp_path / "moved" / "again.toml").output["looks"][0]
+    assert Path(look["texture"]) == (tmp_path / "moved" / "art" / "face.png").resolve()
+    (tmp_path / "other").mkdir()
+    scene.save(tmp_path / "other" / "scene.toml")
+    assert str(home.resolve()) in (tmp_path / "other" / "scene.toml").read_text()

@@ -15,7 +15,7 @@ from taichi_sim.outputs import checkpoints, export, open_output
 
 pytestmark = pytest.mark.once
 
-NAMES = ["x.mp4", "x.webm", "x.gif", "frames/", "x.npz", "x.ply", "x.obj"]
+NAMES = ["x.mp4", "x.webm", "x.gif", "x.webp", "frames/", "x.npz", "x.ply", "x.obj"]
 
 
 class Steady(FakeSimulation):

@@ -44,7 +44,20 @@ duration = 1.5
 size = [96, 64]
 camera = {follow = [900]}
 """
-FORMATS = ("x.mp4", "x.webm", "x.gif", "frames", "x.npz", "x.obj", "x.ply", "x.usdc", "x.pvd", "x.gsd", "x.csv")
+FORMATS = (
+    "x.mp4",
+    "x.webm",
+    "x.gif",
+    "x.webp",
+    "frames",
+    "x.npz",
+    "x.obj",
+    "x.ply",
+    "x.usdc",
+    "x.pvd",
+    "x.gsd",
+    "x.csv",
+)
 INTERVAL = 0.2  # s, between checkpoints, however long they take
 LATE = 0.8  # of the kills come when there is a checkpoint of the same run
 SLACK = 1.0  # s that a frame, a checkpoint and a busy machine may add
