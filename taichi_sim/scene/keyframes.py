@@ -13,7 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, path_of, unknown_key
 
-__all__ = ["TICKS", "Keyframe", "Motion", "keyframe", "moments", "plain_keyframe", "turn_matrix", "turn_vector"]
+__all__ = [
+    "TICKS",
+    "Keyframe",
+    "Motion",
+    "counted",
+    "keyframe",
+    "moments",
+    "plain_keyframe",
+    "turn_matrix",
+    "turn_vector",
+]
 
 Floats = NDArray[np.float64]
 TICKS = 256  # substeps for which motions are worked out at a time
@@ -225,10 +235,14 @@ def begins_at_rest(where: str, path: Sequence[Any], placed: bool, turned: bool) 
 
 def moments(time: float, h: float, first: int, steps: int) -> Floats:
     """`time` + first h, ..., (first + steps) h [s], the same to the last bit wherever a run is divided."""
+    begin, before = counted(time, h)
+    return begin + h * np.arange(before + first, before + first + steps + 1, dtype=np.float64)
+
+
+def counted(time: float, h: float) -> tuple[float, int]:
+    """Where steps of h that meet `time` are counted from [s], and how many come before it: from 0 if that is a whole number."""
     whole = round(time / h)
-    if abs(whole * h - time) > 1e-9 * time:  # no whole number of steps since 0
-        return time + h * np.arange(first, first + steps + 1, dtype=np.float64)
-    return h * np.arange(whole + first, whole + first + steps + 1, dtype=np.float64)
+    return (0.0, whole) if abs(whole * h - time) <= 1e-9 * time else (time, 0)
 
 
 def keyframe(where: str, given: Any) -> Mapping[str, Any]:

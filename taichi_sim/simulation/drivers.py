@@ -5,8 +5,12 @@ scenes run up to a hundred times faster fused; both give the same bits where sum
 from typing import Any
 
 from taichi_sim.device.engine import ti
+from taichi_sim.scene.keyframes import counted
 
 __all__ = ["Drivers"]
+
+# substeps that kernels count on from one time: whole numbers of single precision, and of 32 bits with what is added
+COUNTED = 1 << 24
 
 
 @ti.data_oriented
@@ -69,8 +73,19 @@ class Drivers:
         self._tear()
 
     def run(self, first: int, steps: int, h: float, time: float, fused: bool) -> None:
-        """`steps` substeps of h seconds by the chosen driver, from number `first` of those from `time` on: their times are the
-        same to the last bit however a run is divided."""
+        """`steps` substeps of h seconds by the chosen driver, from number `first` of those from `time` on. If `time` is a whole
+        number of them, they are counted from 0, so that times are the same to the last bit however a run is divided."""
+        begin, before = counted(time, h)
+        number, end = before + first, before + first + steps
+        while True:
+            base = number // COUNTED * COUNTED
+            now = min(end, base + COUNTED)
+            self._run(number - base, now - number, h, begin + base * h, fused)
+            number = now
+            if number == end:
+                return
+
+    def _run(self, first: int, steps: int, h: float, time: float, fused: bool) -> None:
         if fused:
             self.fused(first, steps, h, time)
         elif self.integrator.hosted:

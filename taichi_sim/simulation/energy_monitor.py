@@ -12,8 +12,9 @@ Not energy that appeared: what rounding makes of the sums, and, where there are 
 counts: what is pushed out may lift all balls by the height of the scene, and stretch each spring by a diameter.
 
 Where user-defined forces or moving colliders do work, any energy may be right. There only growth a hundredfold above all
-that came before raises the question. The bound on the step for the present shape answers it, or, where the program may choose
-the step, a run of half of it: work that was done is done again. Forces of one's own have no bound; where a ball goes further in
+that came before, if that was more than rounding, raises the question. The bound on the step for the present shape answers it,
+or, where the program may choose the step, runs of half of it and less: work that was done is done again, by a crowd within the
+factor by which two of its moments differ. Forces of one's own have no bound; where a ball goes further in
 a step than the scene is wide, such a run answers, too.
 """
 
@@ -82,7 +83,10 @@ class EnergyMonitor:
     def growth(self, sample: Any) -> Growth | None:
         """The growth that a sample shows, or None."""
         if not self.closed:
-            grown = 0.0 < WORK_GROWTH * self.most < sample.motion
+            known = self.most > self._rounding(
+                self.last
+            )  # from what only rounding holds, any work is growth without end
+            grown = known and WORK_GROWTH * self.most < sample.motion
             return Growth(self.most, sample.motion, False) if grown else None
         gain = sample.total - self.least - self.slack - self._rounding(sample)
         if gain > 0.0 and sample.motion > self.limit * (sample.motion - gain):

@@ -34,7 +34,9 @@ WORK = 1 << 21  # balls and springs gone through in a chunk of small scenes: its
 LOOKS_PER_BOUND = 16  # from one bound for the present shape to the next, in scenes of at most
 MOST_BOUNDED = 20_000  # balls and springs
 MOST_HALVINGS = 6  # of the substep that a run began with, before it is given up
-SAME_ENERGY = 2.0  # times the energy by another step: work that was done
+# times the energy by another step: work that was done; by a crowd it differs from one moment to the next, while what is
+# unstable grows a hundredfold, or not at all
+SAME_ENERGY = 10.0
 
 
 class Stepper:
@@ -300,15 +302,18 @@ class Stepper:
 
     def _shorten(self, growth: Growth) -> None:
         """Repeat the chunk with substeps halved until it behaves, and stay there."""
-        before, last, end = self.substeps, growth.after, self.steps
+        before, found, end = self.substeps, [growth.after], self.steps
         while self.substeps < self._most:
             self._divide(2 * self.substeps)
             self.monitor.begin(self.monitor.last)  # what was gained before the chunk is not given back by shorter steps
             sample = self._run(end)
             again = None if sample.bad is not None else self.monitor.judge(sample)
-            worked = again is not None and not again.sure and last / SAME_ENERGY < again.after < last * SAME_ENERGY
-            last = np.inf if again is None else again.after
-            if worked and self.substeps == 2 * before:  # nothing was wrong
+            like = [False]
+            if sample.bad is None and not growth.sure:
+                like = [e / SAME_ENERGY < sample.motion < e * SAME_ENERGY for e in found]
+                found.append(sample.motion)
+            worked = any(like)
+            if like[0]:  # nothing was wrong
                 self._divide(before)
                 self.monitor.begin(self._run(end))
                 return

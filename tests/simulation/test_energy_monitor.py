@@ -187,6 +187,9 @@ def test_the_rule():
     driven.begin(look(1.0))
     assert driven.judge(look(99.0)) is None
     assert driven.judge(look(9901.0)) == (99.0, 9901.0, False)
+    driven.begin(look(0.0, 1e-24))  # a spring's rounding: work adds to nothing
+    assert driven.judge(look(0.1)) is None
+    assert driven.judge(look(11.0)) == (0.1, 11.0, False)
     crowd = EnergyMonitor(net(), VERLET, 0.5, closed=True, contacts=True, precision="f64")
     crowd.begin(look(0.0))
     assert crowd.judge(look(0.9 * crowd.slack)) is None
@@ -275,6 +278,33 @@ def test_work_of_ones_own_force_is_no_growth(settings):
             sim.run(1.0)
             assert sim.substeps == 1
             np.testing.assert_allclose(sim.velocity[:, 0], 10.001, rtol=1e-4)
+
+
+def stirred(speed):
+    """A few unlike discs at rest that a shaken floor throws about: after a while their energy is another with another step."""
+    scene = ts.Scene(dim=2, gravity=(0, -9.81))
+    scene.add_material("m", friction=0.4, restitution=0.3)
+    x = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 3), [0.4, 0.6]), axis=-1).reshape(-1, 2)
+    scene.add_balls(x, radius=np.linspace(0.03, 0.06, 6), mass=np.linspace(0.1, 0.4, 6), material="m", velocity=speed)
+    pins = scene.add_balls([[8.0, 1.6], [9.7, 1.5]], radius=0.03, pinned=True)
+    scene.add_springs([pins], stiffness=700.0)
+    shaken = [(0.0, (0, 0)), (0.07, (0, 0.1)), (0.2, (0, 0))]
+    scene.add_collider(ts.Box((0, 0), (3.0, 0.4), path=shaken, repeat=True, material="m"))
+    for normal, offset in (((1, 0), -0.9), ((-1, 0), -0.9)):
+        scene.add_wall(normal, offset, "m")
+    return scene
+
+
+@pytest.mark.parametrize("speed", [(0.0, 0.0), (0.0, -0.02)], ids=["from rest", "from almost rest"])
+def test_work_on_a_crowd_is_no_growth(speed):
+    """Nothing limits the step, for the only spring joins two pins; rounding of its length is no energy that could grow."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with ts.Simulation(stirred(speed), precision=PRECISION, arch="cpu", spin=False) as sim:
+            sim.run(4.2)  # a chunk
+            assert sim.substeps == 1
+            assert sim.decisions() == []
+            assert sim.energy().kinetic > 100 * 0.5 * 1.5 * speed[1] ** 2
 
 
 @pytest.mark.slow

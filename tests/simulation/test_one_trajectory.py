@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import taichi as ti
 import trajectories
 from physics_support import PRECISION, simulate
 
@@ -71,6 +72,38 @@ def test_substeps_are_halved_at_the_same_steps_however_these_are_made(monkeypatc
         assert sim.substeps > 1
         assert "substeps of" in decisions[0][0]
         assert decisions[0] == decisions[1] == decisions[2]
+
+
+@ti.data_oriented
+class Swing:
+    """Pushes to and fro."""
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i] += h * ti.cos(7.0 * time + i) / model.inverse_mass[i] * ti.Vector([2.0, 1.0])
+
+
+def test_the_times_that_a_users_force_sees_do_not_depend_on_calls():
+    """Calls are where what was run before is kept for good; across chunks, frames, and a state that was taken up again."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls([[0.0, 0.3], [0.15, 0.5], [-0.1, 0.7]], radius=0.06, mass=[0.2, 0.1, 0.4])
+    scene.add_wall((0.2, 1), 0.0)
+    with ts.Simulation(scene, forces=[Swing()], dt=1.1e-3, precision=PRECISION, arch="cpu") as sim:
+        start, ends = sim.snapshot(), []
+        for calls in ([900], [1, 130, 3, 500, 266], [19] * 47 + [7]):
+            sim.resume(start)
+            for n in calls:
+                sim.step(n)
+            ends.append(trajectories.digest(sim))
+        sim.resume(start)
+        sim.step(613)
+        halfway = sim.snapshot()
+        sim.resume(start)
+        sim.step(8)
+        sim.resume(halfway)
+        sim.step(287)
+        assert [*ends[1:], trajectories.digest(sim)] == [ends[0]] * 3
 
 
 @pytest.mark.slow
