@@ -14,6 +14,7 @@ impact of heavy balls it would give way by their speed.
 
 from taichi_sim.kernels.contacts import pair_impacts, pair_solve, wall_impacts
 from taichi_sim.kernels.contacts.line_search import FURTHEST_EXTENSION, best_extension, last_change
+from taichi_sim.kernels.contacts.pair_colours import EVERY_COLOUR
 
 from taichi_sim.device.engine import ti
 
@@ -52,7 +53,10 @@ def iterate_block(b, solver: ti.template(), ball: ti.template(), now, time):
             i = solver.pairs.grid.order[k]
             if solver.disturbed[i] >= first:
                 for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
-                    if pair_solve.solve_in_turn(solver, ball, i, c, c + 1, time, pair_solve.NEXT) > solver.threshold[0]:
+                    if (
+                        pair_solve.solve_in_turn(solver, ball, i, c, c + 1, EVERY_COLOUR, time, pair_solve.NEXT)
+                        > solver.threshold[0]
+                    ):
                         busy = 1
                         pair_impacts.disturb(solver, i, pair_impacts.IMPACT_ROUNDS + now + 1)
                         pair_impacts.disturb(solver, solver.pairs.link[c].other, pair_impacts.IMPACT_ROUNDS + now + 1)
@@ -113,7 +117,8 @@ def iterate_islands(solver: ti.template(), ball: ti.template()):
                 for c in range(begin, end):
                     solver.pairs.contact[c].previous_impulse = solver.pairs.link[c].impulse
                 most = ti.max(
-                    most, pair_solve.solve_in_turn(solver, ball, i, begin, end, 0.0, pair_solve.AFTER_IMPACTS)
+                    most,
+                    pair_solve.solve_in_turn(solver, ball, i, begin, end, EVERY_COLOUR, 0.0, pair_solve.AFTER_IMPACTS),
                 )
                 if ti.static(solver.plan.walls):
                     if ti.static(solver.plan.walls_in_turn):

@@ -25,6 +25,7 @@ class Plan(Protocol):
     line_search: bool  # see impact_iterations
     limits_energy: bool  # see energy_limiter
     gathers: bool  # whether both balls list a pair, and each sums what it gets
+    by_colours: bool  # whether both list it, and pairs are solved in turn by colours
     atomic: bool  # whether impulses are added by atomics
     serial: bool  # whether one thread runs all
 
@@ -61,6 +62,8 @@ class PairLink(Accumulated, Protocol):
     other: int  # the ball that is not the one whose list this is
     bias_velocity: float  # m/s, with which a soft contact pushes out overlap, or RIGID
     rebound_speed: float  # m/s, where restitution is part of the solve; 0 if it did not bounce
+    colour: int  # of a pair that the ball solves whose list this is, or SOLVED_BY_OTHER, see pair_colours
+    twin: int  # the link in which the other ball lists it, or NO_LINK
 
 
 class PairContact(Iterated, Protocol):
@@ -119,6 +122,9 @@ class Grid(Protocol):
     sorted: Field  # (n) the ball of each sorted copy
     order: Field  # (n) balls in the order of iterations
     copy: "GridCopy"  # (n) sorted
+    colours: int  # of pairs, see pair_colours
+    block: Field  # (colours n) the first sorted copy in each block of a colour
+    block_count: Field  # (colours) number of them
     origin: Field  # (n) vector, m: where each ball was at the last search
     stale: Field  # (1) 1: the last search does not hold any more
     searches: Field  # (1) number
@@ -157,9 +163,14 @@ class Pairs(Protocol):
     overflow: Field  # (1) entries that would have been needed
     first: Field  # (n) entry
     number: Field  # (n) entries
-    touching: Field  # (n) of these
+    touching: Field  # (n) of these; with colours those that the ball solves
+    held: Field  # (n) entries from `first` on that may hold anything
+    turn: (
+        Field  # (capacity) in the place of an entry: the place in its list, and the colour, of one that the ball solves
+    )
+    colours: Field  # (n) a bit for each colour of these
     old_first: Field  # (n) the same before the last search
-    old_touching: Field  # (n) the same
+    old_held: Field  # (n) the same
     first_from_others: Field  # (n) the first contact in which others list a ball, or NO_CONTACT
     longest_reach: Field  # (1) places in the order between balls of a pair, at most
     block_length: Field  # (1) places of a block, see pair_sweeps

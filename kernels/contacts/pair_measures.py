@@ -1,7 +1,7 @@
 """What a search leaves to be found of pairs at the present places: which touch, their normals and depths, what they start
 with."""
 
-from taichi_sim.kernels.contacts import pair_impacts
+from taichi_sim.kernels.contacts import pair_colours, pair_impacts
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
 from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
@@ -26,9 +26,12 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
 
     So the iterations need not ask which touch: what touches changes little from step to step, but not from entry to entry.
     Sums the changes of velocity that accumulated impulses start with, and how many pairs touch each ball. Returns whether any
-    closes fast.
+    closes fast. Where pairs have colours, links stay in their places, which their twins know, and `turn` says which touch.
     """
-    fast = 0
+    fast, solved, colours = 0, 0, 0
+    if ti.static(solver.plan.by_colours):
+        if pairs.grid.work[0].balls > 0:
+            pair_colours.find_twins(pairs, i)
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
     begin = pairs.first[i]
     end = begin
@@ -45,28 +48,36 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
         if r.dot(r) < reach * reach:
             n, d = unit(r, i, j)
-            pairs.contact[end].normal = n
-            pairs.contact[end].depth = sum - d
+            at = end
+            if ti.static(solver.plan.by_colours):
+                at = e
+            pairs.contact[at].normal = n
+            pairs.contact[at].depth = sum - d
             if ti.static(solver.plan.impacts_in_turn):
                 if (ball[j].v - ball[i].v).dot(n) < -pair_impacts.FAST_APPROACH * solver.threshold[0]:
                     fast = 1
                     solver.disturbed[i] = 0
-                pairs.contact[end].lister = i
-                pairs.contact[end].next_from_others = pairs.first_from_others[j]
-                pairs.first_from_others[j] = end
+                pairs.contact[at].lister = i
+                pairs.contact[at].next_from_others = pairs.first_from_others[j]
+                pairs.first_from_others[j] = at
             if ti.static(not solver.split):
-                pairs.contact[end].mass = 1.0 / (w + solver.model.inverse_mass[j])
+                pairs.contact[at].mass = 1.0 / (w + solver.model.inverse_mass[j])
             if ti.static(solver.model.spins):
-                pairs.contact[end].arm = d / sum
-            if e > end:
+                pairs.contact[at].arm = d / sum
+            if ti.static(solver.plan.by_colours):
+                if link.colour != pair_colours.SOLVED_BY_OTHER:
+                    pairs.turn[begin + solved] = (e - begin) | (link.colour << pair_colours.COLOUR_SHIFT)
+                    solved += 1
+                    colours |= 1 << link.colour
+            elif e > end:
                 pairs.link[e] = pairs.link[end]
                 pairs.link[end] = link
             if ti.static(solver.plan.warm_starts):
-                p = starting_impulse(solver, ball, i, j, end, n)
+                p = starting_impulse(solver, ball, i, j, at, n)
                 total += p
                 add_to_other(solver, solver.warm_velocity, j, -solver.model.inverse_mass[j] * p)
                 if ti.static(solver.model.spins):
-                    t = torque(solver, end, p)
+                    t = torque(solver, at, p)
                     angular += t
                     response = solver.model.spin_response(j) * solver.model.inverse_mass[j]
                     add_to_other(solver, solver.warm_spin, j, response * t)
@@ -79,7 +90,11 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             end += 1
         elif ti.static(solver.plan.warm_starts):
             forget(pairs, e)
-    pairs.touching[i] = end - begin
+    if ti.static(solver.plan.by_colours):
+        pairs.touching[i] = solved
+        pairs.colours[i] = colours
+    else:
+        pairs.touching[i] = end - begin
     if ti.static(solver.plan.warm_starts):
         add(solver, solver.warm_velocity, i, w * total)
         if ti.static(solver.model.spins):

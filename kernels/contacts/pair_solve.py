@@ -1,6 +1,6 @@
 """One iteration over the pairs: further impulses from the present velocities, in turn (Gauss-Seidel) or all at once."""
 
-from taichi_sim.kernels.contacts import contact_law, pair_impacts
+from taichi_sim.kernels.contacts import contact_law, pair_colours, pair_impacts
 from taichi_sim.kernels.contacts.interfaces import Iteration
 from taichi_sim.kernels.contacts.pair_measures import tangent
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
@@ -18,13 +18,14 @@ RELAX = Iteration(prepares=True, takes_back=True, starts=False)  # the same wher
 
 
 @ti.func
-def ball_in_turn(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
-    """The pairs that ball i lists, each seeing what those before it changed."""
-    solve_in_turn(solver, ball, i, solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i], time, how)
+def ball_in_turn(solver: ti.template(), ball: ti.template(), i, colour, time, how: ti.template()):
+    """The pairs of a colour that ball i solves, each seeing what those before it changed."""
+    begin = solver.pairs.first[i]
+    solve_in_turn(solver, ball, i, begin, begin + solver.pairs.touching[i], colour, time, how)
 
 
 @ti.func
-def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, time, how: ti.template()):
+def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, colour, time, how: ti.template()):
     """Each pair changes the velocities that the next one sees. Returns the largest change of a relative velocity [m/s]."""
     most = ti.cast(0.0, float)
     v = ball[i].v
@@ -32,17 +33,21 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
     spin = zero_scalar_in_2d(solver.model.dim)
     if ti.static(solver.model.spins):
         spin = solver.state.spin[i]
-    for c in range(begin, end):
-        j = solver.pairs.link[c].other
-        p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
-        v += w * p
-        ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
-        most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
-        if ti.static(solver.model.spins):
-            t = torque(solver, c, p)
-            spin += w * (solver.model.spin_response(i) * t)
-            t = solver.model.spin_response(j) * t
-            solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * t
+    for k in range(begin, end):
+        c, is_its_turn = pair_colours.turn(solver.pairs, i, k, colour)
+        if is_its_turn:
+            j = solver.pairs.link[c].other
+            p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
+            v += w * p
+            ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
+            most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
+            if ti.static(solver.model.spins):
+                t = torque(solver, c, p)
+                spin += w * (solver.model.spin_response(i) * t)
+                t = solver.model.spin_response(j) * t
+                solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * t
+            if ti.static(solver.plan.by_colours):
+                pair_colours.mirror(solver.pairs, c, how)
     ball[i].v = v
     if ti.static(solver.model.spins):
         solver.state.spin[i] = spin
@@ -50,7 +55,7 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, tim
 
 
 @ti.func
-def ball_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
+def ball_at_once(solver: ti.template(), ball: ti.template(), i, colour, time, how: ti.template()):
     """All pairs that ball i lists see the old velocities; impulses are summed in `impulse` and `angular_impulse`, to be applied
     at the end."""
     v = ball[i].v
@@ -225,20 +230,30 @@ def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
 
 
 @ti.func
-def correct_positions(solver: ti.template(), ball: ti.template(), i, h, how: ti.template()):
+def correct_positions(solver: ti.template(), ball: ti.template(), i, colour, h, how: ti.template()):
     """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
     begin = solver.pairs.first[i]
-    for c in range(begin, begin + solver.pairs.touching[i]):
-        j = solver.pairs.link[c].other
-        contact = solver.pairs.contact[c]
-        depth = contact.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
-        depth -= h * ti.max(0.0, contact.normal.dot(ball[j].v - ball[i].v))
-        inverse_mass = solver.model.inverse_mass[i] + solver.model.inverse_mass[j]
+    for k in range(begin, begin + solver.pairs.touching[i]):
+        c, is_its_turn = pair_colours.turn(solver.pairs, i, k, colour)
+        if is_its_turn:
+            correct_position(solver, ball, i, solver.pairs.link[c].other, c, h)
+
+
+@ti.func
+def correct_position(solver: ti.template(), ball: ti.template(), i, j, c, h):
+    """The same for the pair of balls i and j in link c."""
+    contact = solver.pairs.contact[c]
+    depth = contact.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
+    depth -= h * ti.max(0.0, contact.normal.dot(ball[j].v - ball[i].v))
+    inverse_mass = solver.model.inverse_mass[i] + solver.model.inverse_mass[j]
+    if ti.static(solver.in_turn):
+        depth -= contact.normal.dot(solver.position_correction[j] - solver.position_correction[i])
+    else:
+        inverse_mass = solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]
+    if depth > 0.0:
+        q = contact_law.PUSH_OUT * depth / inverse_mass * contact.normal
+        add(solver, solver.position_correction, i, -solver.model.inverse_mass[i] * q)
         if ti.static(solver.in_turn):
-            depth -= contact.normal.dot(solver.position_correction[j] - solver.position_correction[i])
+            add(solver, solver.position_correction, j, solver.model.inverse_mass[j] * q)
         else:
-            inverse_mass = solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]
-        if depth > 0.0:
-            q = contact_law.PUSH_OUT * depth / inverse_mass * contact.normal
-            add(solver, solver.position_correction, i, -solver.model.inverse_mass[i] * q)
             add_to_other(solver, solver.position_correction, j, solver.model.inverse_mass[j] * q)

@@ -4,6 +4,7 @@ A pair is listed by that of its balls which comes first in the sorted grid. Iter
 blocks that are longer than any pair reaches: see pair_sweeps. Where each ball gathers what it gets, both list it.
 """
 
+from taichi_sim.kernels.contacts import pair_colours
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
@@ -130,6 +131,8 @@ def keep_colliding(pairs: ti.template(), own, at, found):
             if ti.static(pairs.plan.warm_starts):
                 recall(pairs, i, j, at + kept)
             pairs.link[at + kept].other = j
+            if ti.static(pairs.plan.by_colours):
+                pairs.link[at + kept].colour = pair_colours.colour_of(pairs, i, j)
             kept += 1
     return kept, furthest
 
@@ -163,8 +166,8 @@ def store(pairs: ti.template()):
 def store_links(pairs: ti.template(), i):
     """`store` for ball i."""
     pairs.old_first[i] = pairs.first[i]
-    pairs.old_touching[i] = pairs.touching[i]
-    for c in range(pairs.first[i], pairs.first[i] + pairs.touching[i]):
+    pairs.old_held[i] = pairs.held[i]
+    for c in range(pairs.first[i], pairs.first[i] + pairs.held[i]):
         link = pairs.link[c]
         pairs.contact[c].depth = link.impulse
         if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
@@ -206,7 +209,7 @@ def recall(pairs: ti.template(), i, j, at):
         if ti.static(which == 1):
             one, two = j, i
         begin = pairs.old_first[one]
-        for c in range(begin, begin + pairs.old_touching[one]):
+        for c in range(begin, begin + pairs.old_held[one]):
             if stored_other(pairs, c) == two:
                 old = pairs.contact[c]
                 pairs.link[at].impulse = old.depth

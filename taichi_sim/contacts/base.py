@@ -6,7 +6,7 @@ from taichi_sim.common import validation
 from taichi_sim.contacts.found_contacts import FoundContacts
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.device.engine import ti
-from taichi_sim.kernels.contacts import ccd_balls, pair_solve, pair_sweeps
+from taichi_sim.kernels.contacts import ccd_balls, pair_colours, pair_solve, pair_sweeps
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["ContactRule"]
@@ -138,7 +138,7 @@ class ContactRule(FoundContacts):
     def each_pair(self, ball: ti.template(), visit: ti.template()):
         """visit(ball, i, j, c) for each pair that touches or nearly does, in a fixed order but with contacts by atomics."""
         if ti.static(self.plan.pairs):
-            pair_sweeps.each_ball(self, ball, pair_sweeps.own_pairs, 0.0, visit)
+            pair_sweeps.each_ball(self, ball, pair_sweeps.own_pairs, None, 0.0, visit)
 
     @ti.func
     def exchange(self, i, j, p):
@@ -202,25 +202,25 @@ class ContactRule(FoundContacts):
     def _correct_positions(self, ball: ti.template(), h):
         """The displacements that undo overlap where contacts are rigid. Velocities never see them."""
         if ti.static(self.corrects_positions):
-            in_one = ti.static(self.plan.gathers)
             of_pairs = ti.static(self.plan.neighbours and not self.plan.soft)
+            in_one = ti.static(self.plan.gathers and not (of_pairs and self.plan.by_colours))
             for i in range(self.n):
                 d = ti.Vector.zero(float, self.model.dim)
                 for part in ti.static(self.sticks_and_triangles):
                     d += part.correct_positions(ball, self, i, h)
                 self.position_correction[i] = d
                 if ti.static(in_one and of_pairs):
-                    pair_solve.correct_positions(self, ball, i, h, None)
+                    pair_solve.correct_positions(self, ball, i, pair_colours.EVERY_COLOUR, h, None)
                 if ti.static(in_one):
-                    self._correct_at_walls(ball, i, h)
+                    self._correct_at_walls(ball, i, h, None)
+            walls = ti.static(self._correct_at_walls if self.plan.walls and not in_one else None)
             if ti.static(of_pairs and not in_one):
-                pair_sweeps.each_ball(self, ball, pair_solve.correct_positions, h, None)
-            if ti.static(self.plan.walls and not in_one):
-                for i in range(self.n):
-                    self._correct_at_walls(ball, i, h)
+                pair_sweeps.each_ball(self, ball, pair_solve.correct_positions, walls, h, None)
+            elif ti.static(walls):
+                pair_sweeps.each_end(self, ball, walls, h, None)
 
     @ti.func
-    def _correct_at_walls(self, ball: ti.template(), i, h):
+    def _correct_at_walls(self, ball: ti.template(), i, h, how: ti.template()):
         if ti.static(self.plan.walls):
             d = self.walls.correct_positions(ball, self, i, h)
             self.position_correction[i] = self.position_correction[i] + d

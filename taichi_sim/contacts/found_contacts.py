@@ -46,7 +46,7 @@ class FoundContacts:
 
     Class attributes: `in_turn`: each pair sees what those before it changed, which needs a fixed order; `split`: each ball splits
     its mass between its contacts, see kernels.contacts.contact_law.share; `sums_plainly`: none does; `warm_starts`, `softens`,
-    `impacts_in_turn`, `energy_limiter`, `gathers`: what of these in ContactPlan the rule can do.
+    `impacts_in_turn`, `energy_limiter`, `gathers`, `by_colours`: what of these in ContactPlan the rule can do.
     """
 
     name = "off"
@@ -58,6 +58,7 @@ class FoundContacts:
     impacts_in_turn = False
     energy_limiter = False
     gathers = False
+    by_colours = False
     relaxation = 1.0  # part of an impulse from split masses that is applied
 
     def bind(
@@ -220,7 +221,8 @@ class FoundContacts:
                 if ti.static(self.plan.neighbours):
                     pair_measures.measure(self, self.pairs, ball, i)
                 self._measure_walls(ball, i)
-                self._share_mass(ball, i)
+                if ti.static(self.shares_mass):
+                    self._share_mass(ball, i)
         else:
             if ti.static(self.plan.pairs):
                 if ti.static(self.plan.warm_starts or self.counts_pairs or self.plan.impacts_in_turn):

@@ -17,7 +17,7 @@ class GaussSeidel(IteratedRule):
     that crowds which bounce gain none."""
 
     name = "gauss_seidel"
-    in_turn = warm_starts = softens = impacts_in_turn = energy_limiter = True
+    in_turn = warm_starts = softens = impacts_in_turn = energy_limiter = by_colours = True
 
     def allocate(self, fields: Fields) -> None:
         """For impacts in turn see pair_impacts, for line searches of islands of balls impact_iterations."""
@@ -60,17 +60,21 @@ class GaussSeidel(IteratedRule):
             for i in range(self.n):
                 p, t = self.impulses_of_sticks_and_triangles(ball, i, how)
                 self.apply(i, p, t)
+        end = ti.static(self._end_with_walls if self.plan.walls or closes else None)
         if ti.static(self.plan.neighbours):
-            pair_sweeps.each_ball(self, ball, pair_solve.ball_in_turn, time, how)
-        if ti.static(self.plan.walls or closes):
-            for i in range(self.n):
-                p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
-                if ti.static(self.plan.walls):
-                    p, t = self.walls.gather(ball, self, i, time)
-                if ti.static(closes):
-                    self.exclude_pairs(ball, i)
-                if ti.static(self.plan.walls):
-                    self.apply(i, p, t)
+            pair_sweeps.each_ball(self, ball, pair_solve.ball_in_turn, end, time, how)
+        elif ti.static(end):
+            pair_sweeps.each_end(self, ball, end, time, how)
+
+    @ti.func
+    def _end_with_walls(self, ball: ti.template(), i, time, how: ti.template()):
+        p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
+        if ti.static(self.plan.walls):
+            p, t = self.walls.gather(ball, self, i, time)
+        if ti.static(self.plan.pairs and self.plan.warm_starts and how.takes_back):
+            self.exclude_pairs(ball, i)
+        if ti.static(self.plan.walls):
+            self.apply(i, p, t)
 
     @ti.func
     def clear(self, i):

@@ -3,7 +3,7 @@
 from taichi_sim.contacts.iterated_rule import IteratedRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.kernels.contacts import pair_solve, pair_sweeps
+from taichi_sim.kernels.contacts import pair_colours, pair_solve, pair_sweeps
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 from taichi_sim.scene.scene import max_restitution
 
@@ -45,7 +45,7 @@ class Jacobi(IteratedRule):
                 if k < self.n:
                     self._clear_impulse(k)
                     if ti.static(self.plan.neighbours):
-                        pair_solve.ball_at_once(self, ball, k, time, how)
+                        pair_solve.ball_at_once(self, ball, k, pair_colours.EVERY_COLOUR, time, how)
         else:
             if ti.static(how.starts):
                 for part in ti.static(self.sticks_and_triangles):
@@ -54,7 +54,7 @@ class Jacobi(IteratedRule):
                 self._clear_impulse(i)
                 self._add_sticks_and_triangles(ball, i, how)
             if ti.static(self.plan.neighbours):
-                pair_sweeps.each_ball(self, ball, pair_solve.ball_at_once, time, how)
+                pair_sweeps.each_ball(self, ball, pair_solve.ball_at_once, None, time, how)
         for i in range(self.n):
             if ti.static(self.plan.gathers):
                 self._add_sticks_and_triangles(ball, i, how)

@@ -23,7 +23,8 @@ LISTED_GAP = 0.02
 
 @ti.data_oriented
 class Pairs:
-    """Ball-ball contacts: each ball lists the later balls near it, or all where the plan gathers, those that touch it first.
+    """Ball-ball contacts: each ball lists the later balls near it, or all where the plan gathers, those that touch it first; with
+    colours both list it and keep their places, see kernels.contacts.pair_colours.
     `link` holds what a contact keeps from step to step, `contact` what only one step needs, see kernels.contacts.interfaces.
     capacity: links that are known to be needed."""
 
@@ -51,6 +52,8 @@ class Pairs:
             columns["bias_velocity"] = fields.real
         if self.has_rebounds:
             columns["rebound_speed"] = fields.real
+        if plan.by_colours:
+            columns["colour"] = columns["twin"] = ti.i32
         self.link = fields.table(columns, self.capacity)
         columns = {"normal": vector, "depth": fields.real, "mass": fields.real}
         if self.has_target:
@@ -67,11 +70,16 @@ class Pairs:
         if model.spins:
             columns["arm"] = fields.real
         self.contact = fields.table(columns, self.capacity)
+        if plan.by_colours:
+            self.turn = fields.integers(self.capacity)
         self.most = loops.COUNT_LIMIT
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number, self.touching = (fields.integers(model.n) for _ in range(3))
+        if plan.by_colours:
+            self.colours = fields.integers(model.n)
+        self.held = self.number if plan.by_colours else self.touching
         if plan.warm_starts:
-            self.old_first, self.old_touching = fields.integers(model.n), fields.integers(model.n)
+            self.old_first, self.old_held = fields.integers(model.n), fields.integers(model.n)
         kinds = np.unique(scene.material)
         self.only_law = int(kinds[0]) * (model.surfaces + 1) if len(kinds) == 1 else -1  # of balls of one material
         self.has_bodies = bool(np.any(scene.body > 0))
@@ -88,7 +96,7 @@ class Pairs:
 
     def forget(self) -> None:
         """Nothing is accumulated, once the next search asks what was."""
-        self.touching.fill(0)
+        self.held.fill(0)
 
     @ti.func
     def detect(self, ball: ti.template()):

@@ -36,6 +36,7 @@ class ContactPlan:
     limits_energy: bool  # see kernels.contacts.energy_limiter
     iterations: int  # of the solve before the move
     gathers: bool  # both balls of a pair list it, and each sums what it gets: no order of pairs, and no atomics
+    by_colours: bool  # both list it, and pairs are solved in turn by colours, see kernels.contacts.pair_colours
     atomic: bool  # impulses are added by atomics
     serial: bool  # one thread runs all
     reasons: tuple[str, ...]  # a line for each decision
@@ -98,9 +99,10 @@ def plan_contacts(
     )
     gathers = decide(
         "gathers",
-        pairs and parallel and rule.gathers,
-        "pairs, a device or accumulate: gather, and a rule that takes all contacts at once",
+        pairs and parallel and (rule.gathers or rule.by_colours),
+        "pairs, a device or accumulate: gather, and a rule that takes all contacts at once or by colours",
     )
+    by_colours = decide("by_colours", gathers and rule.by_colours, "gathers, and a rule in turn that may")
     decide("colliders", on and scene.colliders, "colliders")
     decide(
         "skin",
@@ -121,8 +123,8 @@ def plan_contacts(
     )
     impacts_in_turn = decide(
         "impacts_in_turn",
-        rule.impacts_in_turn and pairs and not joints,
-        "a rule that does so, pairs, and neither sticks nor triangles: it is exact for pairs alone",
+        rule.impacts_in_turn and pairs and not joints and not by_colours,
+        "a rule that does so, pairs, not by colours, and neither sticks nor triangles: it is exact for pairs alone",
     )
     restitution = any(material.restitution > 0 for material in used_materials(scene))
     bounces = decide("bounces", impacts_in_turn and restitution, "impacts in turn, and a material with restitution")
@@ -149,7 +151,8 @@ def plan_contacts(
     )
     # they may do work
     driven = scene.moving_pins or scene.motors or any(collider.motion.moves for collider in scene.colliders)
-    gains = joints if rule.in_turn else warm_starts  # split masses gain nothing from nothing, nor pairs in turn
+    # split masses gain nothing from nothing, nor impacts in turn
+    gains = joints or by_colours if rule.in_turn else warm_starts
     decide(
         "limits_energy",
         rule.energy_limiter and pairs and not driven and gains and max_restitution(scene) > MOST_BOUNCE,

@@ -208,14 +208,15 @@ class Assembly:
     def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactRule:
         """The parts of the plan, bound to the rule that solves them."""
         rule = self._rule(settings, cpu)
+        as_on_device = self.parallel and type(rule) in CONTACT_RULES.values()
         self.plan = plan_contacts(
             scene,
             rule,
             relaxes=settings.integrator.relaxes,
             custom_method=type(settings.integrator) not in BUILT_IN,  # it may move balls unseen
             extra_forces=bool(self.forces.extra),
-            iterations=settings.iterations(scene, rule.in_turn),
-            parallel=self.parallel and type(rule) in CONTACT_RULES.values(),
+            iterations=settings.iterations(scene, rule.in_turn, as_on_device and rule.by_colours),
+            parallel=as_on_device,
             atomic=self.atomic or (settings.accumulate == "auto" and not cpu),  # blocks are too few for a GPU
             serial=self.fused,
         )
@@ -227,7 +228,8 @@ class Assembly:
         walls = pairs = sticks = triangles = None
         if plan.pairs:
             most = self._spare_bytes() // PAIR_BYTES
-            grid = Grid(model, fields, plan.skin, LISTED_GAP if plan.soft else 0.0, most, plan.gathers)
+            gap = LISTED_GAP if plan.soft else 0.0
+            grid = Grid(model, fields, plan.skin, gap, most, plan.gathers, plan.by_colours)
             pairs = Pairs(model, fields, grid, plan, self.capacity.pairs)
             sticks = Sticks(model, fields, pairs, self.capacity.sticks) if plan.sticks else None
             triangles = TriangleContacts(model, fields, pairs, self.capacity.triangles) if plan.triangles else None
@@ -241,14 +243,16 @@ class Assembly:
         return rule
 
     def _rule(self, settings: Settings, cpu: bool) -> ContactRule:
-        """A fixed order of pairs is what Gauss-Seidel is made of; atomics and GPUs take all at once. It needs half the
-        iterations, and impacts one by one keep the energy of what bounces."""
+        """A fixed order of pairs is what Gauss-Seidel is made of; atomics take all at once. It needs half the iterations, and
+        impacts one by one, which need the blocks of a CPU, keep the energy of what bounces."""
         ordered = cpu and settings.accumulate in ("auto", "ordered")
         rule = settings.contacts
         if isinstance(rule, str):
             rule = CONTACT_RULES[("gauss_seidel" if ordered else "jacobi") if rule == "auto" else rule]()
-        if rule.in_turn and not ordered:
-            why = f"accumulate: {settings.accumulate!r}" if cpu else "a GPU"
+        by_colours = self.parallel and rule.by_colours and type(rule) in CONTACT_RULES.values()
+        if rule.in_turn and not (ordered or by_colours):
+            atomic = cpu or settings.accumulate == "atomic"
+            why = f"accumulate: {settings.accumulate!r}" if atomic else "a GPU"
             raise SceneError(
                 "contacts",
                 says=f"{rule.name!r} changes velocities in a fixed order, which {why} does not have; use 'jacobi' or 'sum'"

@@ -132,12 +132,6 @@ def test_what_arrives_together_without_restitution_stays_together(accumulate):
     assert end[0, 2:4] == pytest.approx(exact, rel=1e-2)
 
 
-def test_a_rule_in_turn_is_refused():
-    says = "contacts: 'gauss_seidel' changes velocities in a fixed order, which accumulate: 'gather' does not have; use 'jacobi'"
-    with pytest.raises(ts.SceneError, match=says):
-        ts.Simulation(heap(2), contacts="gauss_seidel", accumulate="gather", dt=H)
-
-
 def test_a_rule_of_a_users_takes_each_pair_once():
     """It may change both balls of a pair, so its pairs are listed by one of them."""
 

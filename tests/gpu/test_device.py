@@ -86,7 +86,7 @@ def test_scenes_have_what_is_to_be_compared(on_cpu):
     assert np.abs(on_cpu("pile_3d")["spin"]).max() > 0.1
 
 
-@pytest.mark.parametrize("name", ["pile_ordered", "pile_2d", "surfaces", "implicit_euler"])
+@pytest.mark.parametrize("name", ["pile_ordered", "pile_2d", "colours_3d", "surfaces", "implicit_euler"])
 def test_the_same_bits_in_every_run(name, arch, on_device):
     once, again = on_device[name], device_scenes.run(name, arch)
     for what in ("position", "velocity", "spin"):
@@ -116,8 +116,9 @@ def test_sums_over_many_balls_are_right(arch):
     assert energy.gravity == pytest.approx(10.0 * np.sum(scene.mass * scene.position[:, 1]), rel=1e-6)
 
 
-def test_a_restored_run_goes_on(arch, tmp_path):
-    scene, settings = device_scenes.BY_NAME["many_springs"]()
+@pytest.mark.parametrize("name", ["many_springs", "colours_2d"])
+def test_a_restored_run_goes_on(name, arch, tmp_path):
+    scene, settings = device_scenes.BY_NAME[name]()
     with ts.Simulation(scene, arch=arch, **settings) as whole:
         whole.step(10)
         whole.save(tmp_path / "a.npz")

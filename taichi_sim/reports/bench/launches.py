@@ -21,10 +21,11 @@ from taichi_sim.reports.bench import cases
 from taichi_sim.reports.bench.ours import Ours, ball_step, cloth_step
 from taichi_sim.reports.bench.scale import surfaces_scene
 from taichi_sim.reports.bench.stiff_cloth import OURS, TASKS, T, stiff_scene
-from taichi_sim.reports.bench.table import Report
+from taichi_sim.reports.bench.table import Report, count_of
 
 STEPS = 64  # counted after as many; the run looks at the state once in them
 ITERATIONS = 4  # of contacts in the pile
+BY_COLOURS = 1  # of them where each sees what those before it changed
 
 
 class Row(NamedTuple):
@@ -54,6 +55,9 @@ def scenes(arch: str, quick: bool) -> dict[str, Callable[[], Ours]]:
     found: dict[str, Callable[[], Ours]] = {
         f"pile of {balls} balls, friction, {ITERATIONS} iterations": lambda: ball_step(
             pile, **few, **contacts, **device
+        ),
+        f"the same by colours, {count_of(BY_COLOURS, 'iteration')}": lambda: ball_step(
+            pile, contact_iterations=BY_COLOURS, substeps=1, contacts="gauss_seidel", accumulate="gather", **device
         ),
         f"{side} x {side} cloth of springs": lambda: cloth_step(cases.cloth_case(side), arch),
         f"{around} x {around} cloth, colliding surfaces": lambda: Ours(
