@@ -78,6 +78,9 @@ def test_each_pair_once_and_no_ball_twice(build, side_by_side):
         other = place[twin[solved]]
         np.testing.assert_array_equal(i[other], j[solved])
         np.testing.assert_array_equal(j[other], i[solved])
+        impulse = pairs.link.impulse.to_numpy()
+        assert np.count_nonzero(impulse[entry]) > 40
+        np.testing.assert_array_equal(impulse[entry[solved]], impulse[twin[solved]])
         assert len(set(colour[solved])) == 2**dim if grid.levels == 1 else grid.levels == 2
         level = np.searchsorted(grid.bound.to_numpy(), radius)
         for c in range(grid.colours):
