@@ -165,9 +165,7 @@ class Pairs(Protocol):
     number: Field  # (n) entries
     touching: Field  # (n) of these; with colours those that the ball solves
     held: Field  # (n) entries from `first` on that may hold anything
-    turn: (
-        Field  # (capacity) in the place of an entry: the place in its list, and the colour, of one that the ball solves
-    )
+    turn: Field  # (capacity) of those: place in the list of a ball, and colour, see pair_colours
     colours: Field  # (n) a bit for each colour of these
     old_first: Field  # (n) the same before the last search
     old_held: Field  # (n) the same
