@@ -1,33 +1,39 @@
 """How long a process has spent on its kernels, and how long a scene like this one will take.
 
 Compiled once, kernels are kept on disk, and a later process that needs the same ones only loads them: so what a scene took last
-is remembered by what it is compiled from. Private names are touched, so time is counted for one version of Taichi only; in any
-other it is 0.
+is remembered by what it is compiled from. What is kept is no machine code yet: that is made when a kernel is launched for the
+first time in a process, which takes most of the time of loading, so all of a first launch counts. Private names are touched, so
+time is counted for one version of Taichi only; in any other it is 0.
 """
 
 import functools
 import hashlib
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from taichi_sim.common.remembered import recall, remember
 from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION
 
-__all__ = ["Expected", "count_time", "seconds"]
+__all__ = ["Expected", "count_time", "seconds", "watched"]
 
 TABLE, MOST_REMEMBERED = "compile_times", 500  # scenes
-# Seconds that kernels take to compile at first, measured with the demos on one core of an AMD EPYC; a slower machine
-# takes twice as long. "": what all scenes have.
-AT_FIRST = {"": 3.0, "pictures": 2.0, "pairs": 4.0}
-AT_FIRST |= dict.fromkeys(("sticks", "colliders", "triangles", "integrator.implicit_euler", "integrator.tr_bdf2"), 2.0)
+# Seconds that kernels take to compile at first, up to their first launch, measured with the demos on one core of an AMD EPYC;
+# a slower or busy machine takes a multiple. "": what all scenes have.
+AT_FIRST = {"": 4.0, "pictures": 4.0, "pairs": 9.0}
+AT_FIRST |= dict.fromkeys(("sticks", "colliders", "triangles", "integrator.implicit_euler", "integrator.tr_bdf2"), 4.0)
+
+LOADING = 0.4  # of the time that compiling took, what loading takes in the next process
 
 _spent = 0.0
 _inside = False
+_hear: Callable[[], None] | None = None  # what `watched` was given
+_met: set[str] = set()  # scenes of this process: a second one like it compiles and loads nothing
 
 
 def seconds() -> float:
-    """What this process has spent on compiling and loading kernels, tracing included."""
+    """What this process has spent on compiling and loading kernels, tracing and the first launch of each included."""
     return _spent
 
 
@@ -39,8 +45,32 @@ def count_time() -> None:
     from taichi._lib import core
     from taichi.lang.kernel_impl import Kernel
 
-    Kernel.materialize = _timed(Kernel.materialize)
+    Kernel.materialize, Kernel.launch_kernel = _until_launched(_timed(Kernel.materialize), Kernel.launch_kernel)
     core.Program.compile_kernel = _timed(core.Program.compile_kernel)  # or finds what is compiled
+
+
+def _until_launched(materialize: Callable, launch: Callable) -> tuple[Callable, Callable]:
+    """Both, with the first launch of each kernel timed."""
+    fresh: set[int] = set()  # identities of kernels that were never launched; they live until then
+    timed = _timed(launch)
+
+    def prepare(kernel: Any, *args: Any, **kwargs: Any) -> Any:
+        known = len(kernel.compiled_kernels)
+        found = materialize(kernel, *args, **kwargs)
+        if len(kernel.compiled_kernels) > known:
+            fresh.add(id(next(reversed(kernel.compiled_kernels.values()))))
+        return found
+
+    def launched(kernel: Any, compiled: Any, *args: Any) -> Any:
+        if id(compiled) not in fresh:
+            return launch(kernel, compiled, *args)
+        fresh.discard(id(compiled))
+        found = timed(kernel, compiled, *args)
+        if _hear is not None:
+            _hear()
+        return found
+
+    return prepare, launched
 
 
 def _timed(function: Callable) -> Callable:
@@ -58,6 +88,17 @@ def _timed(function: Callable) -> Callable:
     return call
 
 
+@contextmanager
+def watched(hear: Callable[[], None]) -> Iterator[None]:
+    """Call this meanwhile whenever a kernel was compiled or loaded; what it raises ends the work."""
+    global _hear
+    before, _hear = _hear, hear
+    try:
+        yield
+    finally:
+        _hear = before
+
+
 class Expected:
     """How long the kernels of a scene will take, from what they took before.
 
@@ -69,25 +110,39 @@ class Expected:
         self._key = hashlib.sha256(repr((self._names, settings, ENGINE, VERSION)).encode()).hexdigest()[:16]
         before = recall(TABLE).get(self._key)
         self._before = float(before) if isinstance(before, (int, float)) else None
+        self._since, self._again = seconds(), False
 
     @classmethod
     def of(cls, simulation: Any, pictures: bool) -> "Expected":
-        """Of a Simulation."""
-        return cls(simulation.kernels(), (simulation.scene.dim, str(simulation.backend)), pictures)
+        """Of a Simulation, from now on."""
+        one = cls(simulation.kernels(), (simulation.scene.dim, str(simulation.backend)), pictures)
+        one._again = one._key in _met
+        _met.add(one._key)
+        return one
 
-    @property
-    def words(self) -> str:
-        """For those who wait."""
+    def words(self, waited: float = 0.0) -> str:
+        """For those who have waited so many seconds."""
+        if self._again or (self._before is not None and self._before < 1.0):
+            return "starting"
         if self._before is None:
             about = sum(AT_FIRST.get(name, 0.0) for name in ["", *self._names])
+            if waited > about:
+                return f"compiling (first run, longer than the {about:.0f} s expected)"
             return f"compiling (first run, about {about:.0f} s)"
-        return "starting" if self._before < 1.0 else f"loading kernels (about {self._before:.0f} s)"
+        if waited > self._before:
+            return f"loading kernels (longer than last time, {self._before:.0f} s)"
+        return f"loading kernels (about {self._before:.0f} s)"
+
+    def spent(self) -> None:
+        """They are all there: remember what they took."""
+        if not self._again:
+            self.remember(seconds() - self._since)
 
     def remember(self, spent: float) -> None:
-        """What they took."""
+        """What they took: at first to compile them, later to load them."""
         known = recall(TABLE)
         known.pop(self._key, None)
-        known[self._key] = round(spent, 1)
+        known[self._key] = round(spent if self._before is not None else LOADING * spent, 1)
         for key in list(known)[:-MOST_REMEMBERED]:
             del known[key]
         remember(TABLE, known)

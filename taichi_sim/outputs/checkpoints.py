@@ -26,7 +26,8 @@ SAME_BITS = ("threads", "precision", "arch")  # settings that change nothing, or
 class Checkpoints:
     """Makes them, one for each output, while a run goes on. interval [s] of wall time, "auto" for EVERY and FIRST, None for none.
 
-    number, seconds: how many were made, and what they took.
+    number, seconds: how many were made, and what they took. stretched: s between two that were asked for and that are taken, and
+    what one takes, where that is more; None where what was asked for is kept.
     """
 
     def __init__(self, outputs: Sequence[Resumable], interval: float | Literal["auto"] | None) -> None:
@@ -34,7 +35,10 @@ class Checkpoints:
         self._interval, first = (EVERY, FIRST) if interval == "auto" else (interval, interval)
         self._begin = time.perf_counter()
         self._next = float("inf") if first is None else self._begin + first
+        self._asked = interval != "auto"
         self.number, self.seconds = 0, 0.0
+        self._at_first = 0.0  # s that the first one took: imports and kernels, which no later one needs, among them
+        self.stretched: tuple[float, float, float] | None = None
 
     @property
     def due(self) -> bool:
@@ -62,12 +66,19 @@ class Checkpoints:
             )
             self._next = float("inf")
             return False
-        now = time.perf_counter()
+        now, interval = time.perf_counter(), self._interval or 0.0
         self.number += 1
         self.seconds += now - start
+        self._next = now + interval
+        if self.number == 1:
+            self._at_first = self.seconds
+            return True
         # so late that with one more, as long as the mean, they take no more than their share
-        cheap = self._begin + self.seconds * (1.0 + 1.0 / self.number) / SHARE
-        self._next = max(now + (self._interval or 0.0), cheap)
+        known, usual = self.number - 1, self.seconds - self._at_first
+        cheap = self._begin + usual * (1.0 + 1.0 / known) / SHARE
+        if cheap > self._next:
+            self._next = cheap
+            self.stretched = (interval, cheap - now, usual / known) if self._asked else None
         return True
 
 

@@ -2,7 +2,7 @@
 
 import time
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import timedelta
@@ -34,9 +34,11 @@ class Summary:
     """What a run did. Energies in J (kinetic, spring, gravity, total), momentum in kg m/s, times in s."""
 
     frames: int = 0
+    steady: int = 0  # of them, after what `starting` counts
     duration: float = 0.0  # simulated
     wall: float = 0.0  # all of it
     compiling: float = 0.0  # and loading what was compiled before
+    starting: float = 0.0  # all else up to the end of the first frame, which no later one needs, in each process
     simulating: float = 0.0
     drawing: float = 0.0
     writing: float = 0.0  # where a thread writes, what was waited for it
@@ -59,6 +61,7 @@ class Summary:
     device: str = ""  # what computed it, in words
     checkpoints: int = 0
     checkpointing: float = 0.0
+    stretched: tuple[float, ...] | None = None  # see Checkpoints
     resumed: int = 0  # the frame that a resumed run went on with; 0 where there was no checkpoint
     video: str = ""  # the file that `ts.video` wrote, for notebooks
 
@@ -127,17 +130,23 @@ class Summary:
                 f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
-        rate = (self.wall - self.compiling) / self.duration if self.duration else 0.0
-        per = f": {rate:.3g} s per simulated second without compiling" if self.duration else ""
+        simulated = self.duration * self.steady / max(1, self.frames)
+        rate = (self.wall - self.compiling - self.starting) / simulated if simulated else 0.0
+        per = f": {rate:.3g} s per simulated second without compiling and starting" if simulated else ""
         parts = (
-            f"compiling {self.compiling:.2f}, simulation {self.simulating:.2f}, pictures {self.drawing:.2f},"
-            f" writing {self.writing:.2f}"
+            f"compiling {self.compiling:.2f}, starting {self.starting:.2f}, simulation {self.simulating:.2f},"
+            f" pictures {self.drawing:.2f}, writing {self.writing:.2f}"
         )
         if self.resumed:
             lines.append(f"resumed      at frame {self.resumed}, from a checkpoint")
         if self.checkpoints:
             share = self.checkpointing / self.wall
             lines.append(f"checkpoints  {self.checkpoints} in {self.checkpointing:.2g} s, {share:.1%} of the wall time")
+        if self.stretched is not None:
+            asked, taken, each = self.stretched
+            lines.append(
+                f"             one in {asked:.3g} s asked, one in {taken:.3g} s taken: a checkpoint takes {each:.2g} s"
+            )
         lines += [f"{'' if k else 'decided':12} {words}" for k, words in enumerate(self.decisions)]
         lines.append(f"device       {self.device}")
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
@@ -183,15 +192,17 @@ class _Writer:
 
 
 class _Clock:
-    """Adds the time since the last call to one of the summary's fields, less what was spent on compiling."""
+    """Adds the time since the last call to one of the summary's fields, less what was spent on compiling. starts: whether all of
+    it is `starting`, up to the end of the first frame: imports, openings, first pictures."""
 
     def __init__(self, summary: Summary) -> None:
-        self.summary = summary
+        self.summary, self.starts = summary, True
         self._last, self._compiled = time.perf_counter(), compiling.seconds()
 
     def charge(self, field: str) -> None:
         now, compiled = time.perf_counter(), compiling.seconds()
         spent, here = now - self._last, compiled - self._compiled
+        field = "starting" if self.starts else field
         setattr(self.summary, field, getattr(self.summary, field) + spent - here)
         self.summary.compiling += here
         self.summary.wall += spent
@@ -268,15 +279,19 @@ def export(
             try:
                 for index, frame in enumerate(frames, begin):
                     kept.append(frame)
+                    clock.starts = False
                     bar.advance(index + 1, frame.time - since)
                     if log is not None and log.due:
                         summary.checkpoints += log.make(index + 1, simulation, _own(summary, None), kept)
+                        summary.stretched = log.stretched
                         clock.charge("checkpointing")
             except UnstableError as error:
                 end = error
             begin, frames, since, log = 0, whole_run.played(kept, end), first.time, None
             renderer.fit(kept)
-            bar.phase("drawing", "frames drawn,")
+            clock.charge("drawing")
+            clock.starts = True  # until the first picture is there
+            bar.phase(lambda _: "drawing", "frames drawn,")
         for index, frame in enumerate(frames, begin):
             wanting = [one for one in writers if one.output.wants(index)]
             image = None
@@ -287,14 +302,16 @@ def export(
             for writer in wanting:
                 writer.write(index, frame, image)
             clock.charge("writing")
+            clock.starts = False
             bar.advance(index + 1, frame.time - since)
             if index == begin + 1:  # as a rule nothing is compiled later
-                expected.remember(compiling.seconds())
+                expected.spent()
             if log is not None and log.due and index + 1 < count:
                 for writer in writers:
                     writer.settle()
                 clock.charge("writing")
                 summary.checkpoints += log.make(index + 1, simulation, _own(summary, renderer))
+                summary.stretched = log.stretched
                 clock.charge("checkpointing")
         summary.duration, summary.units = duration, units_of(simulation.scene)
         summary.device, summary.decisions = str(simulation.backend), simulation.decisions()
@@ -327,6 +344,7 @@ def _observed(simulation: Any, frames: Iterator[Frame], summary: Summary, clock:
     """Frames with what the simulation says of contacts and probes at each, which the summary takes note of."""
     for frame in frames:
         clock.charge("simulating")
+        summary.steady += not clock.starts
         frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
         _observe(summary, frame)
         yield frame
@@ -361,12 +379,13 @@ class _Bar:
 
     def __init__(self, progress: Any, total: int) -> None:
         self._progress, self._total = progress, total
-        self._task = progress.add_task("", total=total, what="")
+        self._task = progress.add_task("", total=total, what="", words=str)
 
-    def phase(self, waiting: str, what: str) -> None:
-        """Begin to count what it names; `waiting` is said until the second frame."""
+    def phase(self, waiting: Callable[[float], str], what: str) -> None:
+        """Begin to count what it names; what `waiting` makes of the seconds since then is said until the second frame."""
         self._first: tuple[int, float, float] | None = None  # frames, simulated and wall time after the first frame
-        self._progress.reset(self._task, description=waiting, what=what)
+        begin = time.perf_counter()
+        self._progress.reset(self._task, what=what, words=lambda: waiting(time.perf_counter() - begin))
 
     def advance(self, done: int, simulated: float) -> None:
         """So many frames are done, and so many seconds simulated since the beginning."""
@@ -379,21 +398,36 @@ class _Bar:
         each = (now - then) / (done - frames)
         speed = (simulated - before) / max(1e-9, now - then)
         words = f"{timedelta(seconds=round(each * (self._total - done)))} left, {speed:.3g} x real time"
-        self._progress.update(self._task, completed=done, description=words)
+        self._progress.update(self._task, completed=done, words=lambda: words)
 
 
 @contextmanager
 def _bar(total: int, shown: bool) -> Iterator[_Bar]:
     """A progress bar on standard error."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        Task,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+    from rich.text import Text
+
+    class Words(ProgressColumn):
+        """What they are whenever it is drawn."""
+
+        def render(self, task: Task) -> Text:
+            return Text(task.fields["words"]())
 
     columns = (
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[what]}"),
         TimeElapsedColumn(),
-        TextColumn("{task.description}"),
+        Words(),
     )
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:

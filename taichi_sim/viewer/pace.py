@@ -11,7 +11,8 @@ class Pace:
 
     def __init__(self) -> None:
         self.speed = 1.0  # asked for: simulated over real seconds
-        self._wall, self._simulated = 0.0, 0.0  # averages, s per picture
+        self._wall, self._simulated = 0.0, 0.0  # averages, s per picture, of as much as is known
+        self._known = 0.0  # how much that is, from 0 to 1
         self._owed = 0.0  # s to be simulated
         self._cost = 0.0  # s per step; 0: not known yet
 
@@ -39,6 +40,7 @@ class Pace:
     def note(self, wall: float, simulated: float) -> None:
         """A picture came `wall` seconds after the last one and shows `simulated` seconds more."""
         share = min(1.0, wall / OVER)
+        self._known += share * (1.0 - self._known)
         self._wall += share * (wall - self._wall)
         self._simulated += share * (simulated - self._simulated)
 
@@ -49,5 +51,5 @@ class Pace:
 
     @property
     def rate(self) -> float:
-        """Pictures per second."""
-        return 1.0 / self._wall if self._wall > 0 else 0.0
+        """Pictures per second; 0 before the second one."""
+        return self._known / self._wall if self._wall > 0 else 0.0

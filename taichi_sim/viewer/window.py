@@ -14,7 +14,7 @@ import numpy as np
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import BackendError
 from taichi_sim.common.signals import heard
-from taichi_sim.device.compiling import Expected, seconds
+from taichi_sim.device.compiling import Expected, watched
 from taichi_sim.forces.pointer import MOST_RATE_STEP, POINTER_RATE, Pointer
 from taichi_sim.outputs.base import Image
 from taichi_sim.viewer import overlay
@@ -86,19 +86,30 @@ def show(
         try:
             screen.say("reading the scene")
             simulation = stack.enter_context(simulate([pointer]))
-            expected = Expected.of(simulation, pictures=True)
-            screen.say(expected.words)
-            frame = simulation.frame()
-            renderer = stack.enter_context(Renderer(frame, size=size, **(style or {})))
-            screen.picture[:] = renderer.render(frame)
-            screen.say(expected.words)
-            simulation.step(0)
-            expected.remember(seconds())
+            begin, expected = time.perf_counter(), Expected.of(simulation, pictures=True)
+
+            def say_how_long() -> None:
+                screen.say(expected.words(time.perf_counter() - begin))
+
+            say_how_long()
+            with watched(say_how_long):  # after each kernel
+                frame = simulation.frame()
+                renderer = stack.enter_context(Renderer(frame, size=size, **(style or {})))
+                screen.picture[:] = renderer.render(frame)
+                simulation.step(0)
+            say_how_long()
+            expected.spent()
             window = _Window(screen, simulation, pointer, renderer, fps, until, say)
             stack.callback(window.close)
             window.run()
+        except _ClosedError:
+            return
         except KeyboardInterrupt:  # as good an end as the close button
             heard()
+
+
+class _ClosedError(Exception):
+    """The window was closed, or esc was pressed, before there was anything to see."""
 
 
 class _Screen:
@@ -124,9 +135,14 @@ class _Screen:
         self.picture[:] = overlay.PANEL
 
     def say(self, words: str) -> None:
-        """Show a line over what is shown."""
+        """Show a line over what is shown, while there is nothing that keys could do. Raises _ClosedError for esc."""
         overlay.draw_table(self.picture, (("", words),))
         self.gui.show()
+        for event in self.gui.get_events(self.gui.PRESS):
+            if event.key == self.gui.ESCAPE:
+                raise _ClosedError
+        if not self.gui.running:
+            raise _ClosedError
 
 
 class _Window:
@@ -164,11 +180,11 @@ class _Window:
 
     def run(self) -> None:
         """Until it is closed."""
-        last = time.perf_counter()
+        last = 0.0
         while self.open and self.gui.running:
             self._listen()
             now = time.perf_counter()
-            wall, last = now - last, now
+            wall, last = (now - last if last else 0.0), now  # before the first picture no time passes
             simulated = self._advance(wall)
             self.pace.note(wall, simulated)
             self._draw(wall, simulated)
@@ -337,7 +353,7 @@ class _Window:
         frame, pace = self.frame, self.pace
         asked = "" if pace.speed == 1 else f" ({pace.speed:g} x asked for)"
         speed = "paused" if self.paused else "at its end" if self.ended else f"{pace.reached:.2g} x real time"
-        rate = () if self.paused or self.ended else (("pictures", f"{pace.rate:.0f} per second"),)
+        rate = () if self.paused or self.ended or not pace.rate else (("pictures", f"{pace.rate:.0f} per second"),)
         energy = () if frame.energy is None else (("energy", f"{frame.energy[3]:.4g} J"),)
         balls = ("balls", f"{len(frame.position):,}".replace(",", " "))
         return (("time", f"{frame.time:.3f} s"), ("speed", speed + asked), *rate, *energy, balls, *message)

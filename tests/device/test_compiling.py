@@ -1,5 +1,7 @@
 """What those who wait are told, and what is counted as compiling."""
 
+from types import SimpleNamespace
+
 import pytest
 from physics_support import simulate
 
@@ -29,35 +31,96 @@ def falling(mass=1.0):
 
 
 def test_a_scene_is_known_by_what_it_is_compiled_from():
-    assert expected("a", "b").words.startswith("compiling (first run, about ")
+    assert expected("a", "b").words().startswith("compiling (first run, about ")
+    expected("a", "b").remember(20.4)
+    assert expected("b", "a", "a").words() == "loading kernels (about 8 s)"  # which takes less than to compile them
     expected("a", "b").remember(7.4)
-    assert expected("b", "a", "a").words == "loading kernels (about 7 s)"
+    assert expected("b", "a", "a").words() == "loading kernels (about 7 s)"
     for other in (expected("a"), expected("a", "b", settings=2), expected("a", "b", pictures=True)):
-        assert other.words.startswith("compiling")
+        assert other.words().startswith("compiling")
     expected("a", "b").remember(0.4)
-    assert expected("a", "b").words == "starting"
+    assert expected("a", "b").words() == "starting"
+
+
+def test_an_estimate_that_has_passed_says_so():
+    assert expected("a").words(3.9) == "compiling (first run, about 4 s)"
+    assert expected("a").words(4.1) == "compiling (first run, longer than the 4 s expected)"
+    expected("a").remember(50.0)
+    assert expected("a").words(19.9) == "loading kernels (about 20 s)"
+    assert expected("a").words(20.1) == "loading kernels (longer than last time, 20 s)"
+
+
+def test_a_second_scene_of_its_kind_in_a_process_tells_nothing_of_the_next_process(monkeypatch):
+    monkeypatch.setattr(compiling, "_met", set())
+    monkeypatch.setattr(compiling, "_spent", 100.0)
+    kind = SimpleNamespace(kernels=lambda: ["a"], scene=SimpleNamespace(dim=2), backend="cpu")
+    for spent, words in ((20.0, "compiling (first run, about 4 s)"), (0.0, "starting")):
+        one = compiling.Expected.of(kind, False)
+        assert one.words() == words
+        compiling._spent += spent
+        one.spent()
+    monkeypatch.setattr(compiling, "_met", set())
+    assert compiling.Expected.of(kind, False).words() == "loading kernels (about 8 s)"
+
+
+class Kernel:
+    """One of the engine's, on a clock: 2 s to prepare, 5 s for its first launch, which makes machine code, 1 s for others."""
+
+    def __init__(self, clock):
+        self.clock, self.compiled_kernels, self.launches = clock, {}, 0
+
+    def materialize(self, key):
+        if key not in self.compiled_kernels:
+            self.clock[0] += 2.0
+            self.compiled_kernels[key] = SimpleNamespace(launched=0)
+
+    def launch(self, compiled, *args):
+        self.clock[0] += 1.0 if compiled.launched else 5.0
+        compiled.launched += 1
+        return args
+
+
+def test_the_first_launch_of_a_kernel_counts(monkeypatch):
+    clock, heard = [0.0], []
+    monkeypatch.setattr(compiling.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(compiling, "_spent", 0.0)
+    prepare, launch = compiling._until_launched(compiling._timed(Kernel.materialize), Kernel.launch)
+    kernel, spent = Kernel(clock), []
+    with compiling.watched(lambda: heard.append(clock[0])):
+        for key in "aaba":
+            prepare(kernel, key)
+            assert launch(kernel, kernel.compiled_kernels[key], 1, 2) == (1, 2)
+            spent.append(compiling.seconds())
+        kernel.compiled_kernels = {}  # as the engine does where memory is given back
+        prepare(kernel, "a")
+        launch(kernel, kernel.compiled_kernels["a"])
+    prepare(kernel, "c")
+    launch(kernel, kernel.compiled_kernels["c"])
+    assert spent == [7.0, 7.0, 14.0, 14.0]
+    assert compiling.seconds() == 28.0
+    assert heard == [7.0, 15.0, 23.0]
 
 
 def test_old_scenes_are_forgotten(monkeypatch):
     monkeypatch.setattr(compiling, "MOST_REMEMBERED", 2)
     for name in ("a", "b", "a", "c"):
         expected(name).remember(3.0)
-    assert [expected(name).words.split()[0] for name in "abc"] == ["loading", "compiling", "loading"]
+    assert [expected(name).words().split()[0] for name in "abc"] == ["loading", "compiling", "loading"]
 
 
 @pytest.mark.parametrize("text", ["[1]", "{", '{"x": "y"}'])
 def test_what_is_no_table_is_written_anew(folder, text):
     folder.mkdir()
     (folder / "compile_times.json").write_text(text)
-    assert expected("a").words.startswith("compiling")
-    expected("a").remember(2.0)
-    assert expected("a").words == "loading kernels (about 2 s)"
+    assert expected("a").words().startswith("compiling")
+    expected("a").remember(5.0)
+    assert expected("a").words() == "loading kernels (about 2 s)"
 
 
 def test_a_folder_that_cannot_be_written_costs_nothing_else(folder):
     folder.write_text("a file")
     expected("a").remember(2.0)
-    assert expected("a").words.startswith("compiling")
+    assert expected("a").words().startswith("compiling")
 
 
 def test_the_bar_says_what_is_waited_for_and_the_summary_how_long_it_took(monkeypatch, capsys):
@@ -68,7 +131,7 @@ def test_the_bar_says_what_is_waited_for_and_the_summary_how_long_it_took(monkey
     assert "compiling (first run, about" in said
     assert "x real time" in said
     assert summary.compiling > 0.0
-    parts = summary.compiling + summary.simulating + summary.drawing + summary.writing
+    parts = summary.compiling + summary.starting + summary.simulating + summary.drawing + summary.writing
     assert parts == pytest.approx(summary.wall)
     assert summary.lines()[-1].count("compiling") == 2
     with simulate(falling(3.0), dt=1e-3) as sim:

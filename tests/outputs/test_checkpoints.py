@@ -304,15 +304,15 @@ class Clock:
         monkeypatch.setattr(checkpoints.time, "perf_counter", lambda: self.now)
 
 
-def moments(monkeypatch, tmp_path, interval, cost, until):
-    """When checkpoints are made that cost so much [s], in a run of frames of 0.5 s."""
+def moments(monkeypatch, tmp_path, interval, cost, until, first=None, stretched=None):
+    """When checkpoints are made that cost so much [s], the first one perhaps more, in a run of frames of 0.5 s."""
     clock, found = Clock(monkeypatch), []
     log = checkpoints.Checkpoints([open_output(tmp_path / "x.npz")], interval)
 
     class Costly(Steady):
         def save(self, path) -> None:
             super().save(path)
-            clock.now += cost
+            clock.now += cost if len(found) > 1 or first is None else first
 
     while clock.now < until:
         clock.now += 0.5
@@ -320,7 +320,8 @@ def moments(monkeypatch, tmp_path, interval, cost, until):
             found.append(clock.now)
             log.make(1, Costly(), {})
     assert log.number == len(found)
-    assert log.seconds == pytest.approx(cost * len(found))
+    assert log.seconds == pytest.approx(cost * len(found) + (0.0 if first is None else first - cost))
+    assert log.stretched == (stretched and pytest.approx(stretched))
     return np.array(found)
 
 
@@ -337,7 +338,36 @@ def test_they_take_no_more_than_a_fiftieth(tmp_path, monkeypatch, cost):
     found = moments(monkeypatch, tmp_path, "auto", cost, 4000)
     assert len(found) >= min(4000 / 61, 0.02 * 4000 / cost) - 2
     made = np.arange(1, len(found) + 1)
-    assert (made[1:] * cost <= 0.02 * (found[1:] + cost)).all()  # the first one shows what they cost
+    assert (
+        (made[2:] - 1) * cost <= 0.02 * (found[2:] + cost)
+    ).all()  # the first one is dear, the second shows what they cost
+
+
+def test_the_first_one_is_dearer_than_the_next(tmp_path, monkeypatch):
+    """It imports and compiles; what was asked for is kept all the same, and where it is not, that is known."""
+    monkeypatch.setattr(checkpoints, "SHARE", 0.02)
+    assert moments(monkeypatch, tmp_path, 10.0, 0.0, 50, first=5.0).tolist() == [10, 25, 35, 45]
+    cost, until = 0.5, 61.0
+    assert moments(monkeypatch, tmp_path, 10.0, cost, until, stretched=(10.0, 24.5, 0.5)).tolist() == [10, 20.5, 50]
+
+
+def test_the_summary_says_where_they_are_made_less_often_than_asked(tmp_path, monkeypatch):
+    clock = Clock(monkeypatch)
+    monkeypatch.setattr(checkpoints, "SHARE", 0.02)
+
+    class Costly(Steady):
+        def save(self, path) -> None:
+            super().save(path)
+            clock.now += 1.0
+
+        def step(self, n):
+            super().step(n)
+            clock.now += 10.0
+
+    lines = "\n".join(run(tmp_path, "x.npz", kind=Costly, checkpoint=15.0).lines())
+    assert "\n             one in 15 s asked, one in 44 s taken: a checkpoint takes 1 s\n" in lines
+    for often in ("auto", 3600.0):
+        assert "asked" not in "\n".join(run(tmp_path, "x.npz", kind=Costly, checkpoint=often).lines())
 
 
 def test_what_cannot_be_saved_is_said_once(tmp_path):

@@ -337,6 +337,35 @@ def test_summary():
         assert word in text
 
 
+def test_a_short_run_says_how_fast_a_long_one_is(monkeypatch):
+    """What is there only once, 8 s before the first frame and 5 s for its picture, is no part of the 3 s a frame."""
+    clock = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
+
+    class Slow(FakeSimulation):
+        def frames(self, fps, duration):
+            for k, frame in enumerate(super().frames(fps, duration)):
+                clock[0] += 2.0 if k else 8.0
+                yield frame
+
+    class SlowAtFirst(FakeRenderer):
+        def render(self, frame):
+            clock[0] += 1.0 if frame.time else 5.0
+            return super().render(frame)
+
+    class Pictures(Output):
+        def write(self, index, frame, image):
+            assert image is not None
+
+    draw_with(monkeypatch, SlowAtFirst)
+    for count in (2, 5):
+        begin = clock[0]
+        summary = export(Slow(), Pictures(), fps=10, duration=count / 10, size=SIZE)
+        assert summary.wall == clock[0] - begin == 13.0 + 3.0 * (count - 1)
+        assert summary.lines()[-1].endswith(": 30 s per simulated second without compiling and starting")
+    assert "per simulated" not in export(Slow(), None, fps=10, duration=0.1).lines()[-1]
+
+
 def test_a_summary_without_contacts_does_not_speak_of_them():
     class Free(FakeSimulation):
         def contacts(self) -> Contacts:

@@ -178,6 +178,16 @@ def test_pace_of_a_heavy_scene_leaves_time_for_the_mouse():
     assert pace.steps(60.0, 1e-3) == pytest.approx(STALL / 1e-3)  # what was missed in a long wait is not caught up with
 
 
+def test_the_first_pictures_have_the_rate_of_later_ones():
+    pace = Pace()
+    pace.note(0.0, 0.0)  # nothing has passed before the first
+    assert (pace.rate, pace.reached) == (0.0, 0.0)
+    for _ in range(50):
+        pace.note(0.05, 0.02)
+        assert pace.rate == pytest.approx(20.0)
+        assert pace.reached == pytest.approx(0.4)
+
+
 def test_speeds_have_bounds():
     pace = Pace()
     for _ in range(100):

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -16,6 +17,7 @@ from taichi_sim import Frame
 from taichi_sim.device.engine import ENGINE
 from taichi_sim.render import Renderer
 from taichi_sim.viewer.orbit import view_of
+from taichi_sim.viewer.window import _ClosedError, _Screen
 
 pytestmark = pytest.mark.once
 
@@ -194,6 +196,38 @@ def test_turning_and_dragging_in_3d(display, tmp_path_factory):
         assert window.errors == ""
 
 
+class Waiting:
+    """A ti.GUI in which events wait, and pressed keys are Escape, or others."""
+
+    PRESS, ESCAPE = "press", "Escape"
+
+    def __init__(self, *keys):
+        self.events, self.running, self.shown = [SimpleNamespace(key=key) for key in keys], True, 0
+
+    def get_events(self, kind):
+        while self.events:
+            yield self.events.pop(0)
+
+    def show(self):
+        self.shown += 1
+
+
+def test_keys_do_nothing_while_there_is_nothing_to_see_but_escape():
+    screen = object.__new__(_Screen)
+    screen.picture = np.zeros((40, 200, 3), dtype=np.uint8)
+    screen.gui = Waiting("space", "v", "r")
+    screen.say("compiling")
+    assert not screen.gui.events  # none is left for later
+    assert screen.gui.shown == 1
+    screen.gui = Waiting("space", "Escape", "v")
+    with pytest.raises(_ClosedError):
+        screen.say("compiling")
+    screen.gui = Waiting()
+    screen.gui.running = False
+    with pytest.raises(_ClosedError):
+        screen.say("compiling")
+
+
 FALLING = """format = 1
 dim = 2
 gravity = [0.0, -10.0]
@@ -217,6 +251,7 @@ def view(display, folder, text: str, dt: str = "1e-3") -> Window:
 def test_control_c_ends_it(display, tmp_path):
     """With exit status 0, and a recording finished."""
     window = view(display, tmp_path, FALLING)
+    window.until(lambda: window.key("p") or list(tmp_path.glob("picture_*.png")))  # before, keys do nothing
     window.key("v")
     window.until(lambda: list(tmp_path.glob(".recording_000.mp4.*")))
     time.sleep(0.5)
