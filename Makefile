@@ -6,10 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
-.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee kills fuzz docs clean
+.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee kills fuzz docs gallery clean
 
 help:
-	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | kills | fuzz | docs | clean"
+	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | kills | fuzz | docs | gallery | clean"
 
 env: $(STAMP)
 
@@ -81,6 +81,10 @@ bench: env
 # the tables of keys in docs/scenes.md, from the schema
 docs: env
 	$(BIN)/python -m tests.support.scene_keys
+
+# the loops of docs/gallery.md that are not there
+gallery: env
+	$(BIN)/python -m tests.support.gallery
 
 clean:
 	rm -rf $(VENV) build dist out bench_out *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -122,6 +122,7 @@ def test_an_eel_swims():
     assert Path("eel.mp4").stat().st_size > 500
     names: dict = {}
     exec(compile(program, "eel.py", "exec"), names)
+    assert (ROOT / "demos" / "eel.py").read_text().startswith(program)
     told = float(re.search(r"reaches ([\d.]+) m/s", text)[1])
     with ts.Simulation(names["scene"]()) as sim:
         sim.run(1.0)

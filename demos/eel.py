@@ -1,0 +1,30 @@
+"""An eel of jelly swims by a wave that runs down its sides."""
+
+import numpy as np
+
+import taichi_sim as ts
+
+LONG, HIGH, WIDE = 1.0, 0.12, 0.08  # m
+FREQUENCY, WAVE, PART = 1.0, 0.8, 0.25  # 1/s, m, of the muscles' rest length
+
+
+def scene():
+    scene = ts.Scene(dim=3)  # afloat: no weight
+    body = {"size": (LONG, HIGH, WIDE), "resolution": (31, 5, 3), "position": (0, 0, -0.5 * WIDE)}
+    ts.shapes.jelly(scene, **body, density=1000.0, young_modulus=2e5, colour=(0.25, 0.45, 0.4))
+    scene.add_wall((0, 1, 0), -0.2)
+    scene.add_wind((0, 0, 0), density=1000.0)  # water that stands still
+    x, (i, j) = scene.position, scene.pairs.T
+    for side, start in ((-1, 0.0), (1, 180.0)):  # one side is short where the other is long
+        muscles = np.flatnonzero((side * x[i, 2] > 0.4 * WIDE) & (side * x[j, 2] > 0.4 * WIDE))
+        middle = 0.5 * (x[i, 0] + x[j, 0])[muscles]
+        scene.add_motor(muscles, amplitude=PART, frequency=FREQUENCY, phase=start + 360.0 * middle / WAVE)
+    scene.output = {"duration": 4.0, "fps": 30, "camera": {"azimuth": 0.0, "elevation": 55.0}}
+    return scene
+
+
+def check(sim):
+    middle, turned = sim.position.mean(axis=0), sim.momentum() / sim.scene.mass.sum()
+    assert middle[0] - 0.5 * LONG > 0.25 * sim.time  # it swims forwards
+    assert 0.27 < turned[0] < 0.33  # m/s
+    assert abs(middle[2]) < 0.1 * middle[0]
