@@ -7,16 +7,18 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.npz import read_npz
+from taichi_sim.common.plain import plain
 from taichi_sim.files.source import checked_output
 from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 
-__all__ = ["FORMAT", "parts_of", "restore_state", "save_state", "scene_of"]
+__all__ = ["FORMAT", "parts_of", "restore_state", "save_state", "scene_of", "text_of"]
 
 FORMAT = 5
 MESH = ("vertices", "triangles")
@@ -37,12 +39,17 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     about, arrays = parts_of(scene)
     about |= {"settings": settings, "time": snapshot.time, "stepping": snapshot.stepping}
     with replacing(path) as file:
-        text = np.array(json.dumps(about, default=np.ndarray.tolist))
-        np.savez(file, about=text, **snapshot.arrays(), **arrays)
+        np.savez(file, about=text_of(about), **snapshot.arrays(), **arrays)
+
+
+def text_of(about: Mapping[str, Any]) -> NDArray[np.str_]:
+    """The plain values of `parts_of`, and others beside them, as a file holds them: JSON in an array without a shape."""
+    return np.array(json.dumps(plain(about)))
 
 
 def parts_of(scene: Scene) -> tuple[dict[str, Any], dict[str, Any]]:
-    """All that a scene is: plain values, and arrays. Raises SceneError for a user-defined collider that cannot be written."""
+    """All that a scene is: plain values, and arrays. Raises SceneError for a user-defined collider that cannot be
+    written, and for what `Scene.output` may not hold."""
     colliders = [collider.saved(f"colliders[{k}]") for k, collider in enumerate(scene.colliders)]
     about = {
         "format": FORMAT,
@@ -50,7 +57,7 @@ def parts_of(scene: Scene) -> tuple[dict[str, Any], dict[str, Any]]:
         "gravity": scene.gravity.tolist(),
         **scene.plain(),
         "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in colliders],
-        "output": scene.output,
+        "output": checked_output(scene),
         "elements": scene.elements(),
     }
     meshes = {

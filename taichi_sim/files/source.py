@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError, about, did_you_mean, unknown_key
+from taichi_sim.common.plain import plain
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.scene import Scene
 
@@ -65,8 +66,9 @@ def open_scene(file: Path, *, allow_outside: bool = False) -> Scene | None:
 
 
 def checked_output(scene: Scene) -> dict[str, Any]:
-    """`Scene.output` as a scene in Python set it, its keys and values judged as those of [output] in a scene file are."""
-    output = scene.output
+    """`Scene.output` as a scene in Python set it, its keys and values judged as those of [output] in a scene file are.
+    NumPy's numbers and arrays, and paths, are plain values here: what is returned can be written to any file."""
+    output = plain(scene.output)
     if not output:
         return {}
     from pydantic import ValidationError

@@ -1,6 +1,5 @@
 """Positions, velocities, energy and contacts over time as NumPy arrays in an .npz file."""
 
-import json
 import shutil
 import zipfile
 from collections.abc import Mapping
@@ -17,7 +16,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.lazy_frame import Moment
 from taichi_sim.common.atomic_file import naming, replacing, require_place, synced
 from taichi_sim.common.errors import SceneError
-from taichi_sim.files.checkpoint import parts_of
+from taichi_sim.files.checkpoint import parts_of, text_of
 from taichi_sim.outputs.base import Image
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
@@ -90,8 +89,7 @@ def _scene_of(first: Frame) -> dict[str, Any]:
         about, arrays = parts_of(first.scene)
     except SceneError:
         return {}
-    text = np.array(json.dumps(about, default=np.ndarray.tolist))
-    return {SCENE + name: np.asarray(array) for name, array in {"about": text, **arrays}.items()}
+    return {SCENE + name: np.asarray(array) for name, array in {"about": text_of(about), **arrays}.items()}
 
 
 class Arrays(Resumable):

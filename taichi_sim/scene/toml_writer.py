@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.plain import plain
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 
@@ -100,12 +101,11 @@ def _document(scene: Any, store: _Arrays) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """NumPy numbers and tuples as TOML has them."""
-    if isinstance(value, (np.generic, np.ndarray)):
-        return value.tolist()
+    """Plain values as TOML has them, which knows no None: a key without a value is left out."""
+    value = plain(value)
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items() if item is not None}
-    return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
+        return {key: _plain(one) for key, one in value.items() if one is not None}
+    return [_plain(one) for one in value] if isinstance(value, list) else value
 
 
 def _materials(scene: Any) -> list[dict[str, Any]]:

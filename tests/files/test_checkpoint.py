@@ -8,6 +8,8 @@ import pytest
 import taichi_sim as ts
 from taichi_sim.analysis.damping import predicts_damping
 from taichi_sim.files.checkpoint import FORMAT
+from taichi_sim.files.source import checked_output
+from taichi_sim.outputs.recording import Recording
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -170,3 +172,50 @@ def test_another_step_keeps_the_clock(tmp_path):
         assert again.time == pytest.approx(0.3, rel=1e-12)
         again.step(10)
         assert again.time == pytest.approx(0.307, rel=1e-12)
+
+
+def test_numbers_of_numpy_in_the_output_are_plain_everywhere(tmp_path):
+    """What Python computes a camera by is of NumPy, and so are flags, sizes and paths."""
+    scene = small_scene()
+    scene.add_balls([[3, np.float32(1)]], radius=np.float32(0.1), mass=np.int64(2))
+    scene.add_collider(ts.Sphere((np.float32(5), 5), np.float32(0.5), velocity=np.array([1, 0])))
+    scene.output = {
+        "fps": np.float32(30),
+        "size": np.array([640, 360]),
+        "shadow": np.bool_(False),
+        "subdivide": np.int64(1),
+        "background": (np.float32(0.5), 0, np.float64(1)),
+        "camera": {"centre": np.array([1.0, 2.0]), "width": np.float32(4)},
+    }
+    wanted = {"fps": 30.0, "size": [640, 360], "shadow": False, "subdivide": 1, "background": [0.5, 0, 1.0]}
+    wanted["camera"] = {"centre": [1.0, 2.0], "width": 4.0}
+    assert json.loads(json.dumps(checked_output(scene))) == wanted
+    with ts.Simulation(scene, dt=np.float32(2e-3), contact_iterations=np.int64(4)) as sim:
+        sim.save(tmp_path / "state.npz")
+        ts.export(sim, ts.open_output(tmp_path / "x.npz"), duration=0.05, checkpoint=1e-9)
+    with ts.Simulation.restore(tmp_path / "state.npz") as again:
+        assert json.loads(json.dumps(again.scene.output)) == wanted
+    assert json.loads(json.dumps(Recording(tmp_path / "x.npz").scene.output)) == wanted
+    scene.save(tmp_path / "x.toml")
+    assert json.loads(json.dumps(ts.load_scene(tmp_path / "x.toml").output)) == wanted
+
+
+def test_paths_in_the_output_are_texts(tmp_path):
+    scene = ts.Scene(dim=3)
+    scene.set_name(scene.add_balls([[0, 0, 0]], radius=0.1), "ball")
+    scene.output = {"looks": [{"of": "ball", "texture": tmp_path / "wood.png"}], "camera": {"azimuth": np.float32(30)}}
+    with ts.Simulation(scene) as sim:
+        sim.save(tmp_path / "state.npz")
+    with ts.Simulation.restore(tmp_path / "state.npz") as sim:
+        assert sim.scene.output["looks"][0]["texture"] == str(tmp_path / "wood.png")
+        assert sim.scene.output["camera"] == {"azimuth": 30.0}
+    scene.save(tmp_path / "x.toml")
+    assert "wood.png" in (tmp_path / "x.toml").read_text()
+
+
+def test_an_output_that_restore_would_refuse_is_not_saved(tmp_path):
+    scene = small_scene()
+    scene.output = {"fps": "x"}
+    with ts.Simulation(scene) as sim, pytest.raises(ts.SceneError, match=r"scene\.output\.fps: 'x' is not allowed"):
+        sim.save(tmp_path / "state.npz")
+    assert not list(tmp_path.iterdir())
