@@ -2,6 +2,7 @@
 
 import shutil
 import zipfile
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from math import prod
@@ -18,6 +19,7 @@ from taichi_sim.common.atomic_file import naming, replacing, require_place, sync
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.checkpoint import parts_of, text_of
 from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.kept_files import checksum
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
 from taichi_sim.render.palette import body_colours
@@ -30,17 +32,18 @@ NAMES = ("time", "position", "velocity", "energy", "contacts", "penetration", "r
 
 class _Column:
     """An array that grows along its first axis on disk, so that a long run needs no memory. shape, dtype: of a row; rows: that
-    are there already."""
+    are there already, whose bytes have this CRC-32."""
 
-    def __init__(self, path: Path, shape: tuple[int, ...], dtype: str, rows: int = 0) -> None:
-        self.shape, self.dtype, self._rows = shape, dtype, rows
+    def __init__(self, path: Path, shape: tuple[int, ...], dtype: str, rows: int = 0, crc32: int = 0) -> None:
+        self.shape, self.dtype, self._rows, self.crc32 = shape, dtype, rows, crc32
         self._file: IO[bytes] = open(path, "r+b" if rows else "w+b")  # noqa: SIM115  # closed with the column
         self._file.truncate(rows * bytes_of(shape, dtype))
         self._file.seek(0, 2)
 
     def append(self, row: NDArray) -> None:
-        self._file.write(row.astype(self.dtype).tobytes())
-        self._rows += 1
+        data = row.astype(self.dtype).tobytes()
+        self._file.write(data)
+        self._rows, self.crc32 = self._rows + 1, zlib.crc32(data, self.crc32)
 
     def hold(self) -> None:
         synced(self._file)
@@ -120,24 +123,27 @@ class Arrays(Resumable):
 
     def has(self, checkpoint: Checkpoint) -> bool:
         shapes = checkpoint.own["output"]["columns"].items()
-        files = [(self._place(k), checkpoint.frame * bytes_of(*row)) for k, (_, row) in enumerate(shapes)]
-        return all(file.is_file() and file.stat().st_size >= size for file, size in files)
+        for k, (_, (shape, dtype, crc32)) in enumerate(shapes):
+            file, size = self._place(k), checkpoint.frame * bytes_of(shape, dtype)
+            if not file.is_file() or file.stat().st_size < size or checksum(file, size) != crc32:
+                return False
+        return True
 
     def go_on(self, checkpoint: Checkpoint) -> None:
         self.frames = checkpoint.frame
-        for name, (shape, dtype) in checkpoint.own["output"]["columns"].items():
-            self._add(name, tuple(shape), dtype, checkpoint.frame)
+        for name, (shape, dtype, crc32) in checkpoint.own["output"]["columns"].items():
+            self._add(name, tuple(shape), dtype, checkpoint.frame, crc32)
 
     def hold(self) -> Mapping[str, Any]:
         for column in self._columns.values():
             column.hold()
-        return {"columns": {name: (column.shape, column.dtype) for name, column in self._columns.items()}}
+        return {"columns": {name: (column.shape, column.dtype, column.crc32) for name, column in self._columns.items()}}
 
     def _place(self, number: int) -> Path:
         return self.log.folder / f"column_{number:03d}"
 
-    def _add(self, name: str, shape: tuple[int, ...], dtype: str, rows: int = 0) -> None:
-        self._columns[name] = _Column(self._place(len(self._columns)), shape, dtype, rows)
+    def _add(self, name: str, shape: tuple[int, ...], dtype: str, rows: int = 0, crc32: int = 0) -> None:
+        self._columns[name] = _Column(self._place(len(self._columns)), shape, dtype, rows, crc32)
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         energy = (np.nan,) * 4 if frame.energy is None else tuple(frame.energy)

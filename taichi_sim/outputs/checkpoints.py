@@ -1,6 +1,5 @@
 """Checkpoints of an export: when they are made, what they hold, and how a run goes on from one."""
 
-import shutil
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,8 +13,9 @@ from typing import Any, Literal
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs import frames_file
+from taichi_sim.outputs.kept_files import copied, judged
 from taichi_sim.outputs.resumable import Resumable
-from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.outputs.run_log import CHECKPOINT, Checkpoint
 from taichi_sim.scene.contents import contents_of, described
 
 EVERY, FIRST = 60.0, 120.0  # s of wall time: between two, and before the first
@@ -59,7 +59,7 @@ class Checkpoints:
                 output.log.keep(frame, files, {**own, "output": written})
                 checkpoint = output.log.checkpoint
                 assert checkpoint is not None  # just made
-                files = {kind: partial(shutil.copyfile, getattr(checkpoint, kind)) for kind in files}
+                files = {kind: partial(copied, getattr(checkpoint, kind)) for kind in files}
         except ValueError as error:
             warnings.warn(
                 f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew", stacklevel=3
@@ -91,7 +91,8 @@ def shared_checkpoint(outputs: Sequence[Resumable], about: Any, count: int, draw
     for output, one in zip(outputs, found):
         assert one is not None
         if not drawn_last:
-            output.go_on(one)
+            with judged(output.log.folder / CHECKPOINT):
+                output.go_on(one)
     return found[0]
 
 

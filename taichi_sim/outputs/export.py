@@ -22,8 +22,9 @@ from taichi_sim.outputs import frames_file, whole_run
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output, require_alpha
 from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
+from taichi_sim.outputs.kept_files import judged
 from taichi_sim.outputs.resumable import Resumable
-from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.outputs.run_log import CHECKPOINT, Checkpoint
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
@@ -274,7 +275,11 @@ def export(
         frames = _observed(simulation, frames, summary, clock)
         bar.phase(expected.words, "frames simulated," if drawn_last else "frames,")
         if drawn_last:
-            kept = [] if last is None or last.frames is None else frames_file.load(last.frames, simulation.scene)
+            kept = (
+                []
+                if last is None or last.frames is None
+                else frames_file.load(last.frames, simulation.scene, last.frame)
+            )
             end: UnstableError | None = None
             try:
                 for index, frame in enumerate(frames, begin):
@@ -334,8 +339,10 @@ def _own(summary: Summary, renderer: Any) -> dict[str, Any]:
 def _recall(last: Checkpoint, renderer: Any) -> Summary:
     """The reverse."""
     if renderer is not None and last.frames is None:
-        renderer.recall(last.own["renderer"])
-    summary = Summary.of(last.own["summary"])
+        with judged(last.state.with_name(CHECKPOINT)):
+            renderer.recall(last.own["renderer"])
+    with judged(last.state.with_name(CHECKPOINT)):
+        summary = Summary.of(last.own["summary"])
     summary.resumed, summary.checkpoints = last.frame, summary.checkpoints + 1
     return summary
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from taichi_sim.outputs.base import Output
+from taichi_sim.outputs.kept_files import judged
 from taichi_sim.outputs.records import Records
-from taichi_sim.outputs.run_log import Checkpoint, RunLog
+from taichi_sim.outputs.run_log import CHECKPOINT, Checkpoint, RunLog
 
 
 class Resumable(Output):
@@ -29,7 +30,8 @@ class Resumable(Output):
         last = self.log.begin({**parts, "format": self.options()})
         if last is None or last.frame > count or drawn_last != (last.frames is not None):
             return None
-        return last if drawn_last or self.has(last) else None
+        with judged(self.log.folder / CHECKPOINT):
+            return last if drawn_last or self.has(last) else None
 
     def options(self) -> Mapping[str, Any]:
         """Plain values that decide what its file looks like."""
@@ -54,9 +56,9 @@ class Resumable(Output):
 
     def leave(self) -> None:
         """Leave for another run what is worth it."""
-        there = self.log.resumes and self.log.folder.is_dir()
+        there = self.log.resumes and self.log.folder.is_dir() and not self.log.damaged
         self.frames = self.kept() if there else 0
-        if not self.frames and self.log.checkpoint is None:
+        if not self.frames and not self.log.holds_checkpoint:
             self.log.delete()
         self.log.close()
 

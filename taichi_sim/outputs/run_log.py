@@ -1,6 +1,8 @@
 """RunLog: what an unfinished output keeps beside itself: which run it is of, its frames so far, and the last checkpoint."""
 
+import itertools
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -8,14 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
-from taichi_sim.common.atomic_file import lock, replacing
-from taichi_sim.common.errors import short
+from taichi_sim.common import validation
+from taichi_sim.common.atomic_file import lock, sweep
+from taichi_sim.common.errors import SceneError, short
+from taichi_sim.outputs.kept_files import checksum, judged, read_kept, write_kept
 
 ABOUT, CHECKPOINT, LOCK = "run.json", "checkpoint.json", "lock"
 NAMED = 4  # things that differ, before the others are only counted
 READABLE = 40  # characters of a value that a message shows
+MOST_FRAMES = 10**9
+FILE = re.compile(r"(state|frames)_\d+(_\d+)?\.npz")  # of a checkpoint
 
 
 @dataclass(frozen=True)
@@ -33,13 +37,16 @@ class RunLog:
     """The folder `.NAME.resume` beside an output, or `.resume` within one that is a folder. It is there from the first frame
     until the output is complete; one run at a time has it.
 
-    resume: go on with what is there. Raises OSError where another run is writing it.
+    resume: go on with what is there. Raises OSError where another run is writing it. checkpoint: the last one that was made, once
+    it is begun; damaged: whether it could not be begun, for what is there is not what was written.
     """
 
     def __init__(self, output: Path, *, resume: bool, within: bool = False) -> None:
         self.output = output
         self.folder = output / ".resume" if within else output.with_name(f".{output.name}.resume")
         self._about: Any = {}
+        self.checkpoint: Checkpoint | None = None
+        self.damaged = False
         self._lock: IO[bytes] | None = None
         self.resumes = resume and (self.folder / ABOUT).is_file()
         if self.resumes:
@@ -47,11 +54,17 @@ class RunLog:
 
     def begin(self, about: Mapping[str, Any]) -> Checkpoint | None:
         """The last checkpoint of this run, which `about` describes: plain values by their names in groups. None where there is
-        none. Raises ValueError, which names what differs, where the folder is that of another run."""
+        none. Raises ValueError, which names what differs, where the folder is that of another run, and SceneError, which names
+        the file, where it is damaged."""
         self._about = json.loads(json.dumps(about))
         if not self.resumes:
             return None
-        differences = list(_differences(_read(self.folder / ABOUT), self._about))
+        try:
+            differences = list(_differences(self._described(), self._about))
+            self.checkpoint = None if differences else self._last()
+        except SceneError:
+            self.damaged = True
+            raise
         if differences:
             more = f" and {len(differences) - NAMED} more" if len(differences) > NAMED else ""
             raise ValueError(
@@ -61,15 +74,45 @@ class RunLog:
         return self.checkpoint
 
     @property
-    def checkpoint(self) -> Checkpoint | None:
-        """The last one that was made."""
-        if not (self.folder / CHECKPOINT).is_file():
+    def holds_checkpoint(self) -> bool:
+        """Whether one is there, of whatever run, and whole or not."""
+        return (self.folder / CHECKPOINT).is_file()
+
+    def _described(self) -> dict[str, dict[str, Any]]:
+        """The run that the folder is of."""
+        found = read_kept(self.folder / ABOUT)
+        with judged(self.folder / ABOUT):
+            for group, values in found.items():
+                if not isinstance(values, dict):
+                    raise ValueError(f"{group} is no table")
+        return found
+
+    def _last(self) -> Checkpoint | None:
+        """The last checkpoint, where all its files are there."""
+        place = self.folder / CHECKPOINT
+        if not place.is_file():
             return None
-        found = _read(self.folder / CHECKPOINT)
-        state = self.folder / found["state"]
-        frames = None if found.get("frames") is None else self.folder / found["frames"]
-        there = state.is_file() and (frames is None or frames.is_file())
-        return Checkpoint(found["frame"], state, found["own"], frames) if there else None
+        found = read_kept(place)
+        with judged(place):
+            frame = validation.whole("frame", found["frame"], 0, MOST_FRAMES)
+            own, named = found["own"], found["files"]
+            if not isinstance(own, dict) or not isinstance(own.get("output"), dict):
+                raise ValueError("own is no table")
+            files = {kind: (self.folder / name, int(check)) for kind, (name, check) in named.items()}
+            if "state" not in files or not all(FILE.fullmatch(file.name) for file, _ in files.values()):
+                raise ValueError("files are not those of a checkpoint")
+        if not all(file.is_file() for file, _ in files.values()):
+            return None
+        for file, check in files.values():
+            with judged(file):
+                if checksum(file) != check:
+                    raise ValueError("its checksum does not fit")
+        return Checkpoint(frame, files["state"][0], own, files["frames"][0] if "frames" in files else None)
+
+    def _free(self, kind: str, frame: int) -> Path:
+        """A file that is not there: the last checkpoint, which may be of the same frame, needs its own until there is another."""
+        names = (f"{kind}_{frame:06d}{f'_{k}' if k else ''}.npz" for k in itertools.count())
+        return next(self.folder / name for name in names if not (self.folder / name).exists())
 
     def open(self) -> Path:
         """The folder, made where it is not there; what another run left in it is dropped. Raises OSError."""
@@ -77,22 +120,23 @@ class RunLog:
             self.folder.mkdir(exist_ok=True)
             self._take()
             self._empty()
-            with replacing(self.folder / ABOUT) as file:
-                file.write(json.dumps(self._about, indent=1).encode())
+            write_kept(self.folder / ABOUT, self._about)
             self.resumes = True
         return self.folder
 
     def keep(self, frame: int, files: Mapping[str, Callable[[Path], None]], own: Mapping[str, Any]) -> None:
         """Put a checkpoint in the place of the last one. files: what writes the simulation's "state" to a file, and "frames" that
-        are still to be drawn. Whenever this is cut off, one of the two is there."""
+        are still to be drawn, whole before they appear. Whenever this is cut off, one of the two is there."""
         self.open()
-        names = {kind: f"{kind}_{frame:06d}.npz" for kind in files}
+        sweep(self.folder, "*.npz")
+        paths = {kind: self._free(kind, frame) for kind in files}
         for kind, save in files.items():
-            save(self.folder / names[kind])
-        with replacing(self.folder / CHECKPOINT) as file:
-            file.write(json.dumps({"frame": frame, "own": own, **names}, default=np.generic.item).encode())
+            save(paths[kind])
+        named = {kind: (path.name, checksum(path)) for kind, path in paths.items()}
+        write_kept(self.folder / CHECKPOINT, {"frame": frame, "own": own, "files": named})
+        self.checkpoint = Checkpoint(frame, paths["state"], own, paths.get("frames"))
         for old in [*self.folder.glob("state_*.npz"), *self.folder.glob("frames_*.npz")]:
-            if old.name not in names.values():
+            if old not in paths.values():
                 old.unlink(missing_ok=True)
 
     def _take(self) -> None:
@@ -105,7 +149,9 @@ class RunLog:
         """Remove what is in the folder: what points to others before these, and last what says whose it is."""
         last = {LOCK: 2, ABOUT: 1, CHECKPOINT: -1}
         for entry in sorted(self.folder.iterdir(), key=lambda entry: last.get(entry.name, 0)):
-            if entry.name != LOCK:
+            if entry.is_dir() and not entry.is_symlink():  # none of ours
+                shutil.rmtree(entry)
+            elif entry.name != LOCK:
                 entry.unlink(missing_ok=True)
 
     def close(self) -> None:
@@ -122,13 +168,6 @@ class RunLog:
             self.close()
             self.resumes = False
             shutil.rmtree(self.folder, ignore_errors=True)
-
-
-def _read(path: Path) -> Any:
-    try:
-        return json.loads(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path}: is damaged; delete {path.parent} to begin anew ({error})") from None
 
 
 def _differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:

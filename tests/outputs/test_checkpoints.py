@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from test_outputs import SIZE, FakeRenderer, FakeSimulation, draw_with
 
-from taichi_sim import Scene
+from taichi_sim import Scene, SceneError
 from taichi_sim.analysis.probe_readings import Readings
-from taichi_sim.outputs import checkpoints, export, open_output
+from taichi_sim.outputs import checkpoints, export, open_output, run_log
+from taichi_sim.outputs.kept_files import read_kept, write_kept
 
 pytestmark = pytest.mark.once
 
@@ -241,11 +242,87 @@ def test_without_what_a_checkpoint_needs_the_run_begins_anew(tmp_path, name, los
     assert {k: v for k, v in files(tmp_path).items() if not k.startswith("whole")} == files(whole)
 
 
-def test_a_damaged_log_is_said(tmp_path):
+def edited(path, change):
+    """Change the plain values of a file that an unfinished output keeps, as if they had been written so."""
+    kept = read_kept(path)
+    write_kept(path, change(kept) or kept)
+
+
+CHECKPOINT = "checkpoint.json"
+DAMAGES = {
+    "cut off": ("run.json", lambda p: p.write_text("{")),
+    "a list": ("run.json", lambda p: p.write_text("[1]")),
+    "deep": ("run.json", lambda p: p.write_text("[" * 50_000)),
+    "another group": ("run.json", lambda p: edited(p, lambda kept: kept.update(version=[1]))),
+    "by hand": ("run.json", lambda p: p.write_text(p.read_text().replace("0.1.0", "0.1.1"))),
+    "numbers": (CHECKPOINT, lambda p: p.write_text("[1]")),
+    "binary": (CHECKPOINT, lambda p: p.write_bytes(bytes(range(256)))),
+    "frame as a text": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(frame="5"))),
+    "frame below 0": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(frame=-5))),
+    "frame by hand": (CHECKPOINT, lambda p: p.write_text(p.read_text().replace('"frame": 13', '"frame": 11'))),
+    "nothing of its own": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(own={}))),
+    "another output": (CHECKPOINT, lambda p: edited(p, lambda kept: kept["own"].update(output={"x": 1}))),
+    "another summary": (CHECKPOINT, lambda p: edited(p, lambda kept: kept["own"].update(summary={"x": 1}))),
+    "a file elsewhere": (CHECKPOINT, lambda p: edited(p, lambda kept: kept["files"].update(state=["../run.json", 1]))),
+    "no file": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(files=[1]))),
+    "state": ("state_000013.npz", lambda p: p.write_bytes(p.read_bytes()[:-1])),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_log_is_said(tmp_path, damage):
+    """In one sentence that names the file, before anything is simulated; and it stays as it is."""
     cut_off(tmp_path, "x.npz", 13)
-    (tmp_path / ".x.npz.resume" / "run.json").write_text("{")
-    with pytest.raises(ValueError, match=r"run\.json: is damaged; delete .*\.x\.npz\.resume to begin anew"):
+    name, change = DAMAGES[damage]
+    change(tmp_path / ".x.npz.resume" / name)
+    before, Steady.made = files(tmp_path), 0
+    says = rf"/{name}: is damaged \(.+\); delete .*\.x\.npz\.resume, or use --overwrite in place of --resume, to begin anew$"
+    with pytest.raises(SceneError, match=says):
         run(tmp_path, "x.npz", resume=True)
+    assert Steady.made == 0
+    assert files(tmp_path) == before
+    run(tmp_path, "x.npz", overwrite=True)
+    assert list(files(tmp_path)) == ["x.npz"]
+
+
+def test_columns_that_were_changed_are_written_again(tmp_path):
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, "x.npz")
+    (folder := tmp_path / "cut").mkdir()
+    cut_off(folder, "x.npz", 13)
+    column = folder / ".x.npz.resume" / "column_001"
+    data = bytearray(column.read_bytes())
+    data[40] ^= 1
+    column.write_bytes(data)
+    assert run(folder, "x.npz", resume=True).resumed == 0
+    assert files(folder) == files(whole)
+
+
+def test_a_checkpoint_of_the_same_frame_does_not_touch_the_last(tmp_path, monkeypatch):
+    """A run that begins anew comes to frames again of which there are checkpoints; a kill between two files loses none."""
+    cut_off(tmp_path, "x.npz", 13)
+    (tmp_path / ".x.npz.resume" / "column_001").unlink()
+    before = (tmp_path / ".x.npz.resume" / CHECKPOINT).read_bytes()
+
+    def killed(path, value):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_log, "write_kept", killed)
+    monkeypatch.setattr(checkpoints, "EVERY", 0.0)
+    output = open_output(tmp_path / "x.npz", resume=True)
+    assert output.begin(json.loads(json.dumps(read_kept(output.log.folder / "run.json"))), 30, False) is None
+    with pytest.raises(KeyboardInterrupt):
+        output.log.keep(13, {"state": lambda path: path.write_bytes(b"other")}, {})
+    assert (tmp_path / ".x.npz.resume" / CHECKPOINT).read_bytes() == before
+    assert output.log._last().frame == 13
+    output.log.close()
+
+
+def test_what_a_foreign_folder_lies_in_is_removed(tmp_path):
+    cut_off(tmp_path, "x.npz", 13)
+    (tmp_path / ".x.npz.resume" / "another").mkdir()
+    run(tmp_path, "x.npz", resume=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["x.npz"]
 
 
 def test_frames_of_an_unknown_run_are_not_resumed(tmp_path):

@@ -1,12 +1,15 @@
 """Exports that are simulated to their end before they are drawn: their cameras show all, and they are resumed as others are."""
 
+import json
+
 import numpy as np
 import pytest
 from test_outputs import SIZE, FakeRenderer, draw_with
 
 import taichi_sim as ts
-from taichi_sim import UnstableError
+from taichi_sim import SceneError, UnstableError
 from taichi_sim.outputs import checkpoints, export, frames_file, open_output, whole_run
+from taichi_sim.outputs.kept_files import checksum, read_kept, write_kept
 from taichi_sim.render import Renderer
 
 pytestmark = pytest.mark.once
@@ -154,11 +157,70 @@ def test_frames_are_the_same_from_a_file(tmp_path):
         for frame in frames:
             frame.contacts, frame.probes = sim.contacts(), {"load.tension": float("nan")}
         frames_file.save(tmp_path / "x.npz", frames)
-        for one, other in zip(frames, frames_file.load(tmp_path / "x.npz", sim.scene), strict=True):
+        for one, other in zip(frames, frames_file.load(tmp_path / "x.npz", sim.scene, len(frames)), strict=True):
             for name in ("time", "position", "velocity", "springs", "sticks", "triangles", "strain", "energy", "spin"):
                 np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
             assert one.contacts == other.contacts
             assert np.isnan(other.probes["load.tension"])
+
+
+def shortened(columns):
+    said = json.loads(str(columns["about"]))
+    return columns | {"about": np.array(json.dumps(said[:3]))}
+
+
+EDITS = {
+    "about": lambda columns: columns | {"about": np.array("[1,2]")},
+    "deep": lambda columns: columns | {"about": np.array("[" * 50_000)},
+    "fewer": shortened,
+    "shape": lambda columns: columns | {"position": columns["position"][:, :2]},
+    "nan": lambda columns: columns | {"position": columns["position"] * np.nan},
+    "kind": lambda columns: columns | {"velocity": columns["velocity"].astype(int)},
+    "without": lambda columns: {name: column for name, column in columns.items() if name != "spin"},
+    "more": lambda columns: columns | {"other": columns["time"]},
+}
+
+
+@pytest.mark.parametrize("damage", ["cut off", "flipped", *EDITS])
+@pytest.mark.parametrize("sums", ["then", "now"])
+def test_damaged_frames_are_said(tmp_path, damage, sums):
+    """Where a checksum tells it and where it was made to fit: in one sentence, and what is there stays."""
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "x.mp4", ends=13, checkpoint=1e-9)
+    log = tmp_path / ".x.mp4.resume"
+    (file,) = log.glob("frames_*.npz")
+    data = bytearray(file.read_bytes())
+    if damage in EDITS:
+        with np.load(file) as old:
+            np.savez(file, **EDITS[damage](dict(old)))
+    elif damage == "cut off":
+        file.write_bytes(data[: len(data) // 2])
+    else:
+        data[len(data) // 2] ^= 255
+        file.write_bytes(data)
+    if sums == "now":
+        kept = read_kept(log / "checkpoint.json")
+        kept["files"]["frames"][1] = checksum(file)
+        write_kept(log / "checkpoint.json", kept)
+    before = files(tmp_path)
+    with pytest.raises(
+        SceneError, match=r"frames_000013\.npz: is damaged \(.+\); delete .*x\.mp4\.resume, or use --over"
+    ):
+        run(tmp_path, "x.mp4", resume=True)
+    assert files(tmp_path) == before
+
+
+def test_frames_of_a_checkpoint_are_whole_before_they_appear(tmp_path, monkeypatch):
+    def half(file, **columns):
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    with ts.Simulation(scene(), dt=1 / 240) as sim:
+        frames = list(sim.frames(60, 0.1))
+        monkeypatch.setattr(np, "savez", half)
+        with pytest.raises(OSError, match="No space left"):
+            frames_file.save(tmp_path / "x.npz", frames)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_last_frame_is_in_the_picture(tmp_path, monkeypatch):

@@ -1,0 +1,68 @@
+"""What an unfinished output keeps beside itself: files that are whole or not there, and know when they were changed since."""
+
+import json
+import shutil
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.errors import SceneError
+
+__all__ = ["checksum", "copied", "judged", "read_kept", "write_kept"]
+
+CHUNK = 1 << 20  # bytes
+# what parsing and taking apart of something else than was written may raise
+ODD = (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError, OverflowError)
+
+
+def write_kept(path: Path, value: Any) -> None:
+    """Plain values as JSON with their checksum, whole on the disk before they take the place of what is there."""
+    text = json.dumps(value, default=np.generic.item)
+    with replacing(path) as file:
+        file.write(f'{{"crc32": {zlib.crc32(text.encode())},\n"kept": {text}}}\n'.encode())
+
+
+def read_kept(path: Path) -> dict[str, Any]:
+    """The reverse. Raises SceneError, see `judged`, where the file is damaged or was edited."""
+    with judged(path):
+        found = json.loads(path.read_bytes())
+        kept = found["kept"]
+        if not isinstance(kept, dict) or zlib.crc32(json.dumps(kept).encode()) != found["crc32"]:
+            raise ValueError("its checksum does not fit")
+    return kept  # type: ignore[no-any-return]
+
+
+def checksum(path: Path, size: int | None = None) -> int:
+    """CRC-32 of a file, or of so many bytes at its beginning."""
+    found, left = 0, float("inf") if size is None else size
+    with open(path, "rb") as file:
+        while left and (data := file.read(int(min(CHUNK, left)))):
+            found, left = zlib.crc32(data, found), left - len(data)
+    return found
+
+
+def copied(source: Path, path: Path) -> None:
+    """Copy a file, whole on the disk before it appears."""
+    with open(source, "rb") as old, replacing(path) as new:
+        shutil.copyfileobj(old, new, CHUNK)
+
+
+@contextmanager
+def judged(path: Path) -> Iterator[None]:
+    """What the block finds wrong with a file of an unfinished output becomes one SceneError, which says what to do."""
+    try:
+        yield
+    except ODD as error:
+        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error).partition("\n")[0]
+        if isinstance(error, SceneError) and error.file is not None:
+            reason = f"it {error.says}"
+        says = (
+            f"is damaged ({reason or type(error).__name__}); delete {path.parent}, or use --overwrite in place of --resume,"
+            " to begin anew"
+        )
+        raise SceneError((), says=says, file=path) from None
