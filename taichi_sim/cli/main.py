@@ -136,6 +136,9 @@ def run(
             target.discard()
             if target.frames:
                 typer.echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
+            elif target.simulated:
+                says = f"{target.simulated} frames are simulated, and kept; --resume goes on with them"
+                typer.echo(f"{name}: {says}", err=True)
         raise
     if not quiet:
         written = [target.pattern or name for name, target in zip(out or [], targets)]

@@ -58,6 +58,7 @@ class Output:
     resumable = False  # whether a run that was cut off can be resumed; see taichi_sim.outputs.resumable
     pattern = ""  # of the names that it writes, where they are not the one it was given
     frames = 0  # how many it holds so far; `export` counts
+    simulated = 0  # how many are kept to be drawn by a run that resumes it, where it was given up
 
     def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
         """What `export` calls before anything else: the frame that the run begins with, also where it is resumed later on, and

@@ -47,7 +47,7 @@ class Checkpoints:
 
     def make(self, frame: int, simulation: Any, own: Mapping[str, Any], undrawn: Sequence[Frame] | None = None) -> bool:
         """Keep all that goes on with `frame`, before which the simulation stands; own: plain values; undrawn: all frames before,
-        where nothing was written so far. Where the simulation cannot be written to a file there is a warning, False, and none
+        where pictures are to be drawn of them. Where the simulation cannot be written to a file there is a warning, False, and none
         from then on."""
         start = time.perf_counter()
         files: dict[str, Callable[[Path], Any]] = {"state": simulation.save}
@@ -55,11 +55,13 @@ class Checkpoints:
             files["frames"] = partial(frames_file.save, frames=undrawn)
         try:
             for output in self._outputs:
-                written = output.hold() if undrawn is None else {}
-                output.log.keep(frame, files, {**own, "output": written})
+                waits = undrawn is not None and output.needs_image
+                kinds = ("state", "frames") if waits else ("state",)
+                written = {} if waits else output.hold()
+                output.log.keep(frame, {kind: files[kind] for kind in kinds}, {**own, "output": written})
                 checkpoint = output.log.checkpoint
                 assert checkpoint is not None  # just made
-                files = {kind: partial(copied, getattr(checkpoint, kind)) for kind in files}
+                files |= {kind: partial(copied, getattr(checkpoint, kind)) for kind in kinds}
         except ValueError as error:
             warnings.warn(
                 f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew", stacklevel=3
@@ -84,16 +86,18 @@ class Checkpoints:
 
 def shared_checkpoint(outputs: Sequence[Resumable], about: Any, count: int, drawn_last: bool) -> Checkpoint | None:
     """Be ready for `count` frames of a run in all, and go on from the last checkpoint, where all outputs have the same one; None:
-    begin at the first frame. Of several outputs, each may have been cut off at another. drawn_last: see Resumable.begin."""
-    found = [output.begin(about, count, drawn_last) for output in outputs]
-    if not found or any(one is None or found[0] is None or one.frame != found[0].frame for one in found):
+    begin at the first frame. Of several outputs, each may have been cut off at another. drawn_last: whether pictures are drawn when
+    all is simulated; then it is a checkpoint with the frames for these."""
+    found = [output.begin(about, count, drawn_last and output.needs_image) for output in outputs]
+    last = next((one for one in found if one is not None and one.frames is not None), found[0] if found else None)
+    if last is None or any(one is None or one.frame != last.frame for one in found):
         return None
     for output, one in zip(outputs, found):
         assert one is not None
-        if not drawn_last:
+        if one.frames is None:
             with judged(output.log.folder / CHECKPOINT):
                 output.go_on(one)
-    return found[0]
+    return last
 
 
 def run_of(

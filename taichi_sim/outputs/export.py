@@ -236,7 +236,8 @@ def export(
     and `checkpoint` may be others): ValueError otherwise. Where all have the same checkpoint the simulation is closed, and
     another goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again.
 
-    Where a camera is to show all of the run (see `CameraPath.fit`), it is simulated to its end before the first picture is drawn.
+    Where a camera is to show all of the run (see `CameraPath.fit`), it is simulated to its end before the first picture is drawn;
+    outputs that need no pictures get their frames meanwhile.
     """
     outputs: Sequence[Any] = () if output is None else output if isinstance(output, (list, tuple)) else [output]
     for one in outputs:
@@ -267,57 +268,65 @@ def export(
         renderer: Any = None
         if is_drawn:
             renderer = stack.enter_context(_renderer(first, size, style))
-        begin, frames = 0, simulation.frames(fps=fps, duration=duration)
+        begin, frames, drawing = 0, simulation.frames(fps=fps, duration=duration), writers
         if last is not None:
             begin, frames = last.frame, frames_from(last.frame, simulation, fps, duration)
             summary = clock.summary = _recall(last, renderer)
         frame, since = None, simulation.time
         frames = _observed(simulation, frames, summary, clock)
         bar.phase(expected.words, "frames simulated," if drawn_last else "frames,")
+
+        def write(index: int, frame: Frame, image: Image | None, wanting: Sequence[_Writer]) -> None:
+            for writer in wanting:
+                writer.write(index, frame, image)
+            clock.charge("writing")
+
+        def keep(index: int, undrawn: Sequence[Frame] | None) -> None:
+            for writer in writers:
+                writer.settle()
+            clock.charge("writing")
+            assert log is not None
+            own = _own(summary, renderer if undrawn is None else None)
+            summary.checkpoints += log.make(index + 1, simulation, own, undrawn)
+            summary.stretched = log.stretched
+            clock.charge("checkpointing")
+
         if drawn_last:
-            kept = (
-                []
-                if last is None or last.frames is None
-                else frames_file.load(last.frames, simulation.scene, last.frame)
-            )
+            kept: list[Frame] = []
+            if last is not None and last.frames is not None:
+                kept = frames_file.load(last.frames, simulation.scene, last.frame)
             end: UnstableError | None = None
             try:
                 for index, frame in enumerate(frames, begin):
                     kept.append(frame)
                     clock.starts = False
+                    ready = [one for one in writers if not one.output.needs_image]
+                    write(index, frame, None, [one for one in ready if one.output.wants(index)])
                     bar.advance(index + 1, frame.time - since)
                     if log is not None and log.due:
-                        summary.checkpoints += log.make(index + 1, simulation, _own(summary, None), kept)
-                        summary.stretched = log.stretched
-                        clock.charge("checkpointing")
+                        keep(index, kept)
             except UnstableError as error:
                 end = error
             begin, frames, since, log = 0, whole_run.played(kept, end), first.time, None
+            drawing = [one for one in writers if one.output.needs_image]
             renderer.fit(kept)
             clock.charge("drawing")
             clock.starts = True  # until the first picture is there
             bar.phase(lambda _: "drawing", "frames drawn,")
         for index, frame in enumerate(frames, begin):
-            wanting = [one for one in writers if one.output.wants(index)]
+            wanting = [one for one in drawing if one.output.wants(index)]
             image = None
             if renderer is not None:
                 drawn = any(one.output.needs_image for one in wanting)
                 image = renderer.render(frame) if drawn else renderer.skip(frame)
                 clock.charge("drawing")
-            for writer in wanting:
-                writer.write(index, frame, image)
-            clock.charge("writing")
+            write(index, frame, image, wanting)
             clock.starts = False
             bar.advance(index + 1, frame.time - since)
             if index == begin + 1:  # as a rule nothing is compiled later
                 expected.spent()
             if log is not None and log.due and index + 1 < count:
-                for writer in writers:
-                    writer.settle()
-                clock.charge("writing")
-                summary.checkpoints += log.make(index + 1, simulation, _own(summary, renderer))
-                summary.stretched = log.stretched
-                clock.charge("checkpointing")
+                keep(index, None)
         summary.duration, summary.units = duration, units_of(simulation.scene)
         summary.device, summary.decisions = str(simulation.backend), simulation.decisions()
         if frame is None and last is not None:

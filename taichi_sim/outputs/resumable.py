@@ -22,16 +22,16 @@ class Resumable(Output):
         self.path = Path(path)
         self.log = RunLog(self.path, resume=resume, within=within)
 
-    def begin(self, about: Mapping[str, Mapping[str, Any]], count: int, drawn_last: bool) -> Checkpoint | None:
+    def begin(self, about: Mapping[str, Mapping[str, Any]], count: int, waits: bool) -> Checkpoint | None:
         """Be ready for `count` frames in all: the checkpoint that it can go on from, or None where there is none. about: of the
-        run, see RunLog.begin; what it says of pictures counts where there are some. drawn_last: no frame is written before all
-        are simulated."""
+        run, see RunLog.begin; what it says of pictures counts where there are some. waits: no frame is written before all are
+        simulated."""
         parts = {group: values for group, values in about.items() if group != "pictures" or self.needs_image}
         last = self.log.begin({**parts, "format": self.options()})
-        if last is None or last.frame > count or drawn_last != (last.frames is not None):
+        if last is None or last.frame > count or waits != (last.frames is not None):
             return None
         with judged(self.log.folder / CHECKPOINT):
-            return last if drawn_last or self.has(last) else None
+            return last if waits or self.has(last) else None
 
     def options(self) -> Mapping[str, Any]:
         """Plain values that decide what its file looks like."""
@@ -50,7 +50,7 @@ class Resumable(Output):
         raise NotImplementedError
 
     def kept(self) -> int:
-        """Frames that another run need not draw again: those before the last checkpoint."""
+        """Frames that another run need not write again: those before the last checkpoint."""
         last = self.log.checkpoint
         return 0 if last is None else last.frame
 
@@ -58,9 +58,20 @@ class Resumable(Output):
         """Leave for another run what is worth it."""
         there = self.log.resumes and self.log.folder.is_dir() and not self.log.damaged
         self.frames = self.kept() if there else 0
+        last = self.log.checkpoint if there else None
+        self.simulated = 0 if last is None or last.frames is None else last.frame
         if not self.frames and not self.log.holds_checkpoint:
             self.log.delete()
         self.log.close()
+
+
+def abandon(outputs: Iterable[Output]) -> None:
+    """Give up outputs, and what they keep for a run that resumes them: there is none. Files that are whole stay."""
+    for one in outputs:
+        one.discard()
+        if isinstance(one, Resumable):
+            one.log.delete()
+            one.frames = one.simulated = 0
 
 
 class Recorded(Resumable):

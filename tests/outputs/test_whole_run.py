@@ -1,6 +1,7 @@
 """Exports that are simulated to their end before they are drawn: their cameras show all, and they are resumed as others are."""
 
 import json
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from taichi_sim.render import Renderer
 
 pytestmark = pytest.mark.once
 COUNT = 30
+OPTIONAL = [name for name, module in (("x.gsd", "gsd"), ("x.usda", "pxr")) if find_spec(module)]
 
 
 def scene(pull=9.0):
@@ -109,7 +111,9 @@ def files(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-@pytest.mark.parametrize("names", [["x.mp4"], ["frames/"], ["x.gif", "x.npz", "x.ply"]])
+@pytest.mark.parametrize(
+    "names", [["x.mp4"], ["frames/"], ["x.gif", "x.npz", "x.ply"], ["x.csv", "x.mp4", "x.pvd", *OPTIONAL]]
+)
 @pytest.mark.parametrize("checkpoint", [None, 1e-9])
 def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, monkeypatch, names, checkpoint):
     (whole := tmp_path / "whole").mkdir()
@@ -137,11 +141,46 @@ def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, monkeypatch,
         assert Fitted.last.drawn == list(range(17, COUNT))
 
 
-def test_of_several_outputs_one_alone_begins_anew(tmp_path):
+def test_what_needs_no_pictures_is_written_while_they_wait(tmp_path):
+    """So that it is there when the run is killed."""
+    seen = []
+
+    class Looks(ts.Output):
+        needs_image = False
+
+        def write(self, index, frame, image):
+            seen.append((index, len((tmp_path / "x.csv").read_text().splitlines()) - 1))
+
+    outputs = [open_output(tmp_path / name) for name in ("x.mp4", "x.csv", "x.pvd")]
+    with Interrupted(scene(), dt=1 / 240) as sim:
+        Interrupted.ends = 13
+        with pytest.raises(KeyboardInterrupt):
+            export(sim, [*outputs, Looks()], fps=60, duration=COUNT / 60, size=SIZE)
+    assert seen == [(k, k + 1) for k in range(13)]
+    assert (tmp_path / "x.pvd").read_text().count("<DataSet") == 13
+    assert Fitted.last.drawn == []
+
+
+def test_what_is_said_to_be_kept_is(tmp_path):
+    outputs = [open_output(tmp_path / name) for name in ("x.mp4", "x.csv", "x.npz")]
+    with Interrupted(scene(), dt=1 / 240) as sim:
+        Interrupted.ends = 13
+        with pytest.raises(KeyboardInterrupt):
+            export(sim, outputs, fps=60, duration=COUNT / 60, size=SIZE, checkpoint=1e-9)
+    assert [one.frames for one in outputs] == [0, 13, 13]
+    assert [one.simulated for one in outputs] == [13, 0, 0]
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 13
+    assert run(tmp_path, "x.mp4", "x.csv", "x.npz", resume=True).resumed == 13
+
+
+def test_of_several_outputs_one_alone_goes_on(tmp_path):
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, "x.npz")
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, "x.gif", "x.npz", ends=13, checkpoint=1e-9)
-    assert run(tmp_path, "x.npz", resume=True).resumed == 0
-    assert len(np.load(tmp_path / "x.npz")["time"]) == COUNT
+    assert run(tmp_path, "x.npz", resume=True).resumed == 13
+    assert (tmp_path / "x.npz").read_bytes() == (whole / "x.npz").read_bytes()
+    assert run(tmp_path, "x.gif", "x.npz", resume=True).resumed == 0  # the other has no checkpoint any more
 
 
 def test_another_duration_is_another_camera(tmp_path):
