@@ -3,8 +3,10 @@
 import logging
 import os
 import platform
+from asyncio import TimeoutError
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
@@ -196,13 +198,23 @@ def _has_dashboard() -> bool:
 
 
 def _checked(client: Any, where: str) -> int:
-    """How many workers there are. Raises SceneError where there is none, or they have other versions."""
-    number = len(client.scheduler_info(n_workers=-1)["workers"])
+    """How many workers there are. Raises SceneError where there is none, or one has other versions, or several threads."""
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    number = len(workers)
     if number == 0:
         raise SceneError("scheduler", where, says="has no workers; start some with: dask worker ADDRESS --nthreads 1")
+    for worker, about in workers.items():
+        if about["nthreads"] != 1:  # Taichi serves one
+            says = (
+                f"worker {worker} has {about['nthreads']} threads; start it with --nthreads 1, and more workers instead"
+            )
+            raise SceneError("scheduler", where, says=says)
     here = versions()
     try:
         found = client.run(versions)
+    except (OSError, TimeoutError, CancelledError) as error:  # CommClosedError is an OSError
+        says = f"was lost while its workers were asked for their versions ({' '.join(str(error).split())[:120]})"
+        raise SceneError("scheduler", where, says=says) from None
     except Exception as error:
         raise SceneError("scheduler", where, says=f"its workers cannot import taichi_sim ({error})") from None
     for worker, there in found.items():
