@@ -155,8 +155,13 @@ def _drawn_apart(
 ) -> None:
     """Simulate into a recording beside the first output, and draw that by many processes."""
     from pathlib import Path
+    from time import perf_counter
 
+    from taichi_sim.common.atomic_file import locking
     from taichi_sim.outputs import export, open_outputs
+    from taichi_sim.outputs.base import require_alpha
+    from taichi_sim.outputs.quick import picture
+    from taichi_sim.outputs.recording import require_drawable
     from taichi_sim.sweeps.cluster import require_workers
     from taichi_sim.sweeps.pictures import draw
 
@@ -165,31 +170,41 @@ def _drawn_apart(
     options = {**job.output}
     style, size = options.pop("style"), options["size"]
     # what is not allowed is refused before anything runs
-    for one in open_outputs(out, fps=job.output["fps"], overwrite=overwrite, codec=codec):
+    opened = open_outputs(out, fps=job.output["fps"], overwrite=overwrite, codec=codec)
+    for one in opened:
         one.discard()
+    require_alpha(opened, style)
     require_workers(*where)
     end: UnstableError | None = None
-    with job.simulation() as sim:
-        precision = sim.backend.precision
+    # nobody else writes, or draws, the recording before this has drawn it
+    with locking(first.with_name(f".{first.name}.lock"), f"{first}: another run is writing it; wait for it"):
+        with job.simulation() as sim:
+            require_drawable(sim.scene)
+            precision = sim.backend.precision
+            if any(one.needs_image for one in opened):
+                picture(sim, size=size, **style)
+            try:
+                summary = export(
+                    sim, open_outputs([recording], fps=options["fps"]), progress=not quiet, checkpoint=None, **options
+                )
+            except UnstableError as error:
+                if not recording.is_file():
+                    raise
+                end = error  # the frames until then are drawn
+        start = perf_counter()
         try:
-            summary = export(
-                sim, open_outputs([recording], fps=options["fps"]), progress=not quiet, checkpoint=None, **options
-            )
-        except UnstableError as error:
-            if not recording.is_file():
-                raise
-            end = error  # the frames until then are drawn
-    try:
-        draw(
-            recording, out, size=size, style=style, fps=job.output["fps"], scheduler=where[0], workers=where[1],
-            overwrite=overwrite, codec=codec, precision=precision, progress=not quiet, say=_quiet if quiet else typer.echo,
-        )  # fmt: skip
-    except BaseException:
-        typer.echo(f"{recording}: holds the run; `taichi-sim render` draws it", err=True)
-        raise
-    recording.unlink(missing_ok=True)
+            draw(
+                recording, out, size=size, style=style, fps=job.output["fps"], scheduler=where[0], workers=where[1],
+                overwrite=overwrite, codec=codec, precision=precision, progress=not quiet, say=_quiet if quiet else typer.echo,
+            )  # fmt: skip
+        except BaseException:
+            typer.echo(f"{recording}: holds the run; `taichi-sim render` draws it", err=True)
+            raise
+        recording.unlink(missing_ok=True)
     if end is not None:
         raise end
+    summary.drawing += perf_counter() - start
+    summary.wall += perf_counter() - start
     if not quiet:
         typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
 
@@ -424,6 +439,8 @@ def fit(
     goal: dict[str, float] = {}
     for text in target or ():
         name, _, value = text.rpartition("=")
+        if name in goal:
+            raise SceneError("target", text, says=f"gives {name} another value than before; give it once")
         try:
             goal[name] = float(value)
         except ValueError:

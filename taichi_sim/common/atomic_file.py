@@ -16,7 +16,18 @@ except ImportError:  # Windows, where a file that is open cannot be deleted
 
 NUMBERS = itertools.count()  # of those of this process
 
-__all__ = ["PartFile", "lock", "locked", "naming", "replacing", "require_place", "sweep", "synced"]
+__all__ = [
+    "PartFile",
+    "lock",
+    "locked",
+    "locking",
+    "naming",
+    "replacing",
+    "require_name",
+    "require_place",
+    "sweep",
+    "synced",
+]
 
 
 class PartFile:
@@ -29,6 +40,7 @@ class PartFile:
 
     def __init__(self, path: str | os.PathLike[str], *, swept: bool = False) -> None:
         self.path = Path(path)
+        require_name(self.path)
         self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.{next(NUMBERS)}.part")
         parent = self.path.parent
         if not parent.is_dir():
@@ -74,6 +86,12 @@ def replacing(path: str | os.PathLike[str], *, swept: bool = False) -> Iterator[
         part.discard()
 
 
+def require_name(path: Path) -> None:
+    """Raises IsADirectoryError for what can only be a folder: `.`, or the root."""
+    if not path.name:
+        raise IsADirectoryError(f"{path}: is a folder; give the name of a file")
+
+
 def require_place(path: str | os.PathLike[str]) -> None:
     """Raises OSError, with one sentence, where no file of that name can be written."""
     PartFile(path).discard()
@@ -108,6 +126,17 @@ def lock(path: Path, refusal: str) -> IO[bytes]:
         file.close()
         raise OSError(refusal)
     return file
+
+
+@contextmanager
+def locking(path: Path, refusal: str) -> Iterator[None]:
+    """Keep other processes out of the block by a lock of that name, which is gone afterwards. Raises OSError, see `lock`."""
+    file = lock(path, refusal)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        file.close()
 
 
 def locked(file: IO[bytes]) -> bool:

@@ -7,6 +7,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
+from taichi_sim.common import validation
 from taichi_sim.outputs.base import Output
 from taichi_sim.outputs.export import Summary, export
 
@@ -26,6 +27,7 @@ OTHERS = {  # the module and the class of each ending
     ".ply": ("geometry", "Geometry"),
     ".obj": ("geometry", "Geometry"),
 }
+LEAST_FPS, MOST_FPS = 1e-4, 1e9  # that films can have, whose rates are fractions of whole numbers
 USE = f"use {', '.join(f'x{ending}' for ending in (*CODECS, *OTHERS))} or folder/ for PNG frames"
 
 
@@ -59,6 +61,7 @@ def open_output(
     if codecs:
         from taichi_sim.outputs.video import Video
 
+        fps = validation.number("fps", fps, low=LEAST_FPS, high=MOST_FPS)
         return Video(name, fps, codec=codec or codecs[0], resume=resume)
     if suffix == "":
         from taichi_sim.outputs.png import PngFolder
@@ -67,6 +70,8 @@ def open_output(
     if suffix not in OTHERS:
         raise ValueError(f"{name}: {suffix!r} is not allowed; {USE}")
     module, kind = OTHERS[suffix]
+    if suffix in (".gif", ".webp", ".usdc", ".usda"):
+        fps = validation.number("fps", fps, low=LEAST_FPS, high=MOST_FPS)
     timed: dict[str, Any] = {"fps": fps} if suffix in (".gif", ".webp", ".npz", ".usdc", ".usda") else {}
     made: Output = getattr(import_module(f"taichi_sim.outputs.{module}"), kind)(name, resume=resume, **timed)
     return made

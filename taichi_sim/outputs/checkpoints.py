@@ -47,8 +47,8 @@ class Checkpoints:
 
     def make(self, frame: int, simulation: Any, own: Mapping[str, Any], undrawn: Sequence[Frame] | None = None) -> bool:
         """Keep all that goes on with `frame`, before which the simulation stands; own: plain values; undrawn: all frames before,
-        where pictures are to be drawn of them. Where the simulation cannot be written to a file there is a warning, False, and none
-        from then on."""
+        where pictures are to be drawn of them. Where the simulation cannot be written to a file there is a warning, False, and
+        none from then on."""
         start = time.perf_counter()
         files: dict[str, Callable[[Path], Any]] = {"state": simulation.save}
         if undrawn is not None:
@@ -86,8 +86,8 @@ class Checkpoints:
 
 def shared_checkpoint(outputs: Sequence[Resumable], about: Any, count: int, drawn_last: bool) -> Checkpoint | None:
     """Be ready for `count` frames of a run in all, and go on from the last checkpoint, where all outputs have the same one; None:
-    begin at the first frame. Of several outputs, each may have been cut off at another. drawn_last: whether pictures are drawn when
-    all is simulated; then it is a checkpoint with the frames for these."""
+    begin at the first frame. Of several outputs, each may have been cut off at another. drawn_last: whether pictures are drawn
+    when all is simulated; then it is a checkpoint with the frames for these."""
     found = [output.begin(about, count, drawn_last and output.needs_image) for output in outputs]
     last = next((one for one in found if one is not None and one.frames is not None), found[0] if found else None)
     if last is None or any(one is None or one.frame != last.frame for one in found):

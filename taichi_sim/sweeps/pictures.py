@@ -1,9 +1,11 @@
 """Pictures of a recording, drawn by many processes: each draws frames that follow each other, and one puts them together."""
 
 import io
+import os
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import ExitStack
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, suppress
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.common.errors import BackendError
+from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.outputs import Output, open_outputs
 from taichi_sim.outputs.base import require_alpha
 from taichi_sim.outputs.recording import Recording
+from taichi_sim.outputs.resumable import abandon
 from taichi_sim.outputs.whole_run import is_drawn_last
 from taichi_sim.sweeps.cluster import MOST_REPEATS, connected, place
 from taichi_sim.sweeps.sweep import bar
@@ -59,17 +62,24 @@ def draw(
 
     where = place(scheduler, workers)
     frames = Recording(recording)
+    for path in paths:
+        if os.path.realpath(path) == os.path.realpath(recording):
+            raise ValueError(f"{os.fspath(path)}: is the recording itself; give another name")
     old = frames.scene.output
     for key, value in (style or {}).items():
         both = isinstance(value, Mapping) and isinstance(old.get(key), Mapping)
         old[key] = {**old[key], **value} if both else value
     options = output_options(frames.scene, {"size": size})
-    outputs = open_outputs(paths, fps=fps or frames.fps, overwrite=overwrite, codec=codec)
+    try:
+        outputs = open_outputs(paths, fps=fps or frames.fps, overwrite=overwrite, codec=codec)
+    except SceneError as error:
+        if fps is None and error.path == ("fps",):
+            error.file = recording
+        raise
     try:
         return _drawn(frames, outputs, options["size"], options["style"], where, precision, progress, say)
     except BaseException:
-        for output in outputs:
-            output.discard()
+        abandon(outputs)
         raise
 
 
@@ -125,12 +135,14 @@ def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray
             chunk, future = running.popleft()
             yield from map(_unpacked, _result(client, task, chunk, future))
     finally:
-        client.cancel([future for _, future in running])
+        with suppress(Exception):  # the scheduler may have gone
+            client.cancel([future for _, future in running])
 
 
 def _result(client: Any, task: tuple[Any, ...], chunk: tuple[int, int], future: Any) -> list[bytes]:
-    """A chunk, drawn elsewhere where its worker ended."""
+    """A chunk, drawn elsewhere where its worker ended. Raises BackendError where it cannot be had."""
     from distributed import KilledWorker
+    from distributed.comm import CommClosedError
 
     for repeats in range(MOST_REPEATS + 1):
         try:
@@ -138,6 +150,8 @@ def _result(client: Any, task: tuple[Any, ...], chunk: tuple[int, int], future: 
         except KilledWorker:
             if repeats < MOST_REPEATS:
                 future = _submitted(client, task, chunk)
+        except (CancelledError, CommClosedError) as error:
+            raise BackendError(f"pictures {chunk[0]} to {chunk[1] - 1}: the scheduler was lost ({error})") from None
     raise BackendError(f"pictures {chunk[0]} to {chunk[1] - 1}: their workers ended {MOST_REPEATS + 1} times")
 
 

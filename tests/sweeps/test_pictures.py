@@ -1,15 +1,24 @@
 """Pictures of a recording: those of the run that wrote it, alone or by workers; other styles; files that are no recording."""
 
+import io
+import json
+import time
 import zipfile
+from concurrent.futures import CancelledError
+from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import taichi as ti
 from physics_support import PRECISION
 from PIL import Image
 
 import taichi_sim as ts
+from taichi_sim.common.atomic_file import lock
 from taichi_sim.files.checkpoint import FORMAT
-from taichi_sim.outputs.recording import Recording
+from taichi_sim.outputs.recording import Recording, require_drawable
+from taichi_sim.sweeps import cluster, pictures
 from taichi_sim.sweeps.pictures import draw
 
 pytestmark = pytest.mark.slow
@@ -39,7 +48,7 @@ def run(tmp_path_factory):
     return folder
 
 
-def pictures(folder):
+def images(folder):
     return [np.asarray(Image.open(path)) for path in sorted(folder.glob("*.png"))]
 
 
@@ -67,12 +76,12 @@ def test_a_recording_has_the_frames_of_its_run(run):
 
 def test_it_is_drawn_as_the_run_was(run, tmp_path):
     assert draw(run / "s.npz", [tmp_path / "again"], size=SIZE, workers=0) == 10
-    whole, again = pictures(run / "whole"), pictures(tmp_path / "again")
+    whole, again = images(run / "whole"), images(tmp_path / "again")
     assert len(whole) == 10
     assert all(np.array_equal(a, b) for a, b in zip(whole, again, strict=True))
     style = {"colour": "speed", "camera": {"azimuth": 70.0}}
     draw(run / "s.npz", [tmp_path / "other", tmp_path / "x.csv"], size=(64, 48), style=style, workers=0)
-    assert pictures(tmp_path / "other")[0].shape == (48, 64, 3)
+    assert images(tmp_path / "other")[0].shape == (48, 64, 3)
     assert len((tmp_path / "x.csv").read_text().splitlines()) == 11
 
 
@@ -80,7 +89,7 @@ def test_it_is_drawn_as_the_run_was(run, tmp_path):
 def test_workers_draw_the_same(run, tmp_path):
     pytest.importorskip("distributed")
     draw(run / "s.npz", [tmp_path / "again"], size=SIZE, workers=2, precision=PRECISION)
-    assert all(np.array_equal(a, b) for a, b in zip(pictures(run / "whole"), pictures(tmp_path / "again"), strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(images(run / "whole"), images(tmp_path / "again"), strict=True))
 
 
 def changed(source, target, change):
@@ -169,7 +178,6 @@ def test_a_run_drawn_by_workers_is_the_run(tmp_path, monkeypatch, capfd):
 def test_what_cannot_be_drawn_is_not_simulated_and_what_was_simulated_is_kept(tmp_path, monkeypatch, capfd):
     pytest.importorskip("distributed")
     from taichi_sim.cli.main import main
-    from taichi_sim.sweeps import cluster, pictures
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
@@ -192,3 +200,243 @@ def test_what_cannot_be_drawn_is_not_simulated_and_what_was_simulated_is_kept(tm
     assert "holds the run" in said
     monkeypatch.undo()
     assert draw(tmp_path / ".a.gif.states.npz", [tmp_path / "a.gif"], size=(64, 48), workers=0) == 2
+
+
+DATA = ["x.csv", "x.npz", "x.pvd", "x.ply", "x.obj"]
+DATA += [name for name, module in (("x.gsd", "gsd"), ("x.usda", "pxr")) if find_spec(module)]
+
+
+def test_files_of_a_recording_are_those_of_its_run(tmp_path):
+    """With its contacts and probes, byte by byte."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.add_balls([[0, 0.1, 0], [0, 0.3, 0.01]], radius=0.1)
+    rope = ts.shapes.rope(scene, start=(1, 1, 0), end=(2, 1, 0), n=3, pinned=[0])
+    scene.add_wall((0, 1, 0), 0.0)
+    scene.add_collider(ts.Sphere((0.2, 0.3, 0.2), 0.2, velocity=(-0.5, 0, 0)))
+    scene.add_probe("floor", "force", wall=0)
+    scene.add_probe("rope", "length", spring=int(rope.springs[0]))
+    for name in ("run", "again"):
+        (tmp_path / name).mkdir()
+    with ts.Simulation(scene, precision=PRECISION) as sim:
+        ts.export(sim, [ts.open_output(tmp_path / "run" / name, fps=20) for name in DATA], fps=20, duration=0.3)
+    assert draw(tmp_path / "run" / "x.npz", [tmp_path / "again" / name for name in DATA], workers=0) == 6
+    found = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+    assert {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()} == found
+    assert "floor.y" in (tmp_path / "again" / "x.csv").read_text()
+    assert np.load(tmp_path / "again" / "x.npz")["contacts"].max() >= 1
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("name", ["contacts", "residual"])
+def test_a_recording_without_contacts_is_refused(run, tmp_path, name):
+    file = changed(run / "s.npz", tmp_path / "x.npz", lambda other, data: None if other == f"{name}.npy" else data)
+    with pytest.raises(ts.SceneError, match=rf"x\.npz: is damaged \(it has no {name}\.npy\)"):
+        Recording(file)
+
+
+@pytest.mark.once
+def test_a_recording_is_not_replaced_by_itself(run):
+    before = (run / "s.npz").read_bytes()
+    with pytest.raises(ValueError, match=r"s\.npz: is the recording itself; give another name"):
+        draw(run / "s.npz", [run / "x.csv", run / "." / "s.npz"], workers=0)
+    assert (run / "s.npz").read_bytes() == before
+    assert not (run / "x.csv").exists()
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_what_is_cut_off_while_it_is_drawn_leaves_nothing_behind(run, tmp_path, monkeypatch, error):
+    """No run could go on with it; whole pictures and rows stay."""
+
+    def some(engine, task, count):
+        yield from np.zeros((3, 54, 96, 3), dtype=np.uint8)
+        raise error("cut off")
+
+    monkeypatch.setattr(pictures, "_images", some)
+    with pytest.raises(error):
+        draw(run / "s.npz", [tmp_path / "x.mp4", tmp_path / "x.csv", tmp_path / "frames"], size=SIZE, workers=0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["frames", "x.csv"]
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 3
+    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [f"frame_0000{k}.png" for k in range(3)]
+
+
+def test_what_a_recording_cannot_show_is_refused_before_it_is_simulated(tmp_path, monkeypatch, capfd):
+    from taichi_sim.cli.main import main
+
+    def simulated(*_, **__):
+        raise AssertionError("it was simulated")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("taichi_sim.outputs.export.export", simulated)
+    monkeypatch.setattr(ts.outputs, "export", simulated)
+    common = [
+        "run",
+        "box",
+        "--duration",
+        "0.1",
+        "--fps",
+        "20",
+        "--size",
+        "64x48",
+        "-q",
+        "--workers",
+        "0",
+        "--arch",
+        "cpu",
+    ]
+    common += ["--precision", PRECISION]
+
+    def refused(*words):
+        with pytest.raises(SystemExit) as end:
+            main([*common, *words])
+        assert end.value.code == 2
+        assert not list(tmp_path.glob("[!.]*"))
+        return capfd.readouterr().err
+
+    assert "holds no transparency" in refused("-o", "a.gif", "--transparent")
+    held = lock(tmp_path / ".a.gif.lock", "")
+    assert "a.gif: another run is writing it" in refused("-o", "a.gif")
+    held.close()
+
+
+@ti.data_oriented
+class Half(ts.ColliderShape):
+    """Its right half is not there in a file."""
+
+    @ti.func
+    def distance(self, p):
+        return p.norm() - 1.0
+
+    def surface(self):
+        return [[-1, 0], [1, 0], [0, 1]], [[0, 1, 2]]
+
+    def saved_as(self):
+        return ts.Box(self.center, (1, 1))
+
+
+@pytest.mark.once
+def test_colliders_that_a_recording_does_not_hold():
+    scene = ts.Scene(dim=2)
+    scene.add_collider(ts.Sphere((0, 0), 0.1))
+    require_drawable(scene)
+    scene.add_collider(Half((3, 3)))
+    with pytest.raises(ts.SceneError, match=r"colliders\[1\]: a recording holds no Half, a shape of your own"):
+        require_drawable(scene)
+
+
+@pytest.mark.once
+def test_the_wall_time_counts_what_was_drawn(tmp_path, monkeypatch, capfd):
+    from taichi_sim.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(pictures, "draw", lambda *_, **__: time.sleep(1.5))
+    words = ["--duration", "0.1", "--fps", "20", "--workers", "0", "--arch", "cpu", "--precision", PRECISION]
+    with pytest.raises(SystemExit) as end:
+        main(["run", "box", "-o", "a.csv", *words])
+    assert end.value.code == 0
+    assert float(capfd.readouterr().out.partition("pictures ")[2].partition(",")[0]) >= 1.5
+    assert not list(tmp_path.iterdir())
+
+
+# Schedulers --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.once
+def test_a_scheduler_that_is_lost_is_said():
+    pytest.importorskip("distributed")
+    from distributed.comm import CommClosedError
+
+    for error in (CancelledError("its future"), CommClosedError("in <TCP>")):
+        future = SimpleNamespace(result=lambda error=error: (_ for _ in ()).throw(error))
+        with pytest.raises(ts.BackendError, match="pictures 3 to 5: the scheduler was lost"):
+            pictures._result(SimpleNamespace(), (), (3, 6), future)
+
+
+class Client:
+    """What is asked of Dask's."""
+
+    def __init__(self, threads=1, error=None):
+        self.threads, self.error = threads, error
+
+    def scheduler_info(self, n_workers):
+        return {"workers": {"tcp://a": {"nthreads": 1}, "tcp://b": {"nthreads": self.threads}}}
+
+    def run(self, function):
+        if self.error is not None:
+            raise self.error
+        return {"tcp://a": function(), "tcp://b": function()}
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("client", "why"),
+    [
+        (Client(2), r"worker tcp://b has 2 threads; start it with --nthreads 1"),
+        (Client(error=OSError("in <TCP>")), "was lost while its workers were asked"),
+        (Client(error=TimeoutError()), "was lost while its workers were asked"),
+        (Client(error=CancelledError()), "was lost while its workers were asked"),
+        (Client(error=ModuleNotFoundError("No module named 'taichi_sim'")), "its workers cannot import taichi_sim"),
+    ],
+)
+def test_workers_that_will_not_do_are_refused_at_once(client, why):
+    assert cluster._checked(Client(), "tcp://s") == 2
+    with pytest.raises(ts.SceneError, match=rf"scheduler: 'tcp://s' {why}"):
+        cluster._checked(client, "tcp://s")
+
+
+# Recordings that something happened to -----------------------------------------------------------------------------
+
+
+def array(data, change):
+    """The bytes of an .npy whose values were changed."""
+    values, file = np.load(io.BytesIO(data)), io.BytesIO()
+    np.save(file, change(values))
+    return file.getvalue()
+
+
+def deep(values):
+    return np.array("[" * 50_000 + "]" * 50_000)
+
+
+def within(values):
+    about = json.loads(str(values))
+    return np.array(json.dumps(about)[:-1] + ', "output": ' + "[" * 50_000 + "]" * 50_000 + "}")
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("name", "change", "why"),
+    [
+        ("scene/about.npy", lambda data: array(data, deep), "damaged"),
+        ("scene/about.npy", lambda data: array(data, within), "damaged"),
+        ("scene/about.npy", lambda data: array(data, lambda values: np.array("[1]")), "damaged"),
+        ("time.npy", lambda data: data.replace(b"{'descr'", b"{{{{((("), "damaged"),
+        ("position.npy", lambda data: data.replace(b"'shape': (", b"'shape': ('"), "damaged"),
+        ("time.npy", lambda data: array(data, lambda values: values[::-1]), r"time\[1\] is .*, before"),
+        ("time.npy", lambda data: array(data, lambda values: values * np.nan), "damaged"),
+        ("fps.npy", lambda data: array(data, lambda values: values * np.inf), "damaged"),
+        ("fps.npy", lambda data: array(data, lambda values: values * 1e299), r"x\.npz: fps: 2e\+300 is not allowed"),
+        ("fps.npy", lambda data: array(data, lambda values: values * 1e-299), r"x\.npz: fps: 2e-298 is not allowed"),
+        (
+            "position.npy",
+            lambda data: array(data, lambda values: values * np.nan),
+            r"position\[0\]: has values that are no",
+        ),
+        (
+            "position.npy",
+            lambda data: array(data, lambda values: values + 1e300),
+            r"position\[0\]: has values that are no",
+        ),
+        (
+            "velocity.npy",
+            lambda data: array(data, lambda values: values - np.inf),
+            r"velocity\[0\]: has values that are no",
+        ),
+    ],
+)
+def test_hostile_recordings_are_refused(run, tmp_path, name, change, why):
+    file = changed(run / "s.npz", tmp_path / "x.npz", lambda other, data: change(data) if other == name else data)
+    with pytest.raises(ts.SceneError, match=why) as error:
+        draw(file, [tmp_path / "x.mp4"], size=SIZE, workers=0)
+    assert str(file) in str(error.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["x.npz"]
