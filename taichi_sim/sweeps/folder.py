@@ -18,6 +18,7 @@ __all__ = ["Folder", "columns_of"]
 MARK, LOCK, ROWS, BATCHES = "sweep.json", "lock", "rows.jsonl", "batches"
 TABLE = "table.csv"
 OURS = (ROWS, TABLE, "table.parquet", "report.html")
+AGAIN = "use --overwrite or another folder"
 NAMED = 3  # differences, before the others are only counted
 
 
@@ -83,7 +84,7 @@ class Folder:
         for file in files:
             try:
                 self.rows.update((row.key, row) for row in rows_of(file.read_bytes()))
-            except (ValueError, TypeError) as error:
+            except (ValueError, TypeError, RecursionError) as error:
                 raise SceneError(
                     (), says=f"is damaged; delete it to have its points run again ({error})", file=file
                 ) from None
@@ -134,12 +135,14 @@ class Folder:
 def about_of(path: Path) -> dict[str, Any]:
     """What a folder says of its sweep. Raises SceneError where it is none."""
     try:
-        found: dict[str, Any] = json.loads((path / MARK).read_bytes())
-        return found
+        found = json.loads((path / MARK).read_bytes())
     except FileNotFoundError:
         raise SceneError((), says="holds no sweep", file=path) from None
-    except ValueError as error:
-        raise SceneError((), says=f"is damaged ({error})", file=path / MARK) from None
+    except (ValueError, RecursionError) as error:
+        raise SceneError((), says=f"is damaged ({error}); {AGAIN}", file=path / MARK) from None
+    if not isinstance(found, dict):
+        raise SceneError((), says=f"is damaged (it holds no table); {AGAIN}", file=path / MARK)
+    return found
 
 
 def columns_of(rows: Sequence[Row]) -> dict[str, list[Any]]:

@@ -21,6 +21,10 @@ from taichi_sim.sweeps.subject import Subject
 __all__ = ["Job", "Point", "Row", "Runner", "run_batch"]
 
 FPS, DURATION = 60.0, 5.0  # where neither the scene nor the user says it
+KINDS: dict[str, Any] = {  # of what a row holds
+    "key": str, "parameters": dict, "seed": int | None, "measures": dict, "error": str, "warning": str, "version": str,
+    "wall": int | float, "compiled": bool,
+}  # fmt: skip
 MOST_SAID = 300  # characters of a warning or an error
 RELEASE_BYTES = 1 << 30  # of memory in use by a worker, from which on it begins anew
 
@@ -188,5 +192,14 @@ def lines_of(rows: Iterable[Row]) -> bytes:
 
 
 def rows_of(data: bytes) -> list[Row]:
-    """The reverse. Raises ValueError or TypeError for what is damaged."""
-    return [Row(**json.loads(line)) for line in data.decode().splitlines()]
+    """The reverse. Raises ValueError, TypeError or RecursionError for what is damaged."""
+    rows = [Row(**json.loads(line)) for line in data.decode().splitlines()]
+    for row in rows:
+        for name, kind in KINDS.items():
+            if not isinstance(getattr(row, name), kind):
+                raise ValueError(f"{name} is {getattr(row, name)!r}")
+        if not all(isinstance(value, (int, float)) for value in row.measures.values()):
+            raise ValueError(f"measures are {row.measures}, not all numbers")
+        if row.key != Point(row.parameters, row.seed).key:
+            raise ValueError(f"parameters {row.parameters} are not those of the point {row.key}")
+    return rows

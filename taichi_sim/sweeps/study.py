@@ -15,7 +15,7 @@ from taichi_sim.sweeps.design import Axis
 from taichi_sim.sweeps.folder import Folder
 from taichi_sim.sweeps.measures import Measures, measures_of
 from taichi_sim.sweeps.points import Job, Point, Row
-from taichi_sim.sweeps.subject import Subject, subject_of
+from taichi_sim.sweeps.subject import Subject, lasting, subject_of
 
 __all__ = ["Study", "open_study"]
 
@@ -97,7 +97,9 @@ def open_study(
             validation.number(name, value, positive=True)
     with ExitStack() as stack:
         aside = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="taichi_sim_sweep_")))
-        subject = subject_of(scene, aside, allow_outside)
+        subject = (
+            lasting(scene) if isinstance(scene, Scene) and folder is None else subject_of(scene, aside, allow_outside)
+        )
         apart = workers != 0 or scheduler is not None
         given = {"arch": "cpu", "threads": 1, **settings} if apart else settings
         kinds, first = _tried(subject, axes, seeds, given)

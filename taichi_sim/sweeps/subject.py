@@ -3,6 +3,9 @@
 import hashlib
 import inspect
 import os
+import shutil
+import tempfile
+import weakref
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -16,7 +19,7 @@ from taichi_sim.files.toml_reader import Reader, parsed
 from taichi_sim.files.toml_schema import Document
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["FileSubject", "FunctionSubject", "Subject", "described", "subject_of"]
+__all__ = ["FileSubject", "FunctionSubject", "Subject", "described", "lasting", "subject_of"]
 
 JITTER = 1e-3  # of its radius: how far at most a loose ball is from its place, where nothing else makes use of a seed
 SINGLE = ("simulation", "output", "wind")  # tables that a file has once, or not at all
@@ -133,6 +136,19 @@ def subject_of(what: Any, folder: Path, allow_outside: bool = False) -> Subject:
         described(what, "scene")
         return FunctionSubject(what)
     raise SceneError("scene", what, "a Scene, a function that returns one, or the name of a file or a demo")
+
+
+def lasting(scene: Scene) -> Subject:
+    """A Scene whose file, and the arrays beside it, which are read with each scene that is made of it, lie in a folder of their
+    own for as long as there is the subject."""
+    folder = Path(tempfile.mkdtemp(prefix="taichi_sim_scene_"))
+    try:
+        subject = subject_of(scene, folder)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(subject, shutil.rmtree, folder, ignore_errors=True)
+    return subject
 
 
 def described(function: Callable[..., Any], what: str) -> str:

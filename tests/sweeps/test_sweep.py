@@ -1,7 +1,9 @@
 """Sweeps from end to end, in this process but for the last."""
 
 import csv
+import gc
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -214,6 +216,7 @@ def test_measures_by_name():
         ({"workers": -1}, "workers: -1 is not allowed"),
         ({"workers": 1, "scheduler": "tcp://127.0.0.1:1"}, "give one of the two"),
         ({"integrator": "verlt"}, "integrator: 'verlt' is not allowed"),
+        ({"vary": {"restitution": "0:1"}, "design": "latin", "points": 2, "luck": -1}, "luck: -1 is not allowed"),
         ({"scene": 7}, "scene: 7 is not allowed"),
         ({"scene": lambda: None}, "scene: a lambda has no name"),
     ],
@@ -252,9 +255,43 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
     assert len(table(tmp_path / "s")) == 4
     assert json.loads((tmp_path / "s" / "sweep.json").read_text()) == about
     again.close()
-    (tmp_path / "s" / "rows.jsonl").write_text('{"key"')
-    with pytest.raises(ts.SceneError, match=r"rows\.jsonl: is damaged; delete it"):
-        Folder(tmp_path / "s", about)
+    text = (tmp_path / "s" / "rows.jsonl").read_text()
+    for damage in (
+        '{"key"',
+        "[1]",
+        "[" * 50_000,
+        text.replace('{"m": NaN}', "null"),
+        text.replace('{"m": NaN}', '{"m": "abc"}'),
+        text.replace('{"a": 0}', '{"a": 7}'),
+        text.replace('"wall": 0.0', '"wall": "long"'),
+    ):
+        assert damage != text
+        (tmp_path / "s" / "rows.jsonl").write_text(damage)
+        with pytest.raises(ts.SceneError, match=r"rows\.jsonl: is damaged; delete it"):
+            Folder(tmp_path / "s", about)
+    (tmp_path / "s" / "rows.jsonl").write_text(text)
+    for damage in ("[1]", "[" * 50_000, "{", "null"):
+        (tmp_path / "s" / "sweep.json").write_text(damage)
+        with pytest.raises(ts.SceneError, match=r"sweep\.json: is damaged .*; use --overwrite or another folder"):
+            Folder(tmp_path / "s", about)
+
+
+@pytest.mark.parametrize("number", [9, 300])
+def test_points_of_a_scene_are_opened_without_a_folder(number):
+    """Whose longer arrays are read again with each."""
+    scene = ts.Scene(dim=2)
+    scene.add_balls(np.stack([np.arange(number), np.zeros(number)], axis=1), radius=0.1)
+    scene.settings["contacts"] = "off"
+    done = ts.sweep(scene, {"gravity[1]": [-1.0, -2.0]}, duration=0.02, **HERE)
+    place = done._subject.file.parent
+    for k in range(2):
+        with done.open(k) as sim:
+            assert sim.scene.n_balls == number
+            assert sim.scene.gravity[1] == -1.0 - k
+    assert pickle.loads(pickle.dumps(done._subject)).scene({}).n_balls == number
+    del done
+    gc.collect()
+    assert not place.exists()
 
 
 @pytest.mark.once
