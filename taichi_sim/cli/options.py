@@ -100,9 +100,9 @@ def pixels(text: str | None) -> tuple[int, int] | None:
 
 
 def keys_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
-    """Tables of what texts like `camera.azimuth=40` say, values as in TOML, or plain words."""
+    """Tables of what texts like `camera.azimuth=40` say, values as in TOML, or plain words. Raises SceneError."""
     from taichi_sim.common.errors import SceneError
-    from taichi_sim.files.toml_reader import tomllib
+    from taichi_sim.files.toml_reader import MOST_NESTED, nested, tomllib
 
     found: dict[str, Any] = {}
     for text in texts:
@@ -111,11 +111,20 @@ def keys_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
             raise SceneError(option, text, "KEY=VALUE, like colour=speed or camera.azimuth=40")
         try:
             plain = tomllib.loads(f"x = {value}")["x"]
+            deep = nested(plain) is not None
         except ValueError:
-            plain = value
+            plain, deep = value, False
+        except RecursionError:
+            deep = True
         *parents, last = key.split(".")
+        if deep or len(parents) > MOST_NESTED:
+            raise SceneError(option, text, says=f"has lists or tables within each other, more than {MOST_NESTED} deep")
         table = found
         for parent in parents:
             table = table.setdefault(parent, {})
+            if not isinstance(table, dict):
+                raise SceneError(option, text, says=f"is within {parent}, which another {option} gives a value")
+        if last in table:
+            raise SceneError(option, text, says=f"is given twice; give {key} once")
         table[last] = plain
     return found

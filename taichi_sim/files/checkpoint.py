@@ -80,7 +80,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
     try:
         about = json.loads(str(arrays["about"]))
         found = about["format"]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise SceneError((), says=f"is not a state that Simulation.save wrote ({error})", file=path) from None
     if found != FORMAT:
         raise SceneError("format", found, f"{FORMAT}, the one that this version reads and writes", file=path)
@@ -88,7 +88,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         scene = scene_of(about, arrays)
         snapshot = Snapshot.of_file(arrays, about["time"], about.get("stepping", {})).checked(scene)
         settings = dict(about["settings"])
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
         raise SceneError((), says=f"is not a state that Simulation.save wrote ({error})", file=path) from None
     simulation = kind(scene, **{**settings, **overrides})
     if {"dt", "tolerance", "substeps", "integrator"} & set(overrides):

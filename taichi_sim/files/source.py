@@ -68,9 +68,12 @@ def open_scene(file: Path, *, allow_outside: bool = False) -> Scene | None:
 def checked_output(scene: Scene) -> dict[str, Any]:
     """`Scene.output` as a scene in Python set it, its keys and values judged as those of [output] in a scene file are.
     NumPy's numbers and arrays, and paths, are plain values here: what is returned can be written to any file."""
-    output = plain(scene.output)
-    if not output:
+    if not scene.output:
         return {}
+    try:
+        output = plain(scene.output)
+    except RecursionError:
+        raise SceneError("scene.output", says="has lists or tables within each other, too deep") from None
     from pydantic import ValidationError
 
     from taichi_sim.files.toml_schema import Output, what_is_allowed
@@ -83,6 +86,9 @@ def checked_output(scene: Scene) -> dict[str, Any]:
         path = ("scene", "output", *first["loc"])
         if first["type"] == "extra_forbidden":
             raise unknown_key(path, Output.model_fields) from None
+        if first["type"] == "missing":  # of a list that is too short
+            missing = [one["loc"][-1] for one in error.errors() if one["loc"][:-1] == first["loc"][:-1]]
+            raise SceneError(path[:-1], first["input"], f"a list of {int(missing[-1]) + 1}") from None
         raise SceneError(path, first["input"], what_is_allowed(first)) from None
     if listed.get("camera") is not None:
         with about("scene.output.camera"):

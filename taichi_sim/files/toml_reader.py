@@ -39,7 +39,7 @@ else:
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-__all__ = ["Reader", "load_scene", "parsed"]
+__all__ = ["MOST_NESTED", "Reader", "load_scene", "nested", "parsed"]
 
 
 MOST_NESTED = 16  # lists and tables within each other
@@ -79,15 +79,23 @@ def parsed(file: Path) -> tuple[str, dict[str, Any]]:
         raise _too_deep(file, text, ()) from None
     except ValueError as error:  # TOMLDecodeError, or one of a number or a date that Python does not make
         raise SceneError((), says=f"is not valid TOML: {error}", file=file) from None
+    path = nested(document)
+    if path is not None:
+        raise _too_deep(file, text, path)
+    return text, document
+
+
+def nested(document: Any) -> KeyPath | None:
+    """Where lists and tables lie within each other, more than MOST_NESTED deep; None where they do not."""
     deep: list[tuple[KeyPath, Any]] = [((), document)]
     while deep:
         path, value = deep.pop()
         if isinstance(value, (dict, list)):
             if len(path) > MOST_NESTED:
-                raise _too_deep(file, text, path[:MOST_NESTED])
+                return path[:MOST_NESTED]
             items = value.items() if isinstance(value, dict) else enumerate(value)
             deep += [((*path, key), item) for key, item in items if isinstance(item, (dict, list))]
-    return text, document
+    return None
 
 
 def _too_deep(file: Path, text: str, path: KeyPath) -> SceneError:
@@ -293,11 +301,12 @@ class Reader:
     def _looks(self, scene: Scene) -> None:
         """Check [[output.looks]]; textures lie beside the file."""
         shapes, colliders = [one.name for one in scene.objects], [one.label for one in scene.colliders if one.label]
+        seen: list[Look] = []
         for k, look in enumerate(scene.output.get("looks") or ()):
             with self._at("output", "looks", k):
                 if isinstance(look.get("texture"), str):
                     look["texture"] = str(self._beside("texture", look["texture"]))
-                Look.of_table(f"looks[{k}]", look, shapes, colliders)
+                seen.append(Look.of_table(f"looks[{k}]", look, shapes, colliders, seen))
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 

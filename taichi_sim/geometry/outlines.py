@@ -19,7 +19,8 @@ __all__ = ["FONT_FILES", "Outline", "drawing_outlines", "text_outlines"]
 FINE = 2000.0  # units of the em square: curves are divided as finely as pictures of that size need
 DEFAULT_FONT = "DejaVu Sans:bold"  # comes with matplotlib, so that a scene looks the same everywhere
 LINE = 1.3  # from line to line, in heights of an E and its descender
-MOST_LETTERS = 10_000
+MOST_LETTERS = 1_000  # each takes some hundredths of a second
+MOST_COORDINATE = 1e50  # of a drawing, so that squares are finite
 MOST_BYTES = 10_000_000  # of a drawing
 CURVE_STEP = 0.002  # of a drawing's height: pieces of its curves
 FONT_FILES = (".ttf", ".otf")
@@ -139,6 +140,8 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
     box = drawing.bbox()
     if box is None or not math.isfinite(sum(box)) or box[3] <= box[1]:
         raise SceneError(where, file, says="shows nothing that has an area")
+    if max(map(abs, box)) > MOST_COORDINATE:
+        raise SceneError(where, file, says=f"has coordinates beyond {MOST_COORDINATE:g}")
     step = CURVE_STEP * (box[3] - box[1])
     for number, element in enumerate(one for one in drawing.elements() if isinstance(one, Shape)):
         fill = element.fill
@@ -155,7 +158,11 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
                 at = f", which goes from {' to '.join(places)}" if places else ""
                 says = f'has an open outline, {called}{at}; close it, or give it fill="none" if it is a line'
                 raise SceneError(where, file, says=says)
-            rings.append(_flat(path, step))
+            try:
+                rings.append(_flat(path, step))
+            except (ValueError, ArithmeticError) as error:  # of numbers that are none
+                called = f"the path {element.id!r}" if element.id else f"path {number} (from 0)"
+                raise SceneError(where, file, says=f"has numbers in {called} that make no outline: {error}") from None
         rings = [ring for ring in rings if len(ring) >= 3]
         if rings:
             rule = element.values.get("fill-rule") == "evenodd"

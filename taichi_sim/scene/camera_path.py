@@ -138,6 +138,8 @@ def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
     if key in ("azimuth", "orbit"):
         return validation.number(where, value)
     if key == "follow":
+        if np.asarray(validation.as_array(value)).dtype.kind in "US":
+            raise SceneError(where, value, "the number of a ball, or a list of them; names are for scene files")
         balls = validation.indices(where, np.atleast_1d(validation.as_array(value)), n_balls)
         if not len(balls):
             raise SceneError(where, value, "one ball or more")

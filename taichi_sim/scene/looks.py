@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from os import PathLike
 from typing import Any, Literal
@@ -44,10 +44,15 @@ class Look:
 
     @classmethod
     def of_table(
-        cls, where: str, given: Mapping[str, Any], shapes: Collection[str], colliders: Collection[str]
+        cls,
+        where: str,
+        given: Mapping[str, Any],
+        shapes: Collection[str],
+        colliders: Collection[str],
+        before: Sequence[Look] = (),
     ) -> Look:
-        """From a table of [[output.looks]], and the names of shapes and colliders. Raises SceneError that names `where`, the key
-        and the value."""
+        """From a table of [[output.looks]], the names of shapes and colliders, and the looks of the tables before. Raises
+        SceneError that names `where`, the key and the value."""
         known = [f.name for f in fields(cls)]
         if not isinstance(given, Mapping) or "of" not in given:
             raise SceneError(where, given, f"a table of {', '.join(known)}, with of")
@@ -60,10 +65,16 @@ class Look:
             raise SceneError(
                 f"{where}.of", look.of, f"the name of a shape or of a collider: {', '.join(names) or 'none has one'}"
             )
+        for k, other in enumerate(before):
+            if other.of == look.of:
+                says = f"has a look already, that of looks[{k}]; give it one"
+                raise SceneError(f"{where}.of", look.of, says=says)
         validation.one_of(f"{where}.pattern", look.pattern, PATTERNS)
         colour = validation.per_item(f"{where}.pattern_colour", look.pattern_colour, 3, low=0, high=1)
         usual = 8.0 if look.texture is None else 1.0
         repeat = validation.number(f"{where}.repeat", usual if look.repeat is None else look.repeat, positive=True)
+        if look.texture is not None and not isinstance(look.texture, (str, PathLike)):
+            raise SceneError(f"{where}.texture", look.texture, "the name of an image file")
         if look.texture is not None and look.pattern != "plain":
             raise SceneError(
                 f"{where}.texture", str(look.texture), says="takes the place of a pattern; give one or the other"

@@ -213,6 +213,12 @@ def test_paths_in_the_output_are_texts(tmp_path):
     assert "wood.png" in (tmp_path / "x.toml").read_text()
 
 
+def test_a_state_that_lies_deep_is_refused(tmp_path):
+    np.savez(tmp_path / "state.npz", about=np.array("[" * 50_000))
+    with pytest.raises(ts.SceneError, match=r"is not a state that Simulation\.save wrote"):
+        ts.Simulation.restore(tmp_path / "state.npz")
+
+
 def test_an_output_that_restore_would_refuse_is_not_saved(tmp_path):
     scene = small_scene()
     scene.output = {"fps": "x"}

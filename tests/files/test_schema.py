@@ -246,3 +246,28 @@ def test_color_is_colour(tmp_path):
     scene.output = {"color": "red"}
     with pytest.raises(ts.SceneError, match="did you mean 'colour'"):
         checked_output(scene)
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        ({"background": [1, 1]}, r"background: \[1, 1\] is not allowed; it must be a list of 3$"),
+        ({"background": [1]}, r"background: \[1\] is not allowed; it must be a list of 3$"),
+        ({"background": [1, 1, 1, 1]}, r"background: .* it must be a list of 3 at most$"),
+        ({"size": [640]}, r"size: \[640\] is not allowed; it must be a list of 2$"),
+    ],
+)
+def test_lists_of_an_output_have_their_length(output, message):
+    scene = ts.Scene()
+    scene.output = output
+    with pytest.raises(ts.SceneError, match=rf"^scene\.output\.{message}"):
+        checked_output(scene)
+
+
+def test_an_output_that_lies_deep_is_refused():
+    scene, inner = ts.Scene(), []
+    for _ in range(5000):
+        inner = [inner]
+    scene.output = {"camera": {"eye": inner}}
+    with pytest.raises(ts.SceneError, match=r"^scene\.output: has lists or tables within each other, too deep"):
+        checked_output(scene)

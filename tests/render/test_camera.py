@@ -229,6 +229,10 @@ BAD = [
     ({"fov": 190}, r"camera\.fov: 190\.0 is not allowed; it must be from 1 to 170"),
     ({"distance": 0}, r"camera\.distance: 0\.0 is not allowed; it must be greater than 0"),
     ({"follow": 3}, r"camera\.follow\[0\]: 3 is not allowed; it must name a ball, from 0 to 2"),
+    (
+        {"follow": "heap"},
+        r"camera\.follow: 'heap' is not allowed; it must be the number of a ball, .*; names are for scene",
+    ),
     ({"follow": []}, r"camera\.follow: \[\] is not allowed; it must be one ball or more"),
     ({"path": KEYS[:1]}, r"camera\.path: .* two keyframes or more"),
     ({"path": KEYS[::-1]}, r"camera\.path\[1\]\.time: 1\.5 is not allowed; it must be later than the one before"),

@@ -227,6 +227,14 @@ def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
         (tmp_path / "test.txt").write_text("no image")
         with pytest.raises(SceneError, match=rf"looks\[0\].texture: .* is not an image that can be read: .*{text}"):
             picture(upright(), looks=[{"of": "flag", "texture": tmp_path / name}])
+    for texture in (3, ["a.png"], True):
+        with pytest.raises(
+            SceneError, match=r"looks\[0\].texture: .* is not allowed; it must be the name of an image file"
+        ):
+            picture(upright(), looks=[{"of": "flag", "texture": texture}])
+    says = r"looks\[1\].of: 'flag' has a look already, that of looks\[0\]; give it one"
+    with pytest.raises(SceneError, match=says):
+        picture(upright(), looks=[{"of": "flag", "gloss": 0.5}, {"of": "flag"}])
 
 
 def test_a_see_through_collider_shows_what_is_behind_it():

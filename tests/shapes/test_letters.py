@@ -179,6 +179,7 @@ def test_a_drawing_in_a_file(tmp_path):
 
 # Refused ------------------------------------------------------------------------------------------------------------
 
+HUGE = '<svg xmlns="http://www.w3.org/2000/svg"><circle cx="{0}" cy="0" r="{0}"/></svg>'
 OPEN = DRAWING.replace("H0 Z M5", "H0 M5")
 
 
@@ -196,6 +197,7 @@ OPEN = DRAWING.replace("H0 Z M5", "H0 M5")
         ({"text": "a", "kind": "cloth", "depth": 3.0}, "text.depth: is for jelly and colliders in a scene with dim = 3"),
         ({"text": "a", "spacing": 1e-5}, "text.spacing: 1e-05 is not allowed;"),
         ({"text": "a", "material": "coton"}, "text.material: 'coton' is not a material of this scene; did you mean 'cotton'?"),
+        ({"text": 1001 * "a"}, "text.text: 'aaa"),
         ({"text": "a", "pinned": [10_000]}, "text.pinned[0]: 10000 is not allowed"),
         ({"text": "a", "position": (0, 0)}, "text.position: shape (2,) does not fit"),
         ({"text": "a", "kind": "cloth", "mass_per_area": -1.0}, "text.mass_per_area: -1.0 is not allowed"),
@@ -219,6 +221,8 @@ def test_what_is_refused_leaves_the_scene_as_it_was(given, message):
         ("<svg", "cannot be read as SVG: "),
         ("<svg xmlns='http://www.w3.org/2000/svg'></svg>", "shows nothing that has an area"),
         (DRAWING.replace("#ff0000", "none").replace('"blue"', '"none"'), "shows no filled area"),
+        (HUGE.format("1e300"), "has coordinates beyond 1e+50"),
+        (HUGE.format("1e60"), "has coordinates beyond 1e+50"),
         (None, "is not there; it must be an existing .svg file"),
     ],
 )
