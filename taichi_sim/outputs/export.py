@@ -240,8 +240,10 @@ def export(
     outputs that need no pictures get their frames meanwhile.
     """
     outputs: Sequence[Any] = () if output is None else output if isinstance(output, (list, tuple)) else [output]
-    for one in outputs:
+    for k, one in enumerate(outputs):
         _check_output(one)
+        if any(one is other for other in outputs[:k]):
+            raise SceneError(f"output[{k}]", says="is given twice; give each output once")
     fps, duration = validation.number("fps", fps, positive=True), validation.number("duration", duration, low=0)
     if checkpoint not in ("auto", None):
         checkpoint = validation.number("checkpoint", checkpoint, positive=True)

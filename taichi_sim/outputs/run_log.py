@@ -119,8 +119,13 @@ class RunLog:
         if not self.resumes:
             self.folder.mkdir(exist_ok=True)
             self._take()
-            self._empty()
-            write_kept(self.folder / ABOUT, self._about)
+            try:
+                self._empty()
+                write_kept(self.folder / ABOUT, self._about)
+            except BaseException:  # as on a full disk: nothing is kept, so nothing is left
+                self.close()
+                shutil.rmtree(self.folder, ignore_errors=True)
+                raise
             self.resumes = True
         return self.folder
 

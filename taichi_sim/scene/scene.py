@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from copy import copy, deepcopy
+from copy import copy
 from dataclasses import asdict, replace
 from functools import partial
 from os import PathLike
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,7 @@ from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
 from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.presets import PRESETS, Preset
+from taichi_sim.scene.read_only import read_only, refuse
 from taichi_sim.scene.stored import MOST_BODY, Stored
 from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.scene.toml_writer import save_scene
@@ -58,8 +59,8 @@ class Scene(Stored, Elements):
         self.colliders: list[Collider] = []
         self.embedded_surfaces: list[EmbeddedSurface] = []
         self.groups = Groups()
-        self.settings: dict[str, Any] = {}  # arguments of Simulation, from the scene file's [simulation]
-        self.output: dict[str, Any] = {}  # fps, duration, size, ..., from the scene file's [output]
+        self._settings: dict[str, Any] = {}
+        self._output: dict[str, Any] = {}
         self.locate: Callable[[SceneError], SceneError] | None = None  # where in its file an error's path stands
         self._balls = Table(
             position=np.zeros((0, dim)),
@@ -96,6 +97,26 @@ class Scene(Stored, Elements):
     def gravity(self, gravity: ArrayLike) -> None:
         self._may_change("gravity")
         self._gravity = sealed(validation.vector("gravity", gravity, self.dim))
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Arguments of Simulation, from the scene file's [simulation]."""
+        return self._settings
+
+    @settings.setter
+    def settings(self, settings: dict[str, Any]) -> None:
+        self._may_change("settings")
+        self._settings = settings
+
+    @property
+    def output(self) -> dict[str, Any]:
+        """fps, duration, size, ..., from the scene file's [output]."""
+        return self._output
+
+    @output.setter
+    def output(self, output: dict[str, Any]) -> None:
+        self._may_change("output")
+        self._output = output
 
     @property
     def n_balls(self) -> int:
@@ -496,15 +517,15 @@ class Scene(Stored, Elements):
         for name in LISTS:
             setattr(held, name, tuple(getattr(self, name)))
         held.groups, held._material_names = Groups(self.groups.names), Names()
-        held.settings, held.output = deepcopy(self.settings), deepcopy(self.output)
+        held._settings, held._output = (read_only(name, getattr(self, name)) for name in ("settings", "output"))
         for name in dir(self):
             if name.startswith(("add_", "set_", "new_")):
-                setattr(held, name, partial(_refuse, name))
+                setattr(held, name, partial(refuse, name))
         return held
 
     def _may_change(self, name: str) -> None:
         if isinstance(getattr(self, "walls", None), tuple):
-            _refuse(name)
+            refuse(name)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene as TOML; large arrays go to an .npz beside it."""
@@ -572,11 +593,6 @@ def _rows(where: str, rows: Any, n: int) -> NDArray[np.int64]:
     if array.dtype == np.bool_:
         return np.flatnonzero(validation.flags(where, array, n))
     return validation.indices(where, array, n).astype(np.int64)
-
-
-def _refuse(name: str, *_: object, **__: object) -> NoReturn:
-    says = "this scene belongs to a simulation and stays as it is; change your own, and make another simulation"
-    raise SceneError(name, says=says)
 
 
 def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:

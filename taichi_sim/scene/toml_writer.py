@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.atomic_file import replacing, require_name
 from taichi_sim.common.plain import plain
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
@@ -46,6 +46,7 @@ def save_scene(scene: Any, path: str | os.PathLike[str]) -> None:
     import tomli_w
 
     file = Path(path)
+    require_name(file)
     arrays_file = file.with_name(file.stem + "_arrays.npz")  # not x.npz, which `run -o` may be asked to write
     store = _Arrays(arrays_file.name)
     document = _document(scene, store)

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 
 __all__ = ["DESIGNS", "Axis", "Design", "axes_of", "axis_of", "plain", "seeded"]
 
 DESIGNS = ("product", "random", "latin", "sobol")
 FORMS = "like 1,2,5 or 0.1:0.9:9 (9 values) or 1e2:1e4:5:log, or a range to sample, 0.1:0.9 or 1e2:1e4:log"
+MOST_LUCK = 2**32 - 1
 MOST_VALUES = 1_000_000  # of one axis
 MOST_POINTS = 100_000  # that are run without being asked whether so many are meant
 
@@ -110,6 +112,7 @@ class Design:
         """Raise SceneError where axes, kind and points do not go together."""
         if self.kind not in DESIGNS:
             raise SceneError("design", self.kind, f"one of {', '.join(DESIGNS)}")
+        validation.whole("luck", self.luck, 0, MOST_LUCK)
         if self.kind == "product":
             if self.points is not None:
                 raise SceneError("points", says="are for the designs random, latin and sobol; a product has all")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.scene import Scene
-from taichi_sim.sweeps.design import Axis, Design, axes_of, seeded
+from taichi_sim.sweeps.design import MOST_LUCK, Axis, Design, axes_of, seeded
 from taichi_sim.sweeps.points import Point
 from taichi_sim.sweeps.study import Study, open_study
 from taichi_sim.sweeps.subject import Subject
@@ -145,6 +145,7 @@ def fit(
     if not isinstance(target, Mapping) or not target:
         raise SceneError("target", says="there is none; give measures and their values, like probes.tip.y=-0.12")
     goal = {name: validation.number(f"target.{name}", value) for name, value in target.items()}
+    validation.whole("luck", luck, 0, MOST_LUCK)
     validation.number("misfit", misfit, positive=True)
     least = len(axes) * (SCAN + 3)
     runs = validation.whole("runs", runs, least, 1_000_000)

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 from test_checkpoints import Remembers, Steady, cut_off, draw_with, files, run
 
+from taichi_sim import Scene, SceneError
 from taichi_sim.common.atomic_file import PartFile, replacing
 from taichi_sim.outputs import checkpoints, export, open_output
 
@@ -164,6 +165,32 @@ def test_a_folder_may_have_a_dot(tmp_path):
 def test_a_folder_that_takes_no_files(name):
     with pytest.raises(OSError, match=rf"/proc/{name}: cannot be written"):
         open_output(f"/proc/{name}")
+
+
+def test_no_room_for_the_first_file_leaves_nothing(tmp_path):
+    class Filling(Steady):
+        def contacts(self):
+            fill(20)
+            return super().contacts()
+
+    with no_room(), pytest.raises(OSError, match="File too large"):
+        run(tmp_path, "x.npz", kind=Filling, checkpoint=None)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("path", [".", "/", ""])
+def test_what_has_no_name_is_a_folder(path):
+    for write in (PartFile, Scene(dim=2).save):
+        with pytest.raises(IsADirectoryError, match="is a folder; give the name of a file"):
+            write(path)
+
+
+def test_one_output_twice_is_refused_first(tmp_path):
+    output = open_output(tmp_path / "x.npz")
+    with pytest.raises(SceneError, match=r"^output\[1\]: is given twice; give each output once"):
+        export(Steady(), [output, output], duration=0.1)
+    output.discard()
+    assert not list(tmp_path.iterdir())
 
 
 # What killed runs leave --------------------------------------------------------------------------------------------

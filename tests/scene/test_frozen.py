@@ -1,6 +1,8 @@
 """A scene's arrays are read-only, what changes them is checked, and a simulation's copy stays as it is."""
 
+import json
 import pickle
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -119,6 +121,36 @@ def test_a_change_is_checked_and_a_bad_one_changes_nothing(change, place):
         change(scene)
     after = scene.to_arrays()
     assert all(np.array_equal(before[name], after[name], equal_nan=True) for name in before)
+
+
+def test_what_a_frozen_copy_says_of_its_pictures_stays():
+    scene = world()
+    scene.settings = {"dt": 1e-3}
+    scene.output = {"fps": 30.0, "size": (640, 360), "camera": {"eye": [1, 2, 3]}}
+    held = scene.frozen()
+    again = pickle.loads(pickle.dumps(held))
+    for one in (held, again):
+        for change in (
+            lambda one=one: one.output.update(fps="x"),
+            lambda one=one: one.output.__setitem__("fps", "x"),
+            lambda one=one: one.output.pop("fps"),
+            lambda one=one: one.output["camera"].clear(),
+            lambda one=one: one.output["camera"]["eye"].append(4),
+            lambda one=one: one.output["camera"]["eye"].__setitem__(0, 4),
+            lambda one=one: one.settings.setdefault("contacts", "off"),
+            lambda one=one: setattr(one, "output", {}),
+            lambda one=one: setattr(one, "settings", {}),
+        ):
+            with pytest.raises(
+                ts.SceneError, match=r"^(output|settings)(\.camera.*)?: this scene belongs to a simulation"
+            ):
+                change()
+        assert one.output == scene.output
+        assert one.settings == scene.settings
+        mine = deepcopy(one.output)
+        mine["camera"]["eye"].append(4)
+        assert one.output["camera"]["eye"] == [1, 2, 3]
+    assert json.loads(json.dumps(held.output)) == {"fps": 30.0, "size": [640, 360], "camera": {"eye": [1, 2, 3]}}
 
 
 def test_a_frozen_copy_stays_as_it_is():

@@ -69,6 +69,12 @@ def test_designs_that_do_not_go_together(kind, points, why):
         Design(axes_of({"x": "1,2", "y": "0:1"}), kind, points).check()
 
 
+@pytest.mark.parametrize("luck", [-1, 0.5, 2**32, True])
+def test_luck_is_a_seed(luck):
+    with pytest.raises(ts.SceneError, match=r"^luck: .* it must be a whole number from 0 to 4294967295"):
+        Design(axes_of({"y": "0:1"}), "latin", 4, luck).check()
+
+
 def test_products_and_samples():
     axes = axes_of({"x": "1,2", "y": "0:1:3"})
     product = Design(axes)

@@ -92,6 +92,7 @@ def test_how_well_targets_tell_parameters():
         ({"method": "newton"}, "method: 'newton' is not allowed"),
         ({"misfit": 0.0}, "misfit: 0.0 is not allowed"),
         ({"runs": 5}, "runs: 5 is not allowed"),
+        ({"luck": -1}, "luck: -1 is not allowed"),
     ],
 )
 def test_what_is_refused_before_anything_runs(given, why, tmp_path):

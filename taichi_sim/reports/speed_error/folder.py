@@ -34,6 +34,7 @@ OURS = (
 )
 DAMAGE = (
     ValueError,
+    RecursionError,
     KeyError,
     TypeError,
     EOFError,
