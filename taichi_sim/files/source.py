@@ -88,7 +88,7 @@ def checked_output(scene: Scene) -> dict[str, Any]:
             raise unknown_key(path, Output.model_fields) from None
         if first["type"] == "missing":  # of a list that is too short
             missing = [one["loc"][-1] for one in error.errors() if one["loc"][:-1] == first["loc"][:-1]]
-            raise SceneError(path[:-1], first["input"], f"a list of {int(missing[-1]) + 1}") from None
+            raise SceneError(path[:-1], list(first["input"]), f"a list of {int(missing[-1]) + 1}") from None
         raise SceneError(path, first["input"], what_is_allowed(first)) from None
     if listed.get("camera") is not None:
         with about("scene.output.camera"):

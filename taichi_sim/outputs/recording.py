@@ -33,7 +33,8 @@ LOCAL_HEADER = 30
 
 class Recording(Sequence[Moment]):
     """The frames of an .npz, read from disk when they are asked for, with what the run said of contacts and probes at each.
-    scene: that they are of; fps [1/s].
+    scene: that they are of; fps [1/s]; lacks: numbers of the scene's probes that are not in it, as where frames were not an
+    export's.
 
     Raises FileNotFoundError, and SceneError for a file of another kind, or of another version, or that is damaged; of positions
     and velocities that are no numbers, or beyond 1e50, when their frame is asked for."""
@@ -50,9 +51,11 @@ class Recording(Sequence[Moment]):
                 says = f"was written by another version (format {about['format']}, this one reads {FORMAT})"
                 raise SceneError((), says=says, file=self.path)
             self.scene = scene_of(about, arrays)
-            self._probes = tuple(units_of(self.scene))
             with zipfile.ZipFile(self.path) as archive:
                 members = {member.filename: member for member in archive.infolist()}
+            probes = units_of(self.scene)
+            self._probes = tuple(name for name in probes if f"{name}.npy" in members)
+            self.lacks = tuple(name for name in probes if name not in self._probes)
             names = [*ALWAYS, *self._probes, *(name for name in SOMETIMES if f"{name}.npy" in members)]
             columns = {name: _column(self.path, members, name) for name in names}
             self._check(columns)

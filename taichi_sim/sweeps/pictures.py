@@ -25,6 +25,8 @@ from taichi_sim.sweeps.sweep import bar
 __all__ = ["draw"]
 
 MOST_IN_CHUNK = 16  # frames
+READINGS = (".csv", ".npz", ".gsd")  # outputs that hold what probes read
+NAMED = 3  # of these, before the others are left out
 CHUNKS = 4  # for each process, at least: so that all draw until the end
 AHEAD = 3  # chunks of each process that are drawn, or wait, before they are asked for
 
@@ -65,6 +67,9 @@ def draw(
     for path in paths:
         if os.path.realpath(path) == os.path.realpath(recording):
             raise ValueError(f"{os.fspath(path)}: is the recording itself; give another name")
+        if frames.lacks and Path(path).suffix.lower() in READINGS:
+            says = f"holds no {', '.join(frames.lacks[:NAMED])}, which {os.fspath(path)} would lack; write pictures or meshes"
+            raise SceneError((), says=says, file=recording)
     old = frames.scene.output
     for key, value in (style or {}).items():
         both = isinstance(value, Mapping) and isinstance(old.get(key), Mapping)

@@ -304,7 +304,10 @@ REFUSED = [
         ("fit", "ball.toml", "--vary", "a=0:1", "--target", "a=1", "--target", "a=2"),
         "target: 'a=2' gives a another value than before; give it once",
     ),
-    (("render", "x.npz", "-o", "x.gif", "--style", "camera=1", "--style", "camera.fov=2"), "--style: 'camera.fov=2' is w"),
+    (
+        ("render", "x.npz", "-o", "x.gif", "--style", "camera=1", "--style", "camera.fov=2"),
+        "--style: 'camera.fov=2' is w",
+    ),
     (("tune", "ball.toml", "--limit", "0"), "--limit: 0.0 is not allowed; it must be a number greater than 0"),
 ]
 FROM_TAICHI = [

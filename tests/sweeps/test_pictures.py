@@ -235,6 +235,19 @@ def test_a_recording_without_contacts_is_refused(run, tmp_path, name):
 
 
 @pytest.mark.once
+def test_probes_that_are_not_in_a_recording_are_missed(tmp_path):
+    """Frames that are not an export's have none."""
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0]], radius=0.1)
+    scene.add_probe("all", "energy")
+    with ts.Simulation(scene, contacts="off", precision=PRECISION) as sim, ts.open_output(tmp_path / "s.npz") as output:
+        output.write(0, sim.frame(), None)
+    with pytest.raises(ts.SceneError, match=r"s\.npz: holds no all\.kinetic, .*, which .*x\.csv would lack"):
+        draw(tmp_path / "s.npz", [tmp_path / "x.ply", tmp_path / "x.csv"], workers=0)
+    assert draw(tmp_path / "s.npz", [tmp_path / "x.ply"], workers=0) == 1
+
+
+@pytest.mark.once
 def test_a_recording_is_not_replaced_by_itself(run):
     before = (run / "s.npz").read_bytes()
     with pytest.raises(ValueError, match=r"s\.npz: is the recording itself; give another name"):
