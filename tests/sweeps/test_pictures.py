@@ -15,6 +15,7 @@ from physics_support import PRECISION
 from PIL import Image
 
 import taichi_sim as ts
+from taichi_sim import outputs
 from taichi_sim.common.atomic_file import lock
 from taichi_sim.files.checkpoint import FORMAT
 from taichi_sim.outputs.recording import Recording, require_drawable
@@ -280,8 +281,7 @@ def test_what_a_recording_cannot_show_is_refused_before_it_is_simulated(tmp_path
         raise AssertionError("it was simulated")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("taichi_sim.outputs.export.export", simulated)
-    monkeypatch.setattr(ts.outputs, "export", simulated)
+    monkeypatch.setattr(outputs, "export", simulated)
     common = [
         "run",
         "box",
