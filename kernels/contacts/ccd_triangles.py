@@ -1,37 +1,87 @@
 """Contacts of surfaces in a step: the list of all pairs that are near, and how far balls may move before any of them meet."""
 
 from taichi_sim.kernels.contacts.contact_incidence import begin_entries, each_contact, list_entries
-from taichi_sim.kernels.contacts.triangle_bvh import any_left_path, fit, traverse
-from taichi_sim.kernels.contacts.triangle_pairs import FIND_PAIRS, LIMIT_WAYS, hold_apart, is_upper, planes
+from taichi_sim.kernels.contacts.triangle_bvh import DRIFT_ALLOWED, any_left_path, fit, traverse
+from taichi_sim.kernels.contacts.triangle_pairs import (
+    FIND_CANDIDATES,
+    LIMIT_WAYS,
+    LOOK_AHEAD,
+    hold_apart,
+    is_upper,
+    list_candidate,
+    planes,
+)
 from taichi_sim.kernels.loops import each
 
 from taichi_sim.device.engine import ti
 
 PLANE_CLEARANCE = 0.02  # of what is kept: how far past its plane a ball is led
 PLANE_SWEEPS = 2  # times that all planes of a ball are gone through
+SAMPLE = 64  # balls of surfaces, of which the common motion is taken
 SAFE_DEVIATION = 0.99  # of a radius: what moves no further from where it was expected cannot meet what was not listed
 
 
 @ti.func
 def detect(triangles: ti.template(), solver: ti.template(), ball: ti.template()):
-    """Contacts of all leaves, then for each ball the list of its places in them; `begin` comes before."""
+    """Candidates of all leaves where those of the last search hold no more, the contacts among them, then for each ball the list
+    of its places in these; `decide` and `begin` come before."""
     fixed = ti.static(triangles.pairs.plan.gathers)
-    fit(triangles, ball, triangles.work[0].searches, FIND_PAIRS)
+    searches = triangles.work[0].searches * triangles.work[0].lists
+    fit(triangles, ball, searches, FIND_CANDIDATES)
     n = ti.static(triangles.model.n)
-    each(triangles.work[0].searches * n, n, fixed, traverse, (triangles, solver, ball, False, FIND_PAIRS))
+    each(searches * n, n, fixed, traverse, (triangles, solver, ball, False, FIND_CANDIDATES))
+    capacity = triangles.candidate_capacity
+    number = triangles.work[0].lists * ti.min(triangles.candidates[0], capacity)
+    each(number, capacity, fixed, list_candidate, (triangles, solver, ball))
     list_entries(triangles)
 
 
 @ti.func
-def begin(triangles: ti.template(), solver: ti.template(), ball: ti.template(), i):
-    """Nothing is listed of ball i yet, and this is where it goes."""
-    triangles.expected_displacement[i] = ball[i].v / solver.rate[0]
-    begin_entries(triangles, i)
-    if i == 0:
-        triangles.work[0].searches = 1
+def expire(triangles: ti.template()):
+    """Ask for a new search, whatever has moved."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        triangles.work[0].expired = 1
+
+
+@ti.func
+def decide(triangles: ti.template(), solver: ti.template(), ball: ti.template()):
+    """Whether anything is looked for, and what balls have moved in common since the last search, as a sample of them says. Only
+    how balls move relative to each other brings them together: whatever is taken as common, drifts are apart as before."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        triangles.work[0].lists = 1
         if ti.static(triangles.pairs.plan.neighbours):  # the grid is made, and may have given up
             if triangles.grid.crowded_pairs[0] > triangles.grid.pair_limit[0]:
-                triangles.work[0].searches = 0
+                triangles.work[0].lists = 0
+        triangles.work[0].searches = triangles.work[0].expired
+        way, change, step = ti.Vector.zero(float, 3), ti.Vector.zero(float, 3), ti.Vector.zero(float, 3)
+        number = ti.min(triangles.leaf_count, SAMPLE)
+        for k in range(number):
+            i = triangles.leaf_ball[k * triangles.leaf_count // number]
+            way += ball[i].x - triangles.searched_position[i]
+            step += ball[i].v / solver.rate[0]
+            change += ball[i].v / solver.rate[0] - triangles.searched_displacement[i]
+        triangles.fastest[0] = 0.0
+        triangles.common_way[0] = way / number
+        triangles.common_change[0] = change / number
+        triangles.common_step[0] = step / number
+
+
+@ti.func
+def begin(triangles: ti.template(), solver: ti.template(), ball: ti.template(), i):
+    """Nothing is listed of ball i yet, and this is where it goes. Whether it has drifted so far that a pair might be near that is
+    no candidate: two balls that drift by half of the skin each."""
+    expected = ball[i].v / solver.rate[0]
+    triangles.expected_displacement[i] = expected
+    begin_entries(triangles, i)
+    relative = (expected - triangles.common_step[0]).norm()
+    if relative > triangles.fastest[0]:
+        ti.atomic_max(triangles.fastest[0], relative)
+    drift = (ball[i].x - triangles.searched_position[i] - triangles.common_way[0]).norm()
+    drift += LOOK_AHEAD * (expected - triangles.searched_displacement[i] - triangles.common_change[0]).norm()
+    if not drift < DRIFT_ALLOWED * triangles.skin[0]:
+        triangles.work[0].searches = 1
 
 
 @ti.func

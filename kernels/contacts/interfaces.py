@@ -300,10 +300,21 @@ class TriangleContact(Protocol):
     lower_plane: float  # m, the same
 
 
+class TriangleCandidate(Protocol):
+    """What may become a pair before the next search."""
+
+    owner: int  # the ball whose leaf found it
+    place: int  # among what that found
+    first: int  # a ball, or an edge
+    second: int  # a triangle, or -1 - f for edge f
+
+
 class TriangleWork(Protocol):
     """Whether loops have anything to do: 1, or 0."""
 
-    searches: int  # pairs are looked for: the grid has not given up
+    lists: int  # pairs are listed: the grid has not given up
+    searches: int  # candidates are looked for: those of the last search hold no more
+    expired: int  # they hold no more whatever has moved
     left_path: int  # some ball is not where it was expected
     left_path_later: int  # as what was found then cut its way short
 
@@ -325,6 +336,18 @@ class Triangles(Incidences, Protocol):
     leaves_per_node: int  # at the bottom
     subtree_nodes: int  # at the bottom, above which one thread goes up
     stages: list  # for devices, a loop each: number of subtrees, which is their first node, and their height
+    widest_skin: Field  # (1) m
+    skin: Field  # (1) m, by which candidates may be further apart than pairs that are listed: that, or 0
+    fastest: Field  # (1) m, longest way of a ball in this step beside the common one
+    common_step: Field  # (1) vector, m: the common one
+    candidate: "TriangleCandidate"  # (candidate_capacity)
+    candidates: Field  # (1) number of them
+    candidate_capacity: int  # candidates_per_contact capacity
+    candidates_per_contact: int  # room for them
+    searched_position: Field  # (n) vector, m: where balls were when candidates were looked for
+    searched_displacement: Field  # (n) vector, m: the expected displacement of then
+    common_way: Field  # (1) vector, m: that all have made in common since
+    common_change: Field  # (1) vector, m: of the expected displacement
     expected_displacement: Field  # (n) vector, m: of a step, at the speeds with which pairs were found
     left_path: Field  # (n) 1: is not where that would have taken it
     allowed_part: Field  # (n) of its way that each ball may make

@@ -4,10 +4,13 @@ The leaf of a ball is what it owns: the triangles whose first ball it is, and th
 is one surface stays together: node k has the children 2 k and 2 k + 1, and each node at the bottom the same number of leaves,
 by their slots. What is near depends on how leaves move relative to each other, so that a cloth that falls as a whole sees no
 more of itself than one at rest.
+
+What is found holds for some steps: a pair becomes a candidate while it is further apart than it is listed by the skin, and
+nothing is looked for until some ball has drifted by nearly half of that (ccd_triangles.begin).
 """
 
 from taichi_sim.kernels.contacts.triangle_pairs import (
-    FIND_PAIRS,
+    FIND_CANDIDATES,
     KEPT_DISTANCE,
     LIMIT_WAYS,
     LOOK_AHEAD,
@@ -20,6 +23,9 @@ from taichi_sim.kernels.loops import each
 
 from taichi_sim.device.engine import ti
 
+# of the skin, of each ball since a search: two halves of it bring a pair near, the rest is for rounding
+DRIFT_ALLOWED = 0.45
+SHORTEST_HOLD = 1.0  # steps that a search with a skin must hold; where it would not, there is no skin
 BEYOND_ALL = 1e30  # m, beyond all that there is
 
 
@@ -49,7 +55,7 @@ def bounds(triangles: ti.template(), ball: ti.template(), i, job: ti.template())
         bottom, top = stretch(triangles, ball, k, job)
         low, high = ti.min(low, bottom), ti.max(high, top)
         thick = ti.max(thick, triangles.model.radius[k])
-        if ti.static(job == FIND_PAIRS):
+        if ti.static(job == FIND_CANDIDATES):
             apart = triangles.expected_displacement[k] - triangles.expected_displacement[i]
             spread = ti.max(spread, LOOK_AHEAD * apart.norm())
     if ti.static(job == LIMIT_WAYS):
@@ -85,6 +91,11 @@ def fit_bottom(place, triangles: ti.template(), ball: ti.template(), job: ti.tem
     """The boxes of the leaves of one node at the bottom, and its own."""
     none = BEYOND_ALL + ti.Vector.zero(float, 3)
     low, high, lowest, highest, near = none, -none, none, -none, ti.cast(0.0, float)
+    if ti.static(job == FIND_CANDIDATES):
+        if place == 0:
+            triangles.candidates[0] = 0
+            holds = DRIFT_ALLOWED * triangles.widest_skin[0] > SHORTEST_HOLD * triangles.fastest[0]
+            triangles.skin[0] = ti.select(holds, triangles.widest_skin[0], 0.0)
     first = place * triangles.leaves_per_node
     for slot in range(first, ti.min(first + triangles.leaves_per_node, triangles.leaf_count)):
         i = triangles.leaf_ball[slot]
@@ -130,6 +141,14 @@ def traverse(own_slot, triangles: ti.template(), solver: ti.template(), ball: ti
     p = triangles.leaf_ball[own_slot]
     low, high, near = bounds(triangles, ball, p, job)
     way = triangles.expected_displacement[p]
+    if ti.static(job == FIND_CANDIDATES):
+        near += triangles.skin[0]
+        triangles.searched_position[p] = ball[p].x
+        triangles.searched_displacement[p] = way
+        if own_slot == 0:
+            triangles.work[0].expired = 0
+            if ti.static(not triangles.pairs.plan.neighbours):  # else the grid counts its own
+                triangles.grid.searches[0] = triangles.grid.searches[0] + 1
     found = 0
     own = False
     if ti.static(some):
@@ -140,7 +159,7 @@ def traverse(own_slot, triangles: ti.template(), solver: ti.template(), ball: ti
     while k > 0:
         node = triangles.node[k]
         reach = near + node.reach
-        if ti.static(job == FIND_PAIRS):
+        if ti.static(job == FIND_CANDIDATES):
             reach += LOOK_AHEAD * ti.max(way - node.lowest_displacement, node.highest_displacement - way, 0.0).norm()
         meets = near_boxes(low, high, node.low, node.high, reach)
         if meets and k < triangles.bottom_nodes:
@@ -152,7 +171,7 @@ def traverse(own_slot, triangles: ti.template(), solver: ti.template(), ball: ti
                     if slot > own_slot or (slot != own_slot and (own or own_slot >= triangles.leaf_count)):
                         leaf = triangles.leaf[slot]
                         around = near + leaf.reach
-                        if ti.static(job == FIND_PAIRS):
+                        if ti.static(job == FIND_CANDIDATES):
                             around += LOOK_AHEAD * (way - leaf.displacement).norm()
                         looks = near_boxes(low, high, leaf.low, leaf.high, around)
                         if ti.static(some):

@@ -2,6 +2,10 @@
 
 A pair has four balls with weights (1, -u, -v, -w) or (1 - s, s, t - 1, -t); the first one, or two, are its upper side, and its
 normal points there. Which pairs are looked at: triangle_bvh. What becomes of them: ccd_triangles.
+
+What a tree finds are candidates, nearer than a pair is listed by `skin`, so that they hold for some steps (triangle_bvh.watch);
+in each step those are listed that may meet then. Whether one is listed depends on where its balls are and how they move alone,
+not on when it was found.
 """
 
 from taichi_sim.kernels.contacts.closest_points import between_edges, on_triangle
@@ -13,7 +17,7 @@ from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
 
-FIND_PAIRS, LIMIT_WAYS = range(2)  # what a traversal does with the pairs that it finds
+FIND_CANDIDATES, LIST_PAIRS, LIMIT_WAYS = range(3)  # what is done with a pair
 LOOK_AHEAD = 1.5  # of the way that the present velocity makes in a step: contacts are found before they touch
 LISTED_DISTANCE = 1.1  # of the distance at touch: contacts that nearly touch count as those that do
 # of a distance that is too short for the way of a step, and of the distance at touch where it is that short already
@@ -29,7 +33,7 @@ EDGE_END = 1e-4  # of an edge: nearer to its end, the hit is one of the ball the
 def ball_triangle(
     triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, i, t, near, place, job: ti.template()
 ):
-    """1 where ball i and triangle t are listed as a pair, else 0."""
+    """1 where ball i and triangle t become a candidate, else 0; or let them limit their ways."""
     found = 0
     triangle = triangles.triangle[t]
     a, b, c = triangle.a, triangle.b, triangle.c
@@ -39,67 +43,133 @@ def ball_triangle(
         low_b, high_b = stretch(triangles, ball, b, job)
         low_c, high_c = stretch(triangles, ball, c, job)
         if near_boxes(low, high, ti.min(low_a, low_b, low_c), ti.max(high_a, high_b, high_c), near):
-            x, xa, xb, xc = (
-                triangles.grid.origin[i],
-                triangles.grid.origin[a],
-                triangles.grid.origin[b],
-                triangles.grid.origin[c],
-            )
-            w = on_triangle(x, xa, xb, xc)
-            at_triangle = w[0] * xa + w[1] * xb + w[2] * xc
-            r = x - at_triangle
-            if ti.static(job == LIMIT_WAYS) or r.dot(r) < near * near:
-                balls = ti.Vector([i, a, b, c])
-                g = ti.Vector([1.0 + 0.0 * w[0], -w[0], -w[1], -w[2]])
-                whole = True
-                if ti.static(job == FIND_PAIRS):
-                    whole = w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0
-                    beyond = ti.Vector([triangle.beyond_a, triangle.beyond_b, triangle.beyond_c])
-                    for k in ti.static(
-                        range(3)
-                    ):  # on the edge across from corner k; a hit at a corner is one of two balls
-                        if w[k] == 0.0 and w[(k + 1) % 3] > 0.0 and w[(k + 2) % 3] > 0.0 and beyond[k] > NOT_OWNED:
-                            whole = True
-                            if beyond[k] >= 0:  # nearer to the inside of the triangle on the other side: that one's
-                                along = (
-                                    triangles.grid.origin[balls[1 + (k + 2) % 3]]
-                                    - triangles.grid.origin[balls[1 + (k + 1) % 3]]
-                                )
-                                m = triangles.grid.origin[beyond[k]] - at_triangle
-                                m -= m.dot(along) / along.dot(along) * along
-                                whole = r.dot(m) <= 0.0
-                if w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0:
-                    r = across(r, xb - xa, xc - xa, x - xa)
-                found = take_pair(triangles, solver, ball, p, balls, g, r, BALL_TRIANGLE, whole, place, job)
+            found = ball_near_triangle(triangles, solver, ball, p, i, t, near, place, job)
+    return found
+
+
+@ti.func
+def ball_near_triangle(
+    triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, i, t, near, place, job: ti.template()
+):
+    """The same, and listing, where boxes are near."""
+    found = 0
+    triangle = triangles.triangle[t]
+    a, b, c = triangle.a, triangle.b, triangle.c
+    x, xa, xb, xc = (
+        triangles.grid.origin[i],
+        triangles.grid.origin[a],
+        triangles.grid.origin[b],
+        triangles.grid.origin[c],
+    )
+    w = on_triangle(x, xa, xb, xc)
+    at_triangle = w[0] * xa + w[1] * xb + w[2] * xc
+    r = x - at_triangle
+    balls = ti.Vector([i, a, b, c])
+    if ti.static(job == FIND_CANDIDATES):
+        if r.dot(r) < near * near and may_meet(triangles, balls, BALL_TRIANGLE):
+            found = note_candidate(triangles, p, place, i, t)
+    else:
+        g = ti.Vector([1.0 + 0.0 * w[0], -w[0], -w[1], -w[2]])
+        whole = True
+        if ti.static(job == LIST_PAIRS):
+            whole = w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0
+            beyond = ti.Vector([triangle.beyond_a, triangle.beyond_b, triangle.beyond_c])
+            for k in ti.static(range(3)):  # on the edge across from corner k; a hit at a corner is one of two balls
+                if w[k] == 0.0 and w[(k + 1) % 3] > 0.0 and w[(k + 2) % 3] > 0.0 and beyond[k] > NOT_OWNED:
+                    whole = True
+                    if beyond[k] >= 0:  # nearer to the inside of the triangle on the other side: that one's
+                        along = (
+                            triangles.grid.origin[balls[1 + (k + 2) % 3]]
+                            - triangles.grid.origin[balls[1 + (k + 1) % 3]]
+                        )
+                        m = triangles.grid.origin[beyond[k]] - at_triangle
+                        m -= m.dot(along) / along.dot(along) * along
+                        whole = r.dot(m) <= 0.0
+        if w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0:
+            r = across(r, xb - xa, xc - xa, x - xa)
+        take_pair(triangles, solver, ball, p, balls, g, r, BALL_TRIANGLE, whole, place, job)
     return found
 
 
 @ti.func
 def edge_edge(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, e, f, low, high, near, place,
               job: ti.template()):  # fmt: skip
-    """1 where edges e and f are listed as a pair, else 0. low, high: the box of edge f."""
+    """1 where edges e and f become a candidate, else 0; or let them limit their ways. low, high: the box of edge f."""
     found = 0
     a, b, c, d = triangles.edge[e].one, triangles.edge[e].two, triangles.edge[f].one, triangles.edge[f].two
     if a != c and a != d and b != c and b != d and triangles.edge[e].bare + triangles.edge[f].bare < 2:
         low_a, high_a = stretch(triangles, ball, a, job)
         low_b, high_b = stretch(triangles, ball, b, job)
         if near_boxes(ti.min(low_a, low_b), ti.max(high_a, high_b), low, high, near):
-            xa, xb, xc, xd = (
-                triangles.grid.origin[a],
-                triangles.grid.origin[b],
-                triangles.grid.origin[c],
-                triangles.grid.origin[d],
-            )
-            s, t = between_edges(xa, xb, xc, xd)
-            r = xa + s * (xb - xa) - xc - t * (xd - xc)
-            if ti.static(job == LIMIT_WAYS) or r.dot(r) < near * near:
-                g = ti.Vector([1.0 - s, s, t - 1.0, -t])
-                inside = s > EDGE_END and s < 1.0 - EDGE_END and t > EDGE_END and t < 1.0 - EDGE_END
-                if inside:
-                    r = across(r, xb - xa, xd - xc, xa - xc)
-                kind = EDGE_EDGE + STICK_FIRST * triangles.edge[e].bare + STICK_SECOND * triangles.edge[f].bare
-                found = take_pair(triangles, solver, ball, p, ti.Vector([a, b, c, d]), g, r, kind, inside, place, job)
+            found = near_edges(triangles, solver, ball, p, e, f, near, place, job)
     return found
+
+
+@ti.func
+def near_edges(
+    triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, e, f, near, place, job: ti.template()
+):
+    """The same, and listing, where boxes are near."""
+    found = 0
+    a, b, c, d = triangles.edge[e].one, triangles.edge[e].two, triangles.edge[f].one, triangles.edge[f].two
+    xa, xb, xc, xd = (
+        triangles.grid.origin[a],
+        triangles.grid.origin[b],
+        triangles.grid.origin[c],
+        triangles.grid.origin[d],
+    )
+    s, t = between_edges(xa, xb, xc, xd)
+    r = xa + s * (xb - xa) - xc - t * (xd - xc)
+    balls = ti.Vector([a, b, c, d])
+    if ti.static(job == FIND_CANDIDATES):
+        if r.dot(r) < near * near and may_meet(triangles, balls, EDGE_EDGE):
+            found = note_candidate(triangles, p, place, e, -1 - f)
+    else:
+        g = ti.Vector([1.0 - s, s, t - 1.0, -t])
+        inside = s > EDGE_END and s < 1.0 - EDGE_END and t > EDGE_END and t < 1.0 - EDGE_END
+        if inside:
+            r = across(r, xb - xa, xd - xc, xa - xc)
+        kind = EDGE_EDGE + STICK_FIRST * triangles.edge[e].bare + STICK_SECOND * triangles.edge[f].bare
+        take_pair(triangles, solver, ball, p, balls, g, r, kind, inside, place, job)
+    return found
+
+
+@ti.func
+def may_meet(triangles: ti.template(), b, kind):
+    """Whether the pair of balls b can move at all, and its groups collide."""
+    may = False
+    for k in ti.static(range(4)):
+        may = may or triangles.model.inverse_mass[b[k]] > 0.0
+    if ti.static(triangles.model.has_groups):
+        may = may and balls_meet(triangles.model, b[0], ti.select(kind == BALL_TRIANGLE, b[1], b[2]))
+    return may
+
+
+@ti.func
+def note_candidate(triangles: ti.template(), p, place, first, second):
+    """Note a candidate of ball and triangle, or of edges e and -1 - f; 1, how many that is."""
+    at = COUNT_LIMIT
+    if triangles.candidates[0] < COUNT_LIMIT:
+        at = ti.atomic_add(triangles.candidates[0], 1)
+    if at < triangles.candidate_capacity:
+        triangles.candidate[at].owner = p
+        triangles.candidate[at].place = place
+        triangles.candidate[at].first = first
+        triangles.candidate[at].second = second
+    else:
+        ti.atomic_max(triangles.overflow[0], at // triangles.candidates_per_contact + 1)
+    return 1
+
+
+@ti.func
+def list_candidate(c, triangles: ti.template(), solver: ti.template(), ball: ti.template()):
+    """List candidate c as a pair if it may meet in this step."""
+    candidate = triangles.candidate[c]
+    p, place = candidate.owner, candidate.place
+    if candidate.second >= 0:
+        ball_near_triangle(triangles, solver, ball, p, candidate.first, candidate.second, 0.0, place, LIST_PAIRS)
+    else:
+        near_edges(triangles, solver, ball, p, candidate.first, -1 - candidate.second, 0.0, place, LIST_PAIRS)
 
 
 @ti.func
@@ -135,26 +205,16 @@ def take_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
            job: ti.template()):  # fmt: skip
     """List the pair of balls b with weights g at distance r, or let it limit their way. whole: no other pair has this hit.
     kind: see kinds."""
-    found = 0
-    allowed = False
-    for k in ti.static(range(4)):
-        allowed = allowed or triangles.model.inverse_mass[b[k]] > 0.0
-    other = ti.select(kind == BALL_TRIANGLE, b[1], b[2])
-    if ti.static(triangles.model.has_groups):
-        allowed = allowed and balls_meet(triangles.model, b[0], other)
-    if allowed:
-        n, d = unit(r, b[0], other)
-        if ti.static(job == LIMIT_WAYS):
-            hold_apart(triangles, ball, b, n, kind)
-        else:
-            found = list_pair(triangles, solver, ball, p, b, g, n, d, kind, whole, place)
-    return found
+    n, d = unit(r, b[0], ti.select(kind == BALL_TRIANGLE, b[1], b[2]))
+    if ti.static(job == LIST_PAIRS):
+        list_pair(triangles, solver, ball, p, b, g, n, d, kind, whole, place)
+    elif may_meet(triangles, b, kind):
+        hold_apart(triangles, ball, b, n, kind)
 
 
 @ti.func
 def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, n, d, kind, whole, place):
-    """1 where the pair, with the normal n and distance d, may meet within the step and is listed, else 0."""
-    found = 0
+    """List the pair, with the normal n and distance d, where it may meet within the step."""
     u, give, above, below = 0.0 * d, 0.0 * d, 1e30 + 0.0 * d, -1e30 + 0.0 * d
     thick, upper, lower, nearest = 0.0 * d, 0.0 * d, 0.0 * d, triangles.spacing[b[0]]
     for k in ti.static(range(4)):
@@ -173,7 +233,6 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
         nearest = ti.min(nearest, triangles.spacing[b[k]])
     way = LOOK_AHEAD * ti.max(0.0, -u) / solver.rate[0]
     if d < upper + lower + LOOK_AHEAD * ti.max(0.0, below - above) / solver.rate[0]:
-        found = 1
         at = COUNT_LIMIT
         if triangles.used[0] < COUNT_LIMIT:
             at = ti.atomic_add(triangles.used[0], 1)
@@ -194,7 +253,6 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
                 triangles.member[4 * at + k] = b[k]
                 triangles.weight[4 * at + k] = g[k]
             count_entries(at, triangles)
-    return found
 
 
 @ti.func

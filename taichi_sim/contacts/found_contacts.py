@@ -181,6 +181,8 @@ class FoundContacts:
             self.walls.colliders.rewind()
         if ti.static(self.plan.pairs):
             self.pairs.grid.expire()
+        if ti.static(self.plan.triangles):
+            ccd_triangles.expire(self.triangles)
         self._find(ball, False)
 
     @ti.func
@@ -202,6 +204,7 @@ class FoundContacts:
                     ccd_triangles.cut_short(self.triangles, self, ball, i)
             self.pairs.grid.build(ball)
         if ti.static(self.plan.triangles):
+            ccd_triangles.decide(self.triangles, self, ball)
             for i in range(self.n):
                 if ti.static(not self.plan.neighbours):
                     if ti.static(moved):

@@ -126,8 +126,6 @@ class Grid:
     def note_origin(self, ball: ti.template(), i):
         """Where ball i is, for triangles, which look for what is near them by themselves."""
         self.origin[i] = ball[i].x
-        if i == 0:
-            self.searches[0] = self.searches[0] + 1
 
     @ti.func
     def build(self, ball: ti.template()):

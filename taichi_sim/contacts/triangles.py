@@ -23,6 +23,8 @@ LARGEST_CAPACITY = 1 << 28  # contacts; each has four entries
 # of the smallest height of a ball's triangles: what springs join keeps that distance, where it is thicker
 SPACING = 0.5
 LEAVES_PER_NODE = 8
+SURFACE_SKIN = 0.5  # of the smallest radius of a surface, see kernels.contacts.ccd_triangles.begin
+CANDIDATES_PER_CONTACT = 2  # room for them
 SUBTREE_HEIGHT = 5  # of what one thread of a device joins
 MORTON_CELLS = (1 << 20) - 1  # cells along the longest side of what is put in order
 UNBOUNDED_SPACING = 1e12  # m, the same of a ball without triangles
@@ -68,11 +70,17 @@ class TriangleContacts:
         spread = {"lowest_displacement": vector, "highest_displacement": vector}
         self.node = fields.table({**box, **spread}, 2 * self.bottom_nodes)
         self.allowed_part, self.effective_inverse_mass = fields.reals(n), fields.reals(n)
-        self.work = fields.table(dict.fromkeys(("searches", "left_path", "left_path_later"), ti.i32), 1)
+        self.work = fields.table(
+            dict.fromkeys(("lists", "searches", "expired", "left_path", "left_path_later"), ti.i32), 1
+        )
         self.left_path = fields.integers(n)
         self.capacity = max(capacity, MINIMUM_CAPACITY, CONTACTS_PER_BALL * len(np.unique(triangles)))
         self.most_solved = self.capacity  # one by one
         before = fields.bytes
+        self.candidates_per_contact = CANDIDATES_PER_CONTACT
+        self.candidate_capacity = CANDIDATES_PER_CONTACT * self.capacity
+        columns = dict.fromkeys(("owner", "place", "first", "second"), ti.i32)
+        self.candidate = fields.table(columns, self.candidate_capacity)
         lengths = ("distance", "thickness", "target", "impulse", "upper_plane", "lower_plane")
         columns = {**dict.fromkeys(("owner", "place", "kind"), ti.i32), "normal": vector}
         self.contact = fields.table({**columns, **dict.fromkeys(lengths, fields.real)}, self.capacity)
@@ -83,7 +91,11 @@ class TriangleContacts:
         self.weight = fields.reals(4 * self.capacity)
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number = fields.integers(n), fields.integers(n)
-        self.used, self.entries, self.overflow = (fields.integers(1) for _ in range(3))
+        self.used, self.candidates, self.entries, self.overflow = (fields.integers(1) for _ in range(4))
+        self.widest_skin = fields.reals(np.array([SURFACE_SKIN * float(np.min(scene.radius[np.unique(triangles)]))]))
+        self.skin, self.fastest = fields.reals(1), fields.reals(1)
+        self.searched_position, self.searched_displacement = fields.vectors(n, 3), fields.vectors(n, 3)
+        self.common_way, self.common_change, self.common_step = (fields.vectors(1, 3) for _ in range(3))
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
