@@ -34,7 +34,7 @@ def scene(thrown):
 def _throw(out, rng):
     stick = out.add_balls([[-0.2, 0.2, 0.0], [-0.2, 0.22, 0.1]], radius=0.01, mass=0.01)
     out.add_springs([stick], stiffness=100.0, collides=True)
-    x = rng.uniform(-0.2, 0.2, (8, 3)) + [0.0, 0.5, 0.0]
+    x = rng.uniform([-0.2, 0.3, -0.2], [0.2, 0.7, 0.2], (8, 3))
     out.add_balls(x, radius=0.015, mass=2e-3, velocity=[0.0, -3.0, 0.0])
 
 
