@@ -31,15 +31,19 @@ CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Ta
 
 
 class Backend(NamedTuple):
-    """What runs: arch ("cpu", "cuda", ...), precision ("f32" or "f64"), threads (CPU threads; 0 on a GPU)."""
+    """What runs: arch ("cpu", "cuda", ...), precision ("f32" or "f64"), threads (CPU threads; 0 on a GPU), device: its name and
+    driver, "" for the CPU."""
 
     arch: str
     precision: str
     threads: int
+    device: str = ""
 
     def __str__(self) -> str:
-        """`cpu, 2 threads, f32, taichi 1.7.4`."""
-        where = f"{self.arch}, {self.threads} thread{'s' * (self.threads != 1)}" if self.arch == "cpu" else self.arch
+        """`cpu, 2 threads, f32, taichi 1.7.4`, `vulkan Some GPU (Vulkan 1.3, driver 0x1), f32, taichi 1.7.4`."""
+        where = f"{self.arch} {self.device}".rstrip()
+        if self.arch == "cpu":
+            where = f"{self.arch}, {self.threads} thread{'s' * (self.threads != 1)}"
         return f"{where}, {self.precision}, {ENGINE} {VERSION}"
 
     @property
@@ -139,7 +143,10 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
         candidates = [a for a in AUTOMATIC if precision == "f32" or a in WIDE_ARCHES]
     name = next((a for a in candidates if a == "cpu" or (_works(a) and (arch != "auto" or _is_trusted(a)))), None)
     if name is None:
-        raise BackendError(f"arch: {arch!r} was asked for, but no such device works here; use 'cpu' or 'auto'")
+        raise BackendError(
+            f"arch: {arch!r} was asked for, but no such device works here: `taichi-sim devices` says what does; use 'cpu' or"
+            " 'auto'"
+        )
     real = ti.f64 if precision == "f64" else ti.f32
     _free_cache(Path(str(ti.lang.impl.default_cfg().offline_cache_file_path)))
     # it prints a banner that no option turns off; what other threads print meanwhile is none of its
@@ -156,7 +163,8 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
             fast_math=False,
             advanced_optimization=False,  # Taichi's own passes: LLVM repeats them; compiling takes a third, running the same
         )
-    return Backend(name, precision, threads if name == "cpu" else 0)
+    device = None if name == "cpu" else find(name)
+    return Backend(name, precision, threads if name == "cpu" else 0, "" if device is None else device.words)
 
 
 def _free_cache(folder: Path) -> None:

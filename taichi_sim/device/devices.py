@@ -33,6 +33,11 @@ class Device(NamedTuple):
     memory: int = 0
     software: bool = False
 
+    @property
+    def words(self) -> str:
+        """Name and driver."""
+        return f"{self.name} ({self.driver})" if self.driver else self.name
+
 
 def find(arch: str) -> Device | None:
     """The device that "cpu", "cuda", "vulkan" or "metal" would run on; None where there is none."""

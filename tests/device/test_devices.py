@@ -73,3 +73,13 @@ def test_double_precision_is_refused_where_there_may_be_none(arch):
         ts.BackendError, match=f"precision: 'f64' was asked for, which {arch} devices may lack; use 'f32'"
     ):
         ts.Simulation(ts.Scene(), arch=arch, precision="f64")
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_runs_is_named_as_the_list_of_devices_names_it(monkeypatch, known):
+    monkeypatch.setattr(backend, "find", lambda arch: GPU if known else None)
+    monkeypatch.setattr(backend, "_works", lambda arch: True)
+    monkeypatch.setattr(backend.ti, "init", lambda **_: None)
+    name = "vulkan Some GPU (Vulkan 1.3, driver 0x1), f32, " if known else "vulkan, f32, "
+    assert str(backend._init("vulkan", "f32", 2)).startswith(name)
+    assert str(backend._init("cpu", "f32", 2)).startswith("cpu, 2 threads, f32, ")
