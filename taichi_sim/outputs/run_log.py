@@ -20,6 +20,7 @@ NAMED = 4  # things that differ, before the others are only counted
 READABLE = 40  # characters of a value that a message shows
 MOST_FRAMES = 10**9
 FILE = re.compile(r"(state|frames)_\d+(_\d+)?\.npz")  # of a checkpoint
+WHY = {"duration": ": the camera is fitted to the whole run"}  # what differs is no matter of course
 
 
 @dataclass(frozen=True)
@@ -180,10 +181,20 @@ def _differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[st
     for group in dict.fromkeys([*then, *now]):
         before, after = then.get(group, {}), now.get(group, {})
         for name in dict.fromkeys([*before, *after]):
-            old, new = before.get(name), after.get(name)
-            if json.dumps(old, sort_keys=True) != json.dumps(new, sort_keys=True):  # nan is nan here
-                said = all(len(short(value)) <= READABLE for value in (old, new))
-                yield f"{name} ({_word(old)} then, {_word(new)} now)" if said else name
+            yield from _differs(name, before.get(name), after.get(name))
+
+
+def _differs(name: str, old: Any, new: Any) -> Iterator[str]:
+    """The same of two values of one name; of tables, of each of their keys."""
+    if json.dumps(old, sort_keys=True) == json.dumps(new, sort_keys=True):  # nan is nan here
+        return
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in dict.fromkeys([*old, *new]):
+            yield from _differs(f"{name}.{key}", old.get(key), new.get(key))
+        return
+    said = all(len(short(value)) <= READABLE for value in (old, new))
+    why = WHY.get(name, "")
+    yield f"{name} ({_word(old)} then, {_word(new)} now{why})" if said else f"{name}{why}"
 
 
 def _word(value: Any) -> str:

@@ -204,6 +204,21 @@ def test_another_run_is_refused_and_what_differs_is_named(tmp_path, name):
     assert run(tmp_path, name, resume=True).resumed == 13
 
 
+def test_the_key_that_differs_is_named_with_both_values():
+    then = {"scene": {"materials.grippy": {"friction": 0.5, "restitution": 0.1}, "colliders[0]": {"size": [1.0, 2.0]}}}
+    now = {
+        "scene": {
+            "materials.grippy": {"friction": 0.6, "restitution": 0.1},
+            "colliders[0]": {"size": [1.0, 3.0], "ramp": 1},
+        }
+    }
+    assert list(run_log._differences(then, now)) == [
+        "materials.grippy.friction (0.5 then, 0.6 now)",
+        "colliders[0].size ([1.0, 2.0] then, [1.0, 3.0] now)",
+        "colliders[0].ramp (none then, 1 now)",
+    ]
+
+
 def test_another_version_is_refused(tmp_path, monkeypatch):
     cut_off(tmp_path, "x.npz", 13)
     monkeypatch.setattr("taichi_sim.__version__", "0.7")

@@ -186,7 +186,9 @@ def test_of_several_outputs_one_alone_goes_on(tmp_path):
 def test_another_duration_is_another_camera(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, "x.mp4", ends=13, checkpoint=1e-9)
-    with pytest.raises(ValueError, match=r"differs in duration \(0\.5 then, 0\.4 now\)"):
+    with pytest.raises(
+        ValueError, match=r"differs in duration \(0\.5 then, 0\.4 now: the camera is fitted to the whole run\)"
+    ):
         run(tmp_path, "x.mp4", resume=True, duration=0.4)
 
 
