@@ -392,7 +392,10 @@ def test_cuda_without_a_gpu(folder):
     if done.returncode == 0:
         pytest.skip("there is a GPU")
     assert done.returncode == 2
-    assert done.stderr == "taichi-sim: arch: 'cuda' was asked for, but no such device works here; use 'cpu' or 'auto'\n"
+    assert done.stderr == (
+        "taichi-sim: arch: 'cuda' was asked for, but no such device works here: `taichi-sim devices` says what does; use 'cpu' or"
+        " 'auto'\n"
+    )
     assert names(folder) == ["ball.toml", "stiff.toml"]
 
 

@@ -39,6 +39,13 @@ def test_this_installation_computes_what_is_stored(case, monkeypatch):
     assert result.deviation < 0.1 * verify.TOLERANCE
 
 
+def test_the_last_line_says_that_all_passed(monkeypatch):
+    monkeypatch.setattr(verify, "computed", lambda case, **_: stored(case))
+    ended = CliRunner().invoke(main, ["verify", "--arch", "cpu"])
+    assert ended.exit_code == 0
+    assert ended.output.splitlines()[-1] == "all 6 passed"
+
+
 @pytest.mark.parametrize("what", ["position", "energy", "nan", "unstable"])
 def test_one_scene_that_is_off_is_named_and_ends_with_status_1(what, monkeypatch):
     def computed(case, **_):
@@ -56,7 +63,8 @@ def test_one_scene_that_is_off_is_named_and_ends_with_status_1(what, monkeypatch
     lines = ended.output.splitlines()
     assert next(line for line in lines if line.startswith("WRONG")).startswith("WRONG   cloth, implicit_euler: ")
     assert sum(line.startswith("passed") for line in lines) == len(verify.CASES) - 1
-    assert "1 of 6 scenes are not what they should be: cloth, implicit_euler" in ended.output
+    assert ended.output.splitlines()[-1] == "taichi-sim: 1 of 6 failed: cloth, implicit_euler"
+    assert ("off by 2.0e-05 of its size or energy, allowed 1e-05" in ended.output) == (what in ("position", "energy"))
     for part in ("taichi-sim 0", "f32", f"{ENGINE} {VERSION}", "NumPy", "Python", "allowed 1e-05"):
         assert part in ended.output
 
