@@ -108,6 +108,7 @@ def run(
 ) -> None:
     """Simulate SCENE and write a video, pictures, arrays or files for other programs; without --out show the summary only."""
     from taichi_sim.outputs import export, open_outputs
+    from taichi_sim.outputs.resumable import Resumable
 
     job = _Job(scene, options)
     if round(job.output["fps"] * job.output["duration"]) < 1:
@@ -123,7 +124,7 @@ def run(
     targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
     if resume:
         for name, target in zip(out or [], targets):
-            if target.resumable and not target.log.resumes:
+            if isinstance(target, Resumable) and not target.log.resumes:
                 typer.echo(f"{name}: nothing is kept of it; it begins at the first frame", err=True)
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")

@@ -387,6 +387,12 @@ def test_bad_input_ends_with_one_message_and_writes_nothing(folder):
     assert names(folder / "full") == ["notes.txt"]
 
 
+def test_resume_says_where_nothing_is_kept(folder):
+    done = command(folder, "run", "ball.toml", "-o", "x.npz", "--resume", "--quiet")
+    assert done.returncode == 0
+    assert done.stderr == "x.npz: nothing is kept of it; it begins at the first frame\n"
+
+
 def test_cuda_without_a_gpu(folder):
     done = command(folder, "run", "ball.toml", "-o", "x.mp4", "--arch", "cuda", CUDA_VISIBLE_DEVICES="")
     if done.returncode == 0:
