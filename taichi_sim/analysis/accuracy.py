@@ -96,11 +96,12 @@ def _bounces(scene: Scene, h: float) -> Iterator[Finding]:
     early = f"; rest comes up to {4.0 * h * e / (1.0 - e):.2g} s early" if e < 1.0 else ""
     speed = _fastest(scene)
     if e < 1.0 and speed > 0.0 and scene.pinned.any():
-        early += f"; off pinned balls each is lower by {(1.0 / e**2 - 1.0) * g * h / speed:.2g} of itself"
+        lost = (1.0 / e**2 - 1.0) * g * h / speed
+        early += f"; each bounce off a pinned ball is too low by {lost:.2g} of its height"
     wanted = np.sqrt(0.5 * LOW_BOUNCE * radius / g)
     yield Finding(
         "bounces",
-        f"end below {low:.2g} m, {low / radius:.2g} of the smallest radius{early}",
+        f"lower than {low:.2g} m, {low / radius:.2g} of the smallest radius, are left out{early}",
         f"take substeps of {wanted:.2g} s for bounces down to {LOW_BOUNCE:g} of the radius" if h > wanted else "",
     )
 

@@ -44,7 +44,7 @@ def cure_of_depth(squeezes: bool, iterations: int) -> str:
     """What to do where balls lie deep in something."""
     steps = f"take shorter steps, or more contact_iterations than {iterations}"
     if squeezes:
-        return f"if what moves leaves them less room than they fill, stop it sooner, else {steps}"
+        return f"where something that moves squeezes them, stop it sooner; else {steps}"
     return steps
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.outcome import DEEP, Scales, cure_of_depth, takes_nothing
 from taichi_sim.analysis.stability import Stability, present_limit
+from taichi_sim.analysis.touching import overlap
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
@@ -263,12 +264,10 @@ class Stepper:
         totals = self.parts.contact_statistics()
         part = float(totals[statistics.LARGEST_PART])
         if self.moved and part > DEEP:
-            self._warn(
-                "depth",
-                f"at t = {self.time:.6g} s ball {int(totals[statistics.BALL])} overlaps what it touches by {part:.2g} of the"
-                f" smaller radius: {cure_of_depth(self.squeezes, self.parts.contacts.iterations)}",
-                stacklevel,
-            )
+            ball = int(totals[statistics.BALL])
+            where = overlap(self.scene, self.parts.state.position, self.time, ball, part)
+            cure = cure_of_depth(self.squeezes, self.parts.contacts.iterations)
+            self._warn("depth", f"at t = {self.time:.6g} s {where}; {cure}", stacklevel)
         return totals
 
     def scales(self) -> Scales:

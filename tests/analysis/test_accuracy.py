@@ -82,7 +82,7 @@ def test_bounces_off_a_pinned_ball_are_as_high_as_said():
         alone.add_material("m", restitution=es[k])
         alone.add_balls([[0, -R], [0, R + 0.5]], radius=R, pinned=[True, False], material="m")
         words = next(accuracy.findings(alone, accuracy.Setup(VERLET, h, "f64", "gauss_seidel"))).what
-        assert np.mean(lower[k]) == pytest.approx(figure(words, " of itself"), rel=0.25)
+        assert np.mean(lower[k]) == pytest.approx(figure(words, " of its height"), rel=0.25)
 
 
 @pytest.mark.slow
@@ -253,15 +253,17 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     with simulate(scene, dt=1e-3, substeps=1) as sim, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         sim.run(0.9)
-        assert any("overlaps" in str(w.message) for w in caught)  # it looks by itself
+        assert any("overlap by" in str(w.message) for w in caught)  # it looks by itself
         summary = export(sim, None, fps=20, duration=0.1)
         depth = summary.relative_penetration
-    deep = [str(w.message) for w in caught if "overlaps what it touches" in str(w.message)]
+    deep = [str(w.message) for w in caught if "of the smaller radius" in str(w.message)]
     assert len(deep) == 1
     assert "stop it sooner" in deep[0]
     text = "\n".join(summary.lines())
     assert f"({depth:.2g} of a radius)" in text
-    assert "at the end: wrong; if what moves leaves them less room" in text
+    assert (
+        "at the end: wrong; where something that moves squeezes them, stop it sooner; else take shorter steps" in text
+    )
     assert "lost" not in text  # a piston works
     assert "at t = 0.9 s ball" in deep[0]
 

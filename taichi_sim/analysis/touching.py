@@ -1,0 +1,36 @@
+"""What a ball lies in, in words, for warnings. In NumPy and slow: it is asked once."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["overlap"]
+
+ALIKE = 0.02  # of an overlap: kernels find it in single precision
+
+
+def overlap(scene: Scene, position: NDArray, time: float, ball: int, part: float) -> str:
+    """How ball number `ball` and what it touches overlap, by `part` of the smaller radius; position (n, dim) [m] at time [s]."""
+    led = any(ball in pins.balls for pins in scene.moving_pins)
+    one = f"{'moving pin' if led else 'ball'} {ball}"
+    found = min(_touched(scene, position, time, ball), key=lambda each: abs(each[0] - part), default=(np.inf, ""))
+    what = found[1] if abs(found[0] - part) <= ALIKE * part else "what it touches"  # a stick or a surface
+    return f"{one} and {what} overlap by {part:.2g} of the smaller radius"
+
+
+def _touched(scene: Scene, position: NDArray, time: float, ball: int) -> Iterator[tuple[float, str]]:
+    """Overlaps with all that may be touched, as parts of the smaller radius, and its names."""
+    x, r = position[ball], float(scene.radius[ball])
+    for k, wall in enumerate(scene.walls):
+        yield (r - float(np.dot(wall.normal, x)) + wall.offset) / r, f"wall {k}"
+    for k, collider in enumerate(scene.colliders):
+        name = f"collider {collider.label!r}" if collider.label else f"collider {k}"
+        yield (r - float(collider.distance(x[None], time)[0])) / r, name
+    if scene.n_balls > 1:
+        deep = (r + scene.radius - np.linalg.norm(position - x, axis=1)) / np.minimum(r, scene.radius)
+        deep[ball] = -np.inf
+        for k in np.flatnonzero(deep > 0.0).tolist():
+            yield float(deep[k]), f"ball {k}"

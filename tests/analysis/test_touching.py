@@ -1,0 +1,37 @@
+"""What a warning of overlaps names."""
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from taichi_sim.analysis.touching import overlap
+
+pytestmark = pytest.mark.once
+
+
+def test_what_is_touched_is_named():
+    scene = ts.Scene(dim=2)
+    scene.add_wall((0, 1), -5.0)
+    scene.add_wall((0, 1), 0.0)
+    scene.add_collider(ts.Box((3.0, 0.0), (1.0, 1.0)))
+    scene.add_collider(ts.Sphere((6.0, 0.0), 1.0, name="globe"))
+    x = [[0.0, 0.05], [3.0, 0.55], [6.0, 1.02], [9.0, 4.0], [9.25, 4.0], [20.0, 20.0]]
+    scene.add_balls(x, radius=[0.1, 0.1, 0.1, 0.2, 0.1, 0.1])
+    said = [overlap(scene, np.array(x), 0.0, ball, part) for ball, part in enumerate([0.5, 0.501, 0.8, 0.5, 0.5, 0.3])]
+    assert said == [
+        "ball 0 and wall 1 overlap by 0.5 of the smaller radius",
+        "ball 1 and collider 0 overlap by 0.5 of the smaller radius",
+        "ball 2 and collider 'globe' overlap by 0.8 of the smaller radius",
+        "ball 3 and ball 4 overlap by 0.5 of the smaller radius",
+        "ball 4 and ball 3 overlap by 0.5 of the smaller radius",
+        "ball 5 and what it touches overlap by 0.3 of the smaller radius",
+    ]
+
+
+def test_what_moves_is_where_it_is_at_that_time():
+    scene = ts.Scene(dim=2)
+    scene.add_collider(ts.Sphere((0.0, 0.0), 1.0, velocity=(1.0, 0.0), name="globe"))
+    scene.add_balls([[2.0, 1.0]], radius=0.1, pinned=True)
+    scene.add_moving_pins([0], path=[{"time": 0.0, "position": (0.0, 0.0)}, {"time": 9.0, "position": (0.0, 1.0)}])
+    words = overlap(scene, np.array([[2.0, 1.0]]), 2.0, 0, 1.0)
+    assert words == "moving pin 0 and collider 'globe' overlap by 1 of the smaller radius"
