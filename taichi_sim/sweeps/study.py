@@ -9,6 +9,7 @@ from typing import Any
 
 from taichi_sim.common import validation
 from taichi_sim.common.version import __version__
+from taichi_sim.files.source import checked_output
 from taichi_sim.scene.scene import Scene
 from taichi_sim.sweeps.cluster import BATCH, connected, place, require_workers
 from taichi_sim.sweeps.design import Axis
@@ -143,6 +144,7 @@ def _tried(
 
     base = {axis.path: axis.tried[0] for axis in axes}
     first = subject.scene(base, seeds[-1])
+    checked_output(first)
     with first.in_file(dict(given)):
         Settings.resolve(first, dict(given))
     kinds: dict[str, dict[str, int]] = {}

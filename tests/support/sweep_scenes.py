@@ -22,6 +22,13 @@ def heap(restitution=0.5, friction=0.3, speed=0.0, seed=0):
     return scene
 
 
+def slow(restitution=0.5):
+    """The same, but nobody knows for how long."""
+    scene = heap(restitution)
+    scene.output["duration"] = "long"
+    return scene
+
+
 def mortal(restitution=0.5):
     """The same, but for restitution 0.5 it kills the worker that makes it."""
     if restitution == 0.5 and multiprocessing.parent_process() is not None:

@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 from physics_support import PRECISION
-from sweep_scenes import both, heap, mortal, springs, top
+from sweep_scenes import both, heap, mortal, slow, springs, top
 
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
@@ -218,6 +218,7 @@ def test_measures_by_name():
         ({"integrator": "verlt"}, "integrator: 'verlt' is not allowed"),
         ({"vary": {"restitution": "0:1"}, "design": "latin", "points": 2, "luck": -1}, "luck: -1 is not allowed"),
         ({"scene": 7}, "scene: 7 is not allowed"),
+        ({"scene": slow}, "scene.output.duration: 'long' is not allowed"),
         ({"scene": lambda: None}, "scene: a lambda has no name"),
     ],
 )

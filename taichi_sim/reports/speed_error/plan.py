@@ -11,6 +11,7 @@ import numpy as np
 from taichi_sim.analysis.methods import VERLET, named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.version import __version__
+from taichi_sim.files.source import checked_output
 from taichi_sim.scene.contents import contents_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings
@@ -91,7 +92,7 @@ def own_step(scene: Scene, method: str | None = None) -> tuple[str, float]:
 
 def duration_of(scene: Scene) -> float:
     """The simulated seconds [s] that a report is of by default: the scene's own, or less where its reference would take long."""
-    whole = float(scene.output.get("duration", 5.0))
+    whole = float(checked_output(scene).get("duration", 5.0))
     most = WORK / _work(scene, 1)
     if most >= whole:
         return whole
