@@ -24,6 +24,7 @@ BATCH = 20  # points of a task
 AHEAD = 3  # tasks for each worker that wait for it
 MOST_REPEATS = 3  # of a point whose worker ended
 PATIENCE = 10.0  # s, for a scheduler
+LOST = "the scheduler was lost"
 
 
 class Here:
@@ -66,6 +67,7 @@ class Workers:
         """Rows, batch by batch. A batch whose worker ended is repeated, point by point, elsewhere; a point that ends its worker
         again and again becomes a row that says so."""
         from distributed import KilledWorker, as_completed
+        from distributed.comm import CommClosedError
 
         waiting: deque[Sequence[Point]] = deque(batches)
         repeated: dict[str, int] = {}
@@ -92,9 +94,13 @@ class Workers:
                     yield rows
                 elif future.status == "error" and not isinstance(problem := future.exception(), KilledWorker):
                     raise BackendError(f"sweep: a worker failed: {problem}")
+                elif future.status == "cancelled" and self.client.status != "running":
+                    raise CancelledError
                 else:  # its worker ended, or was lost
                     yield [row for point in batch for row in self._again(point, repeated, waiting)]
                 submit()
+        except (CancelledError, CommClosedError):
+            raise BackendError(f"sweep: {LOST}; the same command goes on once there is one") from None
         finally:
             with suppress(Exception):
                 self.client.cancel(list(running))
@@ -142,7 +148,8 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
         return
     dask, distributed = _packages()
     # logs of lost workers are ours to tell
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):  # which has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set({"distributed.scheduler.allowed-failures": 0, "distributed.admin.log-format": "%(message)s"}):
         if scheduler is not None:
             try:

@@ -19,7 +19,7 @@ from taichi_sim.outputs.base import require_alpha
 from taichi_sim.outputs.recording import Recording
 from taichi_sim.outputs.resumable import abandon
 from taichi_sim.outputs.whole_run import is_drawn_last
-from taichi_sim.sweeps.cluster import MOST_REPEATS, connected, place
+from taichi_sim.sweeps.cluster import LOST, MOST_REPEATS, connected, place
 from taichi_sim.sweeps.sweep import bar
 
 __all__ = ["draw"]
@@ -156,7 +156,7 @@ def _result(client: Any, task: tuple[Any, ...], chunk: tuple[int, int], future: 
             if repeats < MOST_REPEATS:
                 future = _submitted(client, task, chunk)
         except (CancelledError, CommClosedError) as error:
-            raise BackendError(f"pictures {chunk[0]} to {chunk[1] - 1}: the scheduler was lost ({error})") from None
+            raise BackendError(f"pictures {chunk[0]} to {chunk[1] - 1}: {LOST} ({error})") from None
     raise BackendError(f"pictures {chunk[0]} to {chunk[1] - 1}: their workers ended {MOST_REPEATS + 1} times")
 
 

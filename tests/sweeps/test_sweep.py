@@ -4,6 +4,7 @@ import csv
 import gc
 import json
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -315,6 +316,40 @@ def test_a_dashboard_is_told_where_there_is_one(monkeypatch):
 
     assert Workers(Client(), 2, True).said == "2 workers, http://127.0.0.1:1/status"
     assert Workers(Client(), 1, False).said == "1 worker"
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("status", ["finished", "cancelled"])
+def test_a_scheduler_that_is_lost_ends_a_sweep_in_a_sentence(monkeypatch, status):
+    """Its futures are cancelled, or what they came to cannot be had; a worker that ended leaves others to try."""
+    distributed = pytest.importorskip("distributed")
+    comm = pytest.importorskip("distributed.comm")
+
+    class Future:
+        def __init__(self):
+            self.status = status
+
+        def result(self):
+            raise comm.CommClosedError("in <TCP>")
+
+    class Done(list):
+        add = list.append
+
+        def __next__(self):
+            return self.pop(0)
+
+    class Client:
+        status = "closed"
+
+        def submit(self, *_, **__):
+            return Future()
+
+        def cancel(self, futures):
+            raise OSError("no scheduler")
+
+    monkeypatch.setattr(distributed, "as_completed", Done)
+    with pytest.raises(ts.BackendError, match="sweep: the scheduler was lost; the same command goes on"):
+        list(Workers(Client(), 1, False).run(SimpleNamespace(folder=None), [[Point({"a": 1})]]))
 
 
 @pytest.mark.once
