@@ -4,6 +4,7 @@ import platform
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from taichi_sim.common.atomic_file import replacing
@@ -79,7 +80,11 @@ def _about(sweep: Any) -> Iterator[str]:
         scale = ", logarithmic" if axis.log else ""
         yield f"{axis.path}: {few}{more}" if axis.values else f"{axis.path}: {axis.low:g} to {axis.high:g}{scale}"
     wall = sum(row.wall for row in sweep.rows)
-    yield f"{wall:.4g} s of work in all, {wall / max(1, len(sweep.rows)):.3g} s a point"
+    quick = [
+        row.wall for row in sweep.rows if not row.compiled
+    ]  # the median: the first reset of a process loads kernels, too
+    usual = f"{median(quick):.3g} s a point of what was compiled before" if quick else "compiling included"
+    yield f"{wall:.4g} s of work in all, {usual}"
 
 
 def _effects(groups: list[Group], paths: list[str], indices: dict[str, tuple[float, float]] | None) -> Table:

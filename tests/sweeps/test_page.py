@@ -1,10 +1,13 @@
-"""Pictures of a sweep: when an axis is logarithmic."""
+"""The page of a sweep: when an axis is logarithmic, and what points take."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from taichi_sim.sweeps.design import axis_of
 from taichi_sim.sweeps.figures import is_logarithmic
+from taichi_sim.sweeps.page import _about
 
 pytestmark = pytest.mark.once
 
@@ -25,3 +28,19 @@ def test_axes_are_logarithmic_where_it_was_said_or_values_lie_far_apart(given, i
     along = axis_of("x", given)
     x = np.array(along.values or [along.at(u) for u in (0.006, 0.3, 0.9)], dtype=float)
     assert is_logarithmic(along, x) == is_so
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (
+            [(60.0, True), (2.0, False), (0.1, False), (0.1, False)],
+            "62.2 s of work in all, 0.1 s a point of what was compiled",
+        ),
+        ([(60.0, True)], "60 s of work in all, compiling included"),
+    ],
+)
+def test_what_points_take_is_said_without_compiling(rows, says):
+    rows = [SimpleNamespace(wall=wall, compiled=compiled, seed=None) for wall, compiled in rows]
+    sweep = SimpleNamespace(rows=rows, points=[], failed=[], axes=[], design=SimpleNamespace(kind="grid"))
+    assert list(_about(sweep))[-1].startswith(says)
