@@ -131,6 +131,12 @@ class _Placed:
         repeat: whether the path starts again at its end, for ever.
     """
 
+    def __init_subclass__(cls) -> None:
+        """Shapes say what they all take, too, for `help`."""
+        if cls.__module__ == __name__ and cls.__doc__ is not None:
+            common = (_Placed.__doc__ or "").partition("Args:\n")[2].rstrip()
+            cls.__doc__ = f"{cls.__doc__.rstrip()}\n\n    Args of every shape, by name:\n{common}\n"
+
     def __new__(cls, *_: Any, **given: Any) -> _Placed:
         if "angular_velocity" in given:
             raise unknown_key(("colliders", "angular_velocity"), ("rotation_rate",))

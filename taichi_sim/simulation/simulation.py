@@ -58,7 +58,8 @@ class Simulation(Reader):
         tolerance: in place of dt: the error allowed in a simulated second, as a part of the scene's size; see `error` (None).
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
             ("auto").
-        precision: "f32" or "f64" ("f32"). arch: "auto", "cpu", "cuda", "vulkan", "metal" ("auto": a GPU if one works).
+        precision: "f32" or "f64" (that which the process runs in; in its first simulation "f32"). arch: "auto", "cpu", "cuda",
+            "vulkan", "metal" ("auto": that which the process runs on; in its first simulation a GPU if one works).
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a
             GPU and with accumulate "gather" or "atomic").
         contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
@@ -297,7 +298,8 @@ class Simulation(Reader):
 
     def reset(self, scene: Scene) -> None:
         """Begin anew at time 0 with another scene of the same structure, in milliseconds: with the same arguments, memory and
-        kernels, nothing being compiled, and with the same bits as a new Simulation of it.
+        kernels, nothing being compiled, and with the same bits as a new Simulation of it. The first reset of a process may take
+        some seconds: it compiles, or loads, what empties the memory.
 
         Numbers may differ: places, velocities, masses, radii, stiffnesses, materials, walls, gravity, the step. What is compiled
         in may not: how many balls and springs there are and which these join, whether there is friction or gravity at all. Raises

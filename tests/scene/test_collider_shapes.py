@@ -1,5 +1,8 @@
 """Colliders on the host: shapes and motions against closed forms, bad input, scene files and state files."""
 
+import inspect
+import re
+
 import numpy as np
 import pytest
 from physics_support import PRECISION
@@ -240,3 +243,9 @@ def test_bad_scene_files(tmp_path, old, new, line, message):
     with pytest.raises(ts.SceneError) as caught:
         ts.load_scene(tmp_path / "a.toml")
     assert str(caught.value).startswith(f"{tmp_path / 'a.toml'}, line {line}: {message}"), str(caught.value)
+
+
+@pytest.mark.parametrize("shape", [ts.Box, ts.Sphere, ts.Capsule, ts.Mesh])
+def test_help_of_a_shape_explains_all_arguments(shape):
+    for name in inspect.signature(shape).parameters:
+        assert re.search(rf"\b{name}\b[^:]*: ", shape.__doc__), name
