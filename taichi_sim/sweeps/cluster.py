@@ -173,9 +173,23 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
                     )
                     client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
                 yield Workers(client, _checked(client, "local"), _has_dashboard())
+                _keep_kernels(client, distributed.wait)
             except (KeyboardInterrupt, SystemExit):
                 heard()  # workers are ended in peace
                 raise
+
+
+def _keep_kernels(client: Any, wait: Callable[..., Any]) -> None:
+    """Let each worker end its engine, which writes what it has compiled to the disk only then: workers are killed."""
+    ends = [client.submit(_end_engine, workers=[worker], pure=False) for worker in client.ncores()]
+    with suppress(Exception):  # another run compiles again, that is all
+        wait(ends, timeout=PATIENCE)
+
+
+def _end_engine() -> None:
+    from taichi_sim.device import backend
+
+    backend.stop()
 
 
 def require_workers(scheduler: str | None, workers: int | None) -> None:
