@@ -12,12 +12,11 @@ from typing import IO, Any
 
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import lock, sweep
-from taichi_sim.common.errors import SceneError, short
+from taichi_sim.common.differences import differences, named
+from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs.kept_files import checksum, judged, read_kept, write_kept
 
 ABOUT, CHECKPOINT, LOCK = "run.json", "checkpoint.json", "lock"
-NAMED = 4  # things that differ, before the others are only counted
-READABLE = 40  # characters of a value that a message shows
 MOST_FRAMES = 10**9
 FILE = re.compile(r"(state|frames)_\d+(_\d+)?\.npz")  # of a checkpoint
 WHY = {"duration": ": the camera is fitted to the whole run"}  # what differs is no matter of course
@@ -61,15 +60,14 @@ class RunLog:
         if not self.resumes:
             return None
         try:
-            differences = list(_differences(self._described(), self._about))
-            self.checkpoint = None if differences else self._last()
+            differing = list(_differences(self._described(), self._about))
+            self.checkpoint = None if differing else self._last()
         except SceneError:
             self.damaged = True
             raise
-        if differences:
-            more = f" and {len(differences) - NAMED} more" if len(differences) > NAMED else ""
+        if differing:
             raise ValueError(
-                f"{self.output}: what is kept of it is of another run, which differs in {', '.join(differences[:NAMED])}{more};"
+                f"{self.output}: what is kept of it is of another run, which differs in {named(differing)};"
                 f" resume it as it was begun, or delete {self.folder} to begin anew"
             )
         return self.checkpoint
@@ -177,25 +175,6 @@ class RunLog:
 
 
 def _differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
-    """What differs between two descriptions of runs, in words."""
+    """What differs between two descriptions of runs, group by group."""
     for group in dict.fromkeys([*then, *now]):
-        before, after = then.get(group, {}), now.get(group, {})
-        for name in dict.fromkeys([*before, *after]):
-            yield from _differs(name, before.get(name), after.get(name))
-
-
-def _differs(name: str, old: Any, new: Any) -> Iterator[str]:
-    """The same of two values of one name; of tables, of each of their keys."""
-    if json.dumps(old, sort_keys=True) == json.dumps(new, sort_keys=True):  # nan is nan here
-        return
-    if isinstance(old, Mapping) and isinstance(new, Mapping):
-        for key in dict.fromkeys([*old, *new]):
-            yield from _differs(f"{name}.{key}", old.get(key), new.get(key))
-        return
-    said = all(len(short(value)) <= READABLE for value in (old, new))
-    why = WHY.get(name, "")
-    yield f"{name} ({_word(old)} then, {_word(new)} now{why})" if said else f"{name}{why}"
-
-
-def _word(value: Any) -> str:
-    return "none" if value is None else short(value)
+        yield from differences(then.get(group, {}), now.get(group, {}), WHY)

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from taichi_sim.common.atomic_file import lock, replacing, sweep
-from taichi_sim.common.errors import SceneError, short
+from taichi_sim.common.differences import differences, named
+from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.sweeps.points import Point, Row, lines_of, rows_of
 
@@ -19,7 +20,6 @@ MARK, LOCK, ROWS, BATCHES = "sweep.json", "lock", "rows.jsonl", "batches"
 TABLE = "table.csv"
 OURS = (ROWS, TABLE, "table.parquet", "report.html")
 AGAIN = "use --overwrite or another folder"
-NAMED = 3  # differences, before the others are only counted
 
 
 class Folder:
@@ -67,15 +67,9 @@ class Folder:
             self._lock = None
 
     def _require_same(self) -> None:
-        then = about_of(self.path)
-        differ = [name for name in dict.fromkeys([*then, *self.about]) if then.get(name) != self.about.get(name)]
-        if differ:
-            said = [
-                f"{name} ({short(then.get(name))} then, {short(self.about.get(name))} now)" for name in differ[:NAMED]
-            ]
-            more = f" and {len(differ) - NAMED} more" if len(differ) > NAMED else ""
+        if differing := list(differences(about_of(self.path), self.about)):
             raise FileExistsError(
-                f"{self.path}: holds another sweep, which differs in {', '.join(said)}{more}; use --overwrite or another folder"
+                f"{self.path}: holds another sweep, which differs in {named(differing)}; use --overwrite or another folder"
             )
 
     def _load(self) -> None:
