@@ -26,13 +26,12 @@ def detect(triangles: ti.template(), solver: ti.template(), ball: ti.template())
     """Candidates of all leaves where those of the last search hold no more, the contacts among them, then for each ball the list
     of its places in these; `decide` and `begin` come before."""
     fixed = ti.static(triangles.pairs.plan.gathers)
-    searches = triangles.work[0].searches * triangles.work[0].lists
-    fit(triangles, ball, searches, FIND_CANDIDATES)
-    n = ti.static(triangles.model.n)
-    each(searches * n, n, fixed, traverse, (triangles, solver, ball, False, FIND_CANDIDATES))
-    capacity = triangles.candidate_capacity
-    number = triangles.work[0].lists * ti.min(triangles.candidates[0], capacity)
-    each(number, capacity, fixed, list_candidate, (triangles, solver, ball))
+    n, capacity = ti.static(triangles.model.n, triangles.candidate_capacity)
+    work = ti.static(triangles.work)  # read in each loop: between them a device would launch a thread for it
+    fit(triangles, ball, work[0].searches * work[0].lists, FIND_CANDIDATES)
+    each(work[0].searches * work[0].lists * n, n, fixed, traverse, (triangles, solver, ball, False, FIND_CANDIDATES))
+    number = ti.static(triangles.candidates)
+    each(work[0].lists * ti.min(number[0], capacity), capacity, fixed, list_candidate, (triangles, solver, ball))
     list_entries(triangles)
 
 
