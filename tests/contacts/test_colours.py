@@ -99,6 +99,7 @@ def state(sim):
     return np.hstack([sim.position, sim.velocity, sim.angular_velocity.reshape(sim.scene.n_balls, -1)])
 
 
+@pytest.mark.slow
 def test_the_same_bits_by_either_driver_and_from_a_file(tmp_path):
     """Nothing depends on which thread does what, or in which order blocks were listed."""
     scene = heap(3)

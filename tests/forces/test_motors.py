@@ -23,6 +23,7 @@ def oscillator() -> ts.Scene:
     return scene
 
 
+@pytest.mark.slow_where(method=["rk4", "symplectic_euler", "explicit_euler", "xpbd", "implicit_euler"])
 @pytest.mark.parametrize(
     ("method", "order", "off"),  # off: at 2 ms, after a second, parts of the amplitude
     [
@@ -57,6 +58,7 @@ def muscle(n: int = 12, damping: float = 0.05) -> ts.Scene:
     return scene
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.parametrize("method", ["verlet", "tr_bdf2"])
 def test_bits_depend_on_numbers_of_steps_alone(method, tmp_path):
     """However a run is divided, saved and restored, begun anew, or launched; also over the ends of chunks."""

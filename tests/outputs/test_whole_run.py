@@ -222,6 +222,7 @@ EDITS = {
 }
 
 
+@pytest.mark.slow_where(sums="then")
 @pytest.mark.parametrize("damage", ["cut off", "flipped", *EDITS])
 @pytest.mark.parametrize("sums", ["then", "now"])
 def test_damaged_frames_are_said(tmp_path, damage, sums):
