@@ -3,9 +3,9 @@
 A pair has four balls with weights (1, -u, -v, -w) or (1 - s, s, t - 1, -t); the first one, or two, are its upper side, and its
 normal points there. Which pairs are looked at: triangle_bvh. What becomes of them: ccd_triangles.
 
-What a tree finds are candidates, nearer than a pair is listed by `skin`, so that they hold for some steps (triangle_bvh.watch);
-in each step those are listed that may meet then. Whether one is listed depends on where its balls are and how they move alone,
-not on when it was found.
+What a tree finds are candidates, also those further apart than pairs are listed by less than `skin`, so that they hold for some
+steps (ccd_triangles.begin); in each step those are listed that may meet then. Whether one is listed depends on where its balls
+are and how they move alone, not on when it was found.
 """
 
 from taichi_sim.kernels.contacts.closest_points import between_edges, on_triangle
@@ -55,12 +55,7 @@ def ball_near_triangle(
     found = 0
     triangle = triangles.triangle[t]
     a, b, c = triangle.a, triangle.b, triangle.c
-    x, xa, xb, xc = (
-        triangles.grid.origin[i],
-        triangles.grid.origin[a],
-        triangles.grid.origin[b],
-        triangles.grid.origin[c],
-    )
+    x, xa, xb, xc = origins(triangles, i, a, b, c)
     w = on_triangle(x, xa, xb, xc)
     at_triangle = w[0] * xa + w[1] * xb + w[2] * xc
     r = x - at_triangle
@@ -112,12 +107,7 @@ def near_edges(
     """The same, and listing, where boxes are near."""
     found = 0
     a, b, c, d = triangles.edge[e].one, triangles.edge[e].two, triangles.edge[f].one, triangles.edge[f].two
-    xa, xb, xc, xd = (
-        triangles.grid.origin[a],
-        triangles.grid.origin[b],
-        triangles.grid.origin[c],
-        triangles.grid.origin[d],
-    )
+    xa, xb, xc, xd = origins(triangles, a, b, c, d)
     s, t = between_edges(xa, xb, xc, xd)
     r = xa + s * (xb - xa) - xc - t * (xd - xc)
     balls = ti.Vector([a, b, c, d])
@@ -132,6 +122,13 @@ def near_edges(
         kind = EDGE_EDGE + STICK_FIRST * triangles.edge[e].bare + STICK_SECOND * triangles.edge[f].bare
         take_pair(triangles, solver, ball, p, balls, g, r, kind, inside, place, job)
     return found
+
+
+@ti.func
+def origins(triangles: ti.template(), one, two, three, four):
+    """Where four balls are, or were at the start of the step."""
+    origin = ti.static(triangles.grid.origin)
+    return origin[one], origin[two], origin[three], origin[four]
 
 
 @ti.func

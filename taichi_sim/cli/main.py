@@ -208,8 +208,9 @@ def _drawn_apart(
         recording.unlink(missing_ok=True)
     if end is not None:
         raise end
-    summary.drawing += perf_counter() - start
-    summary.wall += perf_counter() - start
+    spent = perf_counter() - start
+    summary.drawing += spent
+    summary.wall += spent
     if not quiet:
         typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
 

@@ -72,9 +72,8 @@ def without_interrupts() -> Iterator[None]:
     """Within `insistent_signals` these come again once the block is left. Processes that are started in it never get SIGINT: a
     terminal sends it to all processes of a command, and those that work for another one are ended by that."""
     global _held_back
-    _held_back = (
-        True  # the mask is not enough: threads that were there before take signals, and the main one hears of it
-    )
+    # the mask is not enough: threads that were there before take signals, and the main one hears of it
+    _held_back = True
     masks = hasattr(signal, "pthread_sigmask")
     if masks:
         resource_tracker.ensure_running()  # its start lets SIGINT through again, in the thread that starts the first process

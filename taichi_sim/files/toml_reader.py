@@ -176,10 +176,7 @@ class Reader:
         for index, table in enumerate(model.probes):
             with self._at("probes", index):
                 arguments = self._with_file(("probes", index), table, ())
-                if "balls" in arguments:
-                    arguments["balls"] = self._chosen(scene, "probes.balls", arguments, "balls", "members")
-                elif "members" in arguments:
-                    raise SceneError("probes.members", says="count within a group; balls must be the name of one")
+                self._choose_if_given(scene, "probes.balls", arguments)
                 scene.add_probe(**arguments)
         with self._at("output", "camera"):
             self._camera(scene)
@@ -246,14 +243,20 @@ class Reader:
         for index, table in enumerate(model.motors):
             with self._at("motors", index):
                 arguments = self._with_file(("motors", index), table, ())
-                if "balls" in arguments:
-                    arguments["balls"] = self._chosen(scene, "motors.balls", arguments, "balls", "members")
-                elif "members" in arguments:
-                    raise SceneError("motors.members", says="count within `balls`, which is missing")
+                self._choose_if_given(scene, "motors.balls", arguments)
                 scene.add_motor(**arguments)
         if model.wind is not None:
             with self._at("wind"):
                 scene.add_wind(**_given(model.wind))
+
+    def _choose_if_given(self, scene: Scene, where: str, arguments: dict[str, Any]) -> None:
+        """Let `balls`, where a table may do without, be those that it and `members` name."""
+        if "balls" in arguments:
+            arguments["balls"] = self._chosen(scene, where, arguments, "balls", "members")
+        elif "members" in arguments:
+            raise SceneError(
+                ("table", "members"), says="count within `balls`, which is missing; it must be the name of a group"
+            )
 
     def _chosen(self, scene: Scene, where: str, arguments: dict[str, Any], key: str, members: str) -> NDArray[np.int32]:
         """The balls that `key` names, a group or numbers in the scene, or of a group those of `members`."""

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from physics_support import EPS, F64, PRECISION, simulate
+from scene_files import assert_refused
 
 import taichi_sim as ts
 
@@ -201,11 +202,7 @@ def test_scene_files_name_the_springs_of_motors(tmp_path):
     ],
 )
 def test_mistakes_are_named(tmp_path, old, new, words):
-    file = tmp_path / "scene.toml"
-    assert old in FILE
-    file.write_text(FILE.replace(old, new))
-    with pytest.raises(ts.SceneError, match=words):
-        ts.load_scene(file)
+    assert_refused(tmp_path, FILE, old, new, words)
 
 
 def test_what_springs_cannot_follow_is_said(recwarn):

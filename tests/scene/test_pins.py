@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scene_files import assert_refused
 
 import taichi_sim as ts
 from taichi_sim.files.toml_schema import SHAPES
@@ -286,8 +287,4 @@ def test_members_of_a_shape_by_words_and_places(tmp_path):
     ],
 )
 def test_mistakes_in_members_are_named(tmp_path, old, new, words):
-    file = tmp_path / "scene.toml"
-    assert old in MEMBERS
-    file.write_text(MEMBERS.replace(old, new))
-    with pytest.raises(ts.SceneError, match=words):
-        ts.load_scene(file)
+    assert_refused(tmp_path, MEMBERS, old, new, words)
