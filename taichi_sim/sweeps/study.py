@@ -25,7 +25,8 @@ FEW_TASKS = 4  # for each worker, at least: so that all have work until the end
 
 
 class Study:
-    """See `open_study`. rows: by key, all that are known, others than those asked for, too."""
+    """See `open_study`. rows: by key, all that are known, others than those asked for, too. tabulated: points of the table that
+    is written at the end, if any."""
 
     def __init__(
         self,
@@ -40,6 +41,12 @@ class Study:
         self.subject, self.measures, self.kept = subject, measures, kept
         self._job, self._kinds, self._connect, self._say = job, kinds, connect, say
         self._engine: Any = None
+        self.tabulated: Sequence[Point] = ()
+
+    def write_table(self) -> None:
+        """Of the points that are tabulated."""
+        if self.tabulated:
+            self.kept.finish(self.tabulated)
 
     @property
     def rows(self) -> dict[str, Row]:
@@ -129,9 +136,11 @@ def open_study(
         if isinstance(scene, Scene) and folder is not None:  # from now on the folder is this study's
             subject = subject_of(scene, home)
         job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart)
-        yield Study(
+        study = Study(
             subject, measures, job, kept, kinds, lambda: stack.enter_context(connected(scheduler, workers, say)), say
         )
+        stack.callback(study.write_table)  # once no worker writes any more: the last to be entered is left first
+        yield study
 
 
 def _tried(

@@ -149,10 +149,8 @@ def sweep(
         workers=workers, scheduler=scheduler, overwrite=overwrite, retry=retry, say=say, allow_outside=allow_outside,
         settings=settings,
     ) as study:  # fmt: skip
-        try:
-            _run(study, every, progress)
-        finally:
-            study.kept.finish(every)
+        study.tabulated = every
+        _run(study, every, progress)
         lasting = None if folder is None else Path(folder)
         done = Sweep(study.subject, axes, plan, every, study.rows, settings, study.measures, lasting)
         if lasting is not None and done.rows:
@@ -168,7 +166,7 @@ def _run(study: Study, points: Sequence[Point], progress: bool) -> None:
         for rows in study.run(points):
             advance(len(rows), sum(bool(row.error) for row in rows))
             if time.monotonic() - written > TABLE_EVERY:
-                study.kept.finish(points)
+                study.write_table()
                 written = time.monotonic()
 
 

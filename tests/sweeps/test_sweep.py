@@ -4,6 +4,7 @@ import csv
 import gc
 import json
 import pickle
+from contextlib import closing
 from types import SimpleNamespace
 
 import numpy as np
@@ -307,6 +308,29 @@ def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
     folder.close()
     assert len(table(tmp_path / "s")) == 3
     assert len(Folder(tmp_path / "s", {"scene": "x"}).rows) == 3
+
+
+@pytest.mark.once
+def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(tmp_path, monkeypatch):
+    class Slow:
+        """Leaves a batch while it closes, as workers do that end in peace."""
+
+        said, number = "slow", 1
+
+        def run(self, job, batches):
+            self.batches, self.folder = batches, tmp_path / "s" / "batches"
+            keep_batch(self.folder, rows := [Row.of(point) for point in batches[0]])
+            yield rows
+            raise KeyboardInterrupt
+
+        def close(self):
+            keep_batch(self.folder, [Row.of(point) for point in self.batches[1]])
+
+    monkeypatch.setattr("taichi_sim.sweeps.study.connected", lambda *_: closing(Slow()))
+    with pytest.raises(KeyboardInterrupt):
+        ts.sweep(heap, {"speed": [0.1, 0.2, 0.3]}, folder=tmp_path / "s", workers=0)
+    assert len(table(tmp_path / "s")) == 2
+    assert len((tmp_path / "s" / "rows.jsonl").read_text().splitlines()) == 2
 
 
 @pytest.mark.once
