@@ -1,0 +1,173 @@
+"""What all commands share: the application, options that several take, a scene with its options, errors of one line."""
+
+import functools
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from typing import Annotated, Any
+
+import typer
+
+from taichi_sim.cli.options import pixels, positive, share, step
+from taichi_sim.common.errors import BackendError, UnstableError
+from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
+from taichi_sim.common.version import __version__
+
+FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3  # exit status
+
+main = typer.Typer(
+    help="Simulate balls, springs, sticks, walls, cloth and jelly. SCENE is a TOML file, a Python file with scene() or"
+    " simulation(), or the name of a demo.",
+    epilog="Exit status: 0 done, 1 a hard case failed, tune or fit found nothing or verify found a fault, 2 bad input,"
+    " 3 the simulation became unstable, 130 interrupted.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def flag(name: str, what: str) -> Any:
+    """An option without a value."""
+    return typer.Option(f"--{name}", help=what)
+
+
+def scene_argument(metavar: str) -> Any:
+    """Required, or not where metavar is in brackets and it has a default."""
+    return typer.Argument(metavar=metavar, help="A TOML file, a Python file, or a demo's name.")
+
+
+SceneName = Annotated[str, scene_argument("SCENE")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no summary.")]
+Precisions = Annotated[str | None, typer.Option(help="f64, f32, or f64,f32, which is the default.")]
+Compared = Annotated[float | None, typer.Option(help="Simulated seconds to compare; chosen by size otherwise.")]
+Codec = Annotated[str | None, typer.Option(help="Of a video: h264 (usual) or h265 for x.mp4, vp9 for x.webm.")]
+Transparent = Annotated[bool, flag("transparent", "PNG frames without background and ground, with alpha.")]
+Workers = Annotated[int | None, typer.Option(help="Processes; one for each core otherwise, 0: this one alone.")]
+Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
+Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
+SIMULATION = ("arch", "dt", "tolerance", "integrator", "precision")  # with "threads", arguments of a Simulation
+
+
+def subcommand(*shared: str, name: str | None = None) -> Callable[[Callable[..., None]], None]:
+    """Make a function a command, which takes the shared options named, and whose errors are one line."""
+
+    def add(function: Callable[..., None]) -> None:
+        @functools.wraps(function)
+        def command(**given: Any) -> None:
+            with plain_errors():
+                function(**given)
+
+        main.command(name=name)(share(command, shared))
+
+    return add
+
+
+@main.callback(invoke_without_command=True)
+def _options(version: Annotated[bool, flag("version", "Show it.")] = False) -> None:
+    if version:
+        typer.echo(f"taichi-sim {__version__}")
+        raise typer.Exit
+
+
+def given_of(options: dict[str, Any]) -> dict[str, Any]:
+    """The options that were given, the step as a number."""
+    given = {key: value for key, value in options.items() if value is not None}
+    return given | {"dt": step(given["dt"])} if "dt" in given else given
+
+
+class Job:
+    """A scene, how to simulate it and how to show it: command line over scene file over defaults."""
+
+    def __init__(self, name: str, options: dict[str, Any]) -> None:
+        from taichi_sim.files.source import open_scene, resolve
+        from taichi_sim.outputs.quick import output_options
+
+        asked = {key: positive(f"--{key}", options[key]) for key in ("fps", "duration")}
+        asked["size"] = pixels(options.get("size"))  # type: ignore[assignment]
+        self.options = {**options, "dt": step(options["dt"])}
+        self.file = resolve(name)
+        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]))
+        self.made = self._made() if self.scene is None else None
+        shown: Any = self.scene if self.made is None else self.made.scene
+        self.output = output_options(shown, asked)
+
+    def simulation(self, forces: Sequence[Any] = ()) -> Any:
+        """The Simulation, with the command line's options over the scene's own; one that a file makes takes no forces."""
+        from taichi_sim.simulation.simulation import Simulation
+
+        scene: Any = self.scene
+        return self.made or Simulation(scene, forces=forces, **self._given())
+
+    def _given(self) -> dict[str, Any]:
+        return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options[key] is not None}
+
+    def _made(self) -> Any:
+        """What simulation() of the file returns."""
+        from taichi_sim.device import backend
+        from taichi_sim.files.source import open_simulation
+
+        given = self._given()
+        for key in ("dt", "tolerance", "integrator"):
+            if key in given:
+                raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
+        if given:
+            backend.start(**given)
+        made = open_simulation(self.file)
+        from taichi_sim.simulation.simulation import Simulation
+
+        if not isinstance(made, Simulation):
+            raise ValueError(
+                f"{self.file}: simulation() returned {type(made).__name__}; it must return a ts.Simulation"
+            )
+        return made
+
+
+@contextmanager
+def waiting(what: str, shown: bool) -> Iterator[None]:
+    """On a terminal, say meanwhile what is waited for."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    with console.status(what) if shown and console.is_terminal else nullcontext():
+        yield
+
+
+def say_nothing(line: str) -> None:
+    """What --quiet does with what is told on the way."""
+
+
+@contextmanager
+def plain_errors() -> Iterator[None]:
+    """Errors as one line on standard error with the exit status they stand for; warnings as one line, too."""
+    showwarning = warnings.showwarning
+    warnings.showwarning = lambda message, category, *_: typer.echo(f"warning: {message}", err=True)
+    try:
+        with insistent_signals():
+            yield
+    except UnstableError as error:
+        fail(str(error), UNSTABLE)
+    except BrokenPipeError:  # whoever read has gone: click ends quietly
+        raise
+    except (ValueError, BackendError, OSError, ArithmeticError) as error:  # SceneError is a ValueError
+        if isinstance(error, OSError) and error.filename is not None:  # as the system gave it
+            fail(f"{error.filename}: {error.strerror}", BAD_INPUT)
+        fail(str(error), BAD_INPUT)
+    except MemoryError as error:
+        fail(f"not enough memory for this scene: {error}", BAD_INPUT)
+    except KeyboardInterrupt:
+        typer.echo("taichi-sim: interrupted", err=True)
+        leave(INTERRUPTED)
+    except SystemExit as end:
+        if end.code == TERMINATED:
+            leave(TERMINATED)
+        raise
+    finally:
+        warnings.showwarning = showwarning
+
+
+def fail(message: str, status: int) -> None:
+    """End with one line."""
+    typer.echo(f"taichi-sim: {message}", err=True)
+    raise typer.Exit(status)

@@ -1,0 +1,52 @@
+"""schema, materials, demos: what there is."""
+
+from typing import Annotated, Any
+
+import typer
+
+from taichi_sim.cli.command import Quiet, subcommand
+from taichi_sim.cli.options import takes_only
+
+
+@subcommand()
+def schema() -> None:
+    """Print the JSON Schema of scene files, by which editors complete and explain them: see docs/scenes.md."""
+    import json
+
+    from taichi_sim.files.json_schema import scene_schema
+
+    typer.echo(json.dumps(scene_schema(), indent=1))
+
+
+@subcommand(name="materials")
+def list_materials() -> None:
+    """List the materials that scenes may name, with their numbers in SI units and where these come from."""
+    from dataclasses import asdict
+
+    from taichi_sim.scene.presets import PRESETS
+
+    for name, preset in PRESETS.items():
+        numbers = [f"{key} {value:.3g}" for key, value in asdict(preset).items() if isinstance(value, float)]
+        typer.echo(f"{name}: {', '.join(numbers)}\n    {preset.source}")
+
+
+@subcommand("size", "fps", "duration", name="demos")
+def list_demos(
+    context: typer.Context,
+    everything: Annotated[bool, typer.Option("--all", help="Make videos of those that have none yet.")] = False,
+    out: Annotated[str, typer.Option("--out", "-o", metavar="FOLDER", help="Where to, with --all.")] = "demos_out",
+    quiet: Quiet = False,
+    **options: Any,
+) -> None:
+    """List the built-in scenes, one line each, or make videos of them."""
+    from taichi_sim.files.source import built_in, demos
+
+    known = demos()
+    if everything:
+        from taichi_sim.outputs.gallery import render_all
+
+        raise typer.Exit(render_all(list(known), out, quiet=quiet, **options))
+    takes_only(context, ("quiet",), "demos: options are for --all")
+    width = max(map(len, known), default=0)
+    for name, file in known.items():
+        typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())

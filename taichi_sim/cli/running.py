@@ -1,0 +1,216 @@
+"""run, render, view: scenes into pictures, files or a window."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from taichi_sim.cli.command import (
+    SIMULATION,
+    Codec,
+    Job,
+    Quiet,
+    SceneName,
+    Scheduler,
+    Transparent,
+    Workers,
+    flag,
+    say_nothing,
+    subcommand,
+    waiting,
+)
+from taichi_sim.cli.options import interval, keys_and_values, pixels, positive
+from taichi_sim.common.errors import UnstableError
+
+NAMES = (
+    "x.mp4, x.webm, x.gif or x.webp; folder/ for PNG frames; x.npz arrays; x.usdc or x.usda for Blender and others;"
+    " x.pvd for ParaView; x.gsd for OVITO; x.csv energies and probes; x.ply or x.obj meshes"
+)
+
+
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
+def run(
+    scene: SceneName,
+    out: Annotated[
+        list[str] | None,
+        typer.Option("--out", "-o", metavar="NAME", help=f"{NAMES}. May be given several times."),
+    ] = None,
+    overwrite: Annotated[bool, flag("overwrite", "Replace the frames in a folder that is not empty.")] = False,
+    resume: Annotated[
+        bool,
+        flag(
+            "resume", "Go on with an output that was cut off, from its last checkpoint, with the frames that are kept."
+        ),
+    ] = False,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            help="Wall time between checkpoints, like 60s or 5m, or off; 60s from the second minute on otherwise."
+        ),
+    ] = None,
+    codec: Codec = None,
+    transparent: Transparent = False,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes that draw, once all is simulated; this one, meanwhile, otherwise.")
+    ] = None,
+    scheduler: Scheduler = None,
+    quiet: Quiet = False,
+    **options: Any,
+) -> None:
+    """Simulate SCENE and write a video, pictures, arrays or files for other programs; without --out show the summary only."""
+    from taichi_sim.outputs import export, open_outputs
+    from taichi_sim.outputs.resumable import Resumable
+
+    job = Job(scene, options)
+    if round(job.output["fps"] * job.output["duration"]) < 1:
+        raise ValueError("fps times duration is less than one frame; raise one of them")
+    if transparent:
+        job.output["style"]["transparent"] = True
+    every = interval("--checkpoint", checkpoint)
+    if workers is not None or scheduler is not None:
+        if not out or resume or checkpoint:
+            raise ValueError("--workers and --scheduler need --out, and go neither with --resume nor with --checkpoint")
+        _drawn_apart(job, out, (scheduler, workers), overwrite, codec, quiet)
+        return
+    targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
+    if resume:
+        for name, target in zip(out or [], targets):
+            if isinstance(target, Resumable) and not target.log.resumes:
+                typer.echo(f"{name}: nothing is kept of it; it begins at the first frame", err=True)
+    if not targets and (overwrite or resume or codec or transparent or checkpoint):
+        raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
+    try:
+        with waiting("reading the scene", not quiet):
+            sim = job.simulation()
+        with sim:
+            summary = export(sim, targets, progress=not quiet, checkpoint=every, **job.output)
+    except BaseException as error:
+        for name, target in zip(out or [], targets):
+            if isinstance(error, UnstableError) and target.frames:
+                typer.echo(f"{name}: holds the {target.frames} frames until then", err=True)
+                continue
+            target.discard()
+            if target.frames:
+                typer.echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
+            elif target.simulated:
+                says = f"{target.simulated} frames are simulated, and kept; --resume goes on with them"
+                typer.echo(f"{name}: {says}", err=True)
+        raise
+    if not quiet:
+        written = [target.pattern or name for name, target in zip(out or [], targets)]
+        typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
+
+
+def _drawn_apart(
+    job: Job,
+    out: Sequence[str],
+    where: tuple[str | None, int | None],
+    overwrite: bool,
+    codec: str | None,
+    quiet: bool,
+) -> None:
+    """Simulate into a recording beside the first output, and draw that by many processes."""
+    from pathlib import Path
+    from time import perf_counter
+
+    from taichi_sim.common.atomic_file import locking
+    from taichi_sim.outputs import export, open_outputs
+    from taichi_sim.outputs.base import require_alpha
+    from taichi_sim.outputs.quick import picture
+    from taichi_sim.outputs.recording import require_drawable
+    from taichi_sim.sweeps.cluster import require_workers
+    from taichi_sim.sweeps.pictures import draw
+
+    first = Path(out[0])
+    recording = first.with_name(f".{first.name}.states.npz")
+    options = {**job.output}
+    style, size = options.pop("style"), options["size"]
+    # what is not allowed is refused before anything runs
+    opened = open_outputs(out, fps=job.output["fps"], overwrite=overwrite, codec=codec)
+    for one in opened:
+        one.discard()
+    require_alpha(opened, style)
+    require_workers(*where)
+    end: UnstableError | None = None
+    # nobody else writes, or draws, the recording before this has drawn it
+    with locking(first.with_name(f".{first.name}.lock"), f"{first}: another run is writing it; wait for it"):
+        with job.simulation() as sim:
+            require_drawable(sim.scene)
+            precision = sim.backend.precision
+            if any(one.needs_image for one in opened):
+                picture(sim, size=size, **style)
+            try:
+                summary = export(
+                    sim, open_outputs([recording], fps=options["fps"]), progress=not quiet, checkpoint=None, **options
+                )
+            except UnstableError as error:
+                if not recording.is_file():
+                    raise
+                end = error  # the frames until then are drawn
+        start = perf_counter()
+        try:
+            draw(
+                recording, out, size=size, style=style, fps=job.output["fps"], scheduler=where[0], workers=where[1],
+                overwrite=overwrite, codec=codec, precision=precision, progress=not quiet,
+                say=say_nothing if quiet else typer.echo,
+            )  # fmt: skip
+        except BaseException:
+            typer.echo(f"{recording}: holds the run; `taichi-sim render` draws it", err=True)
+            raise
+        recording.unlink(missing_ok=True)
+    if end is not None:
+        raise end
+    spent = perf_counter() - start
+    summary.drawing += spent
+    summary.wall += spent
+    if not quiet:
+        typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
+
+
+@subcommand("size", "fps")
+def render(
+    recording: Annotated[str, typer.Argument(metavar="STATES.npz", help="What `run SCENE -o STATES.npz` wrote.")],
+    out: Annotated[
+        list[str], typer.Option("--out", "-o", metavar="NAME", help=f"{NAMES}. May be given several times.")
+    ],
+    style: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="A key of [output] over the scene's, like colour=speed or camera.azimuth=40. May be given several times.",
+        ),
+    ] = None,
+    overwrite: Annotated[bool, flag("overwrite", "Replace the frames in a folder that is not empty.")] = False,
+    codec: Codec = None,
+    transparent: Transparent = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    precision: Annotated[str | None, typer.Option(help="f32 or f64, as of the run; f32 otherwise.")] = None,
+    quiet: Quiet = False,
+    **options: Any,
+) -> None:
+    """Draw a run that was written as arrays, without simulating again: in another style, by many processes."""
+    from taichi_sim.sweeps.pictures import draw
+
+    chosen = keys_and_values("--style", style or ())
+    if transparent:
+        chosen["transparent"] = True
+    count = draw(
+        recording, out, size=pixels(options["size"]), style=chosen, fps=positive("--fps", options["fps"]), workers=workers,
+        scheduler=scheduler, overwrite=overwrite, codec=codec, precision=precision, progress=not quiet,
+        say=say_nothing if quiet else typer.echo,
+    )  # fmt: skip
+    if not quiet:
+        typer.echo("\n".join(f"written      {name}: {count} frames" for name in out))
+
+
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
+def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
+    """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
+    from taichi_sim.viewer.window import require_display, show
+
+    require_display()
+    job = Job(scene, options)
+    output = {key: job.output[key] for key in ("fps", "size", "style")}
+    output["style"].pop("transparent", None)
+    show(job.simulation, **output, until=options["duration"], say=say_nothing if quiet else typer.echo)
