@@ -51,13 +51,10 @@ def of_sizes():
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("build", "side_by_side"),
-    [
-        pytest.param(lambda: heap(2), 1, marks=pytest.mark.slow),
-        (lambda: heap(3), 0),
-        pytest.param(of_sizes, 1, marks=pytest.mark.slow),
-    ],
+    [(lambda: heap(2), 1), (lambda: heap(3), 0), (of_sizes, 1)],
     ids=["2d", "3d", "sizes"],
 )
 def test_each_pair_once_and_no_ball_twice(build, side_by_side):

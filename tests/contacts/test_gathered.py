@@ -36,7 +36,8 @@ def ended(scene, accumulate, steps=30, driver="parallel", **settings):
         )
 
 
-@pytest.mark.parametrize("dim", [pytest.param(2, marks=[pytest.mark.slow, pytest.mark.long_in("f64")]), 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.long_in("f64")), 3])
 def test_the_same_motion_as_in_blocks(dim):
     """Only the order of sums differs; a heap makes 1e-16 of it 1e-12 in thirty steps."""
     scene = heap(dim)
@@ -67,6 +68,7 @@ def test_both_balls_get_the_same_impulse():
     assert np.sum(mass * after[:, 2:4], axis=0) == pytest.approx(before, abs=(1e-12 if F64 else 1e-5) * mass.sum())
 
 
+@pytest.mark.slow
 def test_more_neighbours_than_a_ball_has_room_for(monkeypatch):
     """One ball among hundreds that touch it: its list lies in the pool, which has to grow."""
     monkeypatch.setattr("taichi_sim.contacts.pairs.POOL_LINKS", 8)
@@ -85,6 +87,7 @@ def test_more_neighbours_than_a_ball_has_room_for(monkeypatch):
         assert sim.parts.contacts.pairs.touching[0] == 400
 
 
+@pytest.mark.slow
 def test_what_is_fast_stops_where_it_meets():
     """Continuous collision detection: balls that move five radii a step do not pass through a row."""
     scene = ts.Scene(dim=2)
@@ -98,6 +101,7 @@ def test_what_is_fast_stops_where_it_meets():
     assert here == pytest.approx(there, rel=1e-9 if F64 else 1e-4, abs=1e-9 if F64 else 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accumulate", ["ordered", "gather"])
 def test_triangles_look_for_nothing_where_the_grid_gives_up(accumulate):
     """120 balls at one place, and memory for 100 of their pairs: looking on would take as long as they are many, squared."""
@@ -115,6 +119,7 @@ def test_triangles_look_for_nothing_where_the_grid_gives_up(accumulate):
         assert contacts.triangles.used[0] == 0
 
 
+@pytest.mark.slow_where(accumulate="ordered")
 @pytest.mark.parametrize("accumulate", ["ordered", "gather"])
 def test_what_arrives_together_without_restitution_stays_together(accumulate):
     """Three discs at once on a fourth: by split masses each contact stops, to what iterations leave; none bounces. The solution:

@@ -154,6 +154,7 @@ def test_it_is_drawn(cone):
     assert np.mean(np.abs(pictures[0] - pictures[1]).max(axis=2) > 20) > 0.05
 
 
+@pytest.mark.slow
 def test_a_roof_that_moves_carries_a_ball_down_in_its_own_frame():
     scene = scene_of(2)
     scene.add_balls([start(0.2) * side for side in ((1, 1), (-1, 1))], radius=R, velocity=(0.7, 0.0), material="smooth")

@@ -96,7 +96,7 @@ def test_both_solvers_converge_to_the_same_velocities():
     assert np.max(np.abs(ends[1] - ends[0])) < (1e-7 if F64 else 1e-3)
 
 
-@pytest.mark.slow_where(dim=3)
+@pytest.mark.slow
 @each_dim
 def test_a_pile_comes_to_rest(dim):
     """Dropped loosely into a box, with friction and spin: it lies still, hardly overlaps, and nothing has left it."""

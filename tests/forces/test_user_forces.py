@@ -228,6 +228,7 @@ class Link(ts.Element):
         return row.stiffness * (ball[row.a].x - ball[row.b].x) * ti.select(row.corner == 0, -1.0, 1.0)
 
 
+@pytest.mark.slow
 def test_what_an_element_joins_does_not_roll_like_casters():
     """As what a spring joins: two balls that are pulled to each other slide on the floor, x'' = mu g - 2 k x / m."""
     found = []

@@ -295,6 +295,7 @@ def stirred(speed):
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [(0.0, 0.0), (0.0, -0.02)], ids=["from rest", "from almost rest"])
 def test_work_on_a_crowd_is_no_growth(speed):
     """Nothing limits the step, for the only spring joins two pins; rounding of its length is no energy that could grow."""

@@ -10,8 +10,8 @@ from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
 
-QUICK = {"crowd_gauss_seidel", "led_by_pins"}
-SLOWER = {"sticks_and_colliders", "crowd_with_a_tolerance", "tearing_in_wind"}
+QUICK = {"led_by_pins"}
+SLOWER = {"crowd_gauss_seidel", "sticks_and_colliders", "crowd_with_a_tolerance", "tearing_in_wind"}
 MARKS = {
     name: []
     if name in QUICK
@@ -123,6 +123,7 @@ def test_more_room_for_contacts_changes_nothing(monkeypatch):
         assert sim.decisions() == grown
 
 
+@pytest.mark.slow
 def test_what_follows_depends_on_nothing_but_what_is_kept():
     """Whatever the fields hold that are no part of a moment: here those of another run."""
     scene, settings = trajectories.bits.crowd_gauss_seidel()
@@ -138,6 +139,7 @@ def test_what_follows_depends_on_nothing_but_what_is_kept():
         assert trajectories.digest(sim) == one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("saves", [False, True])
 def test_an_interrupted_call_changes_nothing(saves, monkeypatch):
     """As by Ctrl-C in the midst of a call: what was made of it is made again."""

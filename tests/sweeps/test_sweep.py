@@ -377,8 +377,9 @@ def test_a_scheduler_that_is_lost_ends_a_sweep_in_a_sentence(monkeypatch, status
 
 
 @pytest.mark.once
-def test_no_folder_is_made_where_no_scheduler_answers(tmp_path):
+def test_no_folder_is_made_where_no_scheduler_answers(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
+    monkeypatch.setattr("taichi_sim.sweeps.cluster.PATIENCE", 0.5)
     with pytest.raises(ts.SceneError, match="no scheduler answers there"):
         ts.sweep(heap, folder=tmp_path / "s", scheduler="tcp://127.0.0.1:9")
     assert not (tmp_path / "s").exists()

@@ -173,6 +173,7 @@ def test_escape_ends_it(flat):
     assert '"written      recording_001.mp4"' in flat.log.read_text()
 
 
+@pytest.mark.slow
 @needs_tools
 def test_turning_and_dragging_in_3d(display, tmp_path_factory):
     """A drag beside the cloth turns the view; one on it moves it; shift moves the view. Closed as by a window manager."""
