@@ -253,6 +253,7 @@ def test_worked_stick_numbers(sticks):
         assert np.max(np.abs(sticks.one.v[b] - want)) < (1e-12 if F64 else 2e-5), f"t = {t}: {sticks.one.v[b] @ n}"
 
 
+@pytest.mark.slow
 def test_stick_hits_of_any_masses(sticks):
     for b, n, t, e in sticks.at.random:
         w = 1 / sticks.scene.mass[b]

@@ -7,6 +7,8 @@ from physics_support import F64, simulate
 import taichi_sim as ts
 from taichi_sim.contacts.jacobi import Jacobi
 
+pytestmark = pytest.mark.long_in("f64")
+
 H = 1e-3
 
 
@@ -37,7 +39,7 @@ def ended(scene, accumulate, steps=30, driver="parallel", **settings):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.long_in("f64")), 3])
+@pytest.mark.parametrize("dim", [2, 3])
 def test_the_same_motion_as_in_blocks(dim):
     """Only the order of sums differs; a heap makes 1e-16 of it 1e-12 in thirty steps."""
     scene = heap(dim)
@@ -50,6 +52,7 @@ def test_the_same_motion_as_in_blocks(dim):
     assert np.median(np.abs(here - there)) < (1e-12 if F64 else 1e-4)
 
 
+@pytest.mark.slow
 def test_the_same_bits_by_either_driver():
     """Nothing depends on which thread does what."""
     scene = heap(3)

@@ -42,12 +42,12 @@ def run(scene, seconds, look, **settings):
     return sim, worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("heavy", "settings"),
     [(600.0, {}), (50.0, {"integrator": "symplectic_euler"}), (50.0, {"contacts": "jacobi"})],
     ids=["verlet", "symplectic", "jacobi"],
 )
-@pytest.mark.slow_where(heavy=50.0)
 def test_a_heavy_ball_rests_on_a_loose_stick(heavy, settings):
     sim, worst = run(bridge(heavy), 0.4, depth, **settings)
     assert worst < 0.02

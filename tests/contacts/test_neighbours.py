@@ -148,6 +148,7 @@ def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
         assert np.array_equal(sim.snapshot().surface_speed, after[1])
 
 
+@pytest.mark.slow
 def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):
     """2000 balls within reach of each other are refused where memory is short, before or after their pairs are counted."""
     scene = ts.Scene(dim=2)
@@ -203,6 +204,7 @@ def test_a_million_balls_in_a_cell_are_refused():
         assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB
 
 
+@pytest.mark.slow
 def test_own_integrator_that_moves_balls_itself_still_meets_contacts():
     """It never says how far balls have moved, so contacts are looked for anew in every step."""
 

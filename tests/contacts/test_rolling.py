@@ -67,8 +67,7 @@ def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
     assert not turned[:-1].any()
 
 
-@pytest.mark.slow_where(dim=2)
-@pytest.mark.slow_where(contacts=["jacobi", "sum"])
+@pytest.mark.slow
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi", "sum"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_loose_ball_rolls_on_one_that_does_not(dim, contacts):

@@ -15,6 +15,7 @@ def falling():
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_the_example_of_the_docstring_writes_a_table(tmp_path, monkeypatch):
     example = base.__doc__.split(":\n\n", 1)[1].split("\n\nWithout", 1)[0]

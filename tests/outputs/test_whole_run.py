@@ -68,6 +68,7 @@ def run(folder, *names, ends=-1, resume=False, **given):
         return export(sim, outputs, **{"fps": 60, "duration": COUNT / 60, "size": SIZE, "checkpoint": None, **given})
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_when_all_is_simulated(tmp_path):
     run(tmp_path, "x.mp4")
     frames = Fitted.last.frames

@@ -170,6 +170,7 @@ def test_vertices_on_the_device_are_the_weighted_means():
     assert drawn[5:] == pytest.approx(np.einsum("sk,skd->sd", surface.weights, drawn[surface.corners]), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_in_pictures():
     """A red surface half as wide as the green triangle that it stands for, in 3D and in 2D."""
     for dim in (3, 2):

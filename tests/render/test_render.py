@@ -333,6 +333,7 @@ def test_shadows_of_what_rests_do_not_flicker_while_something_moves():
     assert not changed[:, : SIZE[0] // 2 - 8].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, 3])
 def test_what_tears_is_drawn_without_new_fields(dim):
     """Fewer springs and triangles fit where more were; new fields would compile all kernels again."""

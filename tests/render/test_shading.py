@@ -129,6 +129,7 @@ def test_the_underside_of_a_sheet_is_neither_black_nor_flat():
 # Shadows ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_edge_of_a_shadow_has_no_notches():
     """A capsule over the ground, seen from low: the straight edges of its shadow are straight in a small picture."""
     capsule = placed(Capsule((-1.5, 0.2, 0.6), (1.5, 0.9, -0.6), 0.2), 3)
@@ -237,6 +238,7 @@ def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
         picture(upright(), looks=[{"of": "flag", "gloss": 0.5}, {"of": "flag"}])
 
 
+@pytest.mark.slow
 def test_a_see_through_collider_shows_what_is_behind_it():
     """Half of a green ball through a red box; in a picture with alpha half of nothing. It casts no shadow, and gloss shines."""
     box = placed(Box((0, 0, 0), (2, 2, 2), colour=RED, name="glass"), 3)

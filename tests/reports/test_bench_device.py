@@ -111,6 +111,7 @@ def test_the_file_holds_numbers(tmp_path, monkeypatch, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["out.json"]
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_a_case_that_fails_loses_no_other(tmp_path, monkeypatch, capsys):
     def broken(quick):

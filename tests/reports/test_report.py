@@ -55,6 +55,7 @@ def test_reference_is_the_closed_solution(made):
     assert not reference.chaotic
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "order"), [("verlet", 2.0), ("symplectic_euler", 1.0)])
 def test_orders(made, method, order):
     found = [row.order for row in made[1].rows if (row.method, row.precision) == (method, "f64") and row.order]
@@ -62,6 +63,7 @@ def test_orders(made, method, order):
     assert found[-1] == pytest.approx(order, abs=0.15)
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_the_closed_solution(made):
     """Each end is off by half of what the length is."""
     _, findings, _ = made
@@ -78,6 +80,7 @@ def test_errors_are_those_of_the_closed_solution(made):
     assert row.relative_error == pytest.approx(np.abs(off).max() / moved, rel=0.02)  # no part of the scene's diagonal
 
 
+@pytest.mark.slow
 def test_both_precisions_have_all_rows_with_costs(made):
     _, findings, _ = made
     for precision in ("f64", "f32"):
@@ -88,6 +91,7 @@ def test_both_precisions_have_all_rows_with_costs(made):
             assert own[0].passes == pytest.approx(1 / own[0].step)
 
 
+@pytest.mark.slow
 def test_pages(made):
     folder, findings, said = made
     names = {p.name for p in folder.iterdir()}
@@ -362,6 +366,7 @@ def test_nothing_moves(odd):
     assert "Nothing moves in this scene" in (folder / "pinned" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_no_springs(odd):
     folder, found = odd
     assert "has no springs" in (folder / "falling" / "report.md").read_text()

@@ -30,7 +30,7 @@ def test_each_case_has_a_stored_result():
         assert np.abs(x - case.scene().position).max() > 0.01  # it moves
 
 
-@pytest.mark.slow_where(case=verify.CASES[1:])
+@pytest.mark.slow_where(case=list(verify.CASES[1:]))
 @pytest.mark.parametrize("case", verify.CASES, ids=lambda case: case.name)
 def test_this_installation_computes_what_is_stored(case, monkeypatch):
     monkeypatch.setattr(verify, "CASES", (case,))

@@ -84,6 +84,7 @@ class Swing:
             impulse[i] += h * ti.cos(7.0 * time + i) / model.inverse_mass[i] * ti.Vector([2.0, 1.0])
 
 
+@pytest.mark.slow
 def test_the_times_that_a_users_force_sees_do_not_depend_on_calls():
     """Calls are where what was run before is kept for good; across chunks, frames, and a state that was taken up again."""
     scene = ts.Scene(dim=2, gravity=(0, -10))

@@ -44,6 +44,7 @@ def test_the_error_is_what_was_asked_for(method):
             assert found.size == pytest.approx(1.12)
 
 
+@pytest.mark.slow
 def test_what_contacts_hold_goes_with_the_step():
     """Loaded for a step twice as long, they hold twice the impulse: along normals and along surfaces."""
     scene = ts.Scene(dim=2, gravity=(0, -10))
