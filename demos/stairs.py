@@ -31,7 +31,7 @@ def scene():
         scene.add_collider(ts.Box(place, size, material="jelly", colour=(0.8, 0.78, 0.74)))
     cow = ts.shapes.jelly(
         scene,
-        mesh=level_set(body, (-0.7, -0.2, -0.5), (1.0, 1.3, 0.5), 0.04),
+        mesh=level_set(body, (-0.7, -0.2, -0.5), (1.0, 1.3, 0.5), 0.038),
         density=300,
         young_modulus=1e6,
         poisson_ratio=0.4,
