@@ -265,6 +265,7 @@ def test_stick_hits_of_any_masses(sticks):
         assert found < tolerance, f"t = {t:.3f}, e = {e}: {found:.2e}"
 
 
+@pytest.mark.slow
 def test_pinned_stick_reflects(sticks):
     b, n = sticks.at.pinned
     far = (
@@ -273,16 +274,19 @@ def test_pinned_stick_reflects(sticks):
     assert np.max(np.abs(sticks.one.v[b] - np.outer([1.0, 0.0, 0.0], n))) < (1e-12 if F64 else 4 * far)
 
 
+@pytest.mark.slow
 def test_beyond_the_end_there_is_no_stick(sticks):
     b, _ = sticks.at.beyond
     assert np.array_equal(sticks.one.v[b], sticks.before[b])
 
 
+@pytest.mark.slow
 def test_hit_at_a_joint_counts_once(sticks):
     b, n = sticks.at.joint
     assert np.max(np.abs(sticks.one.v[b] - np.outer([0.0, -1.0, 0.0, 0.0], n))) < (1e-12 if F64 else 2e-5)
 
 
+@pytest.mark.slow
 def test_momentum_of_a_crowd_with_sticks(sticks):
     """1000 balls, springs and sticks, with friction: f64 1e-13 sum m|v| sqrt(steps)."""
     b = sticks.at.crowd
@@ -294,6 +298,7 @@ def test_momentum_of_a_crowd_with_sticks(sticks):
     assert np.all(np.isfinite(sticks.last.x))
 
 
+@pytest.mark.slow
 def test_crowd_with_sticks_gains_no_energy(sticks):
     scene = sticks.scene
     start = ref.energy(

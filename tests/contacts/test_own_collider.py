@@ -143,6 +143,7 @@ def test_a_ball_on_the_tip_rests_where_it_touches():
         assert np.abs(sim.velocity).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_it_is_drawn(cone):
     _, _, _, frame = cone
     without = copy(frame)

@@ -52,6 +52,7 @@ def solved(scene, method, accumulate, ahead, monkeypatch):
         return sim.position, sim.parts.integrator.solver_report(), counts
 
 
+@pytest.mark.long_in("f64")
 @pytest.mark.slow_where(build=[thrown_jelly, balloon])
 @pytest.mark.parametrize(
     "method",

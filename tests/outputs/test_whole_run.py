@@ -80,6 +80,7 @@ def test_pictures_are_drawn_when_all_is_simulated(tmp_path):
     assert Fitted.last.drawn == list(range(COUNT))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [{"fit": "start"}, {"centre": (0, 0), "width": 3}, {"follow": [0]}])
 def test_other_cameras_are_drawn_on_the_way(tmp_path, monkeypatch, camera):
     monkeypatch.setattr(Fitted, "render", FakeRenderer.render)

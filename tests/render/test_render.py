@@ -296,6 +296,7 @@ def test_a_transparent_picture_laid_over_a_background_is_the_opaque_one(dim):
     assert above[0, 0, 3] == 0
 
 
+@pytest.mark.slow
 def test_a_picture_alone_is_the_one_of_a_run():
     """Whatever was drawn before, from elsewhere or coarser: sky and ground are kept, and only what was drawn on is cleared."""
     random = np.random.default_rng(4)

@@ -113,6 +113,7 @@ def test_edges_between_faces_have_no_steps():
 # Sheets -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_underside_of_a_sheet_is_neither_black_nor_flat():
     """Seen from below, the lamp above it: light comes through, and shows folds; not so through a closed block."""
     x, triangles = sheet(33, lambda u, v: 0.06 * np.sin(9 * u + 2 * v))
@@ -154,6 +155,7 @@ def test_the_edge_of_a_shadow_has_no_notches():
 # Stages -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow_where(dim=3)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_stages_and_a_background_over_each(dim):
     """Bright, dark and blue; what is in front of a background of one's own keeps the stage's light."""

@@ -169,6 +169,7 @@ def test_an_interrupted_call_changes_nothing(saves, monkeypatch):
         assert trajectories.digest(sim) == whole
 
 
+@pytest.mark.slow
 def test_what_is_set_after_an_interrupted_call_stays(monkeypatch):
     """The rest of that call is not made again over it."""
     scene, settings = trajectories.bits.crowd_gauss_seidel()

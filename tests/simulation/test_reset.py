@@ -146,6 +146,7 @@ def test_so_it_is_with_all_parts(make, given, change):
     check(make, given, [change])
 
 
+@pytest.mark.once
 def test_nothing_is_compiled_and_nothing_left():
     with ts.Simulation(pile(), **CPU) as used:
         for k in range(3):
@@ -180,6 +181,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("change", "why"), REFUSED, ids=lambda part: str(part)[:20])
 def test_another_structure_is_refused_with_its_reason_and_nothing_has_changed(change, why):
     with ts.Simulation(pile(), **CPU) as used:

@@ -83,6 +83,7 @@ def test_a_sweep_is_what_single_runs_are(tmp_path):
     assert "restitution" in page
 
 
+@pytest.mark.once
 def test_the_same_call_does_what_is_missing(tmp_path, monkeypatch):
     ran = []
     run = Runner.run

@@ -263,6 +263,7 @@ def test_control_c_ends_it(display, tmp_path):
     assert "written      recording_000.mp4" in window.log.read_text()
 
 
+@pytest.mark.slow
 @needs_tools
 def test_what_becomes_unstable_says_so(display, tmp_path):
     springs = "[[springs]]\npairs = [[0, 1]]\nstiffness = 1e6\nrest_length = 0.9\n"
