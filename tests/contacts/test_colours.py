@@ -149,6 +149,47 @@ def test_impacts_keep_momentum_and_gain_no_energy():
     assert v[-2:, 1] == pytest.approx([0.5, 0.5], rel=exact(300))
 
 
+def caught():
+    """A sheet in free space, and balls thrown at it that meet it and each other."""
+    rng = np.random.default_rng(7)
+    scene = ts.Scene(dim=3, gravity=(0, 0, 0))
+    scene.add_material("cotton", friction=0.3)
+    ts.shapes.cloth(
+        scene, size=(0.6, 0.6), resolution=(8, 8), mass=0.2, stiffness=100.0, damping=0.05, position=(-0.3, 0.0, -0.3),
+        surface_collision=True, material="cotton",
+    )  # fmt: skip
+    x = rng.uniform([-0.15, 0.06, -0.15], [0.15, 0.3, 0.15], (60, 3))
+    scene.add_balls(x, velocity=(0.0, -2.0, 0.0), radius=0.03, mass=2e-3, material="cotton")
+    return scene
+
+
+@pytest.mark.slow
+@pytest.mark.long_in("f64")
+def test_triangles_beside_colours():
+    """Balls are caught by a sheet and lie on each other: the momentum is kept, nothing goes through, and every driver agrees."""
+    scene = caught()
+    m = scene.mass[:, None]
+    before = np.sum(m * scene.velocity, axis=0)
+    bits = []
+    for driver in ("fused", "parallel"):
+        with coloured(scene, driver, contact_iterations=4) as sim:
+            start, most = sim.energy().total, 0
+            for _ in range(8):
+                sim.step(25)
+                assert sim.crossings() == 0
+                most = max(most, sim.contacts().number)
+            assert most > 100
+            assert sim.energy().total < start * (1.0 + 100 * EPS)
+            v = sim.velocity
+            bits.append(state(sim))
+            assert np.sum(m * v, axis=0) == pytest.approx(before, abs=1000 * EPS * float(np.abs(before).sum()))
+            sheet, balls = np.arange(64), np.arange(64, 124)
+            middle = sim.position[sheet, 1].min()
+            near = np.abs(sim.position[balls][:, [0, 2]]).max(axis=1) < 0.2
+            assert (sim.position[balls, 1][near] > middle - 0.01).all()
+    np.testing.assert_array_equal(*bits)
+
+
 def resting(dim):
     """Balls piled up in a box: side by side, a row or layer on the other."""
     rng = np.random.default_rng(1)
