@@ -29,6 +29,7 @@ LONG = (
     "flag",
     "million",
     "net",
+    "satin",
     "sphere",
     "squeeze",
     "tower",
