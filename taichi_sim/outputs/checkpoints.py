@@ -58,10 +58,13 @@ class Checkpoints:
                 waits = undrawn is not None and output.needs_image
                 kinds = ("state", "frames") if waits else ("state",)
                 written = {} if waits else output.hold()
-                output.log.keep(frame, {kind: files[kind] for kind in kinds}, {**own, "output": written})
+                own_files = {kind: files[kind] for kind in kinds}
+                output.log.keep(frame, own_files, {**own, "output": written}, settles=len(self._outputs) == 1)
                 checkpoint = output.log.checkpoint
                 assert checkpoint is not None  # just made
                 files |= {kind: partial(copied, getattr(checkpoint, kind)) for kind in kinds}
+            for output in self._outputs:  # cut off before, all have the last one; within this, both or the new one
+                output.log.settle()
         except ValueError as error:
             warnings.warn(
                 f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew", stacklevel=3
@@ -85,19 +88,21 @@ class Checkpoints:
 
 
 def shared_checkpoint(outputs: Sequence[Resumable], about: Any, count: int, drawn_last: bool) -> Checkpoint | None:
-    """Be ready for `count` frames of a run in all, and go on from the last checkpoint, where all outputs have the same one; None:
-    begin at the first frame. Of several outputs, each may have been cut off at another. drawn_last: whether pictures are drawn
-    when all is simulated; then it is a checkpoint with the frames for these."""
+    """Be ready for `count` frames of a run in all, and go on from the last checkpoint that all outputs have; None: begin at the
+    first frame. drawn_last: whether pictures are drawn when all is simulated; then it is one with the frames for these."""
     found = [output.begin(about, count, drawn_last and output.needs_image) for output in outputs]
-    last = next((one for one in found if one is not None and one.frames is not None), found[0] if found else None)
-    if last is None or any(one is None or one.frame != last.frame for one in found):
+    shared = set.intersection(*({one.frame for one in each} for each in found))
+    if not shared:
+        for output in outputs:
+            output.log.go_on(None)
         return None
-    for output, one in zip(outputs, found):
-        assert one is not None
+    chosen = [next(one for one in each if one.frame == max(shared)) for each in found]
+    for output, one in zip(outputs, chosen):
+        output.log.go_on(one)
         if one.frames is None:
             with judged(output.log.folder / CHECKPOINT):
                 output.go_on(one)
-    return last
+    return next((one for one in chosen if one.frames is not None), chosen[0])
 
 
 def run_of(

@@ -22,16 +22,15 @@ class Resumable(Output):
         self.path = Path(path)
         self.log = RunLog(self.path, resume=resume, within=within)
 
-    def begin(self, about: Mapping[str, Mapping[str, Any]], count: int, waits: bool) -> Checkpoint | None:
-        """Be ready for `count` frames in all: the checkpoint that it can go on from, or None where there is none. about: of the
-        run, see RunLog.begin; what it says of pictures counts where there are some. waits: no frame is written before all are
-        simulated."""
+    def begin(self, about: Mapping[str, Mapping[str, Any]], count: int, waits: bool) -> list[Checkpoint]:
+        """Be ready for `count` frames in all: the checkpoints that it can go on from, the last one first; none where there is
+        none. about: of the run, see RunLog.begin; what it says of pictures counts where there are some. waits: no frame is
+        written before all are simulated."""
         parts = {group: values for group, values in about.items() if group != "pictures" or self.needs_image}
-        last = self.log.begin({**parts, "format": self.options()})
-        if last is None or last.frame > count or waits != (last.frames is not None):
-            return None
+        found = self.log.begin({**parts, "format": self.options()})
+        fitting = [one for one in found if one.frame <= count and waits == (one.frames is not None)]
         with judged(self.log.folder / CHECKPOINT):
-            return last if waits or self.has(last) else None
+            return [one for one in fitting if waits or self.has(one)]
 
     def options(self) -> Mapping[str, Any]:
         """Plain values that decide what its file looks like."""

@@ -1,4 +1,5 @@
-"""RunLog: what an unfinished output keeps beside itself: which run it is of, its frames so far, and the last checkpoint."""
+"""RunLog: what an unfinished output keeps beside itself: which run it is of, its frames so far, and the last checkpoint; for a
+moment the one before it, too, until all outputs of the run have the new one."""
 
 import itertools
 import json
@@ -38,7 +39,8 @@ class RunLog:
     until the output is complete; one run at a time has it.
 
     resume: go on with what is there. Raises OSError where another run is writing it. checkpoint: the last one that was made, once
-    it is begun; damaged: whether it could not be begun, for what is there is not what was written.
+    it is begun, or that which the run goes on from; damaged: whether it could not be begun, for what is there is not what was
+    written.
     """
 
     def __init__(self, output: Path, *, resume: bool, within: bool = False) -> None:
@@ -46,22 +48,23 @@ class RunLog:
         self.folder = output / ".resume" if within else output.with_name(f".{output.name}.resume")
         self._about: Any = {}
         self.checkpoint: Checkpoint | None = None
+        self._kept: list[dict[str, Any]] = []  # checkpoints as plain values, the last one first
         self.damaged = False
         self._lock: IO[bytes] | None = None
         self.resumes = resume and (self.folder / ABOUT).is_file()
         if self.resumes:
             self._take()
 
-    def begin(self, about: Mapping[str, Any]) -> Checkpoint | None:
-        """The last checkpoint of this run, which `about` describes: plain values by their names in groups. None where there is
-        none. Raises ValueError, which names what differs, where the folder is that of another run, and SceneError, which names
-        the file, where it is damaged."""
+    def begin(self, about: Mapping[str, Any]) -> list[Checkpoint]:
+        """The checkpoints of this run, which `about` describes: plain values by their names in groups. The last one first; none
+        where there is none. Raises ValueError, which names what differs, where the folder is that of another run, and SceneError,
+        which names the file, where it is damaged."""
         self._about = json.loads(json.dumps(about))
         if not self.resumes:
-            return None
+            return []
         try:
             differing = list(_differences(self._described(), self._about))
-            self.checkpoint = None if differing else self._last()
+            found = [] if differing else self._checkpoints()
         except SceneError:
             self.damaged = True
             raise
@@ -70,7 +73,14 @@ class RunLog:
                 f"{self.output}: what is kept of it is of another run, which differs in {named(differing)};"
                 f" resume it as it was begun, or delete {self.folder} to begin anew"
             )
-        return self.checkpoint
+        self.checkpoint = next(iter(found), None)
+        return found
+
+    def go_on(self, checkpoint: Checkpoint | None) -> None:
+        """The run goes on from this one, or begins anew."""
+        self.checkpoint = checkpoint
+        state = None if checkpoint is None else checkpoint.state.name
+        self._kept = [one for one in self._kept if one["files"]["state"][0] == state]
 
     @property
     def holds_checkpoint(self) -> bool:
@@ -86,27 +96,35 @@ class RunLog:
                     raise ValueError(f"{group} is no table")
         return found
 
-    def _last(self) -> Checkpoint | None:
-        """The last checkpoint, where all its files are there."""
+    def _checkpoints(self) -> list[Checkpoint]:
+        """Those whose files are all there."""
         place = self.folder / CHECKPOINT
         if not place.is_file():
-            return None
-        found = read_kept(place)
+            return []
+        kept = read_kept(place)
         with judged(place):
-            frame = validation.whole("frame", found["frame"], 0, MOST_FRAMES)
-            own, named = found["own"], found["files"]
-            if not isinstance(own, dict) or not isinstance(own.get("output"), dict):
-                raise ValueError("own is no table")
-            files = {kind: (self.folder / name, int(check)) for kind, (name, check) in named.items()}
-            if "state" not in files or not all(FILE.fullmatch(file.name) for file, _ in files.values()):
-                raise ValueError("files are not those of a checkpoint")
-        if not all(file.is_file() for file, _ in files.values()):
-            return None
-        for file, check in files.values():
-            with judged(file):
-                if checksum(file) != check:
-                    raise ValueError("its checksum does not fit")
-        return Checkpoint(frame, files["state"][0], own, files["frames"][0] if "frames" in files else None)
+            read = [self._read(one) for one in kept["checkpoints"]]
+            if not read:
+                raise ValueError("it lists none")
+        self._kept = kept["checkpoints"]
+        for _, sums in read:
+            for file, check in sums.items():
+                with judged(file):
+                    if file.is_file() and checksum(file) != check:
+                        raise ValueError("its checksum does not fit")
+        return [one for one, sums in read if all(file.is_file() for file in sums)]
+
+    def _read(self, kept: Any) -> tuple[Checkpoint, dict[Path, int]]:
+        """One from its plain values, and the checksums of its files."""
+        frame = validation.whole("frame", kept["frame"], 0, MOST_FRAMES)
+        own = kept["own"]
+        if not isinstance(own, dict) or not isinstance(own.get("output"), dict):
+            raise ValueError("own is no table")
+        files = {kind: self.folder / name for kind, (name, _) in kept["files"].items()}
+        if "state" not in files or not all(FILE.fullmatch(file.name) for file in files.values()):
+            raise ValueError("files are not those of a checkpoint")
+        sums = {self.folder / name: int(check) for name, check in kept["files"].values()}
+        return Checkpoint(frame, files["state"], own, files.get("frames")), sums
 
     def _free(self, kind: str, frame: int) -> Path:
         """A file that is not there: the last checkpoint, which may be of the same frame, needs its own until there is another."""
@@ -128,19 +146,33 @@ class RunLog:
             self.resumes = True
         return self.folder
 
-    def keep(self, frame: int, files: Mapping[str, Callable[[Path], None]], own: Mapping[str, Any]) -> None:
-        """Put a checkpoint in the place of the last one. files: what writes the simulation's "state" to a file, and "frames" that
-        are still to be drawn, whole before they appear. Whenever this is cut off, one of the two is there."""
+    def keep(
+        self, frame: int, files: Mapping[str, Callable[[Path], None]], own: Mapping[str, Any], settles: bool = True
+    ) -> None:
+        """Make a checkpoint. files: what writes the simulation's "state" to a file, and "frames" that are still to be drawn,
+        whole before they appear. It takes the place of the last one, at once or, not `settles`, by `settle`. Whenever this is cut
+        off, one of the two is there."""
         self.open()
         sweep(self.folder, "*.npz")
         paths = {kind: self._free(kind, frame) for kind in files}
         for kind, save in files.items():
             save(paths[kind])
         named = {kind: (path.name, checksum(path)) for kind, path in paths.items()}
-        write_kept(self.folder / CHECKPOINT, {"frame": frame, "own": own, "files": named})
+        self._list([{"frame": frame, "own": own, "files": named}, *([] if settles else self._kept[:1])])
         self.checkpoint = Checkpoint(frame, paths["state"], own, paths.get("frames"))
+
+    def settle(self) -> None:
+        """The last checkpoint takes the place of the one before."""
+        if len(self._kept) > 1:
+            self._list(self._kept[:1])
+
+    def _list(self, kept: list[dict[str, Any]]) -> None:
+        """These are the checkpoints; files of others go."""
+        write_kept(self.folder / CHECKPOINT, {"checkpoints": kept})
+        self._kept = kept
+        needed = {name for one in kept for name, _ in one["files"].values()}
         for old in [*self.folder.glob("state_*.npz"), *self.folder.glob("frames_*.npz")]:
-            if old not in paths.values():
+            if old.name not in needed:
                 old.unlink(missing_ok=True)
 
     def _take(self) -> None:

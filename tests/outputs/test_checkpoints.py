@@ -263,6 +263,11 @@ def edited(path, change):
     write_kept(path, change(kept) or kept)
 
 
+def last_edited(path, change):
+    """The same of the last checkpoint."""
+    edited(path, lambda kept: change(kept["checkpoints"][0]))
+
+
 CHECKPOINT = "checkpoint.json"
 DAMAGES = {
     "cut off": ("run.json", lambda p: p.write_text("{")),
@@ -272,14 +277,18 @@ DAMAGES = {
     "by hand": ("run.json", lambda p: p.write_text(p.read_text().replace("0.1.0", "0.1.1"))),
     "numbers": (CHECKPOINT, lambda p: p.write_text("[1]")),
     "binary": (CHECKPOINT, lambda p: p.write_bytes(bytes(range(256)))),
-    "frame as a text": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(frame="5"))),
-    "frame below 0": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(frame=-5))),
+    "none": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(checkpoints=[]))),
+    "frame as a text": (CHECKPOINT, lambda p: last_edited(p, lambda kept: kept.update(frame="5"))),
+    "frame below 0": (CHECKPOINT, lambda p: last_edited(p, lambda kept: kept.update(frame=-5))),
     "frame by hand": (CHECKPOINT, lambda p: p.write_text(p.read_text().replace('"frame": 13', '"frame": 11'))),
-    "nothing of its own": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(own={}))),
-    "another output": (CHECKPOINT, lambda p: edited(p, lambda kept: kept["own"].update(output={"x": 1}))),
-    "another summary": (CHECKPOINT, lambda p: edited(p, lambda kept: kept["own"].update(summary={"x": 1}))),
-    "a file elsewhere": (CHECKPOINT, lambda p: edited(p, lambda kept: kept["files"].update(state=["../run.json", 1]))),
-    "no file": (CHECKPOINT, lambda p: edited(p, lambda kept: kept.update(files=[1]))),
+    "nothing of its own": (CHECKPOINT, lambda p: last_edited(p, lambda kept: kept.update(own={}))),
+    "another output": (CHECKPOINT, lambda p: last_edited(p, lambda kept: kept["own"].update(output={"x": 1}))),
+    "another summary": (CHECKPOINT, lambda p: last_edited(p, lambda kept: kept["own"].update(summary={"x": 1}))),
+    "a file elsewhere": (
+        CHECKPOINT,
+        lambda p: last_edited(p, lambda kept: kept["files"].update(state=["../run.json", 1])),
+    ),
+    "no file": (CHECKPOINT, lambda p: last_edited(p, lambda kept: kept.update(files=[1]))),
     "state": ("state_000013.npz", lambda p: p.write_bytes(p.read_bytes()[:-1])),
 }
 
@@ -313,6 +322,42 @@ def test_columns_that_were_changed_are_written_again(tmp_path):
     assert files(folder) == files(whole)
 
 
+TOGETHER = ("x.npz", "x.mp4", "x.ply")
+
+
+def run_together(folder, ends=-1, resume=False, every=1e-9):
+    Steady.ends = ends
+    outputs = [open_output(folder / name, fps=60, resume=resume) for name in TOGETHER]
+    return export(Steady(), outputs, duration=0.5, size=SIZE, checkpoint=every, fps=60)
+
+
+@pytest.mark.parametrize("written", [1, 2, 3, 4, 5])
+def test_outputs_that_have_different_checkpoints_go_on_from_the_one_that_all_have(tmp_path, monkeypatch, written):
+    """A kill after the first, the second or all of them have made theirs of frame 13, or while the one before is given up."""
+    (whole := tmp_path / "whole").mkdir()
+    run_together(whole, every=None)
+    (folder := tmp_path / "cut").mkdir()
+    steps = []
+
+    def killed(way, step):
+        def wrapped(log, *given, **more):
+            if (log.checkpoint.frame if step == "settle" else given[0]) == 13:
+                steps.append(step)
+            if len(steps) > written:
+                raise KeyboardInterrupt
+            way(log, *given, **more)
+
+        return wrapped
+
+    with monkeypatch.context() as patch:
+        for step in ("keep", "settle"):
+            patch.setattr(run_log.RunLog, step, killed(getattr(run_log.RunLog, step), step))
+        with pytest.raises(KeyboardInterrupt):
+            run_together(folder)
+    assert run_together(folder, resume=True).resumed == (13 if written > 2 else 12)
+    assert files(folder) == files(whole)
+
+
 def test_a_checkpoint_of_the_same_frame_does_not_touch_the_last(tmp_path, monkeypatch):
     """A run that begins anew comes to frames again of which there are checkpoints; a kill between two files loses none."""
     cut_off(tmp_path, "x.npz", 13)
@@ -325,11 +370,11 @@ def test_a_checkpoint_of_the_same_frame_does_not_touch_the_last(tmp_path, monkey
     monkeypatch.setattr(run_log, "write_kept", killed)
     monkeypatch.setattr(checkpoints, "EVERY", 0.0)
     output = open_output(tmp_path / "x.npz", resume=True)
-    assert output.begin(json.loads(json.dumps(read_kept(output.log.folder / "run.json"))), 30, False) is None
+    assert output.begin(json.loads(json.dumps(read_kept(output.log.folder / "run.json"))), 30, False) == []
     with pytest.raises(KeyboardInterrupt):
         output.log.keep(13, {"state": lambda path: path.write_bytes(b"other")}, {})
     assert (tmp_path / ".x.npz.resume" / CHECKPOINT).read_bytes() == before
-    assert output.log._last().frame == 13
+    assert [one.frame for one in output.log._checkpoints()] == [13]
     output.log.close()
 
 

@@ -244,7 +244,7 @@ def test_damaged_frames_are_said(tmp_path, damage, sums):
         file.write_bytes(data)
     if sums == "now":
         kept = read_kept(log / "checkpoint.json")
-        kept["files"]["frames"][1] = checksum(file)
+        kept["checkpoints"][0]["files"]["frames"][1] = checksum(file)
         write_kept(log / "checkpoint.json", kept)
     before = files(tmp_path)
     with pytest.raises(
