@@ -27,6 +27,7 @@ from taichi_sim.analysis.stability import Stability, stability
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
+from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import checked_forces
 from taichi_sim.geometry.intersections import crossings
@@ -308,6 +309,8 @@ class Simulation(Reader):
         on = self.parts
         if not on.shares_kernels:
             says = "this simulation has user-defined parts, which may read what is compiled in; make a new Simulation"
+            if not IS_KNOWN:
+                says = f"{ENGINE} {VERSION} compiles kernels anew for each simulation; make a new Simulation"
             raise SceneError(("reset",), says=says)
         other = object.__new__(type(self))
         try:
