@@ -11,6 +11,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from urllib.request import ProxyHandler, build_opener
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import BackendError, SceneError
@@ -158,7 +159,7 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
                 says = f"no scheduler answers there ({' '.join(str(error).split())[:120]})"
                 raise SceneError("scheduler", scheduler, says=says) from None
             with client:
-                yield Workers(client, _checked(client, scheduler), bool(client.scheduler_info().get("services")))
+                yield Workers(client, _checked(client, scheduler), _answers(client.dashboard_link))
             return
         number = workers or os.cpu_count() or 1
         with ExitStack() as stack:
@@ -172,7 +173,7 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
                         silence_logs=logging.CRITICAL,
                     )
                     client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
-                yield Workers(client, _checked(client, "local"), _has_dashboard())
+                yield Workers(client, _checked(client, "local"), _answers(client.dashboard_link))
                 _keep_kernels(client, distributed.wait)
             except (KeyboardInterrupt, SystemExit):
                 heard()  # workers are ended in peace
@@ -210,12 +211,13 @@ def _packages() -> tuple[Any, Any]:
         raise SceneError("sweep", says=says) from None
 
 
-def _has_dashboard() -> bool:
+def _answers(link: str) -> bool:
+    """Whether there is a page: without Bokeh, and where a scheduler was started so, there is none."""
     try:
-        import_module("bokeh")
-    except ImportError:
+        with build_opener(ProxyHandler({})).open(link, timeout=1.0) as page:
+            return bool(page.status == 200)
+    except (OSError, ValueError):
         return False
-    return True
 
 
 def _checked(client: Any, where: str) -> int:

@@ -5,6 +5,8 @@ import gc
 import json
 import pickle
 from contextlib import closing
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from threading import Thread
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +16,7 @@ from sweep_scenes import both, heap, mortal, slow, springs, top
 
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
-from taichi_sim.sweeps.cluster import Workers
+from taichi_sim.sweeps.cluster import Workers, _answers
 from taichi_sim.sweeps.folder import Folder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
@@ -342,6 +344,27 @@ def test_a_dashboard_is_told_where_there_is_one(monkeypatch):
 
     assert Workers(Client(), 2, True).said == "2 workers, http://127.0.0.1:1/status"
     assert Workers(Client(), 1, False).said == "1 worker"
+
+
+@pytest.mark.once
+def test_a_dashboard_is_there_where_its_page_is(monkeypatch):
+    class Page(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200 if self.path == "/status" else 404)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # of no use for what is near
+    with HTTPServer(("127.0.0.1", 0), Page) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        here = f"http://127.0.0.1:{server.server_port}"
+        assert _answers(f"{here}/status")
+        assert not _answers(f"{here}/other")
+        server.shutdown()
+    assert not _answers(f"{here}/status")
+    assert not _answers("")
 
 
 @pytest.mark.once
