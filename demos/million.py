@@ -25,7 +25,7 @@ def scene():
         scene,
         size=(side, side),
         resolution=(SHEET, SHEET),
-        mass=4.0,
+        mass=12.0,  # a ball of it within fourfold of a marble: all threads solve impacts of such
         stiffness=20.0,
         damping=0.02,
         radius=0.009,

@@ -6,7 +6,8 @@ have iterations of their own.
 
 A light ball between heavy ones converges as slowly as the ratio of masses: each iteration of the two contacts takes the same part
 of what is left. So each island of balls that touch goes on along the change that an iteration made, see line_search, as far as no
-contact would pull.
+contact would pull. An iteration takes the contacts of the balls that the one before still changed fast: where crowds flow, some
+contact far away goes on changing long after most are done.
 
 There these iterations are rigid and push nothing out: a soft contact gives way to what it bears, which should be a load; to an
 impact of heavy balls it would give way by their speed.
@@ -74,21 +75,33 @@ def iterate_block(b, solver: ti.template(), ball: ti.template(), now, time):
 
 @ti.func
 def settle_islands(solver: ti.template(), ball: ti.template()):
-    """Many iterations, each followed by a line search of every island, on one thread."""
+    """Many iterations over the contacts of the balls that the one before still changed fast, each followed by a line search of
+    every island, on one thread."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         going = False
         for b in range(solver.pairs.blocks[0]):
+            solver.block_is_active[b] = solver.block_was_struck[b]
             if solver.block_was_struck[b] > 0:
                 going = True
         if going:
             find_islands(solver)
-            done = 0
-            while going and done < UNEQUAL_ITERATIONS:
-                change = iterate_islands(solver, ball)
-                extend(solver, ball)
-                going = change > solver.threshold[0]
-                done += 1
+            now = 0
+            while going and now < UNEQUAL_ITERATIONS:
+                iterate_islands(solver, ball, now)
+                extend(solver, ball, now)
+                now += 1
+                going = is_going(solver, now)
+
+
+@ti.func
+def is_going(solver: ti.template(), now):
+    """Whether iteration `now` has anything to do."""
+    going = False
+    for b in range(solver.pairs.blocks[0]):
+        if solver.block_is_active[now % 2 * solver.block_limit + b] > 0:
+            going = True
+    return going
 
 
 @ti.func
@@ -105,28 +118,65 @@ def end_of(solver: ti.template(), b):
 
 
 @ti.func
-def iterate_islands(solver: ti.template(), ball: ti.template()):
-    """All contacts of the islands that were struck, in turn; the largest change of a relative velocity [m/s]."""
-    most = ti.cast(0.0, float)
+def end_in(solver: ti.template(), b, now):
+    """The same in iteration `now`."""
+    end = b * solver.pairs.block_length[0]
+    if pair_impacts.is_marked_near(solver, solver.block_is_active, now % 2 * solver.block_limit, b):
+        end = end_of(solver, b)
+    return end
+
+
+@ti.func
+def iterate_islands(solver: ti.template(), ball: ti.template(), now):
+    """Iteration `now`, in turn; notes which balls it took, what it changed, and where that was fast."""
     for b in range(solver.pairs.blocks[0]):
-        for k in range(b * solver.pairs.block_length[0], end_of(solver, b)):
+        busy = 0
+        for k in range(b * solver.pairs.block_length[0], end_in(solver, b, now)):
             i = solver.pairs.grid.order[k]
-            if is_struck(solver, i):
-                begin = solver.pairs.first[i]
-                end = begin + solver.pairs.touching[i]
-                for c in range(begin, end):
+            if is_struck(solver, i) and (now == 0 or solver.disturbed[i] >= pair_impacts.IMPACT_ROUNDS + now):
+                solver.last_iteration[i] = now
+                r = root_of(solver, i)
+                begin_island(solver, r, now)
+                for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+                    j = solver.pairs.link[c].other
                     solver.pairs.contact[c].previous_impulse = solver.pairs.link[c].impulse
-                most = ti.max(
-                    most,
-                    pair_solve.solve_in_turn(solver, ball, i, begin, end, EVERY_COLOUR, 0.0, pair_solve.AFTER_IMPACTS),
-                )
+                    change = pair_solve.solve_in_turn(
+                        solver, ball, i, c, c + 1, EVERY_COLOUR, 0.0, pair_solve.AFTER_IMPACTS
+                    )
+                    if solver.model.inverse_mass[i] == 0.0:
+                        r = root_of(solver, j)
+                        begin_island(solver, r, now)
+                    add_change(solver, i, j, c, r)
+                    if change > solver.threshold[0]:
+                        busy = 1
+                        disturb(solver, i, now)
+                        disturb(solver, j, now)
                 if ti.static(solver.plan.walls):
                     if ti.static(solver.plan.walls_in_turn):
                         wall_impacts.note(solver.walls, i)
                     p, t = solver.walls.gather(ball, solver, i, 0.0)
                     solver.apply(i, p, t)
-                    most = ti.max(most, solver.model.inverse_mass[i] * p.norm())
-    return most
+                    if solver.model.inverse_mass[i] * p.norm() > solver.threshold[0]:
+                        busy = 1
+                        disturb(solver, i, now)
+                    if ti.static(solver.plan.walls_in_turn):
+                        if solver.model.inverse_mass[i] > 0.0:
+                            add_change_by_walls(solver, i, r)
+        solver.block_is_active[(now + 1) % 2 * solver.block_limit + b] = busy
+
+
+@ti.func
+def begin_island(solver: ti.template(), r, now):
+    """Iteration `now` has changed nothing yet in the island of root r, if this is the first that is asked."""
+    if solver.island_iteration[r] != now:
+        solver.island_iteration[r] = now
+        solver.slope[r], solver.curvature[r], solver.longest_extension[r] = 0.0, 0.0, FURTHEST_EXTENSION
+
+
+@ti.func
+def disturb(solver: ti.template(), i, now):
+    """The iteration after `now` looks at all contacts of ball i."""
+    pair_impacts.disturb(solver, i, pair_impacts.IMPACT_ROUNDS + now + 1)
 
 
 @ti.func
@@ -163,6 +213,8 @@ def find_islands(solver: ti.template()):
             i = solver.pairs.grid.order[k]
             solver.island[i] = i
             solver.island_was_struck[i] = 0
+            solver.last_iteration[i], solver.last_extension[i], solver.island_iteration[i] = -1, -1, -1
+            solver.velocity_change[i] = ti.Vector.zero(float, solver.model.dim)
     for b in range(solver.pairs.blocks[0]):
         for k in range(b * solver.pairs.block_length[0], end_of(solver, b)):
             i = solver.pairs.grid.order[k]
@@ -181,35 +233,61 @@ def find_islands(solver: ti.template()):
 
 
 @ti.func
-def extend(solver: ti.template(), ball: ti.template()):
-    """Each island goes on along the normal impulses of the last iteration, to the least of what iterations lessen."""
-    blocks = solver.pairs.blocks[0]
-    for b in range(blocks):
-        for k in range(b * solver.pairs.block_length[0], reach_of(solver, b)):
+def extend(solver: ti.template(), ball: ti.template(), now):
+    """Each island goes on along the normal impulses of iteration `now`, to the least of what iterations lessen. What that changes
+    fast is looked at again."""
+    for b in range(solver.pairs.blocks[0]):
+        for k in range(b * solver.pairs.block_length[0], end_in(solver, b, now)):
+            visit_taken(solver, ball, solver.pairs.grid.order[k], now, add_to_parabola)
+    for b in range(solver.pairs.blocks[0]):
+        busy = 0
+        for k in range(b * solver.pairs.block_length[0], end_in(solver, b, now)):
             i = solver.pairs.grid.order[k]
-            solver.velocity_change[i] = ti.Vector.zero(float, solver.model.dim)
-            solver.slope[i], solver.curvature[i], solver.longest_extension[i] = 0.0, 0.0, FURTHEST_EXTENSION
-    for b in range(blocks):
-        for k in range(b * solver.pairs.block_length[0], end_of(solver, b)):
-            i = solver.pairs.grid.order[k]
-            if is_struck(solver, i):
-                sum_changes(solver, i)
-    for b in range(blocks):
-        for k in range(b * solver.pairs.block_length[0], reach_of(solver, b)):
-            i = solver.pairs.grid.order[k]
-            w = solver.model.inverse_mass[i]
-            if w > 0.0:
-                r = root_of(solver, i)
-                solver.slope[r] = solver.slope[r] + ball[i].v.dot(solver.velocity_change[i]) / w
-                solver.curvature[r] = solver.curvature[r] + solver.velocity_change[i].dot(solver.velocity_change[i]) / w
-    for b in range(blocks):
-        for k in range(b * solver.pairs.block_length[0], reach_of(solver, b)):
-            i = solver.pairs.grid.order[k]
-            solver.state.kick(i, times(solver, i) * solver.velocity_change[i])
-        for k in range(b * solver.pairs.block_length[0], end_of(solver, b)):
-            i = solver.pairs.grid.order[k]
-            if is_struck(solver, i):
+            busy |= visit_taken(solver, ball, i, now, change_again)
+            if solver.last_iteration[i] == now:
                 extend_contacts(solver, i)
+        if busy > 0:
+            solver.block_is_active[(now + 1) % 2 * solver.block_limit + b] = 1
+
+
+@ti.func
+def visit_taken(solver: ti.template(), ball: ti.template(), i, now, visit: ti.template()):
+    """visit(solver, ball, i, now), and for the balls that i lists, those that can move, if iteration `now` took its contacts;
+    a ball may be visited several times. Whether any of these is 1."""
+    found = 0
+    if solver.last_iteration[i] == now:
+        if solver.model.inverse_mass[i] > 0.0:
+            found = visit(solver, ball, i, now)
+        for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+            j = solver.pairs.link[c].other
+            if solver.model.inverse_mass[j] > 0.0:
+                found |= visit(solver, ball, j, now)
+    return found
+
+
+@ti.func
+def add_to_parabola(solver: ti.template(), ball: ti.template(), i, now):
+    """What the change of ball i does to the energy along the change of its island, once."""
+    if solver.last_extension[i] != now:
+        solver.last_extension[i] = now
+        r, w = root_of(solver, i), solver.model.inverse_mass[i]
+        change = solver.velocity_change[i]
+        solver.slope[r] = solver.slope[r] + ball[i].v.dot(change) / w
+        solver.curvature[r] = solver.curvature[r] + change.dot(change) / w
+    return 0
+
+
+@ti.func
+def change_again(solver: ti.template(), ball: ti.template(), i, now):
+    """Change ball i as often as its island goes on; once, for then nothing is left. Whether that is fast."""
+    change = times(solver, i) * solver.velocity_change[i]
+    solver.velocity_change[i] = ti.Vector.zero(float, solver.model.dim)
+    solver.state.kick(i, change)
+    fast = 0
+    if change.norm() > solver.threshold[0]:
+        fast = 1
+        disturb(solver, i, now)
+    return fast
 
 
 @ti.func
@@ -225,27 +303,27 @@ def extend_contacts(solver: ti.template(), i):
 
 
 @ti.func
-def sum_changes(solver: ti.template(), i):
-    """What the last iteration changed by the normal impulses of the contacts of ball i, and how far these may go on."""
-    w = solver.model.inverse_mass[i]
-    for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
-        j = solver.pairs.link[c].other
-        accumulated = solver.pairs.link[c].impulse
-        change = last_change(solver.pairs.contact, c, accumulated)
-        p = change * solver.pairs.contact[c].normal
-        solver.velocity_change[i] = solver.velocity_change[i] - w * p
-        solver.velocity_change[j] = solver.velocity_change[j] + solver.model.inverse_mass[j] * p
-        r = root_of(solver, ti.select(w > 0.0, i, j))
-        if change < 0.0:
-            solver.longest_extension[r] = ti.min(solver.longest_extension[r], accumulated / -change)
-        if ti.static(solver.plan.soft):
-            solver.slope[r] = solver.slope[r] - ti.min(0.0, solver.pairs.contact[c].depth * solver.rate[0]) * change
-    if ti.static(solver.plan.walls_in_turn):
-        p, longest, work = wall_impacts.changed(solver.walls, i)
-        solver.velocity_change[i] = solver.velocity_change[i] + w * p
-        r = root_of(solver, i)
-        solver.longest_extension[r] = ti.min(solver.longest_extension[r], longest)
-        solver.slope[r] = solver.slope[r] - work
+def add_change(solver: ti.template(), i, j, c, r):
+    """What an iteration changed by the normal impulse of contact c of balls i and j, of the island of root r, and how far this
+    may go on."""
+    accumulated = solver.pairs.link[c].impulse
+    change = last_change(solver.pairs.contact, c, accumulated)
+    p = change * solver.pairs.contact[c].normal
+    solver.velocity_change[i] = solver.velocity_change[i] - solver.model.inverse_mass[i] * p
+    solver.velocity_change[j] = solver.velocity_change[j] + solver.model.inverse_mass[j] * p
+    if change < 0.0:
+        solver.longest_extension[r] = ti.min(solver.longest_extension[r], accumulated / -change)
+    if ti.static(solver.plan.soft):
+        solver.slope[r] = solver.slope[r] - ti.min(0.0, solver.pairs.contact[c].depth * solver.rate[0]) * change
+
+
+@ti.func
+def add_change_by_walls(solver: ti.template(), i, r):
+    """The same by the walls of ball i."""
+    p, longest, work = wall_impacts.changed(solver.walls, i)
+    solver.velocity_change[i] = solver.velocity_change[i] + solver.model.inverse_mass[i] * p
+    solver.longest_extension[r] = ti.min(solver.longest_extension[r], longest)
+    solver.slope[r] = solver.slope[r] - work
 
 
 @ti.func

@@ -599,6 +599,9 @@ class Solver(Protocol):
     impacts: Field  # (n) on a ball in this step
     island: Field  # (n) a ball of the same island, in the end its root
     island_was_struck: Field  # (n) of a root
+    last_iteration: Field  # (n) that took the contacts in the list of a ball, in this step; -1: none
+    last_extension: Field  # (n) that counted its change
+    island_iteration: Field  # (n) the last one of a root
     velocity_change: Field  # (n) vector, m/s, by the last iteration
     slope: Field  # (n) J, of a root, along that change
     curvature: Field  # (n) J, the same

@@ -29,6 +29,7 @@ class GaussSeidel(IteratedRule):
             self.disturbed, self.impacts = fields.integers(n), fields.integers(n)
         if self.plan.line_search:
             self.island, self.island_was_struck = fields.integers(n), fields.integers(n)
+            self.last_iteration, self.last_extension, self.island_iteration = (fields.integers(n) for _ in range(3))
             self.velocity_change = fields.vectors(n, dim)
             self.slope, self.curvature, self.longest_extension = (fields.reals(n) for _ in range(3))
         if self.plan.loaded:

@@ -241,8 +241,16 @@ def test_neighbours_take_nothing_from_a_bounce():
 @pytest.mark.long
 @pytest.mark.parametrize(("e", "mu"), [(0.0, 0.0), (0.5, 0.0), (0.6, 0.2)])
 def test_crowds_of_unequal_balls_do_not_fall_through_each_other(e, mu):
-    """Masses 1 to 100 and radii 1 to 3: no overlap above the radius of the smaller ball, little of it left at rest."""
-    rng, n, side = np.random.default_rng(11), 60, 1.2
+    """Masses 1 to 100 and radii 1 to 3: no overlap above the radius of the smaller ball in any of eight crowds, little of it left
+    at rest, but for a few that have not come to it after 3 s."""
+    deepest, last = np.array([overlaps_of_unequal_balls(seed, e, mu) for seed in range(8)]).T
+    assert deepest.max() < 1.0
+    assert np.median(last) < 0.1
+
+
+def overlaps_of_unequal_balls(seed, e, mu):
+    """Of a crowd that falls into a box: the largest in 3 s, and that at the end, in radii of the smaller ball."""
+    rng, n, side = np.random.default_rng(seed), 60, 1.2
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
     scene.add_material("mix", restitution=e, friction=mu)
     for normal, offset in (((0, 1), 0.0), ((1, 0), 0.0), ((-1, 0), -side)):
@@ -264,8 +272,7 @@ def test_crowds_of_unequal_balls_do_not_fall_through_each_other(e, mu):
         while sim.time < 3.0:
             sim.step(5)
             deepest = max(deepest, overlap(sim.position))
-        assert deepest < 1.0
-        assert overlap(sim.position) < 0.15
+        return deepest, overlap(sim.position)
 
 
 # Thresholds belong to the scene -----------------------------------------------------------------------------------------
