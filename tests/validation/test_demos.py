@@ -29,7 +29,6 @@ LONG = (
     "flag",
     "million",
     "net",
-    "satin",
     "sphere",
     "squeeze",
     "tower",
