@@ -22,7 +22,7 @@ from taichi_sim.contacts.triangles import TriangleContacts
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.device.backend import Backend
 from taichi_sim.device.devices import find
-from taichi_sim.device.engine import another
+from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION, another
 from taichi_sim.device.fields import Fields, OtherFieldsError
 from taichi_sim.device.model import Model
 from taichi_sim.device.shared_kernels import share_kernels
@@ -261,9 +261,13 @@ class Assembly:
         return another(rule)  # one object may serve several simulations
 
     @property
-    def shares_kernels(self) -> bool:
-        """Whether others of the same structure can use the same kernels."""
-        return bool(self._shared.known_by)
+    def keeps_kernels(self) -> str:
+        """Why others of the same structure cannot use the same kernels; "" where they can."""
+        if self._shared.known_by:
+            return ""
+        if not IS_KNOWN:
+            return f"{ENGINE} {VERSION} compiles kernels anew for each simulation"
+        return "this simulation has user-defined parts, which may read what is compiled in"
 
     @property
     def setup(self) -> Setup:

@@ -27,7 +27,6 @@ from taichi_sim.analysis.stability import Stability, stability
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
-from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import checked_forces
 from taichi_sim.geometry.intersections import crossings
@@ -307,11 +306,8 @@ class Simulation(Reader):
         SceneError, which says what differs, and leaves this simulation as it is.
         """
         on = self.parts
-        if not on.shares_kernels:
-            says = "this simulation has user-defined parts, which may read what is compiled in; make a new Simulation"
-            if not IS_KNOWN:
-                says = f"{ENGINE} {VERSION} compiles kernels anew for each simulation; make a new Simulation"
-            raise SceneError(("reset",), says=says)
+        if on.keeps_kernels:
+            raise SceneError(("reset",), says=f"{on.keeps_kernels}; make a new Simulation")
         other = object.__new__(type(self))
         try:
             other._begin(scene, self._forces, self._given, on)

@@ -217,7 +217,7 @@ def test_user_defined_parts_are_refused():
 
 def test_an_engine_whose_kernels_are_not_shared_is_named(monkeypatch):
     monkeypatch.setattr("taichi_sim.device.shared_kernels.IS_KNOWN", False)
-    monkeypatch.setattr("taichi_sim.simulation.simulation.IS_KNOWN", False)
+    monkeypatch.setattr("taichi_sim.simulation.assembly.IS_KNOWN", False)
     with (
         ts.Simulation(pile(), **CPU) as used,
         pytest.raises(ts.SceneError, match=r"taichi 1\.7\.4 compiles kernels anew for each simulation"),
