@@ -59,6 +59,7 @@ def test_the_same_bits_by_either_driver():
     np.testing.assert_array_equal(ended(scene, "gather")[0], ended(scene, "gather", driver="fused")[0])
 
 
+@pytest.mark.slow
 def test_both_balls_get_the_same_impulse():
     """Momentum is kept to rounding, though each ball works out its own impulse."""
     scene = heap(2)

@@ -10,7 +10,7 @@ from physics_support import F64, simulate
 import taichi_sim as ts
 from taichi_sim.render import Renderer
 
-pytestmark = pytest.mark.long_in("f64")
+pytestmark = [pytest.mark.slow, pytest.mark.long_in("f64")]
 
 G, R, HEIGHT, RADIUS = 9.81, 0.05, 0.6, 1.0
 SLOPE = np.array([RADIUS, -HEIGHT]) / np.hypot(RADIUS, HEIGHT)  # outward and down
@@ -131,7 +131,6 @@ def test_a_ball_that_falls_on_a_cone_is_thrown_back_by_the_law(cone):
     assert np.abs(across - (after - after[1] * np.array([0, 1, 0]))).max() < 10 * CLOSE
 
 
-@pytest.mark.slow
 def test_a_ball_on_the_tip_rests_where_it_touches():
     """A distance that is only that of the sides' lines is too small there: it would hold the ball a quarter of its radius up."""
     scene = scene_of(2)
@@ -143,7 +142,6 @@ def test_a_ball_on_the_tip_rests_where_it_touches():
         assert np.abs(sim.velocity).max() < 1e-3
 
 
-@pytest.mark.slow
 def test_it_is_drawn(cone):
     _, _, _, frame = cone
     without = copy(frame)
@@ -155,7 +153,6 @@ def test_it_is_drawn(cone):
     assert np.mean(np.abs(pictures[0] - pictures[1]).max(axis=2) > 20) > 0.05
 
 
-@pytest.mark.slow
 def test_a_roof_that_moves_carries_a_ball_down_in_its_own_frame():
     scene = scene_of(2)
     scene.add_balls([start(0.2) * side for side in ((1, 1), (-1, 1))], radius=R, velocity=(0.7, 0.0), material="smooth")

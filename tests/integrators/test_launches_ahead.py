@@ -53,11 +53,8 @@ def solved(scene, method, accumulate, ahead, monkeypatch):
 
 
 @pytest.mark.long_in("f64")
-@pytest.mark.slow_where(build=[thrown_jelly, balloon])
-@pytest.mark.parametrize(
-    "method",
-    ["implicit_euler", pytest.param("tr_bdf2", marks=[pytest.mark.slow, pytest.mark.long_in("f64")])],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 @pytest.mark.parametrize("build", [hanging_cloth, thrown_jelly, balloon])
 def test_the_same_solution_with_few_questions(build, method, monkeypatch):
     there, report, asked = solved(build(), method, "atomic", False, monkeypatch)

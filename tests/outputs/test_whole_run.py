@@ -90,6 +90,7 @@ def test_other_cameras_are_drawn_on_the_way(tmp_path, monkeypatch, camera):
     assert Fitted.last.drawn == list(range(7))
 
 
+@pytest.mark.slow
 def test_what_is_too_much_to_keep_is_drawn_on_the_way(tmp_path, monkeypatch):
     monkeypatch.setattr(Fitted, "render", FakeRenderer.render)
     monkeypatch.setattr(whole_run, "MOST_KEPT", 3 * COUNT - 1)

@@ -30,6 +30,7 @@ def resident():
         return int(file.read().split()[1])
 
 
+@pytest.mark.slow
 def test_a_second_simulation_of_the_same_structure_compiles_nothing():
     ends(0)
     first, _ = ends(1), ends(2)  # the second sets fields to zero, by kernels of its own

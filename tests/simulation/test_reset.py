@@ -146,6 +146,7 @@ def test_so_it_is_with_all_parts(make, given, change):
     check(make, given, [change])
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_nothing_is_compiled_and_nothing_left():
     with ts.Simulation(pile(), **CPU) as used:

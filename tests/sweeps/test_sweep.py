@@ -22,6 +22,7 @@ from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
 from taichi_sim.sweeps.subject import FileSubject, put, subject_of
 
+pytestmark = pytest.mark.once
 HERE = {"workers": 0, "precision": PRECISION}
 FILE = """
 format = 1
@@ -56,7 +57,6 @@ def table(folder):
         return list(csv.DictReader(file))
 
 
-@pytest.mark.once
 def test_a_sweep_is_what_single_runs_are(tmp_path):
     vary = {"restitution": "0.2:0.8:2", "friction": [0.1, 0.3]}
     done = ts.sweep(
@@ -85,7 +85,6 @@ def test_a_sweep_is_what_single_runs_are(tmp_path):
     assert "restitution" in page
 
 
-@pytest.mark.once
 def test_the_same_call_does_what_is_missing(tmp_path, monkeypatch):
     ran = []
     run = Runner.run
@@ -135,7 +134,6 @@ def test_an_unstable_point_is_a_row():
     assert "above the safe bound" in row.rows[1].warning
 
 
-@pytest.mark.once
 def test_scene_files_are_varied_in_their_own_words(file):
     subject = FileSubject(file)
     scene = subject.scene(
@@ -162,7 +160,6 @@ def test_scene_files_are_varied_in_their_own_words(file):
         assert error.value.file == file
 
 
-@pytest.mark.once
 def test_a_table_that_a_file_may_have_once_is_made():
     document = {}
     put(document, "output.duration", 3.0)
@@ -171,7 +168,6 @@ def test_a_table_that_a_file_may_have_once_is_made():
         put(document, "cloth[0].mass", 3.0)
 
 
-@pytest.mark.once
 def test_loose_balls_take_a_seed_where_nothing_else_does(tmp_path):
     scene = ts.Scene(dim=2)
     scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1, pinned=[0])
@@ -185,7 +181,6 @@ def test_loose_balls_take_a_seed_where_nothing_else_does(tmp_path):
         subject_of(scene, tmp_path / "s").scene({}, 1)
 
 
-@pytest.mark.once
 def test_measures_by_name():
     scene = heap()
     scene.add_probe("tip", "position", balls=[0])
@@ -210,7 +205,6 @@ def test_measures_by_name():
             measures_of(name, scene)
 
 
-@pytest.mark.once
 @pytest.mark.parametrize(
     ("given", "why"),
     [
@@ -235,7 +229,6 @@ def test_what_is_refused_before_anything_runs(given, why, tmp_path):
     assert not folder.exists()
 
 
-@pytest.mark.once
 def test_folders_that_cannot_be_used(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").touch()
@@ -245,7 +238,6 @@ def test_folders_that_cannot_be_used(tmp_path):
         ts.sweep(heap, folder=tmp_path / "none" / "s", **HERE)
 
 
-@pytest.mark.once
 def test_batches_become_one_file_and_damage_is_told(tmp_path):
     about = {"scene": "x"}
     folder = Folder(tmp_path / "s", about)
@@ -301,7 +293,6 @@ def test_points_of_a_scene_are_opened_without_a_folder(number):
     assert not place.exists()
 
 
-@pytest.mark.once
 def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
     folder = Folder(tmp_path / "s", {"scene": "x"})
     folder.begin()
@@ -314,7 +305,6 @@ def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
     assert len(Folder(tmp_path / "s", {"scene": "x"}).rows) == 3
 
 
-@pytest.mark.once
 def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(tmp_path, monkeypatch):
     class Slow:
         """Leaves a batch while it closes, as workers do that end in peace."""
@@ -337,7 +327,6 @@ def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(t
     assert len((tmp_path / "s" / "rows.jsonl").read_text().splitlines()) == 2
 
 
-@pytest.mark.once
 def test_a_dashboard_is_told_where_there_is_one(monkeypatch):
     class Client:
         dashboard_link = "http://127.0.0.1:1/status"
@@ -346,7 +335,6 @@ def test_a_dashboard_is_told_where_there_is_one(monkeypatch):
     assert Workers(Client(), 1, False).said == "1 worker"
 
 
-@pytest.mark.once
 def test_a_dashboard_is_there_where_its_page_is(monkeypatch):
     class Page(BaseHTTPRequestHandler):
         def do_GET(self):
@@ -367,7 +355,6 @@ def test_a_dashboard_is_there_where_its_page_is(monkeypatch):
     assert not _answers("")
 
 
-@pytest.mark.once
 @pytest.mark.parametrize("status", ["finished", "cancelled"])
 def test_a_scheduler_that_is_lost_ends_a_sweep_in_a_sentence(monkeypatch, status):
     """Its futures are cancelled, or what they came to cannot be had; a worker that ended leaves others to try."""
@@ -401,7 +388,6 @@ def test_a_scheduler_that_is_lost_ends_a_sweep_in_a_sentence(monkeypatch, status
         list(Workers(Client(), 1, False).run(SimpleNamespace(folder=None), [[Point({"a": 1})]]))
 
 
-@pytest.mark.once
 def test_no_folder_is_made_where_no_scheduler_answers(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("taichi_sim.sweeps.cluster.PATIENCE", 0.5)
@@ -411,7 +397,6 @@ def test_no_folder_is_made_where_no_scheduler_answers(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.once
 def test_workers_find_the_same_and_one_that_dies_is_a_row(tmp_path):
     pytest.importorskip("distributed")
     said = []
