@@ -25,8 +25,7 @@ FEW_TASKS = 4  # for each worker, at least: so that all have work until the end
 
 
 class Study:
-    """See `open_study`. rows: by key, all that are known, others than those asked for, too. tabulated: points of the table that
-    is written at the end, if any."""
+    """See `open_study`. rows: by key, all that are known, others than those asked for, too."""
 
     def __init__(
         self,
@@ -41,12 +40,6 @@ class Study:
         self.subject, self.measures, self.kept = subject, measures, kept
         self._job, self._kinds, self._connect, self._say = job, kinds, connect, say
         self._engine: Any = None
-        self.tabulated: Sequence[Point] = ()
-
-    def write_table(self) -> None:
-        """Of the points that are tabulated."""
-        if self.tabulated:
-            self.kept.finish(self.tabulated)
 
     @property
     def rows(self) -> dict[str, Row]:
@@ -95,10 +88,11 @@ def open_study(
     say: Callable[[str], None],
     allow_outside: bool,
     settings: Mapping[str, Any],
+    tabulated: Sequence[Point] = (),
 ) -> Iterator[Study]:
     """A study of `scene`, see `taichi_sim.sweeps.sweep.sweep` for the arguments. about: plain values that tell it from others,
-    besides those that all studies have. Raises SceneError, ValueError or OSError, before anything runs or is written, for what is
-    not allowed."""
+    besides those that all studies have. tabulated: points of the table that is written at the end. Raises SceneError, ValueError or
+    OSError, before anything runs or is written, for what is not allowed."""
     scheduler, workers = place(scheduler, workers)
     for name, value in (("duration", duration), ("fps", fps)):
         if value is not None:
@@ -129,18 +123,18 @@ def open_study(
         )
         if not kept.rows and scheduler is not None:
             require_workers(scheduler, workers)  # else it is refused with the first point, and an empty folder there
-        kept.begin()
         stack.callback(kept.close)
+        kept.begin()
+        if tabulated:  # once no worker writes any more: the last to be entered is left first
+            stack.callback(kept.finish, tabulated)
         if retry:
             kept.rows = {key: row for key, row in kept.rows.items() if not row.error}
         if isinstance(scene, Scene) and folder is not None:  # from now on the folder is this study's
             subject = subject_of(scene, home)
         job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart)
-        study = Study(
+        yield Study(
             subject, measures, job, kept, kinds, lambda: stack.enter_context(connected(scheduler, workers, say)), say
         )
-        stack.callback(study.write_table)  # once no worker writes any more: the last to be entered is left first
-        yield study
 
 
 def _tried(

@@ -147,9 +147,8 @@ def sweep(
     with open_study(
         scene, axes, numbers, measure, {"parameters": [axis.path for axis in axes]}, duration=duration, fps=fps, folder=folder,
         workers=workers, scheduler=scheduler, overwrite=overwrite, retry=retry, say=say, allow_outside=allow_outside,
-        settings=settings,
+        settings=settings, tabulated=every,
     ) as study:  # fmt: skip
-        study.tabulated = every
         _run(study, every, progress)
         lasting = None if folder is None else Path(folder)
         done = Sweep(study.subject, axes, plan, every, study.rows, settings, study.measures, lasting)
@@ -166,7 +165,7 @@ def _run(study: Study, points: Sequence[Point], progress: bool) -> None:
         for rows in study.run(points):
             advance(len(rows), sum(bool(row.error) for row in rows))
             if time.monotonic() - written > TABLE_EVERY:
-                study.write_table()
+                study.kept.finish(points)
                 written = time.monotonic()
 
 
