@@ -91,8 +91,8 @@ def open_study(
     tabulated: Sequence[Point] = (),
 ) -> Iterator[Study]:
     """A study of `scene`, see `taichi_sim.sweeps.sweep.sweep` for the arguments. about: plain values that tell it from others,
-    besides those that all studies have. tabulated: points of the table that is written at the end. Raises SceneError, ValueError or
-    OSError, before anything runs or is written, for what is not allowed."""
+    besides those that all studies have. tabulated: points of the table that is written at the end. Raises SceneError, ValueError
+    or OSError, before anything runs or is written, for what is not allowed."""
     scheduler, workers = place(scheduler, workers)
     for name, value in (("duration", duration), ("fps", fps)):
         if value is not None:
