@@ -93,7 +93,8 @@ def test_ctrl_c_at_any_moment(tmp_path):
     interrupted(tmp_path, lambda process, swept: (swept / "sweep.json").is_file())  # before workers are started
     interrupted(tmp_path, lambda process, swept: len(workers_of(process)) > 0)  # while they are
     interrupted(tmp_path, lambda process, swept: len(workers_of(process)) == 2)
-    few = interrupted(tmp_path, lambda process, swept: rows_so_far(swept) > 0)
+    before = rows_so_far(tmp_path / "swept")  # of batches that workers finished
+    few = interrupted(tmp_path, lambda process, swept: rows_so_far(swept) > before)
     many = interrupted(tmp_path, lambda process, swept: rows_so_far(swept) > few + 30)
     assert 0 < few < many < POINTS
     process = start(tmp_path, 2)
