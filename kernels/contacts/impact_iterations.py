@@ -59,18 +59,24 @@ def iterate_block(b, solver: ti.template(), ball: ti.template(), now, time):
                         > solver.threshold[0]
                     ):
                         busy = 1
-                        pair_impacts.disturb(solver, i, pair_impacts.IMPACT_ROUNDS + now + 1)
-                        pair_impacts.disturb(solver, solver.pairs.link[c].other, pair_impacts.IMPACT_ROUNDS + now + 1)
+                        disturb(solver, i, now)
+                        disturb(solver, solver.pairs.link[c].other, now)
                 if ti.static(solver.plan.walls):
                     p, t = solver.walls.gather(ball, solver, i, time)
                     solver.apply(i, p, t)
                     if solver.model.inverse_mass[i] * p.norm() > solver.threshold[0]:
                         busy = 1
-                        pair_impacts.disturb(solver, i, pair_impacts.IMPACT_ROUNDS + now + 1)
+                        disturb(solver, i, now)
     solver.block_is_active[to + b] = busy
     if busy > 0:
         solver.block_was_struck[b] = 1
     return busy
+
+
+@ti.func
+def disturb(solver: ti.template(), i, now):
+    """The iteration after `now` looks at all contacts of ball i."""
+    pair_impacts.disturb(solver, i, pair_impacts.IMPACT_ROUNDS + now + 1)
 
 
 @ti.func
@@ -171,12 +177,6 @@ def begin_island(solver: ti.template(), r, now):
     if solver.island_iteration[r] != now:
         solver.island_iteration[r] = now
         solver.slope[r], solver.curvature[r], solver.longest_extension[r] = 0.0, 0.0, FURTHEST_EXTENSION
-
-
-@ti.func
-def disturb(solver: ti.template(), i, now):
-    """The iteration after `now` looks at all contacts of ball i."""
-    pair_impacts.disturb(solver, i, pair_impacts.IMPACT_ROUNDS + now + 1)
 
 
 @ti.func
