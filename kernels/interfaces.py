@@ -61,4 +61,12 @@ class State(Protocol):
         """v += dv [m/s] for ball i."""
 
 
-READS = {"model": Model, "ball": Ball, "state": State, "law": Law}
+class Lists(Protocol):
+    """Lists of entries, one for each ball: list i has start[i + 1] - start[i] of them, see loops.listed."""
+
+    start: Field  # (n + 1) entries
+    sliced: bool  # whether lists lie in slices, as on devices
+    slice_start: Field  # (slices) the first entry of each, where that is so
+
+
+READS = {"model": Model, "ball": Ball, "state": State, "law": Law, "lists": Lists}

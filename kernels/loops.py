@@ -19,3 +19,16 @@ def each(
     else:
         for i in range(count):
             visit(i, *arguments)
+
+
+SLICE = 32  # lists that are stored together on a device, one for each thread of a warp
+
+
+@ti.func
+def listed(lists: ti.template(), i, t):
+    """Entry t of list i of `lists`: one behind the other from `start` on, or, for neighbouring threads of a device to read
+    neighbouring entries, in slices of SLICE lists, which hold all first entries, then all second ones, and so on."""
+    e = lists.start[i] + t
+    if ti.static(lists.sliced):
+        e = lists.slice_start[i // SLICE] + t * SLICE + i % SLICE
+    return e

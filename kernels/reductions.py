@@ -35,6 +35,25 @@ def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template
 
 
 @ti.func
+def members(c, parts: ti.template(), n):
+    """How many of n balls part c of `parts` has."""
+    number = ti.min(LONG_PART, n - c * LONG_PART)
+    if ti.static(on_device()):
+        number = (n - c + parts - 1) // parts
+    return number
+
+
+@ti.func
+def member(c, k, parts: ti.template()):
+    """Ball k of part c of `parts`. On a CPU those of a part lie one behind the other. On a device those of one k do, for
+    neighbouring threads to read neighbouring memory at the same time."""
+    i = c * LONG_PART + k
+    if ti.static(on_device()):
+        i = c + k * parts
+    return i
+
+
+@ti.func
 def even_then_odd(count: ti.template(), visit: ti.template(), arguments: ti.template()):
     """The same for parts of which one writes to itself and the next: those with even numbers, then the others. At the top level
     of a kernel only an unrolled loop leaves the inner ones parallel."""

@@ -7,7 +7,7 @@ Where the energy of v1 + d is more than that of v0, all d are scaled down to whe
 momentum; what only rests stays at rest all the same.
 """
 
-from taichi_sim.kernels.reductions import each_part, join, part_size, total
+from taichi_sim.kernels.reductions import each_part, join, member, members, total
 from taichi_sim.kernels.vectors import product
 
 from taichi_sim.device.engine import ti
@@ -71,8 +71,8 @@ def sum_part(c, solver: ti.template(), ball: ti.template()):
         ti.cast(0.0, solver.energy_type),
         ti.cast(0.0, solver.energy_type),
     )
-    size = ti.static(part_size())
-    for i in range(c * size, ti.min((c + 1) * size, solver.n)):
+    for k in range(members(c, solver.energy_parts, solver.n)):
+        i = member(c, k, solver.energy_parts)
         w = solver.model.inverse_mass[i]
         if w > 0.0:
             v0 = ti.cast(solver.velocity_before[i], solver.energy_type)

@@ -53,14 +53,14 @@ def iterate_block(b, solver: ti.template(), ball: ti.template(), now, time):
         for k in range(begin, ti.min(begin + solver.pairs.block_length[0], solver.n)):
             i = solver.pairs.grid.order[k]
             if solver.disturbed[i] >= first:
-                for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+                for t in range(solver.pairs.touching[i]):
                     if (
-                        pair_solve.solve_in_turn(solver, ball, i, c, c + 1, EVERY_COLOUR, time, pair_solve.NEXT)
+                        pair_solve.solve_in_turn(solver, ball, i, t, t + 1, EVERY_COLOUR, time, pair_solve.NEXT)
                         > solver.threshold[0]
                     ):
                         busy = 1
                         disturb(solver, i, now)
-                        disturb(solver, solver.pairs.link[c].other, now)
+                        disturb(solver, solver.pairs.link[solver.pairs.first[i] + t].other, now)
                 if ti.static(solver.plan.walls):
                     p, t = solver.walls.gather(ball, solver, i, time)
                     solver.apply(i, p, t)
@@ -143,11 +143,12 @@ def iterate_islands(solver: ti.template(), ball: ti.template(), now):
                 solver.last_iteration[i] = now
                 r = root_of(solver, i)
                 begin_island(solver, r, now)
-                for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+                for t in range(solver.pairs.touching[i]):
+                    c = solver.pairs.first[i] + t
                     j = solver.pairs.link[c].other
                     solver.pairs.contact[c].previous_impulse = solver.pairs.link[c].impulse
                     change = pair_solve.solve_in_turn(
-                        solver, ball, i, c, c + 1, EVERY_COLOUR, 0.0, pair_solve.AFTER_IMPACTS
+                        solver, ball, i, t, t + 1, EVERY_COLOUR, 0.0, pair_solve.AFTER_IMPACTS
                     )
                     if solver.model.inverse_mass[i] == 0.0:
                         r = root_of(solver, j)

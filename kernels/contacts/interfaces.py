@@ -120,6 +120,7 @@ class Grid(Protocol):
     second_parts: int  # of SUMMED_BUCKETS^2 buckets
     bucket: Field  # (n) of each ball
     sorted: Field  # (n) the ball of each sorted copy
+    copy_of: Field  # (n) the sorted copy of each ball, where searches are parallel
     order: Field  # (n) balls in the order of iterations
     copy: "GridCopy"  # (n) sorted
     colours: int  # of pairs, see pair_colours
@@ -153,6 +154,7 @@ class Pairs(Protocol):
     model: Model  # of the scene
     grid: "Grid"  # in which they are found
     plan: "Plan"  # of the scene
+    interleaved: bool  # whether the lists of all balls lie side by side, see pair_lists
     gap: float  # of the radii: how far apart balls count as touching
     link: "PairLink"  # (capacity) entries of all lists
     contact: "PairContact"  # (capacity) beside them

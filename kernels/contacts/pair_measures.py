@@ -2,6 +2,7 @@
 with."""
 
 from taichi_sim.kernels.contacts import pair_colours, pair_impacts
+from taichi_sim.kernels.contacts.pair_lists import entry
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
 from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
@@ -33,12 +34,11 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
         if pairs.grid.work[0].balls > 0:
             pair_colours.find_twins(pairs, i)
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
-    begin = pairs.first[i]
-    end = begin
+    begin, touching, held = pairs.first[i], 0, pairs.held[i]
     total, angular = ti.Vector.zero(float, solver.model.dim), zero_scalar_in_2d(solver.model.dim)
-    for e in range(begin, begin + pairs.number[i]):
-        link = pairs.link[e]
-        j = link.other
+    for t in range(pairs.number[i]):
+        e = entry(pairs, begin, t)
+        j = pairs.link[e].other
         r = ball[j].x - x
         sum = radius + solver.model.radius[j]
         reach = sum * (1.0 + pairs.gap)
@@ -48,9 +48,9 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
         if r.dot(r) < reach * reach:
             n, d = unit(r, i, j)
-            at = end
-            if ti.static(solver.plan.by_colours):
-                at = e
+            at = e
+            if ti.static(not solver.plan.by_colours):
+                at = entry(pairs, begin, touching)
             pairs.contact[at].normal = n
             pairs.contact[at].depth = sum - d
             if ti.static(solver.plan.impacts_in_turn):
@@ -65,42 +65,45 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             if ti.static(solver.model.spins):
                 pairs.contact[at].arm = d / sum
             if ti.static(solver.plan.by_colours):
-                if link.colour != pair_colours.SOLVED_BY_OTHER:
-                    pairs.turn[begin + solved] = (e - begin) | (link.colour << pair_colours.COLOUR_SHIFT)
+                colour = pairs.link[e].colour
+                if colour != pair_colours.SOLVED_BY_OTHER:
+                    pairs.turn[entry(pairs, begin, solved)] = t | (colour << pair_colours.COLOUR_SHIFT)
                     solved += 1
-                    colours |= 1 << link.colour
-            elif e > end:
-                pairs.link[e] = pairs.link[end]
-                pairs.link[end] = link
+                    colours |= 1 << colour
+            elif t > touching:
+                link = pairs.link[e]
+                pairs.link[e] = pairs.link[at]
+                pairs.link[at] = link
             if ti.static(solver.plan.warm_starts):
                 p = starting_impulse(solver, ball, i, j, at, n)
                 total += p
                 add_to_other(solver, solver.warm_velocity, j, -solver.model.inverse_mass[j] * p)
                 if ti.static(solver.model.spins):
-                    t = torque(solver, at, p)
-                    angular += t
+                    turning = torque(solver, at, p)
+                    angular += turning
                     response = solver.model.spin_response(j) * solver.model.inverse_mass[j]
-                    add_to_other(solver, solver.warm_spin, j, response * t)
+                    add_to_other(solver, solver.warm_spin, j, response * turning)
             if ti.static(solver.counts_pairs):
                 add_to_other(solver, solver.pair_count, j, 1)
             if ti.static(solver.splits_by_direction):
                 T = n.outer_product(n)
                 add(solver, solver.normal_tensor, i, T)
                 add_to_other(solver, solver.normal_tensor, j, T)
-            end += 1
+            touching += 1
         elif ti.static(solver.plan.warm_starts):
-            forget(pairs, e)
+            if t < held:
+                forget(pairs, e)
     if ti.static(solver.plan.by_colours):
         pairs.touching[i] = solved
         pairs.colours[i] = colours
     else:
-        pairs.touching[i] = end - begin
+        pairs.touching[i] = touching
     if ti.static(solver.plan.warm_starts):
         add(solver, solver.warm_velocity, i, w * total)
         if ti.static(solver.model.spins):
             add(solver, solver.warm_spin, i, (solver.model.spin_response(i) * w) * angular)
     if ti.static(solver.counts_pairs):
-        add(solver, solver.pair_count, i, end - begin)
+        add(solver, solver.pair_count, i, touching)
     return fast
 
 

@@ -2,6 +2,7 @@
 
 from taichi_sim.kernels.contacts import contact_law, pair_colours, pair_impacts
 from taichi_sim.kernels.contacts.interfaces import Iteration
+from taichi_sim.kernels.contacts.pair_lists import entry
 from taichi_sim.kernels.contacts.pair_measures import tangent
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import RIGID, law_of
@@ -20,21 +21,21 @@ RELAX = Iteration(prepares=True, takes_back=True, starts=False)  # the same wher
 @ti.func
 def ball_in_turn(solver: ti.template(), ball: ti.template(), i, colour, time, how: ti.template()):
     """The pairs of a colour that ball i solves, each seeing what those before it changed."""
-    begin = solver.pairs.first[i]
-    solve_in_turn(solver, ball, i, begin, begin + solver.pairs.touching[i], colour, time, how)
+    solve_in_turn(solver, ball, i, 0, solver.pairs.touching[i], colour, time, how)
 
 
 @ti.func
 def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, colour, time, how: ti.template()):
-    """Each pair changes the velocities that the next one sees. Returns the largest change of a relative velocity [m/s]."""
+    """The pairs of ball i from turn `begin` to `end`: each changes the velocities that the next one sees. Returns the largest
+    change of a relative velocity [m/s]."""
     most = ti.cast(0.0, float)
     v = ball[i].v
     w = solver.model.inverse_mass[i]
     spin = zero_scalar_in_2d(solver.model.dim)
     if ti.static(solver.model.spins):
         spin = solver.state.spin[i]
-    for k in range(begin, end):
-        c, is_its_turn = pair_colours.turn(solver.pairs, i, k, colour)
+    for t in range(begin, end):
+        c, is_its_turn = pair_colours.turn(solver.pairs, i, t, colour)
         if is_its_turn:
             j = solver.pairs.link[c].other
             p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
@@ -42,10 +43,10 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, col
             ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
             most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
             if ti.static(solver.model.spins):
-                t = torque(solver, c, p)
-                spin += w * (solver.model.spin_response(i) * t)
-                t = solver.model.spin_response(j) * t
-                solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * t
+                angular = torque(solver, c, p)
+                spin += w * (solver.model.spin_response(i) * angular)
+                angular = solver.model.spin_response(j) * angular
+                solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * angular
             if ti.static(solver.plan.by_colours):
                 pair_colours.mirror(solver.pairs, c, how)
     ball[i].v = v
@@ -64,15 +65,16 @@ def ball_at_once(solver: ti.template(), ball: ti.template(), i, colour, time, ho
     if ti.static(solver.model.spins):
         spin = solver.state.spin[i]
     begin = solver.pairs.first[i]
-    for c in range(begin, begin + solver.pairs.touching[i]):
+    for t in range(solver.pairs.touching[i]):
+        c = entry(solver.pairs, begin, t)
         j = solver.pairs.link[c].other
         p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
         total += p
         add_to_other(solver, solver.impulse, j, -p)
         if ti.static(solver.model.spins):
-            t = torque(solver, c, p)
-            angular += t
-            add_to_other(solver, solver.angular_impulse, j, t)
+            turning = torque(solver, c, p)
+            angular += turning
+            add_to_other(solver, solver.angular_impulse, j, turning)
     add(solver, solver.impulse, i, total)
     if ti.static(solver.model.spins):
         add(solver, solver.angular_impulse, i, angular)
@@ -232,9 +234,8 @@ def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
 @ti.func
 def correct_positions(solver: ti.template(), ball: ti.template(), i, colour, h, how: ti.template()):
     """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
-    begin = solver.pairs.first[i]
-    for k in range(begin, begin + solver.pairs.touching[i]):
-        c, is_its_turn = pair_colours.turn(solver.pairs, i, k, colour)
+    for t in range(solver.pairs.touching[i]):
+        c, is_its_turn = pair_colours.turn(solver.pairs, i, t, colour)
         if is_its_turn:
             correct_position(solver, ball, i, solver.pairs.link[c].other, c, h)
 

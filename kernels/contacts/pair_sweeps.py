@@ -66,7 +66,7 @@ def balls_of_block(solver: ti.template(), ball: ti.template(), b, begin, end, ti
 @ti.func
 def own_pairs(solver: ti.template(), ball: ti.template(), i, colour, time, visit: ti.template()):
     """visit(ball, i, j, c) for each pair c of ball i that touches or nearly does: i solves it, j is the other ball."""
-    for t in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+    for t in range(solver.pairs.touching[i]):
         c, is_its_turn = pair_colours.turn(solver.pairs, i, t, colour)
         if is_its_turn:
             visit(ball, i, solver.pairs.link[c].other, c)

@@ -6,6 +6,7 @@ blocks that are longer than any pair reaches: see pair_sweeps. Where each ball g
 
 from taichi_sim.kernels.contacts import pair_colours
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
+from taichi_sim.kernels.contacts.pair_lists import entry
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
@@ -43,8 +44,8 @@ def may_meet(pairs: ti.template(), i, j):
 
 @ti.func
 def nearby(pairs: ti.template(), own, at, free):
-    """Write the sorted copies within reach of copy `own` that come after it, or all of them, as links from `at` on; returns how
-    many.
+    """Write the sorted copies within reach of copy `own` that come after it, or all of them, into the list that begins with link
+    `at`; returns how many.
 
     Links beyond `free` are counted; the last place holds any one of them.
     """
@@ -107,7 +108,7 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.t
                         if ti.static(pairs.plan.gathers):
                             listed = listed and k != own
                         if listed:
-                            pairs.link[at + ti.min(found, free)].other = k
+                            pairs.link[entry(pairs, at, ti.min(found, free))].other = k
                             found += 1
     return found
 
@@ -119,8 +120,8 @@ def keep_colliding(pairs: ti.template(), own, at, found):
     i = pairs.grid.sorted[own]
     kept = 0
     furthest = 0
-    for e in range(at, at + found):
-        k = pairs.link[e].other
+    for t in range(found):
+        k = pairs.link[entry(pairs, at, t)].other
         j = pairs.grid.sorted[k]
         if may_touch(pairs, i, j):
             distance = k - own
@@ -128,11 +129,12 @@ def keep_colliding(pairs: ti.template(), own, at, found):
                 if pairs.grid.dense[0] == 0:
                     distance = pairs.grid.rank[j] - pairs.grid.rank[i]
             furthest = ti.max(furthest, distance)
+            e = entry(pairs, at, kept)
             if ti.static(pairs.plan.warm_starts):
-                recall(pairs, i, j, at + kept)
-            pairs.link[at + kept].other = j
+                recall(pairs, i, j, e)
+            pairs.link[e].other = j
             if ti.static(pairs.plan.by_colours):
-                pairs.link[at + kept].colour = pair_colours.colour_of(pairs, i, j)
+                pairs.link[e].colour = pair_colours.colour_of(pairs, i, j)
             kept += 1
     return kept, furthest
 
@@ -167,7 +169,8 @@ def store_links(pairs: ti.template(), i):
     """`store` for ball i."""
     pairs.old_first[i] = pairs.first[i]
     pairs.old_held[i] = pairs.held[i]
-    for c in range(pairs.first[i], pairs.first[i] + pairs.held[i]):
+    for t in range(pairs.held[i]):
+        c = entry(pairs, pairs.first[i], t)
         link = pairs.link[c]
         pairs.contact[c].depth = link.impulse
         if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
@@ -209,7 +212,8 @@ def recall(pairs: ti.template(), i, j, at):
         if ti.static(which == 1):
             one, two = j, i
         begin = pairs.old_first[one]
-        for c in range(begin, begin + pairs.old_held[one]):
+        for t in range(pairs.old_held[one]):
+            c = entry(pairs, begin, t)
             if stored_other(pairs, c) == two:
                 old = pairs.contact[c]
                 pairs.link[at].impulse = old.depth
@@ -251,13 +255,14 @@ def search(pairs: ti.template()):
         end = at + pairs.block_capacity
         furthest = 0
         for k in range(block * LIST_BLOCK, ti.min((block + 1) * LIST_BLOCK, pairs.grid.n)):
-            first, found, far = list_neighbours(pairs, k, at, end)
+            first, found, far = list_neighbours(pairs, k, at, end - at)
             if first == at:
                 at += found
             furthest = ti.max(furthest, far)
             i = pairs.grid.sorted[k]
             pairs.first[i] = first
             pairs.number[i] = found
+            pairs.held[i] = found
         ti.atomic_max(pairs.longest_reach[0], furthest)
     ti.loop_config(serialize=True)
     for _ in range(1):
@@ -267,13 +272,13 @@ def search(pairs: ti.template()):
 
 
 @ti.func
-def list_neighbours(pairs: ti.template(), own, at, end):
-    """The list of sorted copy `own`, in the entries from `at` to `end` or in the pool. Returns its first entry, its length, and
+def list_neighbours(pairs: ti.template(), own, at, room):
+    """The list of sorted copy `own`, in the `room` entries from `at` on or in the pool. Returns its first entry, its length, and
     how many places further on in the order the furthest of them is."""
     first = at
     far = 0
-    found = nearby(pairs, own, at, end - 1 - at)
-    if at + found < end:
+    found = nearby(pairs, own, at, room - 1)
+    if found < room:
         found, far = keep_colliding(pairs, own, at, found)
     else:
         used = COUNT_LIMIT

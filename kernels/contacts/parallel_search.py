@@ -86,6 +86,7 @@ def build(ball: ti.template(), grid: ti.template()):
             for other in range(first, last):
                 at += ti.select(grid.order[other] < i, 1, 0)
             grid.sorted[at] = i
+            grid.copy_of[i] = at
             grid.copy[at].x = ball[i].x
             grid.copy[at].radius = grid.model.radius[i]
 
@@ -132,17 +133,20 @@ def search(pairs: ti.template()):
                         pairs.grid.block_count[colour] = 0
             if ti.static(pairs.plan.warm_starts):
                 store_links(pairs, i)
-    for k in range(pairs.grid.n):
+    for i in range(pairs.grid.n):  # by balls, not by copies: most of what is read and written are lists, new and old
         if is_due(pairs.grid):
             if pairs.grid.crowded_pairs[0] <= pairs.grid.pair_limit[0]:
-                i = pairs.grid.sorted[k]
-                at = i * pairs.block_capacity
-                first, found, _ = list_neighbours(pairs, k, at, at + pairs.block_capacity)
+                k = pairs.grid.copy_of[i]
+                at = i
+                if ti.static(not pairs.interleaved):
+                    at *= pairs.block_capacity
+                first, found, _ = list_neighbours(pairs, k, at, pairs.block_capacity)
                 pairs.first[i] = first
                 pairs.number[i] = found
+                pairs.held[i] = found
                 if ti.static(pairs.plan.by_colours):
                     pair_colours.list_blocks(pairs.grid, k)
-            elif k == 0:
+            elif i == 0:
                 pairs.overflow[0] = ENDLESS
                 pairs.grid.most_crowded_pairs[0] = ti.max(pairs.grid.most_crowded_pairs[0], pairs.grid.crowded_pairs[0])
                 pairs.grid.work[0].balls = 0

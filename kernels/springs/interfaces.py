@@ -6,7 +6,7 @@ padded_blocks.
 
 from typing import Any, NamedTuple, Protocol
 
-from taichi_sim.kernels.interfaces import Ball, Field
+from taichi_sim.kernels.interfaces import Ball, Field, Lists
 
 
 class Terms(NamedTuple):
@@ -27,14 +27,13 @@ class Spring(Protocol):
     rest_length: float  # m
 
 
-class Springs(Protocol):
-    """The springs of a scene, by ball: those of ball i are entries start[i] to start[i + 1]."""
+class Springs(Lists, Protocol):
+    """The springs of a scene, listed by ball."""
 
     n: int  # balls
     m: int  # springs
     dim: int  # 2 or 3
     order: str  # in which springs are summed: "gather", "blocks", "padded", "batches", "colours", "ends" or "atomic"
-    start: Field  # (n + 1) entries
     placed: bool  # whether entries do not follow `start`, but `place`: with the orders "batches" and "colours"
     place: Field  # (m) entry of each spring of `start`, where that is so
     end_start: Field  # (n + 1) where the springs at either of whose ends ball i is begin, in the order "ends"

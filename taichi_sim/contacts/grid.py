@@ -76,6 +76,7 @@ class Grid:
         if parallel:
             self.second_parts = -(-self.size // parallel_search.SUMMED_BUCKETS**2)
             self.second_partial = fields.integers(self.second_parts)
+            self.copy_of = fields.integers(self.n)
         if by_colours:
             self.colours = self.levels << model.dim
             if self.colours > MOST_COLOURS:

@@ -4,12 +4,13 @@ import numpy as np
 
 from taichi_sim.contacts.grid import Grid
 from taichi_sim.contacts.plan import ContactPlan
-from taichi_sim.device.engine import ti
+from taichi_sim.device.engine import on_device, ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import pairs as loops
 from taichi_sim.kernels.contacts import parallel_search, statistics
 from taichi_sim.kernels.contacts.contact_law import TOUCH_TOLERANCE
+from taichi_sim.kernels.contacts.pair_lists import entry
 from taichi_sim.kernels.vectors import unit
 
 __all__ = ["Pairs"]
@@ -34,6 +35,7 @@ class Pairs:
         scene = model.scene
         self.model, self.grid, self.plan = model, grid, plan
         self.gap = LISTED_GAP if plan.soft else 0.0
+        self.interleaved = plan.gathers and on_device()  # lists and members, see kernels.contacts.pair_lists
         balls = 1 if plan.gathers else loops.LIST_BLOCK  # of a block
         self.block_capacity = OWN_LINKS[model.dim] if plan.gathers else balls * LINKS_PER_BALL[model.dim]
         self.pool_start = -(-model.n // balls) * self.block_capacity
@@ -54,7 +56,7 @@ class Pairs:
             columns["rebound_speed"] = fields.real
         if plan.by_colours:
             columns["colour"] = columns["twin"] = ti.i32
-        self.link = fields.table(columns, self.capacity)
+        self.link = fields.table(columns, self.capacity, by_column=self.interleaved)
         columns = {"normal": vector, "depth": fields.real, "mass": fields.real}
         if self.has_target:
             columns["target"] = fields.real
@@ -69,7 +71,7 @@ class Pairs:
             self.first_from_others = fields.integers(model.n)
         if model.spins:
             columns["arm"] = fields.real
-        self.contact = fields.table(columns, self.capacity)
+        self.contact = fields.table(columns, self.capacity, by_column=self.interleaved)
         if plan.by_colours:
             self.turn = fields.integers(self.capacity)
         self.most = loops.COUNT_LIMIT
@@ -110,8 +112,8 @@ class Pairs:
     def statistics(self, ball: ti.template(), i):
         """Statistics of the pairs that ball i lists and that touch, give or take rounding."""
         total = statistics.nothing()
-        begin = self.first[i]
-        for e in range(begin, begin + self.number[i]):
+        for t in range(self.number[i]):
+            e = entry(self, self.first[i], t)
             j = self.link[e].other
             one, two = self.model.radius[i], self.model.radius[j]
             n, d = unit(ball[j].x - ball[i].x, i, j)

@@ -9,7 +9,7 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.kernels.contacts import statistics
-from taichi_sim.kernels.reductions import each_part, part_size, parts_of
+from taichi_sim.kernels.reductions import each_part, member, members, parts_of
 
 __all__ = ["ContactStatistics"]
 
@@ -30,8 +30,9 @@ class ContactStatistics:
 
     @ti.func
     def _sum_chunk(self, c, ball: ti.template()):
-        total, size = statistics.nothing(), ti.static(part_size())
-        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+        total = statistics.nothing()
+        for k in range(members(c, self.chunks, self.n)):
+            i = member(c, k, self.chunks)
             for part in ti.static(self.contacts.parts):
                 total = statistics.join(total, part.statistics(ball, i))
         self.sums[c] = total

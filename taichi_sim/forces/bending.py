@@ -18,7 +18,7 @@ class Bending(Corners):
     an element is b x n, which is 0. Where b is 0 nothing rotates, and all of db/dt is damped."""
 
     name = "bending"
-    elastic = True
+    elastic = may_slice = True
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene

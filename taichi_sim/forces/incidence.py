@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.device.slices import Slices
+from taichi_sim.kernels.loops import listed
 
 __all__ = ["CORNER_NAMES", "Corners"]
 
@@ -17,8 +19,11 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 @ti.data_oriented
 class Corners:
     """What a force of elements is made of: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order
-    of the elements. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
+    of the elements; may_slice: none but the methods below ask for them, so that on a device they may lie in slices, see
+    kernels.loops.listed. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
     """
+
+    may_slice = False
 
     def gather(
         self,
@@ -42,8 +47,14 @@ class Corners:
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
         self.n, self.dim = model.n, model.dim
-        self.start, self.row = fields.integers(start), fields.table(typed, len(own), values)
+        self.start = fields.integers(start)
         self.tears = bool(np.isfinite(model.scene.break_strain).any())
+        slices = Slices.of(start) if self.may_slice and not self.tears else None
+        self.sliced = slices is not None
+        if slices is not None:
+            self.slice_start = fields.integers(slices.start)
+            values = {name: slices.spread(value) for name, value in values.items()}
+        self.row = fields.table(typed, len(values["a"]), values, by_column=self.sliced)
         if self.tears:
             self.gone = fields.integers(len(own))
             self.members = np.concatenate([own[order, None], others[order]], axis=1)
@@ -62,7 +73,8 @@ class Corners:
         self.prepare(ball)
         for i in range(self.n):
             f = ti.Vector.zero(float, self.dim)
-            for e in range(self.start[i], self.start[i + 1]):
+            for t in range(self.start[i + 1] - self.start[i]):
+                e = listed(self, i, t)
                 if self.is_whole(e):
                     f += self.corner_force(ball, i, self.row[e], time)
             impulse[i] = impulse[i] + h * f
@@ -80,7 +92,8 @@ class Corners:
     def stored(self, ball: ti.template(), i, real: ti.template()):
         """Ball i's share of the energy [J]."""
         energy = ti.cast(0.0, real)
-        for e in range(self.start[i], self.start[i + 1]):
+        for t in range(self.start[i + 1] - self.start[i]):
+            e = listed(self, i, t)
             if self.is_whole(e):
                 energy += self.corner_energy(ball, i, self.row[e], real)
         return energy

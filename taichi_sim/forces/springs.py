@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model, incidence, phase_type
+from taichi_sim.device.slices import Slices
 from taichi_sim.forces.spring_batches import batches
 from taichi_sim.forces.spring_colours import colours
 from taichi_sim.kernels.springs import law, padded_blocks, simd_batches
@@ -42,9 +43,11 @@ class Springs:
         self.tearing: Any = None  # see forces.tearing
         low = scene.pairs.min(axis=1)
         high = scene.pairs.max(axis=1)
+        slices = None
         if order == "gather":
             start, other, spring = incidence(scene.pairs, self.n)
             self.entries = 2 * self.m
+            slices = Slices.of(start)
         else:
             spring = np.lexsort((high, low))
             other = high[spring]
@@ -64,6 +67,11 @@ class Springs:
             columns["one"] = ti.i32
             data["one"] = low[spring]
         self.number = spring  # in the scene, of each stored here; -1 of idle ones
+        self.sliced = slices is not None
+        if slices is not None:
+            self.slice_start = fields.integers(slices.start)
+            data = {name: slices.spread(values) for name, values in data.items()}
+            self.entries, self.number = slices.room, slices.spread(spring, -1)
         if order == "batches":
             chosen = batches(np.stack([low, high], axis=1)[spring], simd_batches.BATCH_WIDTH).ravel()
             data = self._placed_as(chosen, data, fields)
@@ -78,7 +86,7 @@ class Springs:
             self.phase = fields.table(phase_type(width, fields.real), self.n)
             # [N s]; `damping_sum`: of damping, where it is summed apart
             self.sum, self.damping_sum = (fields.vectors(n, width) for n in (self.n, self.n if self.damped else 0))
-        self.spring = fields.table(columns, self.entries, data)
+        self.spring = fields.table(columns, self.entries, data, by_column=self.sliced)
         self.block = max(SMALLEST_BLOCK, bandwidth(model) + 1)
         self.blocks = -(-self.n // self.block)
         orders = {

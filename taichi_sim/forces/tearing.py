@@ -11,6 +11,7 @@ from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.forces.springs import Springs
+from taichi_sim.kernels.springs import law
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["Tearing"]
@@ -43,10 +44,8 @@ class Tearing:
     def cut_overstretched(self, ball: ti.template()):
         """Mark and cut what is too long. Where both balls list a spring, both come to the same."""
         for i in range(self.n):
-            for e in range(self.springs.start[i], self.springs.start[i + 1]):
-                place = e
-                if ti.static(self.springs.placed):
-                    place = self.springs.place[e]
+            for t in range(self.springs.start[i + 1] - self.springs.start[i]):
+                place = law.place(self.springs, i, t)
                 r = ball[self.springs.spring[place].other].x - ball[i].x
                 if r.dot(r) > self.limit[place] * self.limit[place]:
                     self._cut(place)

@@ -25,3 +25,19 @@ def incidence(pairs: NDArray[np.integer], n: int) -> tuple[NDArray[np.int32], ND
     start = np.zeros(n + 1, dtype=np.int32)
     np.cumsum(np.bincount(here, minlength=n), out=start[1:])
     return start, other[order].astype(np.int32), edge[order]
+
+
+def sliced(start: NDArray[np.int32], width: int) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
+    """Where entries lie when the lists start[i] to start[i + 1] of `width` nodes are stored together: their first entries, then
+    their second ones, and so on, as many as the longest of them has (sliced ELLPACK, Monakov et al. 2010).
+
+    Returns where each slice begins (slices), the place of each entry, and how many places there are.
+    """
+    number = np.diff(start).astype(np.int64)
+    lists = np.zeros(-(-len(number) // width) * width, dtype=np.int64)
+    lists[: len(number)] = number
+    first = np.zeros(len(lists) // width + 1, dtype=np.int64)
+    np.cumsum(lists.reshape(-1, width).max(axis=1, initial=0) * width, out=first[1:])
+    node = np.repeat(np.arange(len(number)), number)
+    place = first[node // width] + (np.arange(start[-1]) - start[node]) * width + node % width
+    return first[:-1].astype(np.int32), place, int(first[-1])

@@ -24,7 +24,7 @@ from taichi_sim.integrators.newton_decisions import (
 )
 from taichi_sim.integrators.newton_operators import Product, Residual
 from taichi_sim.kernels import reductions
-from taichi_sim.kernels.reductions import each_part, groups_of, join, part_size, parts_of, total
+from taichi_sim.kernels.reductions import each_part, groups_of, join, member, members, parts_of, total
 from taichi_sim.kernels.springs import edge_blocks, newton_terms, padded_blocks
 
 __all__ = ["StageSolver"]
@@ -145,8 +145,8 @@ class StageSolver(Verdicts):
     def _measure(self, c, s):
         """Part c of the residual and of the inverse blocks, and what they sum up to."""
         residual = force = kinetic = noise = load = ti.cast(0.0, self.wide)
-        size = ti.static(part_size())
-        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+        for k in range(members(c, self.parts, self.n)):
+            i = member(c, k, self.parts)
             r = padded_blocks.cut(self.product.sum[i], self.dim)
             self.sum[i] = r
             w = self.model.inverse_mass[i]
@@ -203,8 +203,8 @@ class StageSolver(Verdicts):
     @ti.func
     def _measure_residual(self, c):
         residual = ti.cast(0.0, self.wide)
-        size = ti.static(part_size())
-        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+        for k in range(members(c, self.parts, self.n)):
+            i = member(c, k, self.parts)
             r = padded_blocks.cut(self.product.sum[i], self.dim)
             if self.in_phase(FOUND):
                 self.sum[i] = r
@@ -232,8 +232,8 @@ class StageSolver(Verdicts):
     @ti.func
     def _sum_potentials(self, c, s, part):
         now = before = ti.cast(0.0, self.wide)
-        size = ti.static(part_size())
-        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+        for k in range(members(c, self.parts, self.n)):
+            i = member(c, k, self.parts)
             now += ti.cast(self._potential(i, s, 0.0), self.wide)
             before += ti.cast(self._potential(i, s, part), self.wide)
         self.part[c].potential = now
@@ -353,8 +353,8 @@ class StageSolver(Verdicts):
     def _project(self, c):
         """Part c of p . r and p . A p."""
         descent = curvature = ti.cast(0.0, self.wide)
-        size = ti.static(part_size())
-        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+        for k in range(members(c, self.parts, self.n)):
+            i = member(c, k, self.parts)
             if self.model.inverse_mass[i] > 0.0:
                 p = self.product.p[i]
                 descent += ti.cast(padded_blocks.dot(p, self.sum[i], self.dim), self.wide)
@@ -367,8 +367,8 @@ class StageSolver(Verdicts):
         """Step along part c of p; its residual r, what the blocks make of that, and their product."""
         step = ti.cast(self.number[0].step, float)
         rz = ti.cast(0.0, self.wide)
-        size = ti.static(part_size())
-        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+        for k in range(members(c, self.parts, self.n)):
+            i = member(c, k, self.parts)
             if self.in_phase(SEARCHING):
                 self.dv[i] = self.dv[i] + step * padded_blocks.cut(self.product.p[i], self.dim)
                 r = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)

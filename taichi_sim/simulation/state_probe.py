@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from taichi_sim.device.engine import ti
+from taichi_sim.device.engine import on_device, ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import WORLD_RADIUS, State
@@ -14,6 +14,8 @@ from taichi_sim.kernels import reductions
 from taichi_sim.kernels.springs import law
 
 __all__ = ["StateProbe", "StateSample"]
+
+MOST_ROWS = 1 << 14  # that a device hands to the host: as many threads as keep it busy
 
 
 class StateSample(NamedTuple):
@@ -58,6 +60,8 @@ class StateProbe:
         self.share = 0.5 if springs is not None and springs.order == "gather" else 1.0  # both ends list a spring
         self.n, self.parts = model.n, reductions.parts_of(model.n)
         self.wide = fields.wide
+        if on_device() and fields.has_wide_numbers:  # in single precision longer sums would lose digits
+            self.parts = min(self.parts, MOST_ROWS)
         self.row = np.zeros((self.parts, reductions.SIZE), dtype=np.float64 if self.wide == ti.f64 else np.float32)
 
     @ti.func
@@ -66,8 +70,8 @@ class StateProbe:
         bad, fastest = self.n, ti.cast(0.0, self.wide)
         kinetic, elastic = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
         gravity, weight = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-        size = ti.static(reductions.part_size())
-        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+        for k in range(reductions.members(c, self.parts, self.n)):
+            i = reductions.member(c, k, self.parts)
             ball = self.state.ball[i]
             if not reductions.good(ball, WORLD_RADIUS):
                 bad = ti.min(bad, i)

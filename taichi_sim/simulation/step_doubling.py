@@ -11,7 +11,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.integrators.base import Integrator
-from taichi_sim.kernels.reductions import each_part, part_size, parts_of
+from taichi_sim.kernels.reductions import each_part, member, members, parts_of
 from taichi_sim.simulation.moments import KEPT, Moments, named, unnamed
 
 __all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "NEXT", "START", "SecondSolution"]
@@ -49,8 +49,8 @@ class SecondSolution(Moments):
     @ti.func
     def _part(self, c, row: ti.template()):
         largest = 0.0 * self.seen[0].x[0]
-        size = ti.static(part_size())
-        for i in range(c * size, ti.min((c + 1) * size, self.n)):
+        for k in range(members(c, self.parts, self.n)):
+            i = member(c, k, self.parts)
             square = (self.state.ball[i].x - self.seen[i].x).norm_sqr()
             if not square < WORLD_RADIUS:  # nan, too
                 square = WORLD_RADIUS

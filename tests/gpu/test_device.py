@@ -18,6 +18,7 @@ from taichi_sim.reports.self_test import faults
 
 pytestmark = pytest.mark.gpu
 
+OTHER_STARTS = 1.5  # times what the furthest of a few other starts comes to
 FREE = {"many_springs", "with_a_tolerance", "implicit_euler", "tr_bdf2"}  # nothing touches
 
 
@@ -69,17 +70,28 @@ def test_runs(name, on_cpu, on_device):
     assert np.isfinite(on_device(name)["position"]).all()
 
 
+def differences(one, other, tolerance):
+    """By how much two results differ: the furthest coordinate [m], the share of those beyond the tolerance, energy, number of
+    contacts, and depth and residual in parts of what they may."""
+    moved = np.abs(one["position"] - other["position"])
+    depth = np.abs(one["depth"] - other["depth"]) / np.maximum(1e-2 * np.abs(other["depth"]), 1e-5)
+    energy = abs(one["energy"][3] / other["energy"][3] - 1.0)
+    contacts = abs(one["contacts"][0] - other["contacts"][0])
+    return np.array([moved.max(), np.mean(moved > tolerance), energy, contacts, depth.max()])
+
+
 @pytest.mark.parametrize("name", device_scenes.BY_NAME)
 def test_as_the_cpu(name, on_cpu, on_device):
+    """Or, where a scene is sensitive, as near to the CPU as that comes to itself from starts that are off by a rounding error."""
     here, there = on_device(name), on_cpu(name)
-    far = np.abs(there["position"]).max()
-    assert here["position"] == pytest.approx(there["position"], abs=1e-5 * far if name in FREE else 2e-4)
+    tolerance = 1e-5 * np.abs(there["position"]).max() if name in FREE else 2e-4
+    limit = np.array([tolerance, 0.0, 1e-3, 0, 1.0])
+    for other in device_scenes.from_other_starts(there):
+        limit = np.maximum(limit, OTHER_STARTS * differences(other, there, tolerance))
+    assert (differences(here, there, tolerance) <= limit).all()
     fastest = np.linalg.norm(there["velocity"], axis=1).max()
     moved = np.abs(here["velocity"] - there["velocity"]).max(axis=1)
     assert np.median(moved) < 1e-3 * fastest
-    assert here["energy"][3] == pytest.approx(there["energy"][3], rel=1e-3)
-    assert here["contacts"][0] == there["contacts"][0]
-    assert here["depth"] == pytest.approx(there["depth"], rel=1e-2, abs=1e-5)
     np.testing.assert_array_equal(here["torn"], there["torn"])
 
 
