@@ -44,7 +44,7 @@ from taichi_sim.reports.machine import processor
 from taichi_sim.reports.peers import PeerMissingError
 
 CPU_PEERS = "peers that run on the CPU only are left out"
-DEVICE_STEPS = 128  # of springs in each timing, which ends with a look at the state, as a run has one in 64 steps and more
+DEVICE_STEPS = 256  # of springs in each timing, which ends with a look at the state; a run has one in as many
 HOST_BYTES_A_BALL = 1500  # that building the cloth of springs takes: 1316 at 512 x 512
 
 
