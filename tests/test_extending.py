@@ -67,6 +67,7 @@ def test_every_door_has_one_example_whose_result_is_stated():
         assert "taichi_sim." not in blocks[0], f"{name}: the example takes a name that is not public"
 
 
+@pytest.mark.slow_where(name=["An integrator", "An output", "A contact rule"])
 @pytest.mark.parametrize("name", BLOCKS)
 def test_example_of_the_page_runs(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)

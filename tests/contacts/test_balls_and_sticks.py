@@ -90,6 +90,7 @@ def hit(request):
     return SimpleNamespace(dim=dim, method=method, scene=scene, at=at, x=x, v=v)
 
 
+@pytest.mark.slow
 def test_collisions_of_masses_from_1e_4_to_1e4(hit):
     m = hit.scene.mass
     for (i, j), n, e in hit.at.hits:

@@ -136,7 +136,8 @@ def test_sparse_worlds_are_swept_in_blocks():
     assert np.array_equal(*seen)
 
 
-@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("dim", [2, 3])
 def test_sticks_among_balls_of_all_sizes(dim):
     """Rows equal all balls against all sticks, where the grid has levels."""
     m = 24

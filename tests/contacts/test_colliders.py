@@ -235,6 +235,7 @@ def test_a_pile_in_a_turning_drum_is_lifted_and_stays_within():
         assert x[:, 0].mean() > 0.05  # the heap leans to the side that rises
 
 
+@pytest.mark.slow
 def test_a_lone_ball_in_a_drum_soon_rolls_without_slipping():
     """Friction turns and carries it until both surfaces have one speed where they touch."""
     scene = ts.Scene(dim=2, gravity=(0.0, -G))

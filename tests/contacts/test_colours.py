@@ -126,6 +126,7 @@ def crowds(e=1.0, n=120):
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.long_in("f64")
 def test_impacts_keep_momentum_and_gain_no_energy():
     """Two balls exchange what the closed formula says; a crowd keeps its momentum and gains no energy in any step."""

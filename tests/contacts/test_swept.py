@@ -134,6 +134,7 @@ def test_a_bullet_leaves_the_stick_that_it_hit(dim):
             assert sim.position[2, 1] - height == pytest.approx(10 * H * upward, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_row_of_bullets_stops_one_by_one():
     """A hundred and fifty, each in the way of the one behind it: in their order after one step, however many rounds it takes."""
     scene = ts.Scene(dim=2)

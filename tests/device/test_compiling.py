@@ -123,6 +123,7 @@ def test_a_folder_that_cannot_be_written_costs_nothing_else(folder):
     assert expected("a").words().startswith("compiling")
 
 
+@pytest.mark.slow
 def test_the_bar_says_what_is_waited_for_and_the_summary_how_long_it_took(monkeypatch, capsys):
     monkeypatch.setenv("FORCE_COLOR", "1")
     with simulate(falling(2.0), dt=1e-3) as sim:

@@ -231,7 +231,7 @@ def test_triangles_with_two_torn_sides_are_gone():
 
 
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
-@pytest.mark.slow_where(driver="parallel")
+@pytest.mark.slow
 def test_what_a_torn_spring_held_together_lets_go(driver):
     """A strip with bending and wind, torn across: the halves part as if nothing joined them, and whole again after a restore."""
     scene = ts.Scene(dim=3)

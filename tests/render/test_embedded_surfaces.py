@@ -157,6 +157,7 @@ def test_what_is_drawn():
     assert Content.of(frame_of(tetrahedron(RED, [4])), 1.0).radius[4] == 0
 
 
+@pytest.mark.slow
 def test_vertices_on_the_device_are_the_weighted_means():
     scene = tetrahedron()
     with Renderer(frame_of(scene), size=SIZE) as renderer:

@@ -102,6 +102,7 @@ def test_what_is_refused_before_anything_runs(given, why, tmp_path):
     assert not (tmp_path / "f").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_a_range_in_which_all_fails_is_said():
     with pytest.raises(ts.SceneError, match="no run within the ranges gave a measure; the first failed: "):
