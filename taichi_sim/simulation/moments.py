@@ -16,6 +16,7 @@ from taichi_sim.integrators.base import Integrator
 __all__ = ["KEPT", "LIVE", "Moments", "named", "unnamed"]
 
 LIVE, KEPT = -1, 0  # the present fields; the first that is stored: the last state known to be good
+LINK, FIRST = 1, 2  # numbers of these tables of pairs
 
 
 @ti.data_oriented
@@ -40,6 +41,7 @@ class Moments:
         self.live, self.stored = live, [self._like(field, fields) for field in live]  # moment k from k n on
         warm = contacts.plan.warm_starts
         self.pairs, self.sticks = (contacts.pairs, contacts.sticks) if warm else (None, None)
+        self.walls, self.has_walls = contacts.walls, contacts.walls is not None
         self.held = self._held(contacts)
         self.held_stored = [_like_table(field, count, fields) for field in self.held]
         self.sizes = [field.shape[0] for field in self.held]
@@ -60,7 +62,7 @@ class Moments:
         # by number of a table: that of how much of it is used, beyond what always is
         self.lists: dict[int, tuple[int, int]] = {}
         if self.pairs is not None:
-            self.lists[1] = (0, self.pairs.pool_start)
+            self.lists[LINK] = (0, self.pairs.pool_start)
             found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.held]
         if self.sticks is not None:
             self.lists[len(found) + 1] = (len(found), 0)
@@ -107,6 +109,10 @@ class Moments:
                 if ti.static("tangential_impulse" in self.scaled[k]):
                     held.tangential_impulse = ratio * held.tangential_impulse
                 self.held[k][i] = held
+        if ti.static(self.has_walls):  # what they hold is loaded: `prime` is to look at all of it
+            ti.loop_config(serialize=self.serial)
+            for i in range(self.n):
+                self.walls.touching[i] = 1
 
     @ti.kernel
     def _copy(self, into: int, out: int):
@@ -150,13 +156,13 @@ class Moments:
     # To a file and back ----------------------------------------------------------------------------------------------
 
     def arrays(self) -> dict[str, NDArray]:
-        """All that is stored, as the fields have it, by number of a field and name of a member: all moments one after another,
-        of lists only what is in use."""
+        """All that is stored, by number of a field and name of a member: all moments one after another, of lists only what is in
+        use. Lists of pairs are in one piece each, as on a CPU, whatever device they are on."""
         found: dict[str, NDArray] = {}
         for k, field in enumerate(self.stored):
             found.update(named(f"ball.{k}", field.to_numpy()))
         for k, field in enumerate(self.held_stored):
-            values = field.to_numpy()
+            values = self._in_pieces(k, field.to_numpy(), True)
             rows: Any = slice(None)
             if k in self.lists:
                 number, start = self.lists[k]
@@ -172,8 +178,24 @@ class Moments:
         found = [(field, unnamed(f"ball.{k}", field.to_numpy(), arrays)) for k, field in enumerate(self.stored)]
         for k, field in enumerate(self.held_stored):
             moments = self.moments if k in self.lists else 0
-            found.append((field, unnamed(f"contact.{k}", field.to_numpy(), arrays, moments)))
+            values = unnamed(f"contact.{k}", field.to_numpy(), arrays, moments)
+            found.append((field, self._in_pieces(k, values, False)))
         return found
+
+    def _in_pieces(self, k: int, values: Any, pieces: bool) -> Any:
+        """Table k, where lists of pairs lie side by side (see kernels.contacts.pair_lists), as if they lay in pieces, or back."""
+        if self.pairs is None or not self.pairs.interleaved or k not in (LINK, FIRST):
+            return values
+        if isinstance(values, Mapping):
+            return {name: self._in_pieces(k, column, pieces) for name, column in values.items()}
+        each, end = self.pairs.block_capacity, self.pairs.pool_start  # what lies in the pool stays there
+        if k == FIRST:
+            return np.where(values < end, values * each if pieces else values // each, values)
+        moved = values.reshape(self.moments, -1, *values.shape[1:]).copy()
+        shape = (self.moments, each, self.n) if pieces else (self.moments, self.n, each)
+        own = moved[:, :end].reshape(*shape, *values.shape[1:])
+        moved[:, :end] = own.swapaxes(1, 2).reshape(moved[:, :end].shape)
+        return moved.reshape(values.shape)
 
     def write(self, arrays: Mapping[str, NDArray], h: list[float]) -> None:
         """Put all back; lists may have more room than they had."""

@@ -5,6 +5,7 @@ import pytest
 from physics_support import F64, simulate
 
 import taichi_sim as ts
+from taichi_sim.contacts import pairs
 from taichi_sim.contacts.jacobi import Jacobi
 
 pytestmark = pytest.mark.long_in("f64")
@@ -57,6 +58,42 @@ def test_the_same_bits_by_either_driver():
     """Nothing depends on which thread does what."""
     scene = heap(3)
     np.testing.assert_array_equal(ended(scene, "gather")[0], ended(scene, "gather", driver="fused")[0])
+
+
+@pytest.fixture
+def lay_side_by_side(monkeypatch):
+    """Call it with whether lists made from now on lie side by side, as on a device."""
+    return lambda side_by_side: monkeypatch.setattr(pairs, "on_device", lambda: side_by_side)
+
+
+def test_lists_side_by_side_give_the_same_bits(lay_side_by_side):
+    """Some balls have more neighbours than places of their own."""
+    found = []
+    for side_by_side in (False, True):
+        lay_side_by_side(side_by_side)
+        with simulate(heap(2), ("gather", "fused"), dt=H, contacts="jacobi") as sim:
+            sim.step(30)
+            assert sim.parts.contacts.pairs.interleaved is side_by_side
+            assert sim.parts.contacts.pairs.used[0] > 0
+            found.append(np.hstack([sim.position, sim.velocity]))
+    np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("saved", [False, True], ids=["in_pieces", "side_by_side"])
+def test_a_saved_pile_goes_on_with_lists_in_another_layout(lay_side_by_side, tmp_path, saved):
+    """Saved where a chunk of substeps ends, so that what contacts hold is read and not found again."""
+    lay_side_by_side(saved)
+    with simulate(heap(2), ("gather", "fused"), dt=H, contacts="jacobi") as sim:
+        sim.step(4096)
+        sim.save(tmp_path / "pile.npz")
+        sim.step(5)
+        here = np.hstack([sim.position, sim.velocity])
+    for side_by_side in (saved, not saved):
+        lay_side_by_side(side_by_side)
+        with ts.Simulation.restore(tmp_path / "pile.npz") as sim:
+            assert sim.parts.contacts.pairs.interleaved is side_by_side
+            sim.step(5)
+            np.testing.assert_array_equal(np.hstack([sim.position, sim.velocity]), here)
 
 
 @pytest.mark.slow

@@ -186,3 +186,22 @@ def test_what_is_set_after_an_interrupted_call_stays(monkeypatch):
         sim.set_position(scene.position)
         assert np.array_equal(sim.snapshot().position, sim.position)
         assert np.abs(sim.position - scene.position).max() < 1e-6
+
+
+def test_a_resumed_ball_has_forgotten_the_walls_that_it_left():
+    """Out of a corner into the air, then on the floor: the other wall is 3 m away."""
+    scene = ts.Scene(dim=2, gravity=(0, -9.81))
+    scene.add_balls([[0.1, 0.1]], radius=0.1)
+    scene.add_wall((0, 1), 0.0)
+    scene.add_wall((1, 0), 0.0)
+    with ts.Simulation(scene, dt=1e-3) as sim, ts.Simulation(scene, dt=1e-3) as other:
+        sim.set_velocity([[-0.005, 0.0]])
+        sim.step(20)
+        sim.set_position([[3.0, 0.101]])
+        sim.set_velocity([[-1.0, 0.0]])
+        sim.step(5)
+        other.resume(sim.snapshot())
+        for each in (sim, other):
+            each.step(30)
+            assert each.velocity[0, 0] == pytest.approx(-1.0, abs=1e-6)
+        np.testing.assert_array_equal(other.position, sim.position)
