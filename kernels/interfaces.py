@@ -62,7 +62,7 @@ class State(Protocol):
 
 
 class Lists(Protocol):
-    """Lists of entries, one for each ball: list i has start[i + 1] - start[i] of them, see loops.listed."""
+    """Lists of entries, one for each ball: list i has start[i + 1] - start[i] of them, see loops.list_entry."""
 
     start: Field  # (n + 1) entries
     sliced: bool  # whether lists lie in slices, as on devices

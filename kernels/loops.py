@@ -6,6 +6,8 @@ thread, for the length: there it always goes to the most that it may be, and wha
 
 from taichi_sim.device.engine import ti
 
+SLICE = 32  # lists that are stored together on a device: as many as threads run in step there
+
 
 @ti.func
 def each(
@@ -21,11 +23,8 @@ def each(
             visit(i, *arguments)
 
 
-SLICE = 32  # lists that are stored together on a device, one for each thread of a warp
-
-
 @ti.func
-def listed(lists: ti.template(), i, t):
+def list_entry(lists: ti.template(), i, t):
     """Entry t of list i of `lists`: one behind the other from `start` on, or, for neighbouring threads of a device to read
     neighbouring entries, in slices of SLICE lists, which hold all first entries, then all second ones, and so on."""
     e = lists.start[i] + t

@@ -36,7 +36,7 @@ def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template
 
 @ti.func
 def members(c, parts: ti.template(), n):
-    """How many of n balls part c of `parts` has."""
+    """How many of n balls part c of `parts` has. On a CPU `parts` is parts_of(n)."""
     number = ti.min(LONG_PART, n - c * LONG_PART)
     if ti.static(on_device()):
         number = (n - c + parts - 1) // parts

@@ -163,10 +163,10 @@ class Pairs(Protocol):
     pool_start: int  # the first entry for what does not fit there
     used: Field  # (1) entries of the pool
     overflow: Field  # (1) entries that would have been needed
-    first: Field  # (n) entry
-    number: Field  # (n) entries
-    touching: Field  # (n) of these; with colours those that the ball solves
-    held: Field  # (n) entries from `first` on that may hold anything
+    first: Field  # (n) first entry of the list of each ball; where the others lie: pair_lists.pair_entry
+    number: Field  # (n) entries of the list
+    touching: Field  # (n) of these, from the first on; with colours those that the ball solves
+    held: Field  # (n) of these, from the first on, that may hold anything
     turn: Field  # (capacity) of those: place in the list of a ball, and colour, see pair_colours
     colours: Field  # (n) a bit for each colour of these
     old_first: Field  # (n) the same before the last search

@@ -15,7 +15,7 @@ Where balls lie in levels by size, each level has colours of its own, for the pa
 list a pair, and keep what it accumulated; the larger one solves it, or that of the lower number.
 """
 
-from taichi_sim.kernels.contacts.pair_lists import entry
+from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.spatial_hash import (
     CELL_LIMIT,
     FINE_CELLS,
@@ -191,10 +191,10 @@ def end_ball(i, ball: ti.template(), then: ti.template(), time, how: ti.template
 def turn(pairs: ti.template(), i, t, colour):
     """Which link has turn t among those of ball i, and whether it is of a colour."""
     first = pairs.first[i]
-    c, is_its_turn = entry(pairs, first, t), True
+    c, is_its_turn = pair_entry(pairs, first, t), True
     if ti.static(pairs.plan.by_colours):
         word = pairs.turn[c]
-        c = entry(pairs, first, word & ti.static((1 << COLOUR_SHIFT) - 1))
+        c = pair_entry(pairs, first, word & ti.static((1 << COLOUR_SHIFT) - 1))
         is_its_turn = word >> COLOUR_SHIFT == colour
     return c, is_its_turn
 
@@ -203,12 +203,12 @@ def turn(pairs: ti.template(), i, t, colour):
 def find_twins(pairs: ti.template(), i):
     """Find the links by which others list the pairs that ball i solves, after a search."""
     for t in range(pairs.number[i]):
-        e = entry(pairs, pairs.first[i], t)
+        e = pair_entry(pairs, pairs.first[i], t)
         pairs.link[e].twin = NO_LINK
         if pairs.link[e].colour != SOLVED_BY_OTHER:
             j = pairs.link[e].other
             for s in range(pairs.number[j]):
-                c = entry(pairs, pairs.first[j], s)
+                c = pair_entry(pairs, pairs.first[j], s)
                 if pairs.link[c].other == i:
                     pairs.link[e].twin = c
 

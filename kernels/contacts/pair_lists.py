@@ -9,7 +9,7 @@ from taichi_sim.device.engine import ti
 
 
 @ti.func
-def entry(pairs: ti.template(), first, t):
+def pair_entry(pairs: ti.template(), first, t):
     """Entry t of the list that begins with entry `first`."""
     e = first + t
     if ti.static(pairs.interleaved):

@@ -2,7 +2,7 @@
 with."""
 
 from taichi_sim.kernels.contacts import pair_colours, pair_impacts
-from taichi_sim.kernels.contacts.pair_lists import entry
+from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
 from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
@@ -37,7 +37,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
     begin, touching, held = pairs.first[i], 0, pairs.held[i]
     total, angular = ti.Vector.zero(float, solver.model.dim), zero_scalar_in_2d(solver.model.dim)
     for t in range(pairs.number[i]):
-        e = entry(pairs, begin, t)
+        e = pair_entry(pairs, begin, t)
         j = pairs.link[e].other
         r = ball[j].x - x
         sum = radius + solver.model.radius[j]
@@ -50,7 +50,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             n, d = unit(r, i, j)
             at = e
             if ti.static(not solver.plan.by_colours):
-                at = entry(pairs, begin, touching)
+                at = pair_entry(pairs, begin, touching)
             pairs.contact[at].normal = n
             pairs.contact[at].depth = sum - d
             if ti.static(solver.plan.impacts_in_turn):
@@ -67,7 +67,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             if ti.static(solver.plan.by_colours):
                 colour = pairs.link[e].colour
                 if colour != pair_colours.SOLVED_BY_OTHER:
-                    pairs.turn[entry(pairs, begin, solved)] = t | (colour << pair_colours.COLOUR_SHIFT)
+                    pairs.turn[pair_entry(pairs, begin, solved)] = t | (colour << pair_colours.COLOUR_SHIFT)
                     solved += 1
                     colours |= 1 << colour
             elif t > touching:
@@ -79,10 +79,10 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
                 total += p
                 add_to_other(solver, solver.warm_velocity, j, -solver.model.inverse_mass[j] * p)
                 if ti.static(solver.model.spins):
-                    turning = torque(solver, at, p)
-                    angular += turning
+                    twist = torque(solver, at, p)
+                    angular += twist
                     response = solver.model.spin_response(j) * solver.model.inverse_mass[j]
-                    add_to_other(solver, solver.warm_spin, j, response * turning)
+                    add_to_other(solver, solver.warm_spin, j, response * twist)
             if ti.static(solver.counts_pairs):
                 add_to_other(solver, solver.pair_count, j, 1)
             if ti.static(solver.splits_by_direction):

@@ -2,7 +2,7 @@
 
 from taichi_sim.kernels.contacts import contact_law, pair_colours, pair_impacts
 from taichi_sim.kernels.contacts.interfaces import Iteration
-from taichi_sim.kernels.contacts.pair_lists import entry
+from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_measures import tangent
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import RIGID, law_of
@@ -43,10 +43,10 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, col
             ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
             most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
             if ti.static(solver.model.spins):
-                angular = torque(solver, c, p)
-                spin += w * (solver.model.spin_response(i) * angular)
-                angular = solver.model.spin_response(j) * angular
-                solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * angular
+                twist = torque(solver, c, p)
+                spin += w * (solver.model.spin_response(i) * twist)
+                twist = solver.model.spin_response(j) * twist
+                solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * twist
             if ti.static(solver.plan.by_colours):
                 pair_colours.mirror(solver.pairs, c, how)
     ball[i].v = v
@@ -66,15 +66,15 @@ def ball_at_once(solver: ti.template(), ball: ti.template(), i, colour, time, ho
         spin = solver.state.spin[i]
     begin = solver.pairs.first[i]
     for t in range(solver.pairs.touching[i]):
-        c = entry(solver.pairs, begin, t)
+        c = pair_entry(solver.pairs, begin, t)
         j = solver.pairs.link[c].other
         p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
         total += p
         add_to_other(solver, solver.impulse, j, -p)
         if ti.static(solver.model.spins):
-            turning = torque(solver, c, p)
-            angular += turning
-            add_to_other(solver, solver.angular_impulse, j, turning)
+            twist = torque(solver, c, p)
+            angular += twist
+            add_to_other(solver, solver.angular_impulse, j, twist)
     add(solver, solver.impulse, i, total)
     if ti.static(solver.model.spins):
         add(solver, solver.angular_impulse, i, angular)

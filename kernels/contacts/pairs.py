@@ -6,7 +6,7 @@ blocks that are longer than any pair reaches: see pair_sweeps. Where each ball g
 
 from taichi_sim.kernels.contacts import pair_colours
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
-from taichi_sim.kernels.contacts.pair_lists import entry
+from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
@@ -108,7 +108,7 @@ def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.t
                         if ti.static(pairs.plan.gathers):
                             listed = listed and k != own
                         if listed:
-                            pairs.link[entry(pairs, at, ti.min(found, free))].other = k
+                            pairs.link[pair_entry(pairs, at, ti.min(found, free))].other = k
                             found += 1
     return found
 
@@ -121,7 +121,7 @@ def keep_colliding(pairs: ti.template(), own, at, found):
     kept = 0
     furthest = 0
     for t in range(found):
-        k = pairs.link[entry(pairs, at, t)].other
+        k = pairs.link[pair_entry(pairs, at, t)].other
         j = pairs.grid.sorted[k]
         if may_touch(pairs, i, j):
             distance = k - own
@@ -129,7 +129,7 @@ def keep_colliding(pairs: ti.template(), own, at, found):
                 if pairs.grid.dense[0] == 0:
                     distance = pairs.grid.rank[j] - pairs.grid.rank[i]
             furthest = ti.max(furthest, distance)
-            e = entry(pairs, at, kept)
+            e = pair_entry(pairs, at, kept)
             if ti.static(pairs.plan.warm_starts):
                 recall(pairs, i, j, e)
             pairs.link[e].other = j
@@ -170,7 +170,7 @@ def store_links(pairs: ti.template(), i):
     pairs.old_first[i] = pairs.first[i]
     pairs.old_held[i] = pairs.held[i]
     for t in range(pairs.held[i]):
-        c = entry(pairs, pairs.first[i], t)
+        c = pair_entry(pairs, pairs.first[i], t)
         link = pairs.link[c]
         pairs.contact[c].depth = link.impulse
         if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
@@ -213,7 +213,7 @@ def recall(pairs: ti.template(), i, j, at):
             one, two = j, i
         begin = pairs.old_first[one]
         for t in range(pairs.old_held[one]):
-            c = entry(pairs, begin, t)
+            c = pair_entry(pairs, begin, t)
             if stored_other(pairs, c) == two:
                 old = pairs.contact[c]
                 pairs.link[at].impulse = old.depth

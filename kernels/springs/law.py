@@ -6,7 +6,7 @@ balls: `impulse` takes h times the elastic force, `damping_impulse` takes `tau` 
 `impulse` takes both.
 """
 
-from taichi_sim.kernels.loops import listed
+from taichi_sim.kernels.loops import list_entry
 from taichi_sim.kernels.reductions import even_then_odd
 from taichi_sim.kernels.vectors import unit
 
@@ -61,9 +61,9 @@ def law(a, b, i, j, spring, h, tau, what: ti.template()):
 
 
 @ti.func
-def place(springs: ti.template(), i, t):
+def spring_entry(springs: ti.template(), i, t):
     """The entry of spring t that ball i lists."""
-    e = listed(springs, i, t)
+    e = list_entry(springs, i, t)
     if ti.static(springs.placed):
         e = springs.place[e]
     return e
@@ -74,7 +74,7 @@ def stored(ball: ti.template(), springs: ti.template(), i, real: ti.template()):
     """Elastic energy [J] of the springs that ball i lists."""
     total = ti.cast(0.0, real)
     for t in range(springs.start[i + 1] - springs.start[i]):
-        spring = springs.spring[place(springs, i, t)]
+        spring = springs.spring[spring_entry(springs, i, t)]
         _, d = unit(ball[spring.other].x - ball[i].x, i, spring.other)
         total += energy(ti.cast(spring.stiffness, real), ti.cast(d - spring.rest_length, real))
     return total
@@ -89,7 +89,7 @@ def gather(ball: ti.template(), springs: ti.template(), impulse: ti.template(), 
         f = ti.Vector.zero(float, springs.dim)
         g = ti.Vector.zero(float, springs.dim)
         for t in range(springs.start[i + 1] - springs.start[i]):
-            spring = springs.spring[listed(springs, i, t)]
+            spring = springs.spring[list_entry(springs, i, t)]
             df, dg = law(a, ball[spring.other], i, spring.other, spring, h, tau, what)
             f += df
             g += dg

@@ -10,7 +10,7 @@ from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import pairs as loops
 from taichi_sim.kernels.contacts import parallel_search, statistics
 from taichi_sim.kernels.contacts.contact_law import TOUCH_TOLERANCE
-from taichi_sim.kernels.contacts.pair_lists import entry
+from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.vectors import unit
 
 __all__ = ["Pairs"]
@@ -113,7 +113,7 @@ class Pairs:
         """Statistics of the pairs that ball i lists and that touch, give or take rounding."""
         total = statistics.nothing()
         for t in range(self.number[i]):
-            e = entry(self, self.first[i], t)
+            e = pair_entry(self, self.first[i], t)
             j = self.link[e].other
             one, two = self.model.radius[i], self.model.radius[j]
             n, d = unit(ball[j].x - ball[i].x, i, j)

@@ -88,9 +88,10 @@ class Walls(Surfaces):
         count = 0
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
-        held = True  # what touched nothing has forgotten all; a place for colliders may be another one's now
+        # A ball that touched no plane has forgotten all of them. With colliders a place may have gone to another one since.
+        touched = True
         if ti.static(not self.has_colliders):
-            held = self.touching[i] > 0
+            touched = self.touching[i] > 0
         fast = False
         clearance = FAR_GAP + 0.0 * self.model.radius[i]
         number = self.count
@@ -110,7 +111,7 @@ class Walls(Surfaces):
                     n = self.normal(i, k)
                     T += n.outer_product(n)
                     solving += 1
-            elif held:
+            elif touched:
                 self.forget(c)
                 self.contact[c].role = LEAVING
         self.touching[i] = count

@@ -17,7 +17,7 @@ from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.compiling import count_time
 from taichi_sim.device.devices import find, verdict
-from taichi_sim.device.engine import ENGINE, VERSION, finds, ti
+from taichi_sim.device.engine import ENGINE, QUADRANTS_ARCHES, VERSION, finds, ti
 
 __all__ = ["ARCHES", "PRECISIONS", "Backend", "check_thread", "has_wide_numbers", "running", "start", "stop"]
 
@@ -106,6 +106,10 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
         raise BackendError(
             f"precision: 'f64' was asked for, which {arch} devices may lack; use 'f32', or arch 'cpu' or 'cuda'"
         )
+    if arch is not None and not _is_served(arch):
+        raise BackendError(
+            f"arch: {arch!r} was asked for, where Quadrants does not run these kernels; use 'cpu' or 'cuda', or Taichi"
+        )
     with _starting:
         if _running is None:
             _running = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
@@ -140,7 +144,7 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
     ti.set_logging_level(ti.ERROR)
     candidates = [arch]
     if arch == "auto":
-        candidates = [a for a in AUTOMATIC if precision == "f32" or a in WIDE_ARCHES]
+        candidates = [a for a in AUTOMATIC if (precision == "f32" or a in WIDE_ARCHES) and _is_served(a)]
     name = next((a for a in candidates if a == "cpu" or (_works(a) and (arch != "auto" or _is_trusted(a)))), None)
     if name is None:
         raise BackendError(
@@ -193,6 +197,11 @@ def _is_trusted(arch: str) -> bool:
     if wrong:
         warnings.warn(f"{device.name} ({arch}) is not used: {wrong}", stacklevel=5)
     return not wrong
+
+
+def _is_served(arch: str) -> bool:
+    """Whether the engine runs these kernels there, as far as is known."""
+    return ENGINE != "quadrants" or arch in ("auto", *QUADRANTS_ARCHES)
 
 
 def _works(arch: str) -> bool:

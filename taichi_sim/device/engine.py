@@ -14,6 +14,7 @@ from taichi_sim.common.errors import BackendError
 __all__ = [
     "ENGINE",
     "IS_KNOWN",
+    "QUADRANTS_ARCHES",
     "VERSION",
     "CompilationError",
     "another",
@@ -25,6 +26,7 @@ __all__ = [
 ]
 
 ENGINES = ("taichi", "quadrants")
+QUADRANTS_ARCHES = ("cpu", "cuda")  # with Vulkan it cannot bind these kernels' fields (1.3.3 and 1.4.0, on SwiftShader)
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
 
 

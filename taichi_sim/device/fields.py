@@ -223,6 +223,7 @@ class Fields:
         """Give the memory back. The fields must not be used after that."""
         if self._tree is not None:
             backend.check_thread()
-            self._owner_collected.detach()
+            if self._owner_collected is not None:  # else filling it failed
+                self._owner_collected.detach()
             take_back(self._tree)
             self._tree = None

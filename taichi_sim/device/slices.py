@@ -11,14 +11,13 @@ from taichi_sim.kernels.loops import SLICE
 
 __all__ = ["Slices"]
 
-SPARSEST = (
-    1.5  # places for each entry: with more, balls that have many entries would waste the memory of those beside them
-)
+# places for each entry: with more, balls that have many entries would waste the memory of those beside them
+SPARSEST = 1.5
 
 
 class Slices(NamedTuple):
-    """Lists in the order that kernels.loops.listed reads. start (slices): the first place of each; place (entries); room: places,
-    of which some are idle."""
+    """Where lists lie that kernels.loops.list_entry reads. start (slices): the first place of each slice; place (entries): that
+    of each entry; room: all places, of which some are idle."""
 
     start: NDArray[np.int32]
     place: NDArray[np.int64]

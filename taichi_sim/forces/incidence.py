@@ -9,7 +9,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.slices import Slices
-from taichi_sim.kernels.loops import listed
+from taichi_sim.kernels.loops import list_entry
 
 __all__ = ["CORNER_NAMES", "Corners"]
 
@@ -19,8 +19,8 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 @ti.data_oriented
 class Corners:
     """What a force of elements is made of: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order
-    of the elements; may_slice: none but the methods below ask for them, so that on a device they may lie in slices, see
-    kernels.loops.listed. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
+    of the elements. may_slice: true where only the methods below read `start` and `row`, which on a device may then lie in slices,
+    see kernels.loops.list_entry. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
     """
 
     may_slice = False
@@ -74,7 +74,7 @@ class Corners:
         for i in range(self.n):
             f = ti.Vector.zero(float, self.dim)
             for t in range(self.start[i + 1] - self.start[i]):
-                e = listed(self, i, t)
+                e = list_entry(self, i, t)
                 if self.is_whole(e):
                     f += self.corner_force(ball, i, self.row[e], time)
             impulse[i] = impulse[i] + h * f
@@ -93,7 +93,7 @@ class Corners:
         """Ball i's share of the energy [J]."""
         energy = ti.cast(0.0, real)
         for t in range(self.start[i + 1] - self.start[i]):
-            e = listed(self, i, t)
+            e = list_entry(self, i, t)
             if self.is_whole(e):
                 energy += self.corner_energy(ball, i, self.row[e], real)
         return energy

@@ -45,7 +45,7 @@ class Tearing:
         """Mark and cut what is too long. Where both balls list a spring, both come to the same."""
         for i in range(self.n):
             for t in range(self.springs.start[i + 1] - self.springs.start[i]):
-                place = law.place(self.springs, i, t)
+                place = law.spring_entry(self.springs, i, t)
                 r = ball[self.springs.spring[place].other].x - ball[i].x
                 if r.dot(r) > self.limit[place] * self.limit[place]:
                     self._cut(place)
