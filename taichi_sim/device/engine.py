@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 ENGINES = ("taichi", "quadrants")
-QUADRANTS_ARCHES = ("cpu", "cuda")  # with Vulkan it cannot bind these kernels' fields (1.3.3 and 1.4.0, on SwiftShader)
+QUADRANTS_ARCHES = ("cpu", "cuda")  # with Vulkan it cannot bind these kernels' fields (1.3.3, on SwiftShader)
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
 
 

@@ -19,7 +19,7 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 @ti.data_oriented
 class Corners:
     """What a force of elements is made of: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order
-    of the elements. may_slice: true where only the methods below read `start` and `row`, which on a device may then lie in slices,
+    of the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
     see kernels.loops.list_entry. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
     """
 
