@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.device.slices import Slices
+from taichi_sim.forces.slices import Slices
 from taichi_sim.kernels.loops import list_entry
 
 __all__ = ["CORNER_NAMES", "Corners"]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model, incidence, phase_type
-from taichi_sim.device.slices import Slices
+from taichi_sim.forces.slices import Slices
 from taichi_sim.forces.spring_batches import batches
 from taichi_sim.forces.spring_colours import colours
 from taichi_sim.kernels.springs import law, padded_blocks, simd_batches

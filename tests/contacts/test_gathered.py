@@ -66,6 +66,7 @@ def lay_side_by_side(monkeypatch):
     return lambda side_by_side: monkeypatch.setattr(pairs, "on_device", lambda: side_by_side)
 
 
+@pytest.mark.slow
 def test_lists_side_by_side_give_the_same_bits(lay_side_by_side):
     """Some balls have more neighbours than places of their own."""
     found = []
@@ -79,6 +80,7 @@ def test_lists_side_by_side_give_the_same_bits(lay_side_by_side):
     np.testing.assert_array_equal(*found)
 
 
+@pytest.mark.slow_where(saved=True)
 @pytest.mark.parametrize("saved", [False, True], ids=["in_pieces", "side_by_side"])
 def test_a_saved_pile_goes_on_with_lists_in_another_layout(lay_side_by_side, tmp_path, saved):
     """Saved where a chunk of substeps ends, so that what contacts hold is read and not found again."""

@@ -99,6 +99,7 @@ def test_what_is_too_much_to_keep_is_drawn_on_the_way(tmp_path, monkeypatch):
     assert not hasattr(Fitted.last, "frames")
 
 
+@pytest.mark.slow
 def test_frames_up_to_where_it_became_unstable_are_drawn(tmp_path, monkeypatch):
     def fails(self):
         if round(60 * self.time) == 9:

@@ -48,6 +48,7 @@ def test_a_second_simulation_of_the_same_structure_compiles_nothing():
     assert np.isclose(x[1, 0], 0.37 + 0.7 * 0.005)
 
 
+@pytest.mark.slow
 def test_memory_of_a_simulation_that_was_dropped_serves_the_next_one():
     ends(0)
     runtime = ti.lang.impl.get_runtime()

@@ -57,6 +57,7 @@ def table(folder):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_a_sweep_is_what_single_runs_are(tmp_path):
     vary = {"restitution": "0.2:0.8:2", "friction": [0.1, 0.3]}
     done = ts.sweep(
