@@ -13,7 +13,7 @@ import taichi_sim as ts
 QUICK = {"led_by_pins"}
 SLOWER = {"crowd_gauss_seidel", "sticks_and_colliders", "crowd_with_a_tolerance", "tearing_in_wind"}
 MARKS = {
-    name: []
+    name: [pytest.mark.long_in("f64")]
     if name in QUICK
     else [pytest.mark.slow, pytest.mark.long_in("f64")]
     if name in SLOWER
@@ -188,6 +188,7 @@ def test_what_is_set_after_an_interrupted_call_stays(monkeypatch):
         assert np.abs(sim.position - scene.position).max() < 1e-6
 
 
+@pytest.mark.once
 def test_a_resumed_ball_has_forgotten_the_walls_that_it_left():
     """Out of a corner into the air, then on the floor: the other wall is 3 m away."""
     scene = ts.Scene(dim=2, gravity=(0, -9.81))

@@ -134,6 +134,7 @@ def check(make, given, changes):
             assert not same(found, before), change
 
 
+@pytest.mark.long_in("f64")
 @pytest.mark.slow_where(make=pile)
 @pytest.mark.parametrize("make", OFTEN, ids=lambda make: make.__name__)
 def test_a_reset_run_has_the_bits_of_a_new_one(make):
