@@ -85,6 +85,8 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
     """One for each collider, empty for what is no mesh; to be made before the fields of a simulation are. Raises SceneError where
     they do not fit into memory together."""
     none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros(3), 1.0)
+    if all(collider.kind != MESH for collider in scene.colliders):
+        return [none] * len(scene.colliders)
     reach = 2.0 * float(np.max(scene.radius, initial=0.0))
     need, free = 0, available()
     for k, collider in enumerate(scene.colliders):

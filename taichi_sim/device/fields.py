@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
+from taichi_sim.device.fast_launches import copy_in
 from taichi_sim.device.trees import Tree, drop, forget, kept, lead, take, take_back, twin
 
 __all__ = ["NUMPY_TYPES", "Fields", "OtherFieldsError", "fill"]
@@ -19,7 +20,7 @@ NUMPY_TYPES = {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}
 
 def fill(field: Any, values: NDArray) -> None:
     """Copy values of its shape into a field, in its own type."""
-    field.from_numpy(values.astype(NUMPY_TYPES[field.dtype]))
+    copy_in(field, values.astype(NUMPY_TYPES[field.dtype]))
 
 
 class OtherFieldsError(Exception):
@@ -192,8 +193,7 @@ class Fields:
         if self._on is not None:
             self._on._owner_collected.detach()
             self._tree, self._on._tree = self._on._tree, None
-            assert self._tree is not None
-            self._tree.lend(self._declared)
+            assert self._tree is not None  # no other was like what was declared: all of it means its memory
             self._tree.clear()
         else:
             self._tree = take(tuple(self._layout), self._declared, self._builder)
@@ -201,7 +201,7 @@ class Fields:
             self._begin_new()
             self._tree = Tree(tuple(self._layout), self._declared, self._builder, self.bytes)
         for number, data in self._first:
-            self._tree.fields[number].from_numpy(data)
+            copy_in(self._tree.fields[number], data)
         self._first.clear()
         self._makers.clear()
         self._alike = []

@@ -24,6 +24,7 @@ from taichi_sim.common.errors import BackendError
 from taichi_sim.device import backend
 from taichi_sim.device.engine import program as running
 from taichi_sim.device.engine import ti
+from taichi_sim.device.fast_launches import by_engine
 
 __all__ = ["PROFILED", "Counts", "count"]
 
@@ -93,7 +94,8 @@ def _watched() -> Iterator[_Watch]:
         watch.waited()
         sync()
 
-    with patch.object(kind, "launch_kernel", watched_launch), patch.object(runtime, "sync", watched_sync):
+    launches, syncs = patch.object(kind, "launch_kernel", watched_launch), patch.object(runtime, "sync", watched_sync)
+    with by_engine(), launches, syncs:
         yield watch
 
 

@@ -12,33 +12,38 @@ Private names are touched, so this holds for one version of Taichi only; in any 
 import functools
 import hashlib
 import types
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.device.engine import IS_KNOWN, ti
+from taichi_sim.device.fast_launches import KEY, BoundKernel, quicken
 
-__all__ = ["KEY", "Shared", "share_kernels"]
+__all__ = ["Shared", "share_kernels"]
 
-KEY = "_kernels_known_by"  # attribute of an object or a field
 OURS = "taichi_sim"  # the package; what lies elsewhere may read what is not seen here
 PLAIN = (bool, int, float, complex, str, bytes, type(None), np.generic)
+_Place = Any  # where among the parts something was met: None, or (place of what holds it, its name there)
 
 
 class Shared(NamedTuple):
     """What parts are known by for their kernels; "" where they share none. told: from what that was made, (place, words)."""
 
     known_by: str
-    told: tuple[tuple[tuple[object, ...], tuple[object, ...]], ...]
+    told: list[tuple[_Place, tuple[object, ...]]]
 
     def difference(self, others: "Shared") -> tuple[str, str, str] | None:
         """The first thing for which others need other kernels: its place, `contacts.plan.iterations`, and what stands there here
         and in the others; None where they need the same."""
+        if self.known_by == others.known_by:
+            return None
         for (place, words), (_, now) in zip(self.told, others.told):
             if words != now:
                 kinds = 0 if words[0] != now[0] else 1  # a type and its value, or types that differ
                 then, here = (" ".join(map(str, one[kinds:])) for one in (words, now))
-                return ".".join(map(str, place)), then, here
+                return _path(place), then, here
         return None if len(self.told) == len(others.told) else ("", str(len(self.told)), str(len(others.told)))
 
 
@@ -47,17 +52,28 @@ def share_kernels(parts: dict[str, Any], apart: tuple[type, ...] = ()) -> Shared
     before any kernel has run. apart: types of what no kernel reads, a scene for instance. Nothing is shared where there are
     user-defined parts among them, which may read what is not seen here.
     """
+    if not IS_KNOWN:
+        return Shared("", [])
     walk = _Walk(apart)
     walk.value(parts)
-    if not IS_KNOWN or walk.foreign:
+    if walk.foreign:
         for part in walk.kernel_holders:
             vars(part).pop(KEY, None)
-        return Shared("", ())
+        return Shared("", [])
     _install()
     known_by = hashlib.sha256(repr([words for _, words in walk.told]).encode()).hexdigest()
     for number, part in enumerate(walk.kernel_holders):
         vars(part)[KEY] = (KEY, known_by, number)
-    return Shared(known_by, tuple(walk.told))
+        quicken(type(part))
+    return Shared(known_by, walk.told)
+
+
+def _path(place: _Place) -> str:
+    """`contacts.plan.iterations`."""
+    if place is None:
+        return ""
+    before = _path(place[0])
+    return f"{before}.{place[1]}" if before else str(place[1])
 
 
 class _Walk:
@@ -65,75 +81,109 @@ class _Walk:
 
     def __init__(self, apart: tuple[type, ...]) -> None:
         self.apart = apart
-        self.told: list[tuple[tuple[object, ...], tuple[object, ...]]] = []
+        self.told: list[tuple[_Place, tuple[object, ...]]] = []
         self.kernel_holders: list[Any] = []
         self.foreign = False  # whether a function or a part is not of this package
-        self._path: list[object] = []
+        self._place: _Place = None
         self._met: dict[int, int] = {}
         self._alive: list[Any] = []  # so that no identity is given twice
 
     def _say(self, *words: object) -> None:
-        self.told.append((tuple(self._path), words))
+        self.told.append((self._place, words))
 
     def value(self, value: Any) -> None:
-        if isinstance(value, PLAIN):
-            self._say(type(value).__name__, value)
+        kind: Any = type(value)
+        if kind in PLAIN or isinstance(value, PLAIN):
+            self.told.append((self._place, (kind.__name__, value)))
         elif isinstance(value, self.apart):
-            self._say(type(value).__name__)
+            self._say(kind.__name__)
         elif id(value) in self._met:
             self._say("again", self._met[id(value)])
         else:
             self._met[id(value)] = len(self._met)
             self._alive.append(value)
-            self._first_time(value)
+            _reader(kind)(self, value, kind)
 
-    def _first_time(self, value: Any) -> None:
-        kind = type(value)
-        if isinstance(value, ti.Field):
-            self._say(kind.__name__, [member.ptr.snode().id for member in value._get_field_members()])
-        elif isinstance(value, np.ndarray):
-            self._say(
-                "array", value.shape, value.dtype.str
-            )  # not what is in it: `_install` sees to it that none is read
-        elif isinstance(value, (list, tuple, frozenset, set)):
-            self._say(kind.__qualname__, len(value))
-            for one in sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value:
-                self.value(one)
-        elif isinstance(value, (dict, types.MappingProxyType)):
-            self._say("dict", len(value))
-            for key, one in value.items():
-                self.value(key)
-                self._path.append(key)
-                self.value(one)
-                self._path.pop()
-        elif isinstance(value, functools.partial):
-            self.value((value.func, value.args, value.keywords))
-        elif isinstance(value, types.MethodType):
-            self.value((value.__func__, value.__self__))
-        elif "_kernel_owner" in getattr(value, "__dict__", {}):  # a kernel of an object
-            self._say("kernel", value._primal.func.__qualname__)
-            self.value(value._kernel_owner)
-        elif isinstance(value, types.FunctionType):
-            self._say("function", value.__module__, value.__qualname__, value.__code__.co_firstlineno)
-            self.foreign = self.foreign or not _is_ours(value)
-            self.value((value.__defaults__, *(cell.cell_contents for cell in value.__closure__ or ())))
-        elif isinstance(value, type):
-            self._say("type", value.__module__, value.__qualname__, id(value))
-        elif hasattr(value, "__dict__") or hasattr(kind, "__slots__"):
-            self._object(value, kind)
-        else:  # of the engine, mostly its types of numbers
-            self._say(kind.__qualname__, str(value))
+    def field(self, value: Any, kind: type) -> None:
+        self._say(kind.__name__, vars(value).get(KEY) or [one.ptr.snode().id for one in value._get_field_members()])
 
-    def _object(self, value: Any, kind: type) -> None:
+    def array(self, value: NDArray, kind: type) -> None:
+        self._say("array", value.shape, value.dtype.str)  # not its numbers: `_install` sees to it that none is read
+
+    def sequence(self, value: Any, kind: type) -> None:
+        self._say(kind.__qualname__, len(value))
+        for one in value:
+            self.value(one)
+
+    def unordered(self, value: Any, kind: type) -> None:
+        self._say(kind.__qualname__, len(value))
+        for one in sorted(value, key=repr):
+            self.value(one)
+
+    def mapping(self, value: Any, kind: type) -> None:
+        self._say("dict", len(value))
+        place = self._place
+        for key, one in value.items():
+            self.value(key)
+            self._place = (place, key)
+            self.value(one)
+            self._place = place
+
+    def partial(self, value: Any, kind: type) -> None:
+        self.value((value.func, value.args, value.keywords))
+
+    def method(self, value: Any, kind: type) -> None:
+        self.value((value.__func__, value.__self__))
+
+    def kernel(self, value: Any, kind: type) -> None:
+        self._say("kernel", value._primal.func.__qualname__)
+        self.value(value._kernel_owner)
+
+    def function(self, value: Any, kind: type) -> None:
+        self._say("function", value.__module__, value.__qualname__, value.__code__.co_firstlineno)
+        self.foreign = self.foreign or not _is_ours(value)
+        self.value((value.__defaults__, *(cell.cell_contents for cell in value.__closure__ or ())))
+
+    def class_(self, value: Any, kind: type) -> None:
+        self._say("type", value.__module__, value.__qualname__, id(value))
+
+    def parts(self, value: Any, kind: type) -> None:
         self._say("object", kind.__module__, kind.__qualname__, id(kind))
         if hasattr(kind, "_data_oriented"):
             self.kernel_holders.append(value)
             self.foreign = self.foreign or not _is_ours(kind)
         held = dict(vars(value)) if hasattr(value, "__dict__") else {}
-        names = (name for base in kind.__mro__ for name in getattr(base, "__slots__", ()))
-        held.update((name, getattr(value, name)) for name in names if hasattr(value, name))
+        held.update((name, getattr(value, name)) for name in _slots(kind) if hasattr(value, name))
         held.pop(KEY, None)
         self.value(held)
+
+    def engine_type(self, value: Any, kind: type) -> None:
+        self._say(kind.__qualname__, str(value))
+
+
+@functools.cache
+def _reader(kind: type) -> Callable[[_Walk, Any, type], None]:
+    """How an object of a kind is read."""
+    for read, kinds in (
+        (_Walk.field, ti.Field),
+        (_Walk.array, np.ndarray),
+        (_Walk.sequence, (list, tuple)),
+        (_Walk.unordered, (set, frozenset)),
+        (_Walk.mapping, (dict, types.MappingProxyType)),
+        (_Walk.partial, functools.partial),
+        (_Walk.method, types.MethodType),
+        (_Walk.kernel, (BoundKernel, ti.lang.kernel_impl._BoundedDifferentiableMethod)),
+        (_Walk.function, types.FunctionType),
+        (_Walk.class_, type),
+    ):
+        if issubclass(kind, kinds):
+            return read
+    return _Walk.parts if hasattr(kind, "__dict__") or hasattr(kind, "__slots__") else _Walk.engine_type
+
+
+@functools.cache
+def _slots(kind: type) -> tuple[str, ...]:
+    return tuple(name for base in kind.__mro__ for name in getattr(base, "__slots__", ()))
 
 
 def _is_ours(value: Any) -> bool:

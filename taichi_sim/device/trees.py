@@ -4,11 +4,10 @@ Taichi gives memory back only by whole trees, drops the kernels of all others wi
 another tree. So a freed tree is kept for a while, and fields of the same layout take it over, zeroed.
 """
 
-from copy import copy
 from typing import Any
 
 from taichi_sim.device.engine import program, ti
-from taichi_sim.device.shared_kernels import KEY
+from taichi_sim.device.fast_launches import KEY, quicken
 
 __all__ = ["Tree", "drop", "forget", "kept", "lead", "take", "take_back", "twin"]
 
@@ -54,6 +53,7 @@ class Tree:
                 for some in alike.values()
                 for k in range(0, len(some), MOST_UNROLLED)
             ]
+            quicken(_Zeros)
         for zeros in self._zeros:
             zeros.write()
 
@@ -110,6 +110,7 @@ class _Zeros:
     def __init__(self, fields: list[Any]) -> None:
         self.fields, self.length = tuple(fields), fields[0].shape[0]
         self.short = self.length <= SHORT
+        vars(self)[KEY] = (KEY, tuple(field.snode.ptr.id for field in fields))
 
     def write(self) -> None:
         """All of them."""
@@ -137,7 +138,8 @@ def twin(field: Any) -> Any:
     if isinstance(field, ti.StructField):
         other = ti.StructField({name: twin(one) for name, one in field._items}, field.struct_methods, field.name)
     else:
-        other = copy(field)
+        other = object.__new__(type(field))  # `copy.copy` takes three times as long
+        vars(other).update(vars(field))
     members = field._get_field_members()
     vars(other)[KEY] = (KEY, members[0].ptr.snode().id, len(members), isinstance(field, ti.StructField))
     return other
