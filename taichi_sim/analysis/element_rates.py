@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["NO_RATES", "Rates", "declared_rates", "element_rates", "largest_rate", "pushing_gas"]
+__all__ = ["NO_RATES", "Rates", "declared_rates", "element_rates", "largest_rate", "pushing_gas", "undeclared"]
 
 ROOM = 2.0  # times the stiffness at rest: cells that are stretched by a fifth in all directions
 PUSH = 0.001  # of the shortest side at a ball: what a gas may move it by in a step of xpbd; a hung balloon is then right to 1 %
@@ -90,6 +90,12 @@ def declared_rates(scene: Scene, forces: Sequence[Any]) -> Rates:
                 )
             sums[-1] += float(rate)
     return Rates(*sums)
+
+
+def undeclared(forces: Sequence[Any]) -> list[str]:
+    """Names of the user-defined forces that say nothing of how stiff they are, and so are not in any safe step."""
+    silent = [one for one in forces if not (hasattr(one, "stiffness_rate") or hasattr(one, "damping_rate"))]
+    return list(dict.fromkeys(type(force).__name__ for force in silent))
 
 
 def largest_rate(scene: Scene, balls: ArrayLike, gradient: Floats, strength: Floats) -> float:

@@ -62,6 +62,10 @@ class Pointer:
         self._goal = fields.reals(np.zeros((1, model.dim)) if self.ball is None else np.array([self._target]))
         self._speed = fields.reals(np.array([self.rate]))
 
+    def stiffness_rate(self, scene: Scene) -> float:
+        """0: it fits itself to any step."""
+        return 0.0
+
     def grab(self, ball: int, target: "ArrayLike") -> None:
         """Hold a ball, and nothing else, at a target (dim,) [m]. Raises SceneError for a pinned one."""
         scene = self._there()

@@ -98,8 +98,9 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"{stiff}: no spring limits them, but cells and bending do, and gas all but {IMPLICIT_EULER}"
     else:
         yield f"{stiff}: any step is stable, its error is another matter"
-    if sim.has_custom_parts and not any(custom):
-        yield "user-defined forces act explicitly in all of them; what step they need is not known here"
+    if sim.undeclared_forces:
+        names = ", ".join(sim.undeclared_forces)
+        yield f"user-defined forces act explicitly in all of them; what step {names} needs is not known, see stiffness_rate"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.analysis.collider_checks import check_colliders
-from taichi_sim.analysis.element_rates import declared_rates
+from taichi_sim.analysis.element_rates import declared_rates, undeclared
 from taichi_sim.analysis.frame import Contacts, Frame
 from taichi_sim.analysis.lazy_frame import MomentsOf
 from taichi_sim.analysis.outcome import Scales
@@ -95,6 +95,13 @@ class Simulation(Reader):
             self.dt, substeps = self.settings.time_step(scene, self._stability)
         h = self.dt / substeps
         self._warn(h, 4)
+        self.undeclared_forces = undeclared(self._forces)
+        if self.undeclared_forces and self.settings.dt == "auto":
+            warnings.warn(
+                f'dt: "auto" does not count {", ".join(self.undeclared_forces)}, which declares neither stiffness_rate nor'
+                " damping_rate (0 where a force is constant), see docs/extending.md; declare one, or give dt",
+                stacklevel=3,
+            )
         if self.settings.contacts != "off":
             check_colliders(scene, h)
         s = self.settings

@@ -99,9 +99,30 @@ def test_a_stiff_force_shortens_the_automatic_step():
             1.0 + 1e-3
         )  # Verlet's swing at 0.9 of its bound
         report = "\n".join(check.lines(sim))
-    assert "what step they need is not known" not in report
+    assert "is not known" not in report
     with pytest.warns(UserWarning, match=r"dt = 0.0003 s is above the safe bound of 0.0002 s.*user-defined forces"):
         simulation(row(), [Tether(1e8)], dt=3e-4).close()
+
+
+@ti.data_oriented
+class Silent:
+    """Says nothing of how stiff it is."""
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i] -= h * ball[i].x
+
+
+def test_a_force_that_declares_no_rate_is_named_where_the_step_is_chosen(recwarn):
+    with pytest.warns(UserWarning, match='dt: "auto" does not count Silent, which declares neither'):
+        sim = simulation(row(), [Silent(), Tether(1.0), Silent()])
+    assert "what step Silent needs is not known" in "\n".join(check.lines(sim))
+    sim.close()
+    recwarn.clear()
+    simulation(row(), [Silent()], dt=H).close()
+    simulation(row(), [Tether(0.0)]).close()
+    assert not recwarn.list
 
 
 @pytest.mark.parametrize("rate", [-1.0, float("inf"), float("nan")])
