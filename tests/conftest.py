@@ -24,15 +24,16 @@ def pytest_configure(config):
         offer_software(config)
 
 
-def _is_slow(item):
+def _is_where(item, name):
+    """Whether its parameters are among those of a marker `slow_where` or `long_where`."""
     params = item.callspec.params if hasattr(item, "callspec") else {}
-    for node, mark in item.iter_markers_with_node("slow_where"):
-        unknown = [name for name in mark.kwargs if name not in params]
+    for node, mark in item.iter_markers_with_node(name):
+        unknown = [argument for argument in mark.kwargs if argument not in params]
         if unknown and node is item:
-            raise pytest.UsageError(f"{item.nodeid}: slow_where names {unknown[0]}, which the test does not take")
+            raise pytest.UsageError(f"{item.nodeid}: {name} names {unknown[0]}, which the test does not take")
         if not unknown and all(
-            params[name] in value if isinstance(value, list) else params[name] == value
-            for name, value in mark.kwargs.items()
+            params[argument] in value if isinstance(value, list) else params[argument] == value
+            for argument, value in mark.kwargs.items()
         ):
             return True
     return False
@@ -45,9 +46,9 @@ def pytest_collection_modifyitems(config, items):
     config.hook.pytest_deselected(items=left_out)
     items[:] = [item for item in items if item not in set(left_out)]
     for item in items:
-        if any(PRECISION in mark.args for mark in item.iter_markers("long_in")):
+        if any(PRECISION in mark.args for mark in item.iter_markers("long_in")) or _is_where(item, "long_where"):
             item.add_marker(pytest.mark.long)
-        if item.get_closest_marker("long") or _is_slow(item):
+        if item.get_closest_marker("long") or _is_where(item, "slow_where"):
             item.add_marker(pytest.mark.slow)
     if os.environ.get("TAICHI_SIM_PRECISION") == "f64":  # asked for: single precision has its own run
         again = [item for item in items if item.get_closest_marker("once")]

@@ -10,7 +10,7 @@ Private names are touched, so it is used for one version of Taichi only; in any 
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,20 @@ _engine_launches = False  # all kernels, for those who watch it
 WHOLE, REAL = (int, np.integer), (int, float, np.integer, np.floating)
 
 
-class _Compiled(NamedTuple):
-    """The engine's key of a kernel, that kernel, and its machine code."""
+class _Compiled(dict):
+    """What the engine has compiled of a kernel, by its own keys. fast: the kernel and its machine code, by ours.
 
-    key: Any
-    kernel: Any
-    data: Any
+    The engine forgets all of it when it gives memory back, and takes another dictionary when it stops: nothing that was compiled
+    before may be touched then.
+    """
+
+    def __init__(self, known: dict) -> None:
+        super().__init__(known)
+        self.fast: dict[Any, tuple[Any, Any]] = {}
+
+    def clear(self) -> None:
+        super().clear()
+        self.fast.clear()
 
 
 class _FastKernel:
@@ -38,7 +46,6 @@ class _FastKernel:
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
-        self._compiled: dict[Any, _Compiled] = {}
         self._keys: list[Callable[[Any], Any]] = []  # of each argument, what the compiled kernel depends on, or None
         self._hand_over: list[tuple[int, Callable[[Any, Any], bool]]] = []
         self._simple = kernel.return_type is None
@@ -70,17 +77,18 @@ class _FastKernel:
         key = self._key(args) if self._simple and not named and not _engine_launches else None
         if key is None:
             return self._kernel(*args, **named)
-        kernel, known = self._kernel, self._compiled.get(key)
-        if known is not None:
-            if kernel.compiled_kernels.get(known.key) is not known.kernel:  # forgotten: it stopped, or gave memory back
-                self._compiled.clear()
-            elif self._launch(known, args):
+        kernel = self._kernel
+        if type(kernel.compiled_kernels) is _Compiled:
+            known = kernel.compiled_kernels.fast.get(key)
+            if known is not None and self._launch(*known, args):
                 return None
         kernel(*args)
         found, program = kernel.ensure_compiled(*args), kernel.runtime.prog
+        if type(kernel.compiled_kernels) is not _Compiled:
+            kernel.compiled_kernels = _Compiled(kernel.compiled_kernels)
         compiled = kernel.compiled_kernels[found]
         data = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
-        self._compiled[key] = _Compiled(found, compiled, data)
+        kernel.compiled_kernels.fast[key] = compiled, data
         return None
 
     def _key(self, args: tuple[Any, ...]) -> Any:
@@ -90,14 +98,14 @@ class _FastKernel:
         keys = tuple([key(argument) for key, argument in zip(self._keys, args)])
         return None if None in keys else keys
 
-    def _launch(self, known: _Compiled, args: tuple[Any, ...]) -> bool:
+    def _launch(self, compiled: Any, data: Any, args: tuple[Any, ...]) -> bool:
         """Launch it; whether that was done: not where an argument is none that it takes."""
-        context = known.kernel.make_launch_context()
+        context = compiled.make_launch_context()
         for number, hand_over in self._hand_over:
             if not hand_over(context, args[number]):
                 return False
         try:
-            self._kernel.runtime.prog.launch_kernel(known.data, context)
+            self._kernel.runtime.prog.launch_kernel(data, context)
         except Exception as error:
             raise ti.lang.kernel_impl.handle_exception_from_cpp(error) from None
         return True

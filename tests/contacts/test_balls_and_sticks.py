@@ -176,6 +176,7 @@ def crowd_scene(dim, mu):
 @pytest.mark.parametrize(("method", "mu"), [("verlet", 0.0), ("verlet", 0.5), ("symplectic_euler", 0.0)])
 @each_dim
 @pytest.mark.slow
+@pytest.mark.long_where(dim=2)
 def test_a_dense_crowd_never_gains_energy(dim, method, mu):
     """No step adds kinetic energy, whatever the restitution, with friction and without; momentum is kept (section 6)."""
     scene, crowds = crowd_scene(dim, mu)
@@ -200,6 +201,7 @@ def test_a_dense_crowd_never_gains_energy(dim, method, mu):
 @pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler", "rk4"])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.slow
+@pytest.mark.long_where(method=["explicit_euler", "rk4"])
 def test_an_elastic_gas_in_a_box_keeps_its_energy(method):
     """64 discs that fill 0.4 of a box, a ninth of a radius a step: half of the energy went when passes were too few."""
     scene = ts.Scene(dim=2)

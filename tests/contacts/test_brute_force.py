@@ -20,6 +20,7 @@ SIZES = {
 }
 QUICK = {(2, "fused", "one_level", "ordered"), (3, "parallel", "levels", "ordered"), (2, "fused", "levels", "gather")}
 LONG = {(3, driver, "levels", "gather") for driver in ("fused", "parallel")}  # compile longest
+LONG |= {(2, "parallel", kind, "ordered") for kind in SIZES} | {(dim, "fused", "one_level", "gather") for dim in (2, 3)}
 CASES = [
     pytest.param(
         *case,

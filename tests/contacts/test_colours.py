@@ -57,6 +57,7 @@ def of_sizes():
     [(lambda: heap(2), 1), (lambda: heap(3), 0), (of_sizes, 1)],
     ids=["2d", "3d", "sizes"],
 )
+@pytest.mark.long_in("f64")
 def test_each_pair_once_and_no_ball_twice(build, side_by_side):
     """One ball of each pair solves it, the other's link is its twin; both lie in one block of its colour, listed once."""
     scene = build()
@@ -97,6 +98,7 @@ def state(sim):
 
 
 @pytest.mark.slow
+@pytest.mark.long_in("f64")
 def test_the_same_bits_by_either_driver_and_from_a_file(tmp_path):
     """Nothing depends on which thread does what, or in which order blocks were listed."""
     scene = heap(3)
@@ -210,6 +212,7 @@ def resting(dim):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long_in("f64"))])
+@pytest.mark.long_in("f64")
 def test_a_pile_rests_as_by_the_order_of_the_cpu(dim):
     """One iteration by colours bears the pile as one in the CPU's order does, and better than four from split masses."""
     found = {}

@@ -80,7 +80,7 @@ def test_lists_side_by_side_give_the_same_bits(lay_side_by_side):
     np.testing.assert_array_equal(*found)
 
 
-@pytest.mark.slow_where(saved=True)
+@pytest.mark.slow
 @pytest.mark.parametrize("saved", [False, True], ids=["in_pieces", "side_by_side"])
 def test_a_saved_pile_goes_on_with_lists_in_another_layout(lay_side_by_side, tmp_path, saved):
     """Saved where a chunk of substeps ends, so that what contacts hold is read and not found again."""

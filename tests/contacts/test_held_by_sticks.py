@@ -48,6 +48,7 @@ def run(scene, seconds, look, **settings):
     [(600.0, {}), (50.0, {"integrator": "symplectic_euler"}), (50.0, {"contacts": "jacobi"})],
     ids=["verlet", "symplectic", "jacobi"],
 )
+@pytest.mark.long_where(heavy=50.0)
 def test_a_heavy_ball_rests_on_a_loose_stick(heavy, settings):
     sim, worst = run(bridge(heavy), 0.4, depth, **settings)
     assert worst < 0.02

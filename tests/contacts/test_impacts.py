@@ -45,7 +45,7 @@ def sledges(floor):
     return scene
 
 
-@pytest.mark.slow_where(method="rk4")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("floor", "method"),
     [
@@ -146,6 +146,7 @@ def test_elastic_crowds_keep_their_energy(dim, n, filled, gravity, speed, method
     ],
 )
 @pytest.mark.slow
+@pytest.mark.long_where(ratio=1.0)
 def test_springs_in_an_elastic_crowd_take_nothing_from_it(method, ratio):
     """Some balls on springs, masses up to `ratio` apart: whichever way a spring pulls at an impact, what is thrown back is the
     velocity at that instant."""

@@ -32,6 +32,7 @@ def brute_force(x, radius):
 @pytest.mark.slow
 @pytest.mark.parametrize("far", [0.0, 1e3, 1e5], ids=["together", "apart", "far_apart"])
 @each_dim
+@pytest.mark.long_where(dim=2)
 def test_rows_side_by_side_or_spread(dim, far):
     """Crowds that lie so far apart that their box has more cells than the table: the same pairs, each once."""
     rng = np.random.default_rng(3)
@@ -178,6 +179,7 @@ def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_rows_of_sticks_grow(monkeypatch):
     """Twenty sticks through a hundred balls that touch each of them."""
     monkeypatch.setattr(sticks, "MINIMUM_CAPACITY", 1)

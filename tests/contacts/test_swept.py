@@ -71,6 +71,7 @@ def check_bullets(dim, n, seed, variant=VARIANTS[0], **settings):
 @pytest.mark.slow_where(dim=2)
 @each_dim
 @pytest.mark.slow
+@pytest.mark.long_where(dim=2)
 def test_bullets_of_ten_radii_a_step_hit(dim):
     check_bullets(dim, 60, seed=1)
 
@@ -97,6 +98,7 @@ def test_a_swung_stick_takes_balls_at_rest_along():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", [VARIANTS[0], VARIANTS[1]], ids="-".join)
+@pytest.mark.long_where(variant=VARIANTS[0])
 def test_a_ball_before_the_wall_is_hit_and_not_run_through_twice(variant):
     """A bullet that would reach the wall behind a ball and come back through it within one step."""
     scene = ts.Scene(dim=2)
@@ -162,6 +164,7 @@ def test_a_ball_slides_fast_along_a_stick():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("own", [True, False], ids=["that_moves", "beside_one_that_moves"])
+@pytest.mark.long_where(own=False)
 def test_a_bullet_that_bounces_off_a_collider_meets_what_lies_behind(own):
     """Within one step: a path with a bend is never taken for its chord, whatever moves."""
     scene = ts.Scene(dim=2)

@@ -67,9 +67,7 @@ def fast(monkeypatch):
     monkeypatch.setattr(
         fast_launches._FastKernel,
         "_launch",
-        lambda kernel, known, args: bool(
-            launch(kernel, known, args) and (launches.append(kernel._kernel.func.__name__) or True)
-        ),
+        lambda kernel, *known: bool(launch(kernel, *known) and (launches.append(kernel._kernel.func.__name__) or True)),
     )
     return launches
 

@@ -67,6 +67,7 @@ def test_methods_that_no_spring_limits():
 @each_dim
 @each_stiff
 @pytest.mark.slow_where(method="tr_bdf2")
+@pytest.mark.long_where(method="tr_bdf2", dim=2)
 def test_agrees_with_dense_matrices(method, dim):
     for seed in range(2):
         scene = random_net(dim, seed)
@@ -201,6 +202,7 @@ def test_heavy_end(method):
 
 @pytest.mark.slow
 @each_stiff
+@pytest.mark.long_where(method=["implicit_euler"])
 def test_both_drivers_give_the_same_bits(method):
     """A net of four blocks."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
@@ -218,6 +220,7 @@ def test_both_drivers_give_the_same_bits(method):
 
 @pytest.mark.slow
 @each_stiff
+@pytest.mark.long_where(method=["implicit_euler"])
 def test_atomic_sums_agree(method):
     scene = random_net(2, 9)
     found = []
@@ -232,6 +235,7 @@ def test_atomic_sums_agree(method):
 
 @each_stiff
 @pytest.mark.slow
+@pytest.mark.long_where(method=["implicit_euler"])
 def test_a_jelly_lands_and_rests(method):
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.add_material("rubber", restitution=0.3, friction=0.4)

@@ -84,6 +84,7 @@ def test_one_and_two_threads_have_the_same_bits():
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["verlet", "symplectic_euler"])
 @each_dim
+@pytest.mark.long_where(dim=2)
 def test_all_orders_of_springs_agree(dim, method, monkeypatch):
     """Four orders of one sum, after 100 steps of a cloth."""
     scene, steps = physics_bits.cloth(dim), 100

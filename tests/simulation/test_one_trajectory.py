@@ -85,6 +85,7 @@ class Swing:
 
 
 @pytest.mark.slow
+@pytest.mark.long_in("f64")
 def test_the_times_that_a_users_force_sees_do_not_depend_on_calls():
     """Calls are where what was run before is kept for good; across chunks, frames, and a state that was taken up again."""
     scene = ts.Scene(dim=2, gravity=(0, -10))
@@ -125,6 +126,7 @@ def test_more_room_for_contacts_changes_nothing(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.long_in("f64")
 def test_what_follows_depends_on_nothing_but_what_is_kept():
     """Whatever the fields hold that are no part of a moment: here those of another run."""
     scene, settings = trajectories.bits.crowd_gauss_seidel()
@@ -142,6 +144,7 @@ def test_what_follows_depends_on_nothing_but_what_is_kept():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("saves", [False, True])
+@pytest.mark.long_in("f64")
 def test_an_interrupted_call_changes_nothing(saves, monkeypatch):
     """As by Ctrl-C in the midst of a call: what was made of it is made again."""
     scene, settings = trajectories.bits.crowd_gauss_seidel()
@@ -189,6 +192,7 @@ def test_what_is_set_after_an_interrupted_call_stays(monkeypatch):
 
 
 @pytest.mark.once
+@pytest.mark.long_in("f64")
 def test_a_resumed_ball_has_forgotten_the_walls_that_it_left():
     """Out of a corner into the air, then on the floor: the other wall is 3 m away."""
     scene = ts.Scene(dim=2, gravity=(0, -9.81))

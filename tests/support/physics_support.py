@@ -22,11 +22,13 @@ GATHERED = ("gather", "parallel")  # as on a device
 
 QUICK_CONTACT = (3, "verlet", VARIANTS[3])  # (dim, method, variant): what `make test` has where contacts are compiled
 
+SLOW_CONTACT = ((2, "verlet"), (2, "symplectic_euler"), (3, "verlet"), (3, "rk4"))
+
 
 def _how_slow(case):
     if case == QUICK_CONTACT:
         return []
-    return [pytest.mark.slow if case[2] in EXTREMES else pytest.mark.long]
+    return [pytest.mark.slow if case[:2] in SLOW_CONTACT and case[2] in EXTREMES else pytest.mark.long]
 
 
 CONTACT_CASES = [

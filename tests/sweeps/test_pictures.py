@@ -53,6 +53,7 @@ def images(folder):
     return [np.asarray(Image.open(path)) for path in sorted(folder.glob("*.png"))]
 
 
+@pytest.mark.once
 def test_a_recording_has_the_frames_of_its_run(run):
     frames = Recording(run / "s.npz")
     assert (len(frames), frames.fps) == (10, 20.0)
@@ -207,6 +208,7 @@ DATA = ["x.csv", "x.npz", "x.pvd", "x.ply", "x.obj"]
 DATA += [name for name, module in (("x.gsd", "gsd"), ("x.usda", "pxr")) if find_spec(module)]
 
 
+@pytest.mark.once
 def test_files_of_a_recording_are_those_of_its_run(tmp_path):
     """With its contacts and probes, byte by byte."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))

@@ -66,6 +66,7 @@ def test_row_2_friction_sees_only_the_relative_velocity(dim):
 
 @each_dim
 @pytest.mark.slow
+@pytest.mark.long_where(dim=2)
 def test_row_3_impulse_is_shared_by_inverse_mass(dim):
     m, n = np.array([1.0, 10.0]), vector(dim, 1.0)
     v = np.array([1.0 * n, -1.0 * n])
@@ -86,6 +87,7 @@ def test_row_3_impulse_is_shared_by_inverse_mass(dim):
 
 @pytest.mark.slow
 @each_dim
+@pytest.mark.long_where(dim=2)
 def test_row_4_stick_keeps_momentum_and_energy(dim):
     """e = 1, unit masses: the article keeps 33, 39 and 56 % of the kinetic energy and changes the momentum by j / 3."""
     run = stick_run(dim, VARIANTS[0])
@@ -162,6 +164,7 @@ def test_row_7_damping_is_stable_for_any_coefficient(dim):
 
 @each_dim
 @pytest.mark.slow
+@pytest.mark.long_where(dim=2)
 def test_row_8_many_contacts_share_the_mass(dim):
     """Two coplanar wall pieces, and a dense pack in one pass: the plain sum over-corrects."""
     scene = ts.Scene(dim=dim)
@@ -227,6 +230,7 @@ def test_row_10_push_out_gives_no_speed(dim):
 
 @each_dim
 @pytest.mark.slow
+@pytest.mark.long_where(dim=2)
 def test_row_11_coincident_balls_have_a_direction(dim):
     with np.errstate(invalid="ignore"):
         assert np.all(np.isnan(ref.wrong_direction(np.ones(dim), np.ones(dim))))

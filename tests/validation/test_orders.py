@@ -110,6 +110,7 @@ def orders(dim, method, name):
 
 if F64:
 
+    @pytest.mark.slow_where(name="pair", method=["implicit_euler", "tr_bdf2"])
     @pytest.mark.slow_where(dim=3, method=["explicit_euler", "rk4", "xpbd", "implicit_euler", "tr_bdf2"])
     @each_dim
     @pytest.mark.parametrize("method", FIRST)

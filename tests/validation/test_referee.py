@@ -71,7 +71,7 @@ def _fails(family, seed, scenes, reason, relations=None, mark=None):
         _holds("led_chain", 0, 10, ("order_is_kept",), mark=LONG),
     ],
 )
-@pytest.mark.slow_where(family=["folded_sheet", "sled", "balloon"])
+@pytest.mark.slow_where(family=["pendulum", "folded_sheet", "sled", "balloon"])
 def test_relations(family, seed, scenes, relations):
     chosen = FAMILIES[family]
     cases = chosen.draw(np.random.default_rng(seed), scenes)

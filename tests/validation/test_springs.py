@@ -192,6 +192,7 @@ def strains(cases):
     return found
 
 
+@pytest.mark.slow
 def test_moduli_of_plane_lattices():
     """Triangles: E = 2 k / sqrt 3 and Poisson's ratio 1/3 in every direction. Squares with diagonals: C11 = k1 + k2,
     C12 = C44 = k2."""
