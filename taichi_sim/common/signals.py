@@ -15,24 +15,26 @@ AGAIN = 2.0  # s; long enough for a half-written file to be removed
 TIMES = 10
 
 _held_back = False
+_unheard: type[BaseException] | None = None  # what was asked for, and maybe swallowed
 
 
 @contextmanager
 def insistent_signals() -> Iterator[None]:
     """Raise KeyboardInterrupt on SIGINT and SystemExit(143) on SIGTERM, again and again until the block is left."""
+    global _unheard
     asked: list[type[BaseException]] = []
+    _unheard = None
 
     def insist(number: int, _: Any) -> None:
+        global _unheard
         asked.append(SystemExit if number == signal.SIGTERM else KeyboardInterrupt)
         if len(asked) > TIMES:  # a library that was cut short holds the process
             os._exit(TERMINATED if asked[0] is SystemExit else INTERRUPTED)
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        _unheard = asked[0]
         if not _held_back:
-            raise answer()
-
-    def answer() -> BaseException:
-        return SystemExit(TERMINATED) if asked[0] is SystemExit else KeyboardInterrupt()
+            raise _answer(asked[0])
 
     numbers = [signal.SIGTERM]
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # a shell's background job ignores it, and so do we
@@ -51,9 +53,10 @@ def insistent_signals() -> Iterator[None]:
         yield
     except BaseException:
         if asked:  # what a half-made object raised while it was cleaned up is of no interest
-            raise answer() from None
+            raise _answer(asked[0]) from None
         raise
     finally:
+        _unheard = None
         sys.unraisablehook = tell
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -61,17 +64,25 @@ def insistent_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def _answer(kind: type[BaseException]) -> BaseException:
+    return SystemExit(TERMINATED) if kind is SystemExit else KeyboardInterrupt()
+
+
 def heard() -> None:
     """Ctrl-C was taken as an end like others: it does not come again, so that what is open can be closed in peace."""
+    global _unheard
+    _unheard = None
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Within `insistent_signals` these come again once the block is left. Processes that are started in it never get SIGINT: a
-    terminal sends it to all processes of a command, and those that work for another one are ended by that."""
+    """Within `insistent_signals` these come as soon as the block is left, and those that were swallowed before it is entered.
+    Processes that are started in it never get SIGINT: a terminal sends it to all processes of a command, and those that work for
+    another one are ended by that."""
     global _held_back
+    _come()
     # the mask is not enough: threads that were there before take signals, and the main one hears of it
     _held_back = True
     masks = hasattr(signal, "pthread_sigmask")
@@ -84,6 +95,15 @@ def without_interrupts() -> Iterator[None]:
         if masks:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         _held_back = False
+    _come()
+
+
+def _come() -> None:
+    if _unheard is not None:
+        raise _answer(_unheard)
+
+
+_unheard: type[BaseException] | None = None  # what was asked for, and maybe swallowed
 
 
 def leave(status: int) -> NoReturn:

@@ -1,0 +1,63 @@
+"""Ctrl-C is not lost where a library swallows it, or while something is started that cannot be closed."""
+
+import os
+import signal
+from contextlib import suppress
+
+import pytest
+
+from taichi_sim.common.signals import TERMINATED, heard, insistent_signals, without_interrupts
+
+pytestmark = pytest.mark.once
+
+
+def interrupt(number=signal.SIGINT):
+    os.kill(os.getpid(), number)
+
+
+def test_what_comes_while_it_is_held_back_comes_at_the_end():
+    done = []
+
+    def work():
+        with insistent_signals():
+            with without_interrupts():
+                interrupt()
+                done.append(1)
+            done.append(2)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == [1]
+
+
+@pytest.mark.parametrize(("number", "comes"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+def test_what_was_swallowed_comes_before_something_is_started(number, comes):
+    started = []
+
+    def work():
+        with insistent_signals():
+            with suppress(BaseException):  # as in a callback of a library
+                interrupt(number)
+            with without_interrupts():
+                started.append(1)
+
+    with pytest.raises(comes) as end:
+        work()
+    assert not started
+    assert comes is KeyboardInterrupt or end.value.code == TERMINATED
+
+
+def test_what_was_heard_does_not_come_again():
+    with insistent_signals():
+        with pytest.raises(KeyboardInterrupt):
+            interrupt()
+        heard()
+        with without_interrupts():
+            pass
+
+
+def test_nothing_is_left_for_the_next_block():
+    with pytest.raises(KeyboardInterrupt), insistent_signals():
+        interrupt()
+    with insistent_signals(), without_interrupts():
+        pass
