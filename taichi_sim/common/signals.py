@@ -103,7 +103,6 @@ def _come() -> None:
         raise _answer(_unheard)
 
 
-_unheard: type[BaseException] | None = None  # what was asked for, and maybe swallowed
 
 
 def leave(status: int) -> NoReturn:

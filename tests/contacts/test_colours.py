@@ -168,6 +168,7 @@ def caught():
 
 @pytest.mark.slow
 @pytest.mark.long_in("f64")
+@pytest.mark.long
 def test_triangles_beside_colours():
     """Balls are caught by a sheet and lie on each other: the momentum is kept, nothing goes through, and every driver agrees."""
     scene = caught()
@@ -211,7 +212,7 @@ def resting(dim):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long_in("f64"))])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
 @pytest.mark.long_in("f64")
 def test_a_pile_rests_as_by_the_order_of_the_cpu(dim):
     """One iteration by colours bears the pile as one in the CPU's order does, and better than four from split masses."""

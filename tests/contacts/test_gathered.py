@@ -41,6 +41,7 @@ def ended(scene, accumulate, steps=30, driver="parallel", **settings):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.long_where(dim=3)
 def test_the_same_motion_as_in_blocks(dim):
     """Only the order of sums differs; a heap makes 1e-16 of it 1e-12 in thirty steps."""
     scene = heap(dim)

@@ -59,6 +59,7 @@ def test_a_sliding_ball_ends_rolling(dim, method):
 @pytest.mark.slow
 @each_solver
 @each_dim
+@pytest.mark.long_where(dim=2)
 def test_friction_with_spin_keeps_angular_momentum(dim, contacts):
     """Rough balls that collide in empty space: momentum and angular momentum, that of their spin included."""
     rng = np.random.default_rng(4)
@@ -98,6 +99,7 @@ def test_both_solvers_converge_to_the_same_velocities():
 
 @pytest.mark.slow
 @each_dim
+@pytest.mark.long_where(dim=2)
 def test_a_pile_comes_to_rest(dim):
     """Dropped loosely into a box, with friction and spin: it lies still, hardly overlaps, and nothing has left it."""
     scene = box_of_balls(dim, 10 if dim == 2 else 5, 20 if dim == 2 else 10, restitution=0.3, friction=0.3)

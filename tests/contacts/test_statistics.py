@@ -57,6 +57,7 @@ def by_brute_force(scene, x, v):
 @pytest.mark.parametrize("variant", VARIANTS[:2], ids="-".join)
 @each_dim
 @pytest.mark.slow
+@pytest.mark.long_where(dim=2)
 def test_random_scenes_equal_brute_force(dim, variant):
     scene = crowd(dim)
     rng = np.random.default_rng(8)

@@ -40,6 +40,7 @@ def _throw(out, rng):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("thrown", [True, False], ids=["beside-a-grid", "alone"])
+@pytest.mark.long_where(thrown=True)
 def test_bits_do_not_depend_on_the_skin(monkeypatch, thrown):
     what = scene(thrown)
     runs, searches = [], []

@@ -131,6 +131,7 @@ def _compare(free, k, x, v, omega, zeta, x0=X0, v0=V0, scale=None):
     assert found < exact(LOOKS[-1]), f"oscillator {k}, omega {omega}, zeta {zeta}: relative error {found:.2e}"
 
 
+@pytest.mark.long_in("f32")
 def test_oscillators_follow_the_closed_form_of_the_scheme(free):
     for k, (omega, zeta) in enumerate(OSCILLATORS):
         i, axis = free.at.held[k], free.at.axis[k]

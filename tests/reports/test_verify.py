@@ -32,6 +32,7 @@ def test_each_case_has_a_stored_result():
 
 @pytest.mark.slow_where(case=list(verify.CASES[1:]))
 @pytest.mark.parametrize("case", verify.CASES, ids=lambda case: case.name)
+@pytest.mark.long_where(case=list(verify.CASES[3:]))
 def test_this_installation_computes_what_is_stored(case, monkeypatch):
     monkeypatch.setattr(verify, "CASES", (case,))
     (result,) = verify.results("cpu")

@@ -11,7 +11,7 @@ from physics_support import PRECISION, simulate
 import taichi_sim as ts
 
 QUICK = {"led_by_pins"}
-SLOWER = {"crowd_gauss_seidel", "sticks_and_colliders", "crowd_with_a_tolerance", "tearing_in_wind"}
+SLOWER = {"crowd_with_a_tolerance", "tearing_in_wind"}
 MARKS = {
     name: [pytest.mark.long_in("f64")]
     if name in QUICK
@@ -110,6 +110,7 @@ def test_the_times_that_a_users_force_sees_do_not_depend_on_calls():
 
 @pytest.mark.slow
 @pytest.mark.long_in("f64")
+@pytest.mark.long
 def test_more_room_for_contacts_changes_nothing(monkeypatch):
     """Lists that overflow are made longer in the midst of a chunk: bits are those of a run that had the room."""
     trajectories.short_chunks(monkeypatch)

@@ -355,6 +355,7 @@ class Drift(ts.Integrator):
 @pytest.mark.slow
 @pytest.mark.parametrize("driver", ["fused", "parallel"])
 @each_dim
+@pytest.mark.long_where(dim=2)
 def test_own_force(dim, driver):
     scene = falling(dim)
     scene.add_balls([vector(dim, 5.0)], radius=0.1, velocity=vector(dim, 2.0), mass=2.0)

@@ -26,10 +26,12 @@ def check_box(sim):
 QUICK = ("shell",)
 LONG = (
     "box",
+    "car",
     "flag",
     "million",
     "net",
     "sphere",
+    "stairs",
     "squeeze",
     "tower",
     "wind",
