@@ -103,8 +103,6 @@ def _come() -> None:
         raise _answer(_unheard)
 
 
-
-
 def leave(status: int) -> NoReturn:
     """End the process now. Libraries that were interrupted while they started may wait for ever on the ordinary way out."""
     sys.stdout.flush()
