@@ -11,6 +11,14 @@ from taichi_sim.common.signals import TERMINATED, heard, insistent_signals, with
 pytestmark = pytest.mark.once
 
 
+@pytest.fixture(autouse=True)
+def _not_ignored():
+    """A shell's background job ignores Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def interrupt(number=signal.SIGINT):
     os.kill(os.getpid(), number)
 
