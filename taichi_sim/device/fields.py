@@ -66,7 +66,12 @@ class Fields:
         ]
         if not self._alike:
             self._begin_new()
-        field = twin(self._alike[-1].fields[number]) if self._alike else self._new(number)
+        if self._on is not None:  # the others are done with theirs once these are built
+            field = self._on._declared[number]
+        elif self._alike:
+            field = twin(self._alike[-1].fields[number])
+        else:
+            field = self._new(number)
         if data is not None:
             self._first.append((number, data))
         self._declared.append(field)
