@@ -30,6 +30,7 @@ from taichi_sim.reports.bench.granular import granular_report
 from taichi_sim.reports.bench.launches import launch_report
 from taichi_sim.reports.bench.ours import ContactPass, ball_step, cloth_step
 from taichi_sim.reports.bench.piles import pile_report
+from taichi_sim.reports.bench.runs import runs_report
 from taichi_sim.reports.bench.scale import (
     drape_report,
     hanging_report,
@@ -187,6 +188,7 @@ CASES: dict[str, Callable[..., Report]] = {  # of `quick`, and those for devices
     "contacts": contacts,
     "shuffled": partial(contacts, shuffled=True),
     "small": small,
+    "runs": runs_report,
     "pile": pile_report,
     "small_pile": partial(pile_report, few=True),
     "granular": granular_report,
