@@ -87,9 +87,11 @@ class Workers:
             while running:
                 future = next(done)
                 batch = running.pop(future)
-                problem = None
+                rows = problem = None
                 if future.status == "finished":
-                    rows = future.result()
+                    with suppress(KilledWorker):  # it ended before its rows were fetched
+                        rows = future.result()
+                if rows is not None:
                     if job.folder is not None:
                         keep_where_missing(Path(job.folder), rows)
                     yield rows

@@ -389,6 +389,49 @@ def test_a_scheduler_that_is_lost_ends_a_sweep_in_a_sentence(monkeypatch, status
         list(Workers(Client(), 1, False).run(SimpleNamespace(folder=None), [[Point({"a": 1})]]))
 
 
+def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    comm = pytest.importorskip("distributed.comm")
+    batches = []
+
+    class Future:
+        status = "finished"
+
+        def __init__(self, points):
+            self.points = points
+
+        def result(self):
+            if len(self.points) > 1:
+                self.status = "error"
+                raise self.exception()
+            return [Row.of(point) for point in self.points]
+
+        def exception(self):
+            return distributed.KilledWorker("run_batch", None, 0)
+
+    class Done(list):
+        add = list.append
+
+        def __next__(self):
+            return self.pop(0)
+
+    class Client:
+        status = "running"
+
+        def submit(self, function, job, points, **_):
+            batches.append(len(points))
+            return Future(points)
+
+        def cancel(self, futures):
+            raise comm.CommClosedError
+
+    monkeypatch.setattr(distributed, "as_completed", Done)
+    points = [Point({"a": k}) for k in range(3)]
+    rows = [row for some in Workers(Client(), 1, False).run(SimpleNamespace(folder=None), [points]) for row in some]
+    assert batches == [3, 1, 1, 1]
+    assert [row.parameters["a"] for row in rows] == [0, 1, 2]
+
+
 def test_no_folder_is_made_where_no_scheduler_answers(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("taichi_sim.sweeps.cluster.PATIENCE", 0.5)
