@@ -38,6 +38,7 @@ from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.contacts import contact_law, statistics
 from taichi_sim.kernels.contacts.pairs import ENDLESS
 from taichi_sim.scene.keyframes import TICKS
+from taichi_sim.scene.motors import Motor
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
 from taichi_sim.scene.snapshot import Snapshot
@@ -66,7 +67,7 @@ NOT_COMPILED = (
 )  # of an assembly, nothing that kernels read
 
 
-APART = (Scene, Fields)  # nor that
+APART = (Scene, Fields, Motor)  # nor that
 
 
 class ContactCapacity(NamedTuple):
@@ -126,7 +127,7 @@ class Assembly:
             self.integrator.set_step(h)
         except OtherFieldsError:
             assert on is not None
-            raise OtherStructureError(*self._other_contacts(on)) from None
+            raise OtherStructureError(*self._decided(on)) from None
         except BaseException:
             self.fields.abandon()
             raise
@@ -141,12 +142,19 @@ class Assembly:
         self._shared = share_kernels(self._compiled(), APART)
         differs = on._shared.difference(self._shared)
         if differs is not None or not self._shared.known_by:
-            raise OtherStructureError(*(self._other_contacts(on) or differs or ()))
+            raise OtherStructureError(*(self._decided(on) or differs or ()))
 
-    def _other_contacts(self, on: "Assembly") -> tuple[str, ...]:
-        """What the plan of contacts has decided otherwise than that of `on`."""
+    def _decided(self, on: "Assembly") -> tuple[str, ...]:
+        """What the plan of contacts, or the integrator, has decided otherwise than that of `on`."""
         plan = getattr(self, "plan", on.plan)  # not there yet where something before it differs
-        return next((("contacts", *both) for both in zip(on.plan.reasons, plan.reasons) if both[0] != both[1]), ())
+        for then, now in zip(on.plan.reasons, plan.reasons):
+            if then != now:
+                return "contacts", then, now
+        before = vars(on.integrator)
+        for name, now in vars(getattr(self, "integrator", on.integrator)).items():
+            if isinstance(now, (bool, int, str)) and before.get(name, now) != now:
+                return f"integrator.{name}", str(before[name]), str(now)
+        return ()
 
     def _assemble(self, scene: Scene, settings: Settings, backend: Backend, h: float, forces: Sequence[Any]) -> None:
         """All parts in the order in which they need each other."""

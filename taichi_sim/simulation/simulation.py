@@ -319,7 +319,9 @@ class Simulation(Reader):
         try:
             other._begin(scene, self._forces, self._given, on)
         except OtherStructureError as error:
-            reason = structure.difference(self.scene, other.scene, error.place, error.then, error.now)
+            reason = structure.difference(
+                self.scene, other.scene, (self.settings, other.settings), error.place, error.then, error.now
+            )
             raise SceneError(("reset",), says=f"{reason}; make a new Simulation of it") from None
         except BaseException:
             if not on.fields.built:  # they were taken over already

@@ -24,6 +24,7 @@ COUNTS: dict[str, Callable[[Scene], Any]] = {
     "springs with motors": lambda scene: sum(len(motor.springs) for motor in scene.motors),
     "walls": lambda scene: len(scene.walls),
     "colliders": lambda scene: len(scene.colliders),
+    "colliders that move": lambda scene: sum(collider.motion.moves for collider in scene.colliders),
     "materials": lambda scene: len(scene.materials),
     "walls and colliders with probes": lambda scene: len(bodies_of(scene)),
 }
@@ -32,15 +33,25 @@ THERE: dict[str, Callable[[Scene], Any]] = {
     "friction": lambda scene: any(m.friction > 0 or m.viscous_friction > 0 for m in used_materials(scene)),
     "viscous friction": lambda scene: any(m.viscous_friction > 0 for m in used_materials(scene)),
     "restitution": lambda scene: any(m.restitution > 0 for m in used_materials(scene)),
-    "wind": lambda scene: scene.wind is not None,
+    "wind": lambda scene: scene.wind is not None and bool(np.any(np.asarray(scene.wind.velocity) != 0)),
+    "gusts": lambda scene: scene.wind is not None and scene.wind.gust > 0,
     "springs that tear": lambda scene: np.isfinite(scene.break_strain).any(),
     "collision groups": lambda scene: scene.has_groups(),
     "damping": lambda scene: np.any(scene.damping > 0),
+    "damping of bends": lambda scene: np.any(scene.bend_damping > 0),
 }
 
 
-def difference(before: Scene, after: Scene, place: str, then: str, now: str) -> str:
-    """Why `after` needs other kernels than `before`. place, then, now: what the parts of their simulations differ in."""
+COMPILED = ("integrator", "contacts", "accumulate", "driver", "spin")  # of settings
+
+
+def difference(before: Scene, after: Scene, settings: tuple[Any, Any], place: str, then: str, now: str) -> str:
+    """Why `after` needs other kernels than `before`. settings: of both; place, then, now: what the parts of their simulations
+    differ in."""
+    for name in COMPILED:
+        then_set, now_set = (_named(getattr(one, name)) for one in settings)
+        if then_set != now_set:
+            return f"{name} is {now_set} and the one that was compiled has {then_set}"
     for name, count in COUNTS.items():
         old, new = count(before), count(after)
         if old != new:
@@ -56,9 +67,16 @@ def difference(before: Scene, after: Scene, place: str, then: str, now: str) -> 
         return "other balls are pinned than in the scene that was compiled"
     if place == "contacts":
         return f"contacts are made of other parts, {now}, than were compiled, {then.partition(' (')[0]}"
+    if place in ("integrator.predicts", "integrator.implicit_damping"):
+        weak, strong = ("weak", "strong") if now == str(place.endswith("predicts")) else ("strong", "weak")
+        return f"damping is {weak} for the stiffness of its springs, where it was {strong}, and acts by another scheme"
     if place:
         return f"{place} is {now} where {then} was compiled"
     return "it needs fields of other sizes than the scene that was compiled"
+
+
+def _named(value: Any) -> str:
+    return repr(value) if isinstance(value, (str, bool)) else str(getattr(value, "name", type(value).__name__))
 
 
 def kind_of(scene: Scene) -> str:

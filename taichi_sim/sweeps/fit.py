@@ -83,7 +83,7 @@ class Fit:
         for path in self.at_end:
             said.append(f"at the end   {path} lies at an end of its range; widen it")
         for path, changes in self.sensitivity.items():
-            by = ", ".join(f"{name} by {change:.3g} %" for name, change in changes.items())
+            by = ", ".join(f"{name} by {change:+.3g} % of its size" for name, change in changes.items())
             said.append(f"sensitivity  1 % more of {path} changes {by}")
         for path, spread in self.spread.items():
             if math.isfinite(spread):

@@ -11,7 +11,7 @@ from typing import Any
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError, did_you_mean
 from taichi_sim.scene.scene import Scene
-from taichi_sim.sweeps.subject import described, source_of
+from taichi_sim.sweeps.subject import described, source_of, sources_of
 
 __all__ = ["Measures", "measures_of"]
 
@@ -61,7 +61,7 @@ class Measures:
 
     def identity(self) -> list[str]:
         """What they are, functions by their source."""
-        return [*self.names, *(f"{name} {source_of(loaded(one))}" for name, one in self.functions.items())]
+        return [*self.names, *(f"{name} {_source(one)}" for name, one in self.functions.items())]
 
     def run(self, simulation: Any, duration: float, fps: float) -> dict[str, float]:
         """Run a simulation for `duration` seconds from its start, and measure."""
@@ -145,6 +145,11 @@ def _number(name: str, scene: Scene) -> Number:
     known = [*FIGURES, *(f"probes.{probe.name}" for probe in scene.probes)]
     says = f"is no measure; {did_you_mean(name, known, 'there are ' + ', '.join(known) + ', and module:function')}"
     raise SceneError("measure", name, says=says)
+
+
+def _source(function: Any) -> str:
+    file = str(function).rpartition(":")[0] if isinstance(function, str) else ""
+    return sources_of(Path(file)) if file.endswith(".py") else source_of(loaded(function))
 
 
 def loaded(function: Any) -> Callable[[Any], Any]:

@@ -1,7 +1,9 @@
 """Subject: what scenes are made of, a scene file, a Python file or a function, and a scene from parameters and a seed."""
 
+import ast
 import hashlib
 import inspect
+import json
 import os
 import shutil
 import tempfile
@@ -17,6 +19,7 @@ from taichi_sim.common.errors import SceneError, did_you_mean, key_name, path_of
 from taichi_sim.files.source import python_scene, resolve
 from taichi_sim.files.toml_reader import Reader, parsed
 from taichi_sim.files.toml_schema import Document
+from taichi_sim.scene.contents import contents_of
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["FileSubject", "FunctionSubject", "Subject", "described", "lasting", "subject_of"]
@@ -72,7 +75,13 @@ class FileSubject(Subject):
         return Reader(self.file, self.text, document, None, self.allow_outside).scene()
 
     def identity(self) -> str:
-        return hashlib.sha256(self.text.encode()).hexdigest()
+        """Of what the file says, comments apart, and of all that it reads: arrays, meshes."""
+        try:
+            made = contents_of(self._made({}, None))
+        except (SceneError, ValueError):  # it lacks what the parameters are
+            made = {}
+        said = json.dumps([self.document, made], sort_keys=True, default=str)
+        return hashlib.sha256(said.encode()).hexdigest()
 
 
 class FunctionSubject(Subject):
@@ -116,7 +125,7 @@ class FunctionSubject(Subject):
 
     def identity(self) -> str:
         if self.file is not None:
-            return hashlib.sha256(self.file.read_bytes()).hexdigest()
+            return sources_of(self.file)
         return f"{described(self.function, 'scene')} {source_of(self.function)}"
 
 
@@ -167,6 +176,34 @@ def source_of(function: Callable[..., Any]) -> str:
         return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()[:16]
     except (OSError, TypeError):
         return ""
+
+
+def sources_of(file: Path) -> str:
+    """A hash of a Python file and of the modules beside it that it imports, and these import."""
+    waiting, met = [file.resolve()], set[Path]()
+    while waiting:
+        one = waiting.pop()
+        if one in met or not one.is_file():
+            continue
+        met.add(one)
+        try:
+            tree = ast.parse(one.read_bytes())
+        except (SyntaxError, ValueError):  # which is told where it is run
+            continue
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module] if node.module else [alias.name for alias in node.names]
+            else:
+                continue
+            for name in names:
+                place = file.resolve().parent.joinpath(*name.split("."))
+                waiting += [place.with_name(f"{place.name}.py"), place / "__init__.py"]
+    digest = hashlib.sha256()
+    for one in sorted(met):
+        digest.update(hashlib.sha256(one.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def put(document: dict[str, Any], path: str, value: Any) -> None:

@@ -203,6 +203,35 @@ def test_another_structure_is_refused_with_its_reason_and_nothing_has_changed(ch
             assert np.array_equal(whole.position, used.position)
 
 
+@pytest.mark.once
+def test_a_change_of_settings_or_of_the_scheme_of_damping_is_named():
+    def row(k=200.0, amplitude=0.2, **settings):
+        scene = ts.Scene(dim=2, gravity=(0, -10))
+        scene.settings |= {"dt": 1e-3, **settings}
+        scene.add_material("m", friction=0.3)
+        balls = scene.add_balls(np.arange(6)[:, None] * [0.2, 0.0], radius=0.03, mass=0.1, material="m", pinned=[0])
+        springs = scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=k, damping=0.5)
+        scene.add_motor(springs[:2], amplitude=amplitude, frequency=10.0 * abs(amplitude))
+        scene.add_wall((0, 1), -0.1, "m")
+        return scene
+
+    with ts.Simulation(row(), **CPU) as used:
+        used.step(3)
+        used.reset(row(amplitude=-0.3))
+        used.step(20)
+        with ts.Simulation(row(amplitude=-0.3), **CPU) as new:
+            new.step(20)
+            assert np.array_equal(new.position, used.position)
+        for scene, why in (
+            (row(accumulate="atomic"), "accumulate is 'atomic' and the one that was compiled has 'auto'"),
+            (row(contacts="jacobi"), "contacts is 'jacobi'"),
+            (row(integrator="symplectic_euler"), "integrator is SymplecticEuler .* has Verlet"),
+            (row(k=1e5), "damping is weak for the stiffness of its springs, where it was strong"),
+        ):
+            with pytest.raises(ts.SceneError, match=why):
+                used.reset(scene)
+
+
 def test_user_defined_parts_are_refused():
     class Push:
         @ti.func

@@ -110,6 +110,39 @@ def test_the_same_call_does_what_is_missing(tmp_path, monkeypatch):
     assert len(table(tmp_path / "s")) == 1
 
 
+def test_another_scene_is_noticed_in_what_its_file_reads(tmp_path, monkeypatch):
+    def heights(file, **more):
+        given = {"measure": "probes.p.y", "folder": tmp_path / file.partition(".")[0], "duration": 0.01, **HERE, **more}
+        return ts.sweep(str(tmp_path / file), {"gravity[1]" if file.endswith("toml") else "g": [-10.0, -5.0]}, **given)
+
+    ball = {"mass": np.array([1.0]), "velocity": np.zeros((1, 2))}
+    np.savez(tmp_path / "b.npz", position=np.array([[0.0, 1.0]]), **ball)
+    text = (
+        'format = 1\ndim = 2\ngravity = [0.0, -10.0]\n[[balls]]\nfile = "b.npz"\nradius = 0.1\n'
+        '[[probes]]\nname = "p"\nkind = "position"\nballs = [0]\n'
+    )
+    (tmp_path / "n.toml").write_text(text)
+    heights("n.toml")
+    (tmp_path / "n.toml").write_text(text + "# a comment changes nothing\n")
+    heights("n.toml")
+    np.savez(tmp_path / "b.npz", position=np.array([[0.0, 2.0]]), **ball)
+    with pytest.raises(FileExistsError, match="holds another sweep, which differs in contents"):
+        heights("n.toml")
+
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "height_of_balls.py").write_text("H = 1.0\n")
+    (tmp_path / "py.py").write_text(
+        "import taichi_sim as ts\nfrom height_of_balls import H\n\n\ndef scene(g=-10.0):\n"
+        "    scene = ts.Scene(dim=2, gravity=(0, g))\n    scene.add_balls([[0, H]], radius=0.1)\n"
+        '    scene.add_probe("p", "position", balls=[0])\n    return scene\n'
+    )
+    heights("py.py")
+    heights("py.py")
+    (tmp_path / "height_of_balls.py").write_text("H = 7.0\n")
+    with pytest.raises(FileExistsError, match="holds another sweep, which differs in contents"):
+        heights("py.py")
+
+
 def test_what_fails_is_a_row(tmp_path):
     def broken(simulation):
         raise AssertionError
