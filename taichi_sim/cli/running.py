@@ -189,7 +189,8 @@ def render(
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
-    """Draw a run that was written as arrays, without simulating again: in another style, by many processes."""
+    """Draw a run that was written as arrays, without simulating again: in another style, by many processes. All its frames are
+    drawn; --fps shows them faster or slower."""
     from taichi_sim.sweeps.pictures import draw
 
     chosen = keys_and_values("--style", style or ())

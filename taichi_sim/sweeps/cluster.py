@@ -161,6 +161,8 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
                 says = f"no scheduler answers there ({' '.join(str(error).split())[:120]})"
                 raise SceneError("scheduler", scheduler, says=says) from None
             with client:
+                with suppress(TimeoutError, OSError):  # workers may have been started just now
+                    client.wait_for_workers(1, timeout=PATIENCE)
                 yield Workers(client, _checked(client, scheduler), _answers(client.dashboard_link))
             return
         number = workers or os.cpu_count() or 1

@@ -78,7 +78,7 @@ def axis_of(path: str, given: Any) -> Axis:
         raise SceneError((path,), given, f"{FORMS}; the number of values is from 1 to {MOST_VALUES}")
     spread = np.geomspace(low, high, count) if log else np.linspace(low, high, count)
     whole = all(isinstance(n, int) for n in numbers) and not log and bool(np.all(spread == np.round(spread)))
-    return Axis(path, tuple(int(v) if whole else float(v) for v in spread), log=log)
+    return Axis(path, tuple(int(v) if whole else float(f"{v:.12g}") for v in spread), log=log)
 
 
 def axes_of(given: Mapping[str, Any] | Sequence[str]) -> tuple[Axis, ...]:

@@ -238,6 +238,11 @@ def _step(node: Any, parts: tuple[str | int, ...], depth: int, part: str | int) 
 def _nowhere(node: Any, parts: tuple[str | int, ...], depth: int) -> SceneError:
     here = key_name(parts[:depth]) or "the file"
     if isinstance(node, dict):
+        for table, entries in node.items() if depth == 0 else ():
+            if isinstance(entries, list) and any(isinstance(e, dict) and e.get("name") == parts[0] for e in entries):
+                rest = [part for part in parts[1:] if part != 0]
+                meant = key_name([table, *parts[:1], *rest])
+                return SceneError(parts, says=f"is no table of this scene, but a {table} has that name: {meant}")
         return SceneError(parts, says=f"is not in this scene; {did_you_mean(str(parts[depth]), list(node))}")
     if isinstance(node, list):
         names = [str(one["name"]) for one in node if isinstance(one, dict) and "name" in one]

@@ -180,6 +180,9 @@ def seeds_of(seeds: int | Sequence[int] | None) -> list[int | None]:
     return list(dict.fromkeys(found))
 
 
+LINE_AFTER = 30.0  # s, between lines where there is no terminal for a bar
+
+
 @contextmanager
 def bar(done: int, total: int, shown: bool) -> Iterator[Callable[[int, int], None]]:
     """Counts points that are done, and that failed."""
@@ -190,11 +193,14 @@ def bar(done: int, total: int, shown: bool) -> Iterator[Callable[[int, int], Non
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[failed]} failed"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
         task = progress.add_task("", total=total, completed=done, failed=0)
-        failed = 0
+        failed, said = 0, time.monotonic()
 
         def advance(more: int, wrong: int) -> None:
-            nonlocal failed
-            failed += wrong
+            nonlocal done, failed, said
+            done, failed = done + more, failed + wrong
             progress.update(task, advance=more, failed=failed)
+            if shown and not console.is_terminal and time.monotonic() - said > LINE_AFTER:  # in a log
+                said = time.monotonic()
+                console.print(f"{done} of {total} done, {failed} failed")
 
         yield advance
