@@ -16,6 +16,8 @@ BANDS = ((0.05, 0.95, 0.15), (0.25, 0.75, 0.25))  # quantiles, and how dense
 MOST_LINES = 400  # of parallel coordinates
 MAP = "viridis"
 
+MOST_TICKS = 9  # one at each value
+
 
 def draw(groups: Sequence[Group], axes: Sequence[Axis], measure: str) -> Any:
     """The figure of a measure, or None where nothing is known of it. Axes with one value are left out."""
@@ -115,6 +117,8 @@ def _ticks(axis: Any, along: Axis, words: list[Any] | None, x: np.ndarray, side:
         numbers = getattr(axis, f"{side}axis")
         numbers.set_major_formatter(LogFormatter())
         numbers.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.4)))
+    elif along.values and len(np.unique(x)) <= MOST_TICKS:
+        getattr(axis, f"set_{side}ticks")(np.unique(x), [f"{value:.4g}" for value in np.unique(x)])
 
 
 def _map(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Axis], measure: str) -> None:
@@ -152,17 +156,18 @@ def _parallel(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Ax
     some = sorted(groups[::step], key=lambda group: group.mean)
     means = np.array([group.mean for group in some])
     scale = ScalarMappable(Normalize(means.min(), means.max()), MAP)
-    heights, ends = [], []
+    heights, ends, logs = [], [], []
     for one in axes:
         x, words = _places(one, some)
-        if words is None and is_logarithmic(one, x):
+        logs.append(words is None and is_logarithmic(one, x))
+        if logs[-1]:
             heights.append(np.log(x / x.min()) / np.log(x.max() / x.min()))
         else:
             heights.append((x - x.min()) / max(np.ptp(x), 1e-300))
         ends.append((words[0], words[-1]) if words else (f"{x.min():.4g}", f"{x.max():.4g}"))
     heights.append((means - means.min()) / max(np.ptp(means), 1e-300))
     ends.append((f"{means.min():.4g}", f"{means.max():.4g}"))
-    names = [*(one.path for one in axes), measure]
+    names = [f"{one.path} (log)" if log else one.path for one, log in zip(axes, logs)] + [measure]
     for line, mean in zip(np.array(heights).T, means):
         axis.plot(range(len(names)), line, color=scale.to_rgba(mean), lw=0.9, alpha=0.7)
     for k, (low, high) in enumerate(ends):
@@ -173,6 +178,7 @@ def _parallel(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Ax
     axis.set_yticks([])
     axis.set_xticks(range(len(names)), names)
     axis.tick_params(axis="x", length=0, pad=18)
+    _bar(figure, axis, scale, measure)
     _dress(axis, grid=False)
     for spine in axis.spines.values():
         spine.set_visible(False)

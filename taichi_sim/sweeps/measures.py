@@ -16,15 +16,12 @@ from taichi_sim.sweeps.subject import described, source_of, sources_of
 __all__ = ["Measures", "measures_of"]
 
 STATISTICS = ("last", "min", "max", "mean")
-FIGURES = (
-    "energy.kinetic",
-    "energy.spring",
-    "energy.gravity",
-    "energy.total",
-    "contacts",
-    "penetration",
-    "largest_speed",
-)
+FIGURES = {  # with their units
+    **dict.fromkeys(("energy.kinetic", "energy.spring", "energy.gravity", "energy.total"), "J"),
+    "contacts": "",
+    "penetration": "m",
+    "largest_speed": "m/s",
+}
 SINCE_READ = ("force", "flux")  # kinds of probes that give means since they were last read
 
 
@@ -35,6 +32,7 @@ class Number:
     name: str
     source: str  # name of what is read
     statistic: str
+    unit: str = ""
 
     def of(self, found: Sequence[float]) -> float:
         """Of all readings, nan left out where it is no last one."""
@@ -58,6 +56,11 @@ class Measures:
     def names(self) -> list[str]:
         """Of the numbers; functions may give several of their own."""
         return [number.name for number in self.numbers]
+
+    def with_unit(self, name: str) -> str:
+        """`probes.load.y [N]`; numbers of the user's functions have none."""
+        unit = next((number.unit for number in self.numbers if number.name == name), "")
+        return f"{name} [{unit}]" if unit else name
 
     def identity(self) -> list[str]:
         """What they are, functions by their source."""
@@ -130,7 +133,7 @@ def _number(name: str, scene: Scene) -> Number:
     first: SceneError | None = None
     for base, statistic in choices:
         if base in FIGURES:
-            return Number(name, base, statistic)
+            return Number(name, base, statistic, FIGURES[base])
         if base.startswith("probes."):
             try:
                 quantity = quantity_of(scene, base.removeprefix("probes."))
@@ -139,7 +142,7 @@ def _number(name: str, scene: Scene) -> Number:
                 continue
             if len(quantity.numbers) > 1:
                 raise SceneError("measure", name, says=f"is a vector; name one of its numbers, {name}.x or the like")
-            return Number(name, f"probes.{quantity.numbers[0]}", statistic)
+            return Number(name, f"probes.{quantity.numbers[0]}", statistic, quantity.unit)
     if first is not None:
         raise SceneError("measure", says=f"{name}: {first}")
     known = [*FIGURES, *(f"probes.{probe.name}" for probe in scene.probes)]

@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Callable, Iterator
+from datetime import date
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -22,6 +23,10 @@ NOTE = """Share: of the variance between points that the means at the values of 
 and to their interplay. First: the part of the variance that goes when a parameter is known; total: that which stays while only
 it is unknown (Sobol; Saltelli's estimator): of few points it is off by so much that it may leave 0 to 1."""
 
+SPREAD = (
+    "± (95 %): the mean over many more seeds lies within this of the mean shown, in 95 of 100 sweeps (Student's t)."
+)
+
 
 def write_page(sweep: Any, name: str) -> Path:
     """Write the page, whole when it appears, and return its path."""
@@ -38,24 +43,32 @@ def write_page(sweep: Any, name: str) -> Path:
 
 def _content(sweep: Any, name: str) -> Iterator[tuple[str, Any]]:
     yield "title", f"Sweep of {name}"
-    yield "small", f"taichi_sim {__version__}, Python {platform.python_version()}, {processor()}"
+    yield (
+        "small",
+        f"{date.today().isoformat()}, taichi_sim {__version__}, Python {platform.python_version()}, {processor()}",
+    )
     yield "list", list(_about(sweep))
     rows = {row.key: row for row in sweep.rows}
     paths = [axis.path for axis in sweep.axes]
     for measure in sweep.measures[:MOST_MEASURES]:
         groups = grouped(sweep.rows, measure)
-        yield "heading", measure
-        figure = figures.draw(groups, sweep.axes, measure)
+        shown = sweep.with_unit(measure)
+        yield "heading", shown
+        figure = figures.draw(groups, sweep.axes, shown)
         if figure is not None:
             yield "picture", svg(figure)
         if len(paths) > 1 and len(groups) > 2:
+            yield "small", "What each parameter does, the strongest first."
             yield "table", _effects(groups, paths, sobol(sweep.design, sweep.points, rows, measure))
         if any(len(group.values) > 1 for group in groups):
+            yield "small", "Each combination, over its seeds."
             yield "table", _means(groups, paths)
     if len(sweep.measures) > MOST_MEASURES:
         yield "small", f"{len(sweep.measures) - MOST_MEASURES} more measures are in table.csv."
     if len(paths) > 1:
         yield "small", NOTE
+    if len({row.seed for row in sweep.rows}) > 1:
+        yield "small", SPREAD
     if sweep.failed:
         yield "heading", f"{len(sweep.failed)} points failed"
         said = []
@@ -94,7 +107,7 @@ def _effects(groups: list[Group], paths: list[str], indices: dict[str, tuple[flo
     for effect in main_effects(groups, paths):
         cells.append([effect.path, f"{effect.share:.1%}", f"{effect.low:.5g}", f"{effect.high:.5g}"])
         if indices:
-            cells[-1] += [f"{index:.2f}" for index in indices[effect.path]]
+            cells[-1] += [f"{index:.2f}".replace("-0.00", "0.00") for index in indices[effect.path]]
     return head, cells, [""] * len(cells)
 
 

@@ -39,6 +39,7 @@ class Sweep:
         folder: Path | None,
     ) -> None:
         self._subject, self._settings, self._measures = subject, dict(settings), measures
+        self.with_unit = measures.with_unit  # of a measure's name
         self.axes, self.design, self.points, self.folder = tuple(axes), design, list(points), folder
         self.rows = [rows[key] for key in dict.fromkeys(point.key for point in points) if key in rows]
 
