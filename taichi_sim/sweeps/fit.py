@@ -35,7 +35,7 @@ class Fit:
     """What a fit came to. parameters, measured: of the best point; target: what was asked; misfit: root of the mean square of
     (measured - target) / target; allowed: up to which misfit the target is reached.
 
-    sensitivity: for each parameter and measure the percent by which the measure changes where the parameter grows by 1
+    sensitivity: for each parameter and measure the percent of the target by which the measure changes where the parameter grows by 1
     percent. spread: the standard deviation of each parameter, in percent, where each target is known to 1 percent; inf where the
     targets do not tell it. at_end: parameters at an end of their range. seen: the least and largest of each measure in all runs.
     """
@@ -79,15 +79,22 @@ class Fit:
             said.append(
                 f"measured     {name} = {value:.6g}, asked {self.target[name]:.6g}; {least:.6g} to {most:.6g} in {self.runs} runs"
             )
-        said.append(f"misfit       {self.misfit:.2g} of the target, allowed {self.allowed:g}")
+        zero = any(value == 0.0 for value in self.target.values())
+        said.append(
+            f"misfit       {self.misfit:.2g} of the target{', or in SI units where it is 0' * zero}, allowed {self.allowed:g}"
+        )
         for path in self.at_end:
             said.append(f"at the end   {path} lies at an end of its range; widen it")
         for path, changes in self.sensitivity.items():
-            by = ", ".join(f"{name} by {change:+.3g} % of its size" for name, change in changes.items())
+            by = ", ".join(
+                f"{name} by {change:+.3g} % of its size" if self.target[name] else f"{name} by {0.01 * change:+.3g}"
+                for name, change in changes.items()
+            )
             said.append(f"sensitivity  1 % more of {path} changes {by}")
         for path, spread in self.spread.items():
             if math.isfinite(spread):
-                said.append(f"accuracy     targets that are known to 1 % tell {path} to {spread:.2g} %")
+                known = f"known to 1 %{', or .01 where they are 0,' * zero}"
+                said.append(f"accuracy     targets that are {known} tell {path} to {spread:.2g} %")
             else:
                 said.append(f"accuracy     these targets do not tell {path}: what it changes, others make up for")
         return said
@@ -205,7 +212,8 @@ class _Search:
         places = np.clip(places, 0.0, 1.0)
         new = [place for place in dict.fromkeys(map(tuple, places.tolist())) if place not in self.tried][: self.left]
         points = {place: [Point(self.parameters(place), seed) for seed in self.seeds] for place in new}
-        for _ in self.study.run([point for group in points.values() for point in group]):
+        at_most = (self.most + 2 * len(self.axes)) * len(self.seeds)
+        for _ in self.study.run([point for group in points.values() for point in group], at_most):
             pass
         for place, group in points.items():
             rows = [self.study.rows[point.key] for point in group]

@@ -55,15 +55,17 @@ class Study:
         )
         return missing
 
-    def run(self, points: Sequence[Point]) -> Iterator[list[Row]]:
-        """Run those that are missing; their rows, some at a time, as they come in."""
+    def run(self, points: Sequence[Point], at_most: int = 0) -> Iterator[list[Row]]:
+        """Run those that are missing; their rows, some at a time, as they come in. at_most: how many there may be in all where
+        what these come to decides on the next ones."""
         missing = self.missing(points)
         if not missing:
             return
         if self._engine is None:
             self._engine = self._connect()
             already = len({point.key for point in points}) - len(missing)
-            self._say(f"{len(missing)} points to run, {already} done before; {self._engine.said}")
+            more = f", then those that the search asks for, at most {at_most}" if at_most else ""
+            self._say(f"{len(missing)} points to run{more}, {already} done before; {self._engine.said}")
         size = max(1, min(BATCH, -(-len(missing) // (FEW_TASKS * self._engine.number))))
         for rows in self._engine.run(self._job, [missing[k : k + size] for k in range(0, len(missing), size)]):
             self.kept.add(rows)
