@@ -79,7 +79,7 @@ def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
     assert len(names["found"]) == 12
     assert not names["found"].failed
     assert float(capsys.readouterr().out) > 0.0
-    (command,) = re.findall(r"^taichi-sim (sweep .*)$", page, re.MULTILINE)
+    (command,) = re.findall(r"^taichi-sim (sweep .* -o \w+)$", page, re.MULTILINE)
     from taichi_sim.cli.main import main
 
     with pytest.raises(SystemExit) as ended:

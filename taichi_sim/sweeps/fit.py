@@ -35,9 +35,10 @@ class Fit:
     """What a fit came to. parameters, measured: of the best point; target: what was asked; misfit: root of the mean square of
     (measured - target) / target; allowed: up to which misfit the target is reached.
 
-    sensitivity: for each parameter and measure the percent of the target by which the measure changes where the parameter grows by 1
-    percent. spread: the standard deviation of each parameter, in percent, where each target is known to 1 percent; inf where the
-    targets do not tell it. at_end: parameters at an end of their range. seen: the least and largest of each measure in all runs.
+    sensitivity: for each parameter and measure the percent of the target by which the measure changes where the parameter grows
+    by one. spread: the standard deviation of each parameter, in percent, where each target is known to one percent; inf where
+    the targets do not tell it. at_end: parameters at an end of their range. seen: the least and largest of each measure in all
+    runs.
     """
 
     parameters: dict[str, float]
