@@ -17,7 +17,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.common.signals import heard, without_interrupts
 from taichi_sim.common.version import __version__
-from taichi_sim.sweeps.points import Job, Point, Row, Runner, keep_batch, run_batch
+from taichi_sim.sweeps.points import Job, Point, Row, Runner, batch_file, keep_batch, run_batch
 
 __all__ = ["Here", "Workers", "connected", "place", "require_workers"]
 
@@ -43,7 +43,7 @@ class Here:
         for batch in batches:
             rows = [self._runner.run(point) for point in batch]
             if job.folder is not None:
-                keep_batch(Path(job.folder), rows)
+                keep_batch(Path(job.folder), rows, job.mark)
             yield rows
 
     def close(self) -> None:
@@ -93,7 +93,7 @@ class Workers:
                         rows = future.result()
                 if rows is not None:
                     if job.folder is not None:
-                        keep_where_missing(Path(job.folder), rows)
+                        keep_where_missing(Path(job.folder), rows, job.mark)
                     yield rows
                 elif future.status == "error" and not isinstance(problem := future.exception(), KilledWorker):
                     raise BackendError(f"sweep: a worker failed: {problem}")
@@ -118,10 +118,10 @@ class Workers:
             waiting.append([point])
 
 
-def keep_where_missing(folder: Path, rows: Sequence[Row]) -> None:
+def keep_where_missing(folder: Path, rows: Sequence[Row], mark: str) -> None:
     """Workers on machines that do not see the folder leave their rows to this process."""
-    if not (folder / f"{rows[0].key}_{len(rows)}.jsonl").is_file():
-        keep_batch(folder, rows)
+    if not batch_file(folder, rows, mark).is_file():
+        keep_batch(folder, rows, mark)
 
 
 def versions() -> dict[str, str]:
@@ -157,7 +157,7 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
         if scheduler is not None:
             try:
                 client = distributed.Client(scheduler, timeout=PATIENCE)
-            except (OSError, ValueError, TimeoutError) as error:
+            except Exception as error:  # of an address that it does not know, whatever lies below
                 says = f"no scheduler answers there ({' '.join(str(error).split())[:120]})"
                 raise SceneError("scheduler", scheduler, says=says) from None
             with client:

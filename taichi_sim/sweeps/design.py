@@ -45,6 +45,9 @@ class Axis:
         return self.values or (self.low, self.high)
 
 
+RESERVED = ("seed", "error", "warning", "version", "wall")  # columns of the table
+
+
 def axis_of(path: str, given: Any) -> Axis:
     """An axis of a text, see FORMS, or a sequence of values. Raises SceneError, which names the path."""
     if not isinstance(given, str):
@@ -93,6 +96,10 @@ def axes_of(given: Mapping[str, Any] | Sequence[str]) -> tuple[Axis, ...]:
                 raise SceneError("vary", text, f"PATH=VALUES, values {FORMS}")
             pairs.append((path.strip(), values))
     axes = tuple(axis_of(path, values) for path, values in pairs)
+    for axis in axes:
+        if axis.path in RESERVED:
+            meant = "give seeds" if axis.path == "seed" else "name the argument otherwise"
+            raise SceneError((axis.path,), says=f"is a column of every table of a sweep; {meant}")
     for axis in axes:
         if sum(axis.path == other.path for other in axes) > 1:
             raise SceneError((axis.path,), says="is varied twice; give all its values once")

@@ -36,7 +36,7 @@ def grouped(rows: Sequence[Row], measure: str) -> list[Group]:
     for row in rows:
         _, values, failed = found.setdefault(repr(sorted(row.parameters.items())), (row.parameters, [], []))
         value = row.measures.get(measure, float("nan"))
-        (failed if np.isnan(value) else values).append(value)  # type: ignore[arg-type]
+        (values if np.isfinite(value) else failed).append(value)  # type: ignore[arg-type]
     return [Group(parameters, np.array(values), len(failed)) for parameters, values, failed in found.values()]
 
 
@@ -80,6 +80,9 @@ def main_effects(groups: Sequence[Group], paths: Sequence[str]) -> list[Effect]:
 
 def _parts(values: Sequence[Any]) -> list[NDArray[np.intp]]:
     """Numbers of points with the same value, or with neighbouring ones."""
+    values = [
+        value if isinstance(value, (str, int, float)) else str(value) for value in values
+    ]  # a list is a word, too
     different = list(dict.fromkeys(values))
     if len(different) <= max(BINS, len(values) // 4) or any(isinstance(value, str) for value in different):
         places = np.array([different.index(value) for value in values])

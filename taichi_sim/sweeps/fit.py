@@ -163,11 +163,15 @@ def fit(
         workers=workers, scheduler=scheduler, overwrite=overwrite, retry=False, say=say, allow_outside=allow_outside,
         settings=settings,
     ) as study:  # fmt: skip
-        search = _Search(study, axes, numbers, list(goal.values()), misfit, runs - 2 * len(axes))
+        search = _Search(study, axes, numbers, goal, misfit, runs - 2 * len(axes))
         start = _scan(axes, luck)
         found = search.misfits(start)
         if float(found.min()) >= FAILED:
-            error = next(iter(study.rows.values())).error
+            first = next(iter(study.rows.values()))
+            error = (
+                first.error
+                or f"it measured {', '.join(f'{name} = {value:g}' for name, value in first.measures.items())}"
+            )
             raise SceneError("vary", says=f"no run within the ranges gave a measure; the first failed: {error}")
         box = [(0.0, 1.0)] * len(axes)
         if method == "evolution":
@@ -192,12 +196,13 @@ class _Search:
         study: Study,
         axes: Sequence[Axis],
         seeds: Sequence[int | None],
-        goal: Sequence[float],
+        goal: Mapping[str, float],
         allowed: float,
         most: int,
     ) -> None:
         self.study, self.axes, self.seeds, self.allowed, self.most = study, axes, seeds, allowed, most
-        self.goal = np.array(goal)
+        self.names = [name.rpartition(":")[2] for name in goal]  # as rows have them
+        self.goal = np.array(list(goal.values()))
         self.unit = np.where(self.goal == 0.0, 1.0, np.abs(self.goal))
         self.tried: dict[tuple[float, ...], Floats] = {}  # what was measured, by place
         self.best: Floats = np.zeros(len(axes))
@@ -218,8 +223,8 @@ class _Search:
             pass
         for place, group in points.items():
             rows = [self.study.rows[point.key] for point in group]
-            values = [list(row.measures.values()) for row in rows if not row.error]
-            complete = len(values) == len(rows) and all(len(one) == len(self.goal) for one in values)
+            values = [[row.measures.get(name, np.nan) for name in self.names] for row in rows]
+            complete = bool(np.isfinite(values).all())
             self.tried[place] = np.mean(values, axis=0) if complete else np.full(len(self.goal), np.nan)
         unknown = np.full(len(self.goal), np.nan)
         return np.array([self.tried.get(place, unknown) for place in map(tuple, places.tolist())])

@@ -1,6 +1,7 @@
 """The folder of a sweep: rows as they come in, batch by batch, and the table of all of them. Whatever is killed, it is whole."""
 
 import csv
+import hashlib
 import io
 import json
 import os
@@ -29,7 +30,10 @@ class Folder:
 
     def __init__(self, path: Path, about: Mapping[str, Any], overwrite: bool = False) -> None:
         self.path, self.about = path, json.loads(json.dumps(about))
+        said = json.dumps(self.about, sort_keys=True).encode()
+        self.mark = f"{hashlib.sha256(said).hexdigest()[:12]}_"  # a worker of another sweep may write here yet
         self.rows: dict[str, Row] = {}
+        self._written: set[str] = set()  # keys of the file of all rows
         require_folder_place(path)
         self._lock: Any = None
         self._overwrite = overwrite
@@ -56,6 +60,9 @@ class Folder:
             self._empty()
         self.batches.mkdir(exist_ok=True)
         sweep(self.batches, "*")
+        for one in self.batches.glob("*.jsonl"):
+            if not one.name.startswith(self.mark):
+                one.unlink(missing_ok=True)
         with replacing(self.path / MARK) as file:
             file.write(json.dumps(self.about, indent=1).encode())
         self._compact()
@@ -74,7 +81,7 @@ class Folder:
 
     def _load(self) -> None:
         files = [self.path / ROWS] if (self.path / ROWS).is_file() else []
-        files += sorted(self.batches.glob("*.jsonl")) if self.batches.is_dir() else []
+        files += sorted(self.batches.glob(f"{self.mark}*.jsonl")) if self.batches.is_dir() else []
         for file in files:
             try:
                 self.rows.update((row.key, row) for row in rows_of(file.read_bytes()))
@@ -85,13 +92,14 @@ class Folder:
 
     def _compact(self) -> None:
         """One file in place of many: it is complete before they go. A worker may have written some that have not come in."""
-        found = list(self.batches.glob("*.jsonl"))
+        found = list(self.batches.glob(f"{self.mark}*.jsonl"))
         for one in found:
             for row in rows_of(one.read_bytes()):
                 self.rows.setdefault(row.key, row)
-        if found:
+        if found or self.rows.keys() - self._written:  # those of workers that were killed come without a file
             with replacing(self.path / ROWS) as file:
                 file.write(lines_of(self.rows.values()))
+            self._written = set(self.rows)
             for one in found:
                 one.unlink(missing_ok=True)
 
@@ -115,7 +123,7 @@ class Folder:
         writer.writerow(columns)
         writer.writerows(zip(*columns.values()))
         with replacing(self.path / TABLE) as file:
-            file.write(text.getvalue().encode())
+            file.write(text.getvalue().encode(errors="backslashreplace"))
         try:
             import pyarrow
             from pyarrow import parquet
@@ -155,5 +163,7 @@ def _of_one_type(values: list[Any]) -> list[Any]:
     """Texts, where not all are numbers: a column has one type."""
     kinds = {type(value) for value in values if value is not None}
     if kinds <= {int, float} or len(kinds) < 2:
+        if any(isinstance(v, int) and abs(v) >= 1 << 63 for v in values):
+            kinds = {int, float}
         return [float(v) if v is not None and kinds == {int, float} else v for v in values]
     return [None if value is None else str(value) for value in values]

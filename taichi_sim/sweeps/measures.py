@@ -1,6 +1,8 @@
 """Measures: the numbers that a run is reduced to: of probes, of the run itself, or by a function of the user's."""
 
+import hashlib
 import importlib
+import importlib.util
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -11,6 +13,7 @@ from typing import Any
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError, did_you_mean
 from taichi_sim.scene.scene import Scene
+from taichi_sim.sweeps.design import RESERVED
 from taichi_sim.sweeps.subject import described, source_of, sources_of
 
 __all__ = ["Measures", "measures_of"]
@@ -118,8 +121,13 @@ def measures_of(given: Any, scene: Scene) -> Measures:
         elif not isinstance(one, str):
             raise SceneError("measure", one, "a name or a function")
         elif ":" in one:
+            file, _, name = one.rpartition(":")
+            if file.endswith(".py"):
+                one = f"{Path(file).resolve()}:{name}"  # for workers in another folder
             loaded(one)
-            functions[one.rsplit(":", 1)[1]] = one
+            if functions.get(name, one) != one:
+                raise SceneError("measure", says=f"two functions are named {name!r}; rename one")
+            functions[name] = one
         else:
             numbers.append(_number(one, scene))
     since = {probe.name for probe in scene.probes if probe.kind in SINCE_READ}
@@ -155,6 +163,27 @@ def _source(function: Any) -> str:
     return sources_of(Path(file)) if file.endswith(".py") else source_of(loaded(function))
 
 
+def _module(file: Path) -> Any:
+    """A module of a file, by a name of its own: others may be called as it is."""
+    name = f"_measures_of_{hashlib.sha256(str(file).encode()).hexdigest()[:16]}"
+    if name not in sys.modules:
+        if not file.is_file():
+            raise FileNotFoundError(f"there is no file {file}")
+        if str(file.parent) not in sys.path:
+            sys.path.append(str(file.parent))  # what it imports
+        found = importlib.util.spec_from_file_location(name, file)
+        assert found is not None
+        assert found.loader is not None
+        module = importlib.util.module_from_spec(found)
+        sys.modules[name] = module
+        try:
+            found.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
+
+
 def loaded(function: Any) -> Callable[[Any], Any]:
     """A function, or that which `module:name` or `file.py:name` means. Raises SceneError where there is none."""
     if not isinstance(function, str):
@@ -162,13 +191,11 @@ def loaded(function: Any) -> Callable[[Any], Any]:
     module, _, name = function.rpartition(":")
     try:
         if module.endswith(".py"):
-            file = Path(module).resolve()
-            if str(file.parent) not in sys.path:
-                sys.path.insert(0, str(file.parent))
-            module = file.stem
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise SceneError("measure", function, says=f"cannot be imported: {error}") from None
+            found = getattr(_module(Path(module).resolve()), name)
+        else:
+            found = getattr(importlib.import_module(module), name)
+    except Exception as error:  # whatever the user's file raises
+        raise SceneError("measure", function, says=f"cannot be imported: {type(error).__name__}: {error}") from None
     if not callable(found):
         raise SceneError("measure", function, says="is no function")
     return found  # type: ignore[no-any-return]
@@ -176,7 +203,9 @@ def loaded(function: Any) -> Callable[[Any], Any]:
 
 def _numbers(name: str, value: Any) -> dict[str, float]:
     """What a function returned, by names."""
-    pairs = value.items() if isinstance(value, Mapping) else [(name, value)]
+    pairs = list(value.items()) if isinstance(value, Mapping) else [(name, value)]
+    if taken := [str(key) for key, _ in pairs if str(key) in RESERVED]:
+        raise SceneError("measure", says=f"{name}() returned {taken[0]!r}, a column of every table; name it otherwise")
     try:
         return {str(key): float(one) for key, one in pairs}
     except (TypeError, ValueError):

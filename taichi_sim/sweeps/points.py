@@ -18,7 +18,7 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.sweeps.measures import Measures
 from taichi_sim.sweeps.subject import Subject
 
-__all__ = ["Job", "Point", "Row", "Runner", "run_batch"]
+__all__ = ["Job", "Point", "Row", "Runner", "batch_file", "run_batch"]
 
 FPS, DURATION = 60.0, 5.0  # where neither the scene nor the user says it
 KINDS: dict[str, Any] = {  # of what a row holds
@@ -67,7 +67,8 @@ class Row:
 @dataclass(frozen=True)
 class Job:
     """How points are run. duration, fps: None leaves them to the scene; settings: arguments of Simulation over the scene's own;
-    folder: where batches of rows go, on all machines; apart: in a process that does nothing else."""
+    folder: where batches of rows go, on all machines; mark: what their names begin with, other for each sweep; apart: in a
+    process that does nothing else."""
 
     subject: Subject
     measures: Measures
@@ -76,6 +77,7 @@ class Job:
     fps: float | None = None
     folder: str | None = None
     apart: bool = True
+    mark: str = ""
     known_by: str = field(
         default_factory=lambda: uuid.uuid4().hex
     )  # a worker keeps its simulation from task to task of a job
@@ -174,15 +176,19 @@ def run_batch(job: Job, points: Sequence[Point]) -> list[Row]:
         _runner = Runner(job)
     rows = [_runner.run(point) for point in points]
     if job.folder is not None and Path(job.folder).is_dir():
-        keep_batch(Path(job.folder), rows)
+        keep_batch(Path(job.folder), rows, job.mark)
     _runner.relieve()
     return rows
 
 
-def keep_batch(folder: Path, rows: Sequence[Row]) -> None:
+def batch_file(folder: Path, rows: Sequence[Row], mark: str) -> Path:
+    """Where rows of the sweep with that mark go."""
+    return folder / f"{mark}{rows[0].key}_{len(rows)}.jsonl"
+
+
+def keep_batch(folder: Path, rows: Sequence[Row], mark: str = "") -> None:
     """Write rows to a file of their own, which appears whole."""
-    name = f"{rows[0].key}_{len(rows)}.jsonl"
-    with replacing(folder / name, swept=True) as file:
+    with replacing(batch_file(folder, rows, mark), swept=True) as file:
         file.write(lines_of(rows))
 
 

@@ -133,7 +133,7 @@ def open_study(
             kept.rows = {key: row for key, row in kept.rows.items() if not row.error}
         if isinstance(scene, Scene) and folder is not None:  # from now on the folder is this study's
             subject = subject_of(scene, home)
-        job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart)
+        job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart, kept.mark)
         yield Study(
             subject, measures, job, kept, kinds, lambda: stack.enter_context(connected(scheduler, workers, say)), say
         )

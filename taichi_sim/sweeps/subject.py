@@ -70,8 +70,10 @@ class FileSubject(Subject):
                 error.file = self.file
                 raise
         if seed is not None and self.seeded:
-            for pile in document["pile"]:
-                pile["seed"] = pile.get("seed", 0) + seed
+            piles = document["pile"] if isinstance(document["pile"], list) else []
+            for pile in piles:
+                if isinstance(pile, dict) and isinstance(pile.get("seed", 0), int):  # else it is refused as it is
+                    pile["seed"] = pile.get("seed", 0) + seed
         return Reader(self.file, self.text, document, None, self.allow_outside).scene()
 
     def identity(self) -> str:
@@ -89,6 +91,7 @@ class FunctionSubject(Subject):
 
     def __init__(self, function: Callable[..., Scene] | None = None, file: Path | None = None) -> None:
         self.file, self._function = file, function
+        self._sources = "" if file is None else sources_of(file)
         made = self.function
         self.name = getattr(made, "__name__", "scene") if file is None else file.stem
         takes = inspect.signature(made).parameters
@@ -104,6 +107,8 @@ class FunctionSubject(Subject):
         """What makes scenes."""
         if self._function is None:
             assert self.file is not None
+            if sources_of(self.file) != self._sources:
+                raise SceneError((), says="was changed while its points ran; run them again", file=self.file)
             self._function = python_scene(self.file)
         return self._function
 
@@ -125,7 +130,7 @@ class FunctionSubject(Subject):
 
     def identity(self) -> str:
         if self.file is not None:
-            return sources_of(self.file)
+            return self._sources
         return f"{described(self.function, 'scene')} {source_of(self.function)}"
 
 

@@ -175,7 +175,7 @@ def seeds_of(seeds: int | Sequence[int] | None) -> list[int | None]:
         return [None]
     if isinstance(seeds, (int, np.integer)):
         return list(range(validation.whole("seeds", int(seeds), 1, 10_000_000)))
-    found = [validation.whole("seeds", int(seed), 0) for seed in seeds]
+    found = [validation.whole("seeds", seed, 0) for seed in seeds]
     if not found:
         raise SceneError("seeds", says="are none; give a number of them")
     return list(dict.fromkeys(found))

@@ -278,7 +278,9 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
     folder.begin()
     points = [Point({"a": k}) for k in range(4)]
     for k in (0, 2):
-        keep_batch(folder.batches, [Row.of(point, measures={"m": float("nan")}) for point in points[k : k + 2]])
+        keep_batch(
+            folder.batches, [Row.of(point, measures={"m": float("nan")}) for point in points[k : k + 2]], folder.mark
+        )
     folder.close()
     again = Folder(tmp_path / "s", about)
     assert len(again.rows) == 4
@@ -331,12 +333,70 @@ def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
     folder = Folder(tmp_path / "s", {"scene": "x"})
     folder.begin()
     points = [Point({"a": k}) for k in range(3)]
-    keep_batch(folder.batches, [Row.of(point) for point in points[:2]])
+    keep_batch(folder.batches, [Row.of(point) for point in points[:2]], folder.mark)
     folder.add([Row.of(points[2])])
     folder.finish(points)
     folder.close()
     assert len(table(tmp_path / "s")) == 3
     assert len(Folder(tmp_path / "s", {"scene": "x"}).rows) == 3
+
+
+@pytest.mark.once
+def test_batches_of_another_sweep_and_rows_without_a_file(tmp_path):
+    """What a worker of an overwritten sweep writes late is not this one's; a row that says its worker was killed is kept."""
+    before = Folder(tmp_path / "s", {"duration": 1})
+    before.begin()
+    before.close()
+    now = Folder(tmp_path / "s", {"duration": 2}, overwrite=True)
+    now.begin()
+    keep_batch(now.batches, [Row.of(Point({"a": 1}), measures={"m": 1.0})], before.mark)
+    now.add([Row.of(Point({"a": 2}), error="its worker ended 4 times")])
+    now.finish([Point({"a": 1}), Point({"a": 2})])
+    now.close()
+    again = Folder(tmp_path / "s", {"duration": 2})
+    assert [row.parameters["a"] for row in again.rows.values()] == [2]
+    again.begin()
+    assert not list(again.batches.iterdir())
+    again.close()
+
+
+@pytest.mark.once
+def test_names_of_columns_measures_of_files_and_lists_as_values(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = {"duration": 0.002, **HERE}
+    for name in ("wall", "error"):
+        with pytest.raises(ts.SceneError, match=f"{name}: is a column of every table of a sweep; name the argument"):
+            ts.sweep(heap, {name: [1, 2]}, **given)
+    with pytest.raises(ts.SceneError, match="seed: is a column of every table of a sweep; give seeds"):
+        ts.sweep(heap, {"seed": [1, 2]}, **given)
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "m2.py").write_text("def h(sim):\n    return 5.0\n")
+    (tmp_path / "sub" / "m2.py").write_text("def h(sim):\n    return 99.0\n")
+    (tmp_path / "wrong.py").write_text("def h(sim)\n")
+    for measure, why in (
+        ("wrong.py:h", "cannot be imported: SyntaxError"),
+        ("nofile/json.py:dumps", "there is no file"),
+        (["m2.py:h", "sub/m2.py:h"], "two functions are named 'h'"),
+    ):
+        with pytest.raises(ts.SceneError, match=f"measure: .*{why}"):
+            ts.sweep(heap, {"restitution": [0.2]}, measure=measure, **given)
+    values = [
+        ts.sweep(heap, {"restitution": [0.2]}, measure=m, **given).rows[0].measures["h"]
+        for m in ("m2.py:h", "sub/m2.py:h")
+    ]
+    assert values == [5.0, 99.0]
+    (tmp_path / "two.toml").write_text(
+        "format = 1\ndim = 2\ngravity = [0.0, -9.0]\n[[pile]]\nresolution = [2, 2]\nradius = 0.1\nposition = [0.0, 1.0]\n"
+    )
+    varied = {"gravity": [[0.0, -9.0], [0.0, -5.0]], "pile[0].mass": [1.0, 2.0]}
+    found = ts.sweep("two.toml", varied, measure="energy.total", folder=tmp_path / "s", **given)
+    assert (tmp_path / "s" / "report.html").is_file()
+    assert len(found) == 4
+    for path, value in (("pile[0].seed", "abc"), ("pile[0]", 3), ("pile", 3)):
+        with pytest.raises(ts.SceneError, match="pile"):
+            ts.sweep("two.toml", {path: [value]}, seeds=2, **given)
+    with pytest.raises(ValueError, match="seeds"):
+        ts.sweep("two.toml", {"pile[0].mass": [1.0]}, seeds=[0.5, 1.7], **given)
 
 
 def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(tmp_path, monkeypatch):
@@ -346,13 +406,13 @@ def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(t
         said, number = "slow", 1
 
         def run(self, job, batches):
-            self.batches, self.folder = batches, tmp_path / "s" / "batches"
-            keep_batch(self.folder, rows := [Row.of(point) for point in batches[0]])
+            self.batches, self.folder, self.mark = batches, tmp_path / "s" / "batches", job.mark
+            keep_batch(self.folder, rows := [Row.of(point) for point in batches[0]], job.mark)
             yield rows
             raise KeyboardInterrupt
 
         def close(self):
-            keep_batch(self.folder, [Row.of(point) for point in self.batches[1]])
+            keep_batch(self.folder, [Row.of(point) for point in self.batches[1]], self.mark)
 
     monkeypatch.setattr("taichi_sim.sweeps.study.connected", lambda *_: closing(Slow()))
     with pytest.raises(KeyboardInterrupt):
@@ -501,7 +561,7 @@ def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path
     writing.begin()
     with pytest.raises(OSError, match="another sweep is writing it"):
         ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)
-    keep_batch(writing.batches, [Row.of(Point({"gravity[1]": -7.0}))])
+    keep_batch(writing.batches, [Row.of(Point({"gravity[1]": -7.0}))], writing.mark)
     with pytest.raises(OSError, match="another sweep is writing it"):
         ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, overwrite=True, **HERE)
     assert list(writing.batches.glob("*.jsonl"))
