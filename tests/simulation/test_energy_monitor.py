@@ -251,6 +251,9 @@ class Push:
         for i in range(model.n):
             impulse[i] += h * self.acceleration / model.inverse_mass[i] * ti.Vector([1.0, 0.0])
 
+    def stiffness_rate(self, scene):
+        return 0.0
+
 
 @ti.data_oriented
 class Drag:

@@ -41,6 +41,7 @@ def start(folder, workers):
     return subprocess.Popen(
         [sys.executable, "-m", "taichi_sim", *COMMAND, "--workers", str(workers)], cwd=folder, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, env={**os.environ, "PYTHONPATH": str(folder)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # where these tests run in the background it is ignored
     )  # fmt: skip
 
 
