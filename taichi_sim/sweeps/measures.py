@@ -73,7 +73,7 @@ class Measures:
         """Run a simulation for `duration` seconds from its start, and measure."""
         found: dict[str, list[float]] = {number.source: [] for number in self.numbers}
         steps = round(duration / simulation.dt)
-        frames = max(1, round(duration * fps)) if self.every_frame else 1
+        frames = max(1, round(min(duration * fps, steps))) if self.every_frame else 1  # a frame a step at most
         done = 0
         for k in range(1, frames + 1):
             upto = round(steps * k / frames)
