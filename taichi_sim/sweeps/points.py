@@ -186,7 +186,7 @@ def batch_file(folder: Path, rows: Sequence[Row], mark: str) -> Path:
     return folder / f"{mark}{rows[0].key}_{len(rows)}.jsonl"
 
 
-def keep_batch(folder: Path, rows: Sequence[Row], mark: str = "") -> None:
+def keep_batch(folder: Path, rows: Sequence[Row], mark: str) -> None:
     """Write rows to a file of their own, which appears whole."""
     with replacing(batch_file(folder, rows, mark), swept=True) as file:
         file.write(lines_of(rows))

@@ -166,8 +166,6 @@ def caught():
     return scene
 
 
-@pytest.mark.slow
-@pytest.mark.long_in("f64")
 @pytest.mark.long
 def test_triangles_beside_colours():
     """Balls are caught by a sheet and lie on each other: the momentum is kept, nothing goes through, and every driver agrees."""

@@ -178,7 +178,6 @@ def test_more_than_memory_holds_leaves_the_last_good_state(monkeypatch):
         assert found.grid is not grid
 
 
-@pytest.mark.slow
 @pytest.mark.long
 def test_rows_of_sticks_grow(monkeypatch):
     """Twenty sticks through a hundred balls that touch each of them."""

@@ -108,8 +108,6 @@ def test_the_times_that_a_users_force_sees_do_not_depend_on_calls():
         assert [*ends[1:], trajectories.digest(sim)] == [ends[0]] * 3
 
 
-@pytest.mark.slow
-@pytest.mark.long_in("f64")
 @pytest.mark.long
 def test_more_room_for_contacts_changes_nothing(monkeypatch):
     """Lists that overflow are made longer in the midst of a chunk: bits are those of a run that had the room."""
