@@ -44,7 +44,8 @@ class Aggregates:
         self.spring_block, self.dim = spring_block, model.dim
         free = np.flatnonzero(~scene.pinned)
         on_device = springs.order in ("atomic", "ends")  # one thread of a GPU is slow
-        self.active = len(free) >= FEWEST_BALLS and not on_device
+        pay = len(free) >= FEWEST_BALLS
+        self.active, self.missing = pay and not on_device, pay and on_device
         if not self.active:
             return
         self.count = 1 << int(np.log2(np.cbrt(FACTOR_COST * len(free))))

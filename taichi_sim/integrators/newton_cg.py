@@ -19,6 +19,7 @@ from taichi_sim.integrators.newton_decisions import (
     NUMBERS,
     READY,
     SEARCHING,
+    SLOW_MODES_PART,
     Verdicts,
     solve_stage,
 )
@@ -71,6 +72,8 @@ class StageSolver(Verdicts):
         start, _, spring = incidence(scene.pairs[springs.number], self.n)
         self.start, self.own_spring = fields.integers(start), fields.integers(spring)
         self.aggregates = Aggregates(model, springs, self.spring_block, fields)
+        self.slow = self.aggregates.missing
+        self.asked = self.tolerance * (SLOW_MODES_PART if self.slow else 1.0)
         self.bodies = FreeBodies(model, fields)
         self.gas = None if gases is None else StageGas(gases, fields)
         self.inflated = gases is not None
@@ -317,7 +320,7 @@ class StageSolver(Verdicts):
                 self.number[0].saddle = ti.select(curvature > 0.0, 0.0, 1.0)
             if self.in_phase(SEARCHING):
                 self.number[0].step = step
-                self.number[0].gain = step * descent  # dv A dv grows by that
+                self.add_gain(step * descent)  # dv A dv grows by that
                 self.number[0].moved += step * descent
         each_part(self.parts, self._descend, ())
         join((self.part.residual,), self.parts)

@@ -16,6 +16,7 @@ __all__ = [
     "READY",
     "SEARCHING",
     "SEARCH_ON",
+    "SLOW_MODES_PART",
     "Verdicts",
     "solve_stage",
 ]
@@ -25,6 +26,8 @@ MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
 MOST_TRIES = 8  # halvings of a change that went too far
 DOUBTFUL_GUESS = 0.3  # of the impulses: a guess that leaves more is compared with none
 FORCING_TERM = 0.1  # part of the residual that an iteration leaves: more would be lost to what is not linear
+GAIN_WINDOW = 0.2  # part of the iterations so far, the last ones, whose gains tell what is left of slow modes
+SLOW_MODES_PART = 0.3  # of the tolerance, where slow modes are solved last and the residual hides them
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
@@ -93,10 +96,12 @@ class Verdicts:
     number: Any  # (1) of NUMBERS
     wide: Any
     tolerance: float
+    asked: float  # of a solution: the tolerance, or a part of it
     order: int
     least: float
     rounding: float
     finest: float
+    slow: bool  # whether conjugate gradients lack the aggregates that solve slow modes first
     gated: bool  # whether launches run ahead: what is out of turn does nothing
 
     @ti.func
@@ -176,8 +181,20 @@ class Verdicts:
         return ti.cast(first or (large and iterations < MOST_ITERATIONS), ti.i32)
 
     @ti.func
+    def add_gain(self, gain):
+        """Of an iteration of conjugate gradients; where these converge slowly, with that of the last few."""
+        kept = ti.cast(0.0, self.wide)
+        if ti.static(self.slow):
+            kept = ti.max(0.0, 1.0 - 1.0 / ti.max(1.0, GAIN_WINDOW * (self.number[0].searches + 1.0)))
+        self.number[0].gain = kept * self.number[0].gain + gain
+
+    @ti.func
     def searching(self):
-        """Whether to search on: by what the last iteration gained, which sees the slow modes that the residual hides."""
+        """Whether to search on: by what the last iteration gained, which sees the slow modes that the residual hides.
+
+        What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952). Without
+        aggregates many small ones come, so that the last few are taken, see `add_gain`.
+        """
         goal = ti.max(FORCING_TERM**2 * self.number[0].moved, 0.1 * self.number[0].target)
         searches = self.number[0].searches
         more = (self.number[0].gain > goal or searches < 2.0) and self.number[0].rz > 0.0
@@ -191,7 +208,7 @@ class Verdicts:
         local error of the method; where a step does not resolve the motion, the tolerance it is.
         """
         force, residual = self.number[0].force, self.number[0].residual
-        part = ti.cast(self.tolerance, self.wide)
+        part = ti.cast(self.asked, self.wide)
         if force > 0.0:
             part = ti.min(part, LOCAL_ERROR_PART * (residual / force) ** (0.5 * self.order))
         self.number[0].target = self.number[0].scale * ti.max(self.least, part) ** 2

@@ -119,6 +119,14 @@ def test_springs_by_colours_are_as_accurate_as_in_turn(name, arch, on_cpu):
     assert mine < 1.1 * theirs
 
 
+@pytest.mark.parametrize("name", device_scenes.STIFF)
+def test_implicit_methods_are_solved_as_well_as_on_the_cpu(name, arch, on_cpu):
+    """By default settings, against the same steps solved to rounding: without aggregates a tolerance hides slow modes."""
+    here, there = device_scenes.stiff(name, arch), on_cpu(name)
+    mine, theirs = (np.sqrt(np.mean((found["position"] - there["exact"]) ** 2)) for found in (here, there))
+    assert mine < 2.0 * theirs + 5e-5
+
+
 def test_sums_over_many_balls_are_right(arch):
     """Energies in single precision, summed by few at a time, against double precision."""
     rng = np.random.default_rng(4)

@@ -343,6 +343,24 @@ def test_patches_save_passes(monkeypatch):
     assert error(found[0][1], found[1][1]) < 1e-3
 
 
+@pytest.mark.slow
+def test_without_aggregates_slow_modes_are_solved_as_well():
+    """What moves the cloth as a whole is small in the residual and comes last: tolerances are to mean the same."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    ts.shapes.cloth(scene, size=(1.2, 1), resolution=(26, 22), stiffness=4e4, mass=0.4, damping=0.1, pinned="right")
+    found = []
+    for accumulate, method in (
+        ("ordered", exactly("implicit_euler")),
+        ("ordered", ImplicitEuler()),
+        ("atomic", ImplicitEuler()),
+    ):
+        with simulate(scene, (accumulate, "parallel"), integrator=method, dt=4e-3, contacts="off") as sim:
+            sim.step(40)
+            found.append(sim.position)
+    converged, with_aggregates, without = found
+    assert 0.0 < error(without, converged) < 2.0 * error(with_aggregates, converged)
+
+
 def test_halves_of_patches_differ_by_one_ball_at_most():
     x = np.random.default_rng(3).normal(size=(203, 3))
     part = coarse_preconditioner.bisected(x, 16)
