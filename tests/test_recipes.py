@@ -46,7 +46,7 @@ def _here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_letters_on_a_trampoline(capfd):
     text = recipe("HELLO")
     scene = other(blocks(text, "toml")[0], ("spacing = 0.07", "spacing = 0.25"), ("[49, 25]", "[13, 7]"))
@@ -86,7 +86,7 @@ def test_cloth_over_a_mesh_of_ones_own(capfd):
     assert stage.GetPrimAtPath("/World/camera")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_discharge_of_a_hopper(monkeypatch):
     """The video of fewer grains; the law as it stands there."""
     text = recipe("A hopper")

@@ -242,7 +242,7 @@ def test_small_balls_go_through_cloth_unless_its_surface_collides():
 # While it runs and after ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_piston_that_squeezes_is_warned_of_and_judged():
     """Three rows of five balls between a wall and a piston: one warning, with the time and how deep."""
     scene = ts.Scene(dim=2, gravity=(0.0, -G))

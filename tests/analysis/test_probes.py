@@ -263,7 +263,7 @@ def test_walls_and_colliders_receive_all_that_balls_lose(make, settings):
         assert sum(np.linalg.norm(one) > 0.1 for one in impulses) >= 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_lies_still_presses_with_its_weight(tmp_path):
     """Floor, sides and sphere carry it together; what is restored holds the sums, and means go on."""
     scene = boxed(0.5, 0.4)

@@ -84,6 +84,8 @@ def sizes(rng, ratio):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("dim", "driver", "kind", "accumulate"), CASES)
+@pytest.mark.long_where(kind="levels", accumulate="gather")
+@pytest.mark.long_where(driver="parallel", kind="one_level")
 def test_a_thousand_scenes(dim, driver, kind, accumulate):
     """One compiled scene takes the positions and radii of all, is moved by set_position, by steps within the skin and beyond."""
     scene = ts.Scene(dim=dim)

@@ -218,7 +218,7 @@ def drum_scene(dim):
     return scene
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pile_in_a_turning_drum_is_lifted_and_stays_within():
     scene = drum_scene(2)
     with simulate(scene, dt=2e-3) as sim:

@@ -97,8 +97,7 @@ def state(sim):
     return np.hstack([sim.position, sim.velocity, sim.angular_velocity.reshape(sim.scene.n_balls, -1)])
 
 
-@pytest.mark.slow
-@pytest.mark.long_in("f64")
+@pytest.mark.long
 def test_the_same_bits_by_either_driver_and_from_a_file(tmp_path):
     """Nothing depends on which thread does what, or in which order blocks were listed."""
     scene = heap(3)
@@ -209,9 +208,8 @@ def resting(dim):
     return scene
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.long)])
-@pytest.mark.long_in("f64")
+@pytest.mark.long
 def test_a_pile_rests_as_by_the_order_of_the_cpu(dim):
     """One iteration by colours bears the pile as one in the CPU's order does, and better than four from split masses."""
     found = {}

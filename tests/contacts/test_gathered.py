@@ -39,9 +39,8 @@ def ended(scene, accumulate, steps=30, driver="parallel", **settings):
         )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.long_where(dim=3)
+@pytest.mark.long
 def test_the_same_motion_as_in_blocks(dim):
     """Only the order of sums differs; a heap makes 1e-16 of it 1e-12 in thirty steps."""
     scene = heap(dim)
@@ -67,7 +66,7 @@ def lay_side_by_side(monkeypatch):
     return lambda side_by_side: monkeypatch.setattr(pairs, "on_device", lambda: side_by_side)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lists_side_by_side_give_the_same_bits(lay_side_by_side):
     """Some balls have more neighbours than places of their own."""
     found = []

@@ -56,7 +56,7 @@ def test_a_heavy_ball_rests_on_a_loose_stick(heavy, settings):
     sim.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stick_rests_on_a_stick():
     scene = bridge(1.0, at=())
     scene.add_balls([[-0.2, R + 0.02], [0.25, R + 0.02]], radius=0.02, mass=1.0)
@@ -71,6 +71,7 @@ def test_a_stick_rests_on_a_stick():
 @pytest.mark.slow_where(restitution=0.0)
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 @pytest.mark.slow
+@pytest.mark.long_where(restitution=0.0)
 def test_what_falls_on_a_stick_gains_nothing(restitution):
     scene = bridge(40.0, restitution, drop=1.5, at=(-0.12, 0.1))
 

@@ -145,8 +145,7 @@ def test_elastic_crowds_keep_their_energy(dim, n, filled, gravity, speed, method
         *(pytest.param(m, 6.0, marks=pytest.mark.long) for m in ("symplectic_euler", "rk4")),
     ],
 )
-@pytest.mark.slow
-@pytest.mark.long_where(ratio=1.0)
+@pytest.mark.long
 def test_springs_in_an_elastic_crowd_take_nothing_from_it(method, ratio):
     """Some balls on springs, masses up to `ratio` apart: whichever way a spring pulls at an impact, what is thrown back is the
     velocity at that instant."""
@@ -160,7 +159,7 @@ def test_springs_in_an_elastic_crowd_take_nothing_from_it(method, ratio):
         assert abs(sim.energy().total - before) < 5e-3 * kinetic
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lossless_balls_that_overlap_at_rest_come_apart():
     """Side by side on the floor, where nothing presses them together and nothing ever will."""
     scene, radius = ts.Scene(dim=2, gravity=(0.0, -G)), 0.06

@@ -117,7 +117,7 @@ def test_few_large_balls_do_not_fill_the_lists_of_small_ones():
         assert sim.parts.contacts.pairs.number.to_numpy()[:5000].max() == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
     """A patch of discs that closes up, with hardly any room at first: what found too little is repeated, spin and all."""
     i, j = np.divmod(np.arange(100), 10)

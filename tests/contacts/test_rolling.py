@@ -55,6 +55,7 @@ def dumbbell(ground: str, dim: int) -> ts.Scene:
 )
 @pytest.mark.slow
 @pytest.mark.long_where(ground=["wall", "box"], contacts="gauss_seidel")
+@pytest.mark.long_where(ground=["box", "stick"], contacts="jacobi")
 def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
     """The feet lose mu g t, and only the loose ball turns: it rolls on at 2/3 (a disc) or 5/7 of its speed."""
     with simulate(dumbbell(ground, dim), contacts=contacts, dt=H) as sim:
@@ -72,6 +73,7 @@ def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi", "sum"])
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.long_where(dim=2)
+@pytest.mark.long_where(contacts=["jacobi", "sum"])
 def test_a_loose_ball_rolls_on_one_that_does_not(dim, contacts):
     """A rough impact of a loose ball with one on a spring: each pair of masses gives and takes the same momentum, the sliding
     speed ends as 0 where friction is enough, and only the loose one turns."""

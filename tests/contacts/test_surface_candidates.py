@@ -38,9 +38,8 @@ def _throw(out, rng):
     out.add_balls(x, radius=0.015, mass=2e-3, velocity=[0.0, -3.0, 0.0])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("thrown", [True, False], ids=["beside-a-grid", "alone"])
-@pytest.mark.long_where(thrown=True)
+@pytest.mark.long
 def test_bits_do_not_depend_on_the_skin(monkeypatch, thrown):
     what = scene(thrown)
     runs, searches = [], []

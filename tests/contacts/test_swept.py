@@ -83,7 +83,7 @@ def test_ten_thousand_bullets(dim, contacts):
     check_bullets(dim, 3334, seed=2, variant=("ordered", "parallel"), contacts=contacts)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_swung_stick_takes_balls_at_rest_along():
     """Its ends move three radii of the small balls a step; the balls themselves are slow."""
     scene = ts.Scene(dim=2)
@@ -150,7 +150,7 @@ def test_a_row_of_bullets_stops_one_by_one():
         assert sim.penetration() < r
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_ball_slides_fast_along_a_stick():
     """Further than its radius in a step, just at the distance of touch."""
     scene = ts.Scene(dim=2)

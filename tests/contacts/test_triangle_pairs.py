@@ -157,7 +157,7 @@ def cluster_run(request):
         yield sim, at
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pass_keeps_momentum_and_never_adds_energy(cluster_run):
     """Any masses, pins, restitutions, frictions and spins, of triangles, edges and balls on top of each other."""
     sim, at = cluster_run
@@ -193,7 +193,7 @@ def test_a_pass_keeps_momentum_and_never_adds_energy(cluster_run):
     assert met > 0.9 * 40 * PLACES
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_pins_hold_throws_nothing():
     """A pin beside the edge between two others, or led onto it: the third corner can do nothing about it."""
     scene, free = ts.Scene(dim=3), []

@@ -76,7 +76,7 @@ def test_what_is_set_comes_back_and_bad_balls_are_named(always):
         assert caught.value.ball == 31
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_restored_with_the_same_bits(always, tmp_path):
     scene = ts.Scene(dim=2, gravity=(0.0, -9.81))
     scene.add_balls(

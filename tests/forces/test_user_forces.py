@@ -250,6 +250,7 @@ class Link(ts.Element):
 
 
 @pytest.mark.slow
+@pytest.mark.long_in("f64")
 def test_what_an_element_joins_does_not_roll_like_casters():
     """As what a spring joins: two balls that are pulled to each other slide on the floor, x'' = mu g - 2 k x / m."""
     found = []

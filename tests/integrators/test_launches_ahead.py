@@ -57,6 +57,7 @@ def solved(scene, method, accumulate, ahead, monkeypatch):
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 @pytest.mark.parametrize("build", [hanging_cloth, thrown_jelly, balloon])
 @pytest.mark.long_where(build=[hanging_cloth, balloon])
+@pytest.mark.long_where(method="tr_bdf2")
 def test_the_same_solution_with_few_questions(build, method, monkeypatch):
     there, report, asked = solved(build(), method, "atomic", False, monkeypatch)
     here, ahead, counts = solved(build(), method, "gather", True, monkeypatch)

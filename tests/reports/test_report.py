@@ -43,7 +43,7 @@ def made_up(monkeypatch):
 # What was measured -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_reference_is_the_closed_solution(made):
     _, findings, _ = made
     reference = findings.reference

@@ -68,7 +68,7 @@ def test_sticks_have_the_same_bits_in_both_drivers():
     assert one.bits == two.bits, f"{np.max(np.abs(one.last.x - two.last.x)):.2e} m apart"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_and_two_threads_have_the_same_bits():
     def run(threads):
         command = [sys.executable, str(Path(physics_bits.__file__)), PRECISION, str(threads)]

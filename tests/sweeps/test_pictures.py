@@ -54,6 +54,7 @@ def images(folder):
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_a_recording_has_the_frames_of_its_run(run):
     frames = Recording(run / "s.npz")
     assert (len(frames), frames.fps) == (10, 20.0)
@@ -209,6 +210,7 @@ DATA += [name for name, module in (("x.gsd", "gsd"), ("x.usda", "pxr")) if find_
 
 
 @pytest.mark.once
+@pytest.mark.long
 def test_files_of_a_recording_are_those_of_its_run(tmp_path):
     """With its contacts and probes, byte by byte."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))

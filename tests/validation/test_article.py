@@ -51,6 +51,7 @@ def test_row_1_position_moves_with_velocity(dim):
 
 @each_dim
 @pytest.mark.slow
+@pytest.mark.long_where(dim=2)
 def test_row_2_friction_sees_only_the_relative_velocity(dim):
     """Two balls that touch, and move sideways together, keep that velocity whatever the friction."""
     together, n, f = vector(dim, 0.0, 3.0, 1.0), vector(dim, 1.0), 200.0
@@ -206,6 +207,7 @@ def test_row_9_resting_balls_do_not_jitter(dim):
 
 @each_dim
 @pytest.mark.slow
+@pytest.mark.long_where(dim=2)
 def test_row_10_push_out_gives_no_speed(dim):
     """Inside the slop nothing moves and the energy stays; deeper, position is corrected and velocity never sees it."""
     depth = 0.005 * R

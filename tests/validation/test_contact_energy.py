@@ -109,6 +109,7 @@ def test_packs_thrown_together(dim):
 
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
 @pytest.mark.slow
+@pytest.mark.long_where(contacts="jacobi")
 def test_two_elastic_balls_on_each_other_bounce_and_keep_most_of_their_energy(contacts):
     """At forty speeds: wherever in a step they meet the floor, it pushes once only, and what the passes leave is a loss."""
     scene = ts.Scene(dim=2, gravity=(0.0, -10.0))

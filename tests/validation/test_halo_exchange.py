@@ -7,6 +7,7 @@ from physics_support import F64
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not F64, reason="equal within rounding is said of double precision")]
 
 
+@pytest.mark.long_in("f64")
 def test_two_halves_are_the_whole():
     width = 2.0 * RADIUS * LAYERS
     for one in compared((50, 100), again=True):
@@ -19,6 +20,7 @@ def test_two_halves_are_the_whole():
         assert one.moved > 1.0
 
 
+@pytest.mark.long_in("f64")
 def test_a_halo_of_one_diameter_cuts_clusters():
     (one,) = compared((50,), layers=1)
     assert one.balls == BALLS

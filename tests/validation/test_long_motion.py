@@ -90,6 +90,7 @@ def test_pendulum_period(dim, method):
 
 @pytest.mark.slow
 @each_dim
+@pytest.mark.long_where(dim=2)
 def test_damped_chain_comes_to_its_stretch(dim):
     scene = ts.Scene(dim=dim, gravity=(0.0, -9.81, 0.0)[:dim])
     x = np.outer(np.arange(CHAIN_N + 1) * CHAIN_L, vector(dim, 0.0, -1.0))

@@ -35,6 +35,7 @@ def contact_forces(sim: ts.Simulation) -> dict[tuple[int, int], float]:
 @pytest.mark.slow_where(contacts="jacobi")
 @pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
 @pytest.mark.slow
+@pytest.mark.long_where(contacts="jacobi")
 def test_forces_in_a_stack_of_10(contacts):
     """Contact s from the floor carries (N - s + 1) m g; overlap below the slop and 1 % r; no drift."""
     mass, n = 3.0, 10
