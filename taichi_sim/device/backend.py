@@ -17,7 +17,7 @@ from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.compiling import count_time
 from taichi_sim.device.devices import find, verdict
-from taichi_sim.device.engine import ENGINE, QUADRANTS_ARCHES, VERSION, finds, ti
+from taichi_sim.device.engine import ENGINE, QUADRANTS_ARCHES, VERSION, finds, program, ti
 
 __all__ = ["ARCHES", "PRECISIONS", "Backend", "check_thread", "has_wide_numbers", "running", "start", "stop"]
 
@@ -59,17 +59,19 @@ class Backend(NamedTuple):
 
 _running: Backend | None = None
 _owner: tuple[int, int, str] | None = None  # process, thread and its name that started it
+_program: Any = None  # the engine's, which goes where somebody else resets or starts it
 _starting = threading.Lock()
 
 
 def running() -> Backend | None:
-    """The backend of this process, or None before the first start."""
-    return _running
+    """The backend of this process, or None before the first start, and after somebody's own `ti.reset()` or `ti.init()`."""
+    return _running if _running is not None and program() is _program else None
 
 
 def has_wide_numbers() -> bool:
     """Whether what runs has 64-bit numbers."""
-    return _running is None or _running.has_wide_numbers
+    runs = running()
+    return runs is None or runs.has_wide_numbers
 
 
 def check_thread() -> None:
@@ -93,11 +95,13 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
     """Start Taichi, or return what runs already when it fits.
 
     Args: what is left None takes what runs, or else arch "auto" (a GPU if one works, else the CPU), precision "f32" and
-    all CPU threads. Raises ValueError for an unknown word, BackendError for a missing device or a second, different start.
+    all CPU threads. Raises ValueError for an unknown word, or threads with the arch of a GPU, BackendError for a missing device or a second, different start.
     """
-    global _running, _owner
+    global _running, _owner, _program
     if arch is not None and arch not in ARCHES:
         raise ValueError(f"arch: {arch!r} is not allowed; it must be one of {', '.join(ARCHES)}")
+    if threads is not None and arch not in (None, "auto", "cpu"):
+        raise ValueError(f"threads: {threads!r} is not allowed; they are those of arch 'cpu', and {arch!r} was asked for")
     if precision is not None and precision not in PRECISIONS:
         raise ValueError(f"precision: {precision!r} is not allowed; it must be f32 or f64")
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
@@ -111,8 +115,9 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
             f"arch: {arch!r} was asked for, where Quadrants does not run these kernels; use 'cpu' or 'cuda', or Taichi"
         )
     with _starting:
-        if _running is None:
+        if _running is None or program() is not _program:
             _running = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
+            _program = program()
             _owner = (os.getpid(), threading.get_ident(), threading.current_thread().name)
             return _running
     check_thread()
@@ -133,11 +138,11 @@ def stop() -> None:
     """End Taichi in this process, which gives all its memory back. Simulations and renderers that exist are closed by that; the
     next one starts it again, with any arch and precision, and finds kernels of another process in the cache, as it would first
     in this one."""
-    global _running, _owner
+    global _running, _owner, _program
     check_thread()
     if _running is not None:
         ti.reset()
-        _running = _owner = None
+        _running = _owner = _program = None
 
 
 def _init(arch: str, precision: str, threads: int) -> Backend:

@@ -134,6 +134,38 @@ assert not np.array_equal(ends[0], ends[2])
 """
 
 
+RESETS = """
+import taichi as ti
+import taichi_sim as ts
+from taichi_sim.device import backend
+scene = ts.Scene(dim=2, gravity=(0, -8))
+scene.add_balls([[0, 2]], radius=0.1)
+for own in (ti.reset, lambda: ti.init(arch=ti.cpu, default_fp=ti.f32)):
+    old = ts.Simulation(scene, precision="f64", arch="cpu", contacts="off", dt=1e-3)
+    own()
+    assert backend.running() is None
+    new = ts.Simulation(scene, precision="f64", arch="cpu", contacts="off", dt=1e-3)
+    new.step(100)
+    assert abs(new.position[0, 1] - (2 - 4 * 0.1**2)) < 1e-12, new.position
+    try:
+        old.step(1)
+    except RuntimeError as error:
+        assert "closed" in str(error)
+    else:
+        raise AssertionError
+"""
+
+
+def test_after_somebodys_own_reset_of_taichi_simulations_start_it_again():
+    done = subprocess.run([sys.executable, "-c", RESETS], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
+def test_threads_of_a_gpu_are_refused():
+    with pytest.raises(ValueError, match="threads: 2 is not allowed; they are those of arch 'cpu', and 'vulkan'"):
+        backend.start(arch="vulkan", threads=2)
+
+
 def test_a_stopped_engine_starts_again_in_any_precision():
     done = subprocess.run([sys.executable, "-c", STOPS], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
