@@ -101,7 +101,9 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
     if arch is not None and arch not in ARCHES:
         raise ValueError(f"arch: {arch!r} is not allowed; it must be one of {', '.join(ARCHES)}")
     if threads is not None and arch not in (None, "auto", "cpu"):
-        raise ValueError(f"threads: {threads!r} is not allowed; they are those of arch 'cpu', and {arch!r} was asked for")
+        raise ValueError(
+            f"threads: {threads!r} is not allowed; they are those of arch 'cpu', and {arch!r} was asked for"
+        )
     if precision is not None and precision not in PRECISIONS:
         raise ValueError(f"precision: {precision!r} is not allowed; it must be f32 or f64")
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):

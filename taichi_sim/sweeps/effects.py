@@ -13,6 +13,7 @@ from taichi_sim.sweeps.points import Point, Row
 __all__ = ["Effect", "Group", "grouped", "half_width", "main_effects", "sobol"]
 
 CONFIDENCE = 0.95
+LARGEST_VALUE = 1e100  # of a measure: beyond it sums of squares overflow; such a value is counted as failed
 BINS = 8  # of a parameter that was sampled
 Floats = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ def grouped(rows: Sequence[Row], measure: str) -> list[Group]:
     for row in rows:
         _, values, failed = found.setdefault(repr(sorted(row.parameters.items())), (row.parameters, [], []))
         value = row.measures.get(measure, float("nan"))
-        (values if np.isfinite(value) else failed).append(value)  # type: ignore[arg-type]
+        (values if abs(value) <= LARGEST_VALUE else failed).append(value)  # type: ignore[arg-type]
     return [Group(parameters, np.array(values), len(failed)) for parameters, values, failed in found.values()]
 
 

@@ -103,10 +103,8 @@ class Runner:
                 measures = self.measured(scene)
             except UnstableError as unstable:
                 error = f"unstable: {unstable}"
-            except (ValueError, ArithmeticError, BackendError, OSError, MemoryError) as problem:
-                error = f"{type(problem).__name__}: {problem}"
-            except Exception as problem:  # of the user's functions
-                error = f"{type(problem).__name__}: {problem}"
+            except (Exception, SystemExit) as problem:  # of the user's functions, too
+                error = f"{type(problem).__name__}: {_words(problem)}"
         said = "; ".join(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning)))
         return Row.of(
             point,
@@ -159,8 +157,16 @@ class Runner:
             backend.stop()
 
 
+def _words(problem: BaseException) -> str:
+    """What an exception says, or that it cannot."""
+    try:
+        return str(problem)
+    except Exception as inner:  # of the user's class
+        return f"(its message raises {type(inner).__name__})"
+
+
 def _cut(text: str) -> str:
-    text = " ".join(text.split())
+    text = " ".join(text.encode("utf-8", "backslashreplace").decode().split())  # files hold no lone surrogates
     return text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]}..."
 
 

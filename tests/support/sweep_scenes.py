@@ -61,3 +61,22 @@ def both(simulation):
 def load(simulation):
     """Weight of what hangs on the spring of `springs` [N]."""
     return simulation.scene.mass[1] * 10.0
+
+
+class UnspeakableError(Exception):
+    """What it says cannot be read."""
+
+    def __str__(self):
+        raise KeyError
+
+
+def hostile(simulation):
+    """Ends in another way at each speed; from 4 m/s on numbers whose squares overflow."""
+    speed = round(simulation.scene.velocity[0, 0])
+    if speed == 1:
+        raise UnspeakableError
+    if speed == 2:
+        raise SystemExit(3)
+    if speed == 3:
+        raise ValueError("a lone \udc80 surrogate")
+    return 1.7e308 * (-1) ** speed

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from physics_support import PRECISION
-from sweep_scenes import both, heap, mortal, slow, springs, top
+from sweep_scenes import both, heap, hostile, mortal, slow, springs, top
 
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
@@ -158,6 +158,19 @@ def test_what_fails_is_a_row(tmp_path):
         ts.sweep(heap, {}, measure=lambda sim: 1.0, **HERE)
     with pytest.raises(ValueError, match="no folder"):
         done.report()
+
+
+def test_whatever_a_measure_raises_or_returns_is_in_the_table_and_on_the_page(tmp_path):
+    speeds = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    done = ts.sweep(heap, {"speed": speeds}, measure=hostile, duration=0.02, folder=tmp_path / "s", **HERE)
+    assert [row.error for row in done.rows] == [
+        "UnspeakableError: (its message raises KeyError)",
+        "SystemExit: 3",
+        "ValueError: a lone \\udc80 surrogate",
+        *[""] * 3,
+    ]
+    assert [row["hostile"] for row in table(tmp_path / "s")] == ["", "", "", "1.7e+308", "-1.7e+308", "1.7e+308"]
+    assert "surrogate" in done.report().read_text()
 
 
 def test_an_unstable_point_is_a_row():
