@@ -95,7 +95,8 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
     """Start Taichi, or return what runs already when it fits.
 
     Args: what is left None takes what runs, or else arch "auto" (a GPU if one works, else the CPU), precision "f32" and
-    all CPU threads. Raises ValueError for an unknown word, or threads with the arch of a GPU, BackendError for a missing device or a second, different start.
+    all CPU threads. Raises ValueError for an unknown word, or threads with the arch of a GPU, BackendError for a missing
+    device or a second, different start.
     """
     global _running, _owner, _program
     if arch is not None and arch not in ARCHES:
