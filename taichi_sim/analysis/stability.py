@@ -32,9 +32,16 @@ class Stability(NamedTuple):
     reason: str
 
 
-def stability(scene: Scene, method: Method, position: Floats | None = None, custom: Rates = NO_RATES) -> Stability:
+def stability(
+    scene: Scene,
+    method: Method,
+    position: Floats | None = None,
+    custom: Rates = NO_RATES,
+    torn: NDArray[np.bool_] | None = None,
+) -> Stability:
     """Largest safe step of a scene by a method. position (n, dim) [m]: the present shape; without it that bound, which takes
-    seconds for a million balls, is not asked for, and dt_present is dt_any_shape. custom: what user-defined forces declare."""
+    seconds for a million balls, is not asked for, and dt_present is dt_any_shape. custom: what user-defined forces declare.
+    torn: (m,) springs that are no more."""
     limit = method.limit
     if limit is None:
         return _unlimited(f"{method} declares no stability limit, so the step that is safe is not known")
@@ -48,13 +55,13 @@ def stability(scene: Scene, method: Method, position: Floats | None = None, cust
         )
     if not limit.by_springs and not any(rates):
         return _unlimited(f"{method} is stable at any step; only its error grows")
-    if not limit.by_springs or not np.any(scene.stiffness + scene.damping > 0):
+    k, c = _whole(scene, torn)
+    if not limit.by_springs or not np.any(k + c > 0):
         return _of_elements(method, limit, rates, custom)
-    k, c = scene.stiffness, scene.damping
     h, spring = limit.of_springs(_any_shape(scene, k, c, rates))
     if np.isinf(h):
         return _unlimited("no spring has stiffness or damping: every step is stable")
-    now = h if position is None else max(h, present_limit(scene, method, position, custom)[0])
+    now = h if position is None else max(h, present_limit(scene, method, position, custom, torn)[0])
     i, j = (int(b) for b in scene.pairs[spring])
     load = np.bincount(scene.pairs.ravel(), np.repeat(k + c, 2), scene.n_balls) / scene.mass * ~scene.pinned
     ball = i if load[i] >= load[j] else j
@@ -72,11 +79,15 @@ def stability(scene: Scene, method: Method, position: Floats | None = None, cust
     return Stability(h, now, spring, ball, reason + limit.caution)
 
 
-def present_limit(scene: Scene, method: Method, position: Floats, custom: Rates = NO_RATES) -> tuple[float, int]:
-    """The largest safe step [s] at `position` (n, dim) [m], and the spring that sets it, or -1 where springs do not."""
-    k, c, limit = scene.stiffness, scene.damping, method.limit
-    if limit is None or not limit.by_springs or not len(k):
-        return stability(scene, method, None, custom).dt_any_shape, -1
+def present_limit(
+    scene: Scene, method: Method, position: Floats, custom: Rates = NO_RATES, torn: NDArray[np.bool_] | None = None
+) -> tuple[float, int]:
+    """The largest safe step [s] at `position` (n, dim) [m], and the spring that sets it, or -1 where springs do not. torn: as
+    above."""
+    k, c = _whole(scene, torn)
+    limit = method.limit
+    if limit is None or not limit.by_springs or not np.any(k + c > 0):
+        return stability(scene, method, None, custom, torn).dt_any_shape, -1
     rates = _explicit(scene, method, custom)
     return limit.of_springs(Network(scene, k, c, rates, lambda k, c: present_eigenvalue(scene, k, c, position)))
 
@@ -89,6 +100,13 @@ def without(scene: Scene, method: Method, spring: int, custom: Rates = NO_RATES)
     if limit is None:
         return np.inf
     return limit.of_springs(_any_shape(scene, k, c, rates))[0] if np.any(k + c > 0) else limit.of_elements(rates)
+
+
+def _whole(scene: Scene, torn: NDArray[np.bool_] | None) -> tuple[Floats, Floats]:
+    """Stiffness and damping (m,) of the springs, 0 of those that have torn."""
+    if torn is None or not torn.any():
+        return scene.stiffness, scene.damping
+    return np.where(torn, 0.0, scene.stiffness), np.where(torn, 0.0, scene.damping)
 
 
 def _any_shape(scene: Scene, k: Floats, c: Floats, rates: Rates) -> Network:

@@ -287,10 +287,10 @@ class Simulation(Reader):
         return self.parts.integrator.solver_report() if self._state is not None else None
 
     def stability(self) -> Stability:
-        """The largest safe step, in every shape and in the present one, and what limits it."""
+        """The largest safe step of what has not torn, in every shape and in the present one, and what limits it."""
         if self._still:
             return self._stability
-        return stability(self.scene, self.settings.integrator.method, self.position, self.force_rates)
+        return stability(self.scene, self.settings.integrator.method, self.position, self.force_rates, self.torn)
 
     @property
     def setup(self) -> Setup:

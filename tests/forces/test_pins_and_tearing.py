@@ -153,6 +153,25 @@ def test_torn_springs_are_saved(tmp_path):
         np.testing.assert_array_equal(again.position, end)
 
 
+def test_torn_springs_limit_no_step():
+    """The stiffer one of a chain tears: the safe step is that of the other, in every shape and in this one."""
+    scene = strip()
+    scene.set_springs(stiffness=[100.0, 900.0], break_strain=[np.inf, 0.05])
+    weaker = strip()
+    weaker.set_springs(stiffness=[100.0, 0.0], damping=[1.0, 0.0])
+    with simulate(scene, dt=1e-3, contacts="off") as sim:
+        before = sim.stability()
+        while not sim.torn.any():
+            sim.step()
+            assert sim.time < 2.0
+        after = sim.stability()
+    with simulate(weaker, dt=1e-3, contacts="off") as alone:
+        expected = alone.stability()
+    assert after.spring == 0
+    assert after.dt_any_shape == expected.dt_any_shape > 1.5 * before.dt_any_shape
+    assert after.dt_present >= after.dt_any_shape
+
+
 def test_a_spring_without_length_is_held_where_others_tear():
     scene = strip()
     scene.add_balls([[0.0, 0.0]], radius=0.01)
