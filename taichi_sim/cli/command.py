@@ -47,7 +47,14 @@ Transparent = Annotated[bool, flag("transparent", "PNG frames without background
 Workers = Annotated[int | None, typer.Option(help="Processes; one for each core otherwise, 0: this one alone.")]
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
 Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
-SIMULATION = ("arch", "dt", "tolerance", "integrator", "precision")  # with "threads", arguments of a Simulation
+SIMULATION = (
+    "arch",
+    "dt",
+    "tolerance",
+    "integrator",
+    "contacts",
+    "precision",
+)  # with "threads", arguments of a Simulation
 
 
 def subcommand(*shared: str, name: str | None = None) -> Callable[[Callable[..., None]], None]:
@@ -109,7 +116,7 @@ class Job:
         from taichi_sim.files.source import open_simulation
 
         given = self._given()
-        for key in ("dt", "tolerance", "integrator"):
+        for key in ("dt", "tolerance", "integrator", "contacts"):
             if key in given:
                 raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
         if given:

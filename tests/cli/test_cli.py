@@ -316,6 +316,7 @@ FROM_TAICHI = [
         "arch: 'gpu' is not allowed; it must be one of 'auto', 'cpu'",
     ),
     (("run", "ball.toml", "-o", "x.mp4", "--integrator", "magic"), "integrator: 'magic' is not allowed"),
+    (("run", "ball.toml", "-o", "x.mp4", "--contacts", "magic"), "contacts: 'magic' is not allowed"),
     (("run", "ball.toml", "-o", "y/", "--precision", "f16"), "precision: 'f16' is not allowed"),
     (("run", "ball.toml", "-o", "x.npz", "--threads", "0"), "threads: 0 is not allowed"),
     (("run", "ball.toml", "-o", "x.npz", "--threads", "99999999999"), "threads: 99999999999 is not allowed"),
