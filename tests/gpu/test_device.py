@@ -70,6 +70,50 @@ def test_runs(name, on_cpu, on_device):
     assert np.isfinite(on_device(name)["position"]).all()
 
 
+@pytest.mark.parametrize("name", ["pile_ordered", "pile_2d", "colours_3d", "surfaces", "implicit_euler"])
+def test_the_same_bits_in_every_run(name, arch, on_device):
+    once, again = on_device(name), device_scenes.run(name, arch)
+    for what in ("position", "velocity", "spin"):
+        np.testing.assert_array_equal(once[what], again[what])
+
+
+def test_sums_over_many_balls_are_right(arch):
+    """Energies in single precision, summed by few at a time, against double precision."""
+    rng = np.random.default_rng(4)
+    n = 20_000
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.add_balls(
+        rng.uniform(0, 100, (n, 3)), velocity=rng.normal(size=(n, 3)), mass=rng.uniform(1, 5, n), radius=0.1
+    )
+    with ts.Simulation(scene, arch=arch, precision="f32", contacts="off", driver="parallel", dt=1e-3) as sim:
+        energy = sim.energy()
+    kinetic = 0.5 * np.sum(scene.mass[:, None] * scene.velocity**2)
+    assert energy.kinetic == pytest.approx(kinetic, rel=1e-6)
+    assert energy.gravity == pytest.approx(10.0 * np.sum(scene.mass * scene.position[:, 1]), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["many_springs", "colours_2d"])
+def test_a_restored_run_goes_on(name, arch, tmp_path):
+    scene, settings = device_scenes.BY_NAME[name]()
+    with ts.Simulation(scene, arch=arch, **settings) as whole:
+        whole.step(10)
+        whole.save(tmp_path / "a.npz")
+        whole.step(10)
+        with ts.Simulation.restore(tmp_path / "a.npz") as rest:
+            rest.step(10)
+            np.testing.assert_array_equal(rest.position, whole.position)
+
+
+def test_double_precision_is_refused_where_there_may_be_none(arch):
+    if backend.running().has_wide_numbers:
+        pytest.skip(f"{arch} has double precision")
+    with pytest.raises(ts.BackendError, match=f"precision: 'f64' was asked for, which {arch} devices may lack"):
+        backend.start(arch=arch, precision="f64")
+
+
+# Comparisons, last: what the CPU finds takes it minutes beside the device
+
+
 def differences(one, other, tolerance):
     """By how much two results differ: the furthest coordinate [m], the share of those beyond the tolerance, energy, number of
     contacts, and depth and residual in parts of what they may."""
@@ -104,13 +148,6 @@ def test_scenes_have_what_is_to_be_compared(on_cpu):
     assert np.abs(on_cpu("pile_3d")["spin"]).max() > 0.1
 
 
-@pytest.mark.parametrize("name", ["pile_ordered", "pile_2d", "colours_3d", "surfaces", "implicit_euler"])
-def test_the_same_bits_in_every_run(name, arch, on_device):
-    once, again = on_device(name), device_scenes.run(name, arch)
-    for what in ("position", "velocity", "spin"):
-        np.testing.assert_array_equal(once[what], again[what])
-
-
 @pytest.mark.parametrize("name", device_scenes.SWINGING)
 def test_springs_by_colours_are_as_accurate_as_in_turn(name, arch, on_cpu):
     here, there = device_scenes.swung(name, arch), on_cpu(name)
@@ -127,42 +164,8 @@ def test_implicit_methods_are_solved_as_well_as_on_the_cpu(name, arch, on_cpu):
     assert mine < 2.0 * theirs + 5e-5
 
 
-def test_sums_over_many_balls_are_right(arch):
-    """Energies in single precision, summed by few at a time, against double precision."""
-    rng = np.random.default_rng(4)
-    n = 20_000
-    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    scene.add_balls(
-        rng.uniform(0, 100, (n, 3)), velocity=rng.normal(size=(n, 3)), mass=rng.uniform(1, 5, n), radius=0.1
-    )
-    with ts.Simulation(scene, arch=arch, precision="f32", contacts="off", driver="parallel", dt=1e-3) as sim:
-        energy = sim.energy()
-    kinetic = 0.5 * np.sum(scene.mass[:, None] * scene.velocity**2)
-    assert energy.kinetic == pytest.approx(kinetic, rel=1e-6)
-    assert energy.gravity == pytest.approx(10.0 * np.sum(scene.mass * scene.position[:, 1]), rel=1e-6)
-
-
-@pytest.mark.parametrize("name", ["many_springs", "colours_2d"])
-def test_a_restored_run_goes_on(name, arch, tmp_path):
-    scene, settings = device_scenes.BY_NAME[name]()
-    with ts.Simulation(scene, arch=arch, **settings) as whole:
-        whole.step(10)
-        whole.save(tmp_path / "a.npz")
-        whole.step(10)
-        with ts.Simulation.restore(tmp_path / "a.npz") as rest:
-            rest.step(10)
-            np.testing.assert_array_equal(rest.position, whole.position)
-
-
 @pytest.mark.parametrize("name", device_scenes.PICTURES)
 def test_pictures_as_the_cpu_draws_them(name, arch, on_cpu):
     here, there = device_scenes.picture(name, arch).astype(int), on_cpu(name)["picture"].astype(int)
     assert there.std() > 10  # something is seen
     assert (np.abs(here - there).max(axis=2) > 24).mean() < 2e-3
-
-
-def test_double_precision_is_refused_where_there_may_be_none(arch):
-    if backend.running().has_wide_numbers:
-        pytest.skip(f"{arch} has double precision")
-    with pytest.raises(ts.BackendError, match=f"precision: 'f64' was asked for, which {arch} devices may lack"):
-        backend.start(arch=arch, precision="f64")
