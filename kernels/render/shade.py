@@ -7,6 +7,7 @@ from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, rod_ends, ve
 
 from taichi_sim.device.engine import ti
 
+BESIDE = 0.01  # part of the distance that the centre of a pixel and its sample may differ in
 STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
 
@@ -120,6 +121,10 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
             # w is that of a sample beside the pixel's centre: in its own shadow, where pixels are large
             if total > ti.f32(1e-20):
                 p = (a * wa + b * wb + c * wc) / total
+                # beside a slim triangle the weights move it along the whole length: rather where the ray meets the plane
+                reach = e2.dot(q) * winding
+                if ti.abs(reach * w - ti.abs(det)) < ti.f32(BESIDE) * ti.abs(det):
+                    p = eye + ray * (reach / ti.abs(det))
             colour = (scene.colour[k[0]] * wa + scene.colour[k[1]] * wb + scene.colour[k[2]] * wc) / total
             style = scene.style[scene.style_of[i]]
             gloss, through = style[0], style[1]

@@ -6,7 +6,7 @@ from PIL import Image
 from test_embedded_surfaces import frame_of
 from test_render import FRONT, GREEN, RED, SIZE, balls, greenish, linear, picture, placed, reddish
 
-from taichi_sim import Box, Capsule, Scene, SceneError, load_scene, shapes
+from taichi_sim import Box, Capsule, Mesh, Scene, SceneError, load_scene, shapes
 from taichi_sim.device import backend
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
@@ -150,6 +150,36 @@ def test_the_edge_of_a_shadow_has_no_notches():
         place = row + (level - high) / (low - high)
         fit = np.polyval(np.polyfit(column, place, 2), column)
         assert np.abs(place - fit).max() < 0.6  # px; notches were more than one deep
+
+
+def post(sections, around=40):
+    """A post in slim triangles, so many of them one above the other."""
+    turn = 2 * np.pi * np.arange(around) / around
+    ring = np.stack([0.15 * np.cos(turn), np.zeros(around), 0.15 * np.sin(turn)], axis=1)
+    vertices = np.concatenate(
+        [ring + np.array([0, y, 0]) for y in np.linspace(0.0, 1.2, sections + 1)] + [[[0, 0, 0], [0, 1.2, 0]]]
+    )
+    here = np.arange((sections + 1) * around).reshape(sections + 1, around)
+    after = np.roll(here, -1, axis=1)
+    parts = [(here[:-1], here[1:], after[:-1]), (after[:-1], here[1:], after[1:])]
+    parts += [(here[0], after[0], np.full(around, here.size)), (after[-1], here[-1], np.full(around, here.size + 1))]
+    return vertices, np.concatenate([np.stack([corner.ravel() for corner in part], axis=1) for part in parts])
+
+
+@pytest.mark.slow
+def test_slim_triangles_are_shaded_as_those_they_are_cut_into():
+    """The shadow of a slab on a post: the point that a pixel shows does not slide along a triangle whose side it lies beside."""
+    slab = placed(Box((-0.95, 1.35, 0.6), (1.4, 0.2, 1.4), rotation=(0, 30, 0), colour=RED), 3)
+    camera, seen = Camera(eye=(0.3, 1.1, 4.0), target=(0.0, 0.6, 0.0), fov=22.0), []
+    for sections in (1, 24):
+        colliders = (slab, placed(Mesh(post(sections), colour=(0.9, 0.7, 0.3)), 3))
+        frame = balls(np.array([[-1.5, 0.1, -1.0], [1.5, 0.1, 1.0]]), 0.01, [GREEN] * 2, colliders=colliders)
+        with Renderer(frame, size=(320, 180), camera=camera) as renderer:
+            seen.append(renderer.render(frame).astype(int))
+    off = np.abs(seen[0] - seen[1]).max(axis=2)
+    lit = seen[1][30:150, 145:175].sum(axis=2)
+    assert np.ptp(lit) > 100  # part of the post lies in shadow
+    assert off.max() < 12
 
 
 # Stages -------------------------------------------------------------------------------------------------------------
