@@ -95,7 +95,7 @@ def test_what_falls_on_a_stick_gains_nothing(restitution):
     sim.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_momentum_of_a_stick_that_is_hit():
     scene = bridge(30.0, 0.3, drop=2.0)
     scene.set_balls(pinned=False)

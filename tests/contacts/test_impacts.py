@@ -173,7 +173,7 @@ def test_lossless_balls_that_overlap_at_rest_come_apart():
         assert sim.energy().total == pytest.approx(before, rel=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_light_balls_between_walls_and_heavy_ones_keep_their_energy():
     """Without gravity, masses 1 to 2000: what a corner and a heavy ball close in bounces in turn, and is not stopped there."""
     scene = crowd(3, 24, 0.12, 0.0, 12.0, seed=3)

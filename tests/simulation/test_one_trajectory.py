@@ -11,7 +11,7 @@ from physics_support import PRECISION, simulate
 import taichi_sim as ts
 
 QUICK = {"led_by_pins"}
-SLOWER = {"crowd_with_a_tolerance", "tearing_in_wind"}
+SLOWER = {"tearing_in_wind"}
 MARKS = {
     name: [pytest.mark.long_in("f64")]
     if name in QUICK

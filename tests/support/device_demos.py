@@ -24,7 +24,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from taichi_sim.demos import million
+from taichi_sim.demos import million, pudding
 
 import taichi_sim as ts
 from taichi_sim.files.source import checked_output, demos, open_scene
@@ -51,9 +51,18 @@ def small_million():
     return scene
 
 
+def small_pudding():
+    """The pudding of 12 000 tetrahedra."""
+    pudding.SPACING = 0.04
+    return pudding.scene()
+
+
+SMALLER = {"million": small_million, "pudding": small_pudding}
+
+
 def opened(name, full):
     """A demo's scene, its length [s], the size of its picture [px] and its look."""
-    scene = small_million() if name == "million" and not full else open_scene(demos()[name])
+    scene = SMALLER[name]() if name in SMALLER and not full else open_scene(demos()[name])
     output = {"duration": 5.0, "size": (1280, 720)} | checked_output(scene)
     duration, (width, height) = output.pop("duration"), output.pop("size")
     output.pop("fps", None)
@@ -195,7 +204,7 @@ def main():
     parser.add_argument("arch", choices=("cuda", "vulkan", "metal"))
     parser.add_argument("names", nargs="*", metavar="NAME", help="demos; all otherwise")
     parser.add_argument("--at", type=float, default=0.0, help="part of the demo's time that is over, 0 to 1")
-    parser.add_argument("--full", action="store_true", help="the million in its full number")
+    parser.add_argument("--full", action="store_true", help="the million and the pudding in their full numbers")
     parser.add_argument("--folder", type=Path, help="keep states and pictures there")
     given = parser.parse_args()
     print(COLUMNS, flush=True)

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[2] / "docs" / "gallery"
-LOOPS = ("eel", "jelly", "drum", "car", "stairs", "squeeze", "wrecking", "tower", "cloth")
+LOOPS = ("eel", "jelly", "drum", "car", "stairs", "squeeze", "wrecking", "tower", "cloth", "pudding")
 OPTIONS = ("--fps", "20", "--duration", "3", "--size", "480x270")
 MOST_BYTES, MOST_IN_ALL = 700_000, 6_000_000  # so that the repository stays small
 

@@ -30,6 +30,7 @@ LONG = (
     "flag",
     "million",
     "net",
+    "pudding",
     "sphere",
     "stairs",
     "squeeze",
