@@ -36,7 +36,7 @@ def scene():
         young_modulus=1e6,
         poisson_ratio=0.4,
         spacing=0.08,
-        radius=0.035,
+        radius=0.045,
         self_collision=True,
         material="jelly",
         position=(-0.2, RISE * STEPS + 0.35, 0),
@@ -44,7 +44,7 @@ def scene():
         colour=(0.95, 0.85, 0.8),
     )
     scene.output["camera"] = {"azimuth": 32, "elevation": 20, "distance": 6.5, "follow": cow.balls.tolist()}
-    scene.set_balls(velocity=(2.2, 0, 0.1))
+    scene.set_balls(velocity=(2.6, 0, 0.1))
     return scene
 
 
