@@ -47,14 +47,9 @@ Transparent = Annotated[bool, flag("transparent", "PNG frames without background
 Workers = Annotated[int | None, typer.Option(help="Processes; one for each core otherwise, 0: this one alone.")]
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
 Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
-SIMULATION = (
-    "arch",
-    "dt",
-    "tolerance",
-    "integrator",
-    "contacts",
-    "precision",
-)  # with "threads", arguments of a Simulation
+# with "threads", arguments of a Simulation; those of PROCESS are given to whatever runs in it
+SIMULATION = ("arch", "dt", "tolerance", "integrator", "contacts", "precision")
+PROCESS = ("arch", "precision", "threads")
 
 
 def subcommand(*shared: str, name: str | None = None) -> Callable[[Callable[..., None]], None]:
@@ -116,8 +111,8 @@ class Job:
         from taichi_sim.files.source import open_simulation
 
         given = self._given()
-        for key in ("dt", "tolerance", "integrator", "contacts"):
-            if key in given:
+        for key in given:
+            if key not in PROCESS:
                 raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
         if given:
             backend.start(**given)

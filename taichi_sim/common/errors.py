@@ -17,6 +17,7 @@ __all__ = [
     "path_of",
     "short",
     "unknown_key",
+    "words_of",
 ]
 
 KeyPath = tuple[str | int, ...]
@@ -133,3 +134,12 @@ def did_you_mean(word: str, known: Collection[str], otherwise: str = "") -> str:
     if close or otherwise:
         return f"did you mean {close[0]!r}?" if close else otherwise
     return f"there are {', '.join(known)}" if known else "there are none"
+
+
+def words_of(error: BaseException) -> str:
+    """`ValueError: what it says`, of an exception that may be of a user's class, whose message cannot be made."""
+    try:
+        says = str(error)
+    except Exception as inner:  # of the user's class
+        says = f"(its message raises {type(inner).__name__})"
+    return f"{type(error).__name__}: {says}"

@@ -118,23 +118,24 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
             f"arch: {arch!r} was asked for, where Quadrants does not run these kernels; use 'cpu' or 'cuda', or Taichi"
         )
     with _starting:
-        if _running is None or program() is not _program:
-            _running = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
+        runs = running()
+        if runs is None:
+            _running = runs = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
             _program = program()
             _owner = (os.getpid(), threading.get_ident(), threading.current_thread().name)
-            return _running
+            return runs
     check_thread()
-    for name, asked, runs in (
-        ("arch", None if arch == "auto" else arch, _running.arch),
-        ("precision", precision, _running.precision),
-        ("threads", threads if _running.arch == "cpu" else None, _running.threads),
+    for name, asked, own in (
+        ("arch", None if arch == "auto" else arch, runs.arch),
+        ("precision", precision, runs.precision),
+        ("threads", threads if runs.arch == "cpu" else None, runs.threads),
     ):
-        if asked is not None and asked != runs:
+        if asked is not None and asked != own:
             raise BackendError(
-                f"{name}: {asked!r} was asked for, but this process already runs with {runs!r}; Taichi holds one for the"
+                f"{name}: {asked!r} was asked for, but this process already runs with {own!r}; Taichi holds one for the"
                 " whole process. Use that, or start a new process."
             )
-    return _running
+    return runs
 
 
 def stop() -> None:
@@ -143,9 +144,9 @@ def stop() -> None:
     in this one."""
     global _running, _owner, _program
     check_thread()
-    if _running is not None:
+    if running() is not None:  # what somebody else started since is theirs
         ti.reset()
-        _running = _owner = _program = None
+    _running = _owner = _program = None
 
 
 def _init(arch: str, precision: str, threads: int) -> Backend:

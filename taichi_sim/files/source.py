@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from taichi_sim.common.errors import BackendError, SceneError, UnstableError, about, did_you_mean, unknown_key
+from taichi_sim.common.errors import BackendError, SceneError, UnstableError, about, did_you_mean, unknown_key, words_of
 from taichi_sim.common.plain import plain
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.scene import Scene
@@ -150,7 +150,7 @@ def _located(file: Path, error: Exception) -> Exception:
     lines = list(_lines(error, file.resolve()))
     if isinstance(error, SyntaxError) and error.lineno:
         lines.append(error.lineno)
-    says = str(error) if isinstance(error, SceneError) else f"{type(error).__name__}: {error}"
+    says = str(error) if isinstance(error, SceneError) else words_of(error)
     return SceneError((), says=says, file=file, line=lines[-1] if lines else None)
 
 

@@ -289,6 +289,11 @@ class Assembly:
         rounds = compensates(scene, backend)
         return Setup(settings.integrator.method, self.h, backend.precision, rule, rounds, give, self.plan.limits_energy)
 
+    @property
+    def torn(self) -> NDArray[np.bool_] | None:
+        """(m,) springs that have torn; None where none can."""
+        return None if self.tearing is None else self.tearing.springs_torn
+
     def names(self) -> list[str]:
         """What was compiled in."""
         driver = "driver.fused" if self.fused else "driver.parallel"
@@ -369,7 +374,7 @@ class Assembly:
             low_position=low[0],
             low_velocity=low[1],
             surface_speed=state.surface_speed,
-            torn=None if self.tearing is None else self.tearing.springs_torn,
+            torn=self.torn,
             impulses=self.impulses(),
         )
 

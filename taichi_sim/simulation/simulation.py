@@ -263,8 +263,7 @@ class Simulation(Reader):
     @property
     def torn(self) -> NDArray[np.bool_] | None:
         """(m,) springs that have torn, a copy; None where none can."""
-        tearing = None if self._still else self.parts.tearing
-        return None if tearing is None else tearing.springs_torn
+        return None if self._still else self.parts.torn
 
     def inverted(self) -> int:
         """How many cells are flat or turned inside out."""

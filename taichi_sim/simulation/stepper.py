@@ -446,9 +446,8 @@ class Stepper:
             )
 
     def _present(self) -> tuple[float, int]:
-        parts, tearing = self.parts, self.parts.tearing
-        torn = None if tearing is None else tearing.springs_torn
-        return present_limit(self.scene.at(self.time), self.method, parts.state.position, parts.forces.declared, torn)
+        parts, scene = self.parts, self.scene.at(self.time)
+        return present_limit(scene, self.method, parts.state.position, parts.forces.declared, parts.torn)
 
     def _warn(self, kind: str, text: str, stacklevel: int = 6) -> None:
         if kind not in self._warned:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_sim.analysis.probe_readings import quantity_of
-from taichi_sim.common.errors import SceneError, did_you_mean
+from taichi_sim.common.errors import SceneError, did_you_mean, words_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.sweeps.design import RESERVED
 from taichi_sim.sweeps.subject import described, source_of, sources_of
@@ -195,7 +195,7 @@ def loaded(function: Any) -> Callable[[Any], Any]:
         else:
             found = getattr(importlib.import_module(module), name)
     except Exception as error:  # whatever the user's file raises
-        raise SceneError("measure", function, says=f"cannot be imported: {type(error).__name__}: {error}") from None
+        raise SceneError("measure", function, says=f"cannot be imported: {words_of(error)}") from None
     if not callable(found):
         raise SceneError("measure", function, says="is no function")
     return found  # type: ignore[no-any-return]

@@ -12,7 +12,7 @@ from typing import Any
 
 from taichi_sim.common import memory
 from taichi_sim.common.atomic_file import replacing
-from taichi_sim.common.errors import BackendError, SceneError, UnstableError
+from taichi_sim.common.errors import BackendError, SceneError, UnstableError, words_of
 from taichi_sim.common.version import __version__
 from taichi_sim.scene.scene import Scene
 from taichi_sim.sweeps.measures import Measures
@@ -104,7 +104,7 @@ class Runner:
             except UnstableError as unstable:
                 error = f"unstable: {unstable}"
             except (Exception, SystemExit) as problem:  # of the user's functions, too
-                error = f"{type(problem).__name__}: {_words(problem)}"
+                error = words_of(problem)
         said = "; ".join(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning)))
         return Row.of(
             point,
@@ -155,14 +155,6 @@ class Runner:
         if self.job.apart and memory.used() > RELEASE_BYTES:
             self.close()
             backend.stop()
-
-
-def _words(problem: BaseException) -> str:
-    """What an exception says, or that it cannot."""
-    try:
-        return str(problem)
-    except Exception as inner:  # of the user's class
-        return f"(its message raises {type(inner).__name__})"
 
 
 def _cut(text: str) -> str:

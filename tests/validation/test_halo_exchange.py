@@ -4,10 +4,9 @@ import pytest
 from halo_exchange import BALLS, CUT, LAYERS, RADIUS, RECORD, compared
 from physics_support import F64
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not F64, reason="equal within rounding is said of double precision")]
+pytestmark = [pytest.mark.long, pytest.mark.skipif(not F64, reason="equal within rounding is said of double precision")]
 
 
-@pytest.mark.long_in("f64")
 def test_two_halves_are_the_whole():
     width = 2.0 * RADIUS * LAYERS
     for one in compared((50, 100), again=True):
@@ -20,7 +19,6 @@ def test_two_halves_are_the_whole():
         assert one.moved > 1.0
 
 
-@pytest.mark.long_in("f64")
 def test_a_halo_of_one_diameter_cuts_clusters():
     (one,) = compared((50,), layers=1)
     assert one.balls == BALLS
