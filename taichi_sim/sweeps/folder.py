@@ -114,7 +114,10 @@ class Folder:
         self.rows.update((row.key, row) for row in rows)
 
     def finish(self, points: Sequence[Point]) -> None:
-        """Write the table of these points, in their order, those that are done; as Parquet, too, where pyarrow is installed."""
+        """Write the table of these points, in their order, those that are done; as Parquet, too, where pyarrow is installed.
+        Nothing, while the folder is not this sweep's."""
+        if self._lock is None or not (self.path / MARK).is_file():
+            return
         self._compact()
         rows = [self.rows[key] for key in dict.fromkeys(point.key for point in points) if key in self.rows]
         columns = columns_of(rows)

@@ -126,9 +126,9 @@ def open_study(
         if not kept.rows and scheduler is not None:
             require_workers(scheduler, workers)  # else it is refused with the first point, and an empty folder there
         stack.callback(kept.close)
-        kept.begin()
-        if tabulated:  # once no worker writes any more: the last to be entered is left first
+        if tabulated:  # once no worker writes any more: the last to be entered is left first; before Ctrl-C can come in between
             stack.callback(kept.finish, tabulated)
+        kept.begin()
         if retry:
             kept.rows = {key: row for key, row in kept.rows.items() if not row.error}
         if isinstance(scene, Scene) and folder is not None:  # from now on the folder is this study's

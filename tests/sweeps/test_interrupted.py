@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 from sweep_kills import rows_so_far, table, workers_of
 
+from taichi_sim.sweeps.folder import Folder
+from taichi_sim.sweeps.sweep import sweep
+
 pytestmark = [pytest.mark.slow, pytest.mark.once]
 
 SCENE = """format = 1
@@ -108,3 +111,20 @@ def test_ctrl_c_at_any_moment(tmp_path):
     _, said = process.communicate(timeout=LONGEST)
     assert (process.returncode, said) == (0, "")
     assert table(tmp_path / "swept") == found
+
+
+def test_ctrl_c_before_the_first_point(tmp_path, monkeypatch):
+    """Once the folder says that it is this sweep's it has a table, too."""
+    (tmp_path / "heap.toml").write_text(SCENE)
+    compact, given = Folder._compact, {"seeds": 2, "measure": "energy.kinetic.max", "workers": 0}
+
+    def interrupt(folder):
+        monkeypatch.setattr(Folder, "_compact", compact)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Folder, "_compact", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(tmp_path / "heap.toml", folder=tmp_path / "swept", **given)
+    assert table(tmp_path / "swept") == []
+    assert len(sweep(tmp_path / "heap.toml", folder=tmp_path / "swept", **given).rows) == 2
+    assert len(table(tmp_path / "swept")) == 2
