@@ -126,7 +126,7 @@ def open_study(
         if not kept.rows and scheduler is not None:
             require_workers(scheduler, workers)  # else it is refused with the first point, and an empty folder there
         stack.callback(kept.close)
-        if tabulated:  # once no worker writes any more: the last to be entered is left first; before Ctrl-C can come in between
+        if tabulated:  # before Ctrl-C can come; once no worker writes any more: the last to be entered is left first
             stack.callback(kept.finish, tabulated)
         kept.begin()
         if retry:

@@ -200,11 +200,8 @@ def test_a_dense_crowd_never_gains_energy(dim, method, mu):
     assert max(gains.values()) < (1e-12 if F64 else 1e-5), f"one step gains, by restitution: {gains}"
 
 
-@pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler", "rk4"])
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.slow
-@pytest.mark.long_where(method=["explicit_euler", "rk4"])
-@pytest.mark.long_where(method="symplectic_euler")
 def test_an_elastic_gas_in_a_box_keeps_its_energy(method):
     """64 discs that fill 0.4 of a box, a ninth of a radius a step: half of the energy went when passes were too few."""
     scene = ts.Scene(dim=2)

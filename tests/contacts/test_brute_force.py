@@ -82,10 +82,8 @@ def sizes(rng, ratio):
     return largest * ratio ** -rng.uniform(0.0, 1.0, N) if ratio > 1.0 else np.full(N, largest)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("dim", "driver", "kind", "accumulate"), CASES)
-@pytest.mark.long_where(kind="levels", accumulate="gather")
-@pytest.mark.long_where(driver="parallel", kind="one_level")
 def test_a_thousand_scenes(dim, driver, kind, accumulate):
     """One compiled scene takes the positions and radii of all, is moved by set_position, by steps within the skin and beyond."""
     scene = ts.Scene(dim=dim)

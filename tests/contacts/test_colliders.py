@@ -325,7 +325,7 @@ def test_nothing_passes_through_a_collider_that_moves_fast(dim):
         assert np.all(x[groups[0], 0] > scene.colliders[0].motion.at(sim.time)[0][0, 0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("shape", [ts.Sphere((1e4, 0.0), 1.0), ts.Box((0.0, -9.5), (1e6, 1.0))], ids=["far", "wide"])
 def test_a_far_or_wide_collider_lifts_no_ball(shape):
     """How finely a contact is known depends on that contact alone."""

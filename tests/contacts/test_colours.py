@@ -51,13 +51,12 @@ def of_sizes():
     return scene
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("build", "side_by_side"),
     [(lambda: heap(2), 1), (lambda: heap(3), 0), (of_sizes, 1)],
     ids=["2d", "3d", "sizes"],
 )
-@pytest.mark.long_in("f64")
 def test_each_pair_once_and_no_ball_twice(build, side_by_side):
     """One ball of each pair solves it, the other's link is its twin; both lie in one block of its colour, listed once."""
     scene = build()

@@ -39,8 +39,7 @@ def dumbbell(ground: str, dim: int) -> ts.Scene:
     return scene
 
 
-@pytest.mark.slow_where(dim=3)
-@pytest.mark.slow_where(ground="stick")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("ground", "dim", "contacts"),
     [
@@ -53,9 +52,6 @@ def dumbbell(ground: str, dim: int) -> ts.Scene:
         ("stick", 2, "jacobi"),
     ],
 )
-@pytest.mark.slow
-@pytest.mark.long_where(ground=["wall", "box"], contacts="gauss_seidel")
-@pytest.mark.long_where(ground=["box", "stick"], contacts="jacobi")
 def test_a_bystander_does_not_make_feet_roll(ground, dim, contacts):
     """The feet lose mu g t, and only the loose ball turns: it rolls on at 2/3 (a disc) or 5/7 of its speed."""
     with simulate(dumbbell(ground, dim), contacts=contacts, dt=H) as sim:

@@ -83,10 +83,8 @@ def test_bits_depend_on_numbers_of_steps_alone(method, tmp_path):
     assert np.linalg.norm(end - muscle().position, axis=1).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["verlet", "xpbd", "implicit_euler"])
-@pytest.mark.long_where(method="verlet")
-@pytest.mark.long_in("f64")
 def test_every_order_of_sums_comes_to_the_same(method):
     ends = []
     for accumulate, driver in (

@@ -6,6 +6,7 @@ from kills import INTERVAL, SLACK, campaign
 pytestmark = [pytest.mark.once, pytest.mark.slow]
 
 
+@pytest.mark.long
 def test_killed_exports_come_out_as_undisturbed_ones(tmp_path):
     tallies = campaign(tmp_path, ("x.npz",), kills=3, seed=5)
     for tally in tallies.values():

@@ -166,7 +166,7 @@ def _whole_velocity(sim):
     return now.velocity if now.low_velocity is None else now.velocity + now.low_velocity
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_random_scenes_against_brute_force(searching):
     """One pass from rest impulses is the reference's; a pair missed, or found twice, would show at once.
 

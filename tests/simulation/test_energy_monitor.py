@@ -153,9 +153,8 @@ def test_work_is_no_fault():
         assert sim.energy().total > 1e6 * before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["verlet", "symplectic_euler", "rk4", "xpbd", "implicit_euler", "tr_bdf2"])
-@pytest.mark.slow
-@pytest.mark.long_where(method=["symplectic_euler", "rk4", "xpbd"])
 def test_healthy_motion_is_not_warned_of(method):
     """Swinging nets, landing, and balls that overlap at the start, all at automatic steps."""
     scene = net()

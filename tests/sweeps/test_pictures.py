@@ -162,6 +162,7 @@ def test_the_command(run, tmp_path, capfd):
         assert "Traceback" not in said.err
 
 
+@pytest.mark.long
 @pytest.mark.once
 def test_a_run_drawn_by_workers_is_the_run(tmp_path, monkeypatch, capfd):
     pytest.importorskip("distributed")

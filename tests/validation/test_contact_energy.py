@@ -21,6 +21,7 @@ def changes(clusters: Clusters, contacts: str, passes: int) -> np.ndarray:
         return clusters.gains(sim, BATCHES)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("dim", "friction", "passes"),
     [
@@ -32,7 +33,6 @@ def changes(clusters: Clusters, contacts: str, passes: int) -> np.ndarray:
         pytest.param(3, True, 3, marks=LONG),
     ],
 )
-@pytest.mark.slow
 def test_a_cold_pass_of_split_masses_never_adds_energy(dim, friction, passes):
     """Any masses, restitutions, frictions, spins, pinned balls, sticks, coplanar walls."""
     found = changes(Clusters(dim, friction=friction), "jacobi", passes)

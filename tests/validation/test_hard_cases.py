@@ -18,6 +18,12 @@ QUICK_SPRINGS = {
     "C h = 1e6": ("verlet", "tr_bdf2"),
     "chain of 20, the last 1e4 times heavier": ("implicit_euler", "xpbd"),
 }
+MISSED = {  # by rule and precision: what is known to be beyond the bound, and how far at most
+    ("pack with e = 1 hits the floor", "gauss_seidel", "f32"): (
+        1e-4,
+        "of its energy: docs/physics.md, Impacts in turn",
+    ),
+}
 REFUSED = {("K h^2 = 1e6", method) for method in ("explicit_euler", "symplectic_euler", "verlet", "rk4")}
 REFUSED |= {("chain of 20, the last 1e4 times heavier", "xpbd")}
 
@@ -31,7 +37,7 @@ def test_quick_hard_cases():
             assert verdict.passed, f"{name}, {contacts}: {verdict.figure:.3g} {verdict.words}"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_quick_hard_cases_of_springs():
     """Each of the quick ones, in its short form: explicit methods say which step is safe, the others go on."""
     for name, methods in QUICK_SPRINGS.items():
@@ -83,6 +89,11 @@ def test_hard_case(name, contacts):
     if PRECISION == "f32" and name in ("radius 1e-4 m in a 1e4 m world",):
         pytest.skip("single precision tells such places 1e-3 m apart, and says so")
     verdict = hard_case.judge(CASES[name], contacts)
+    if missed := MISSED.get((name, contacts, PRECISION)):
+        most, words = missed
+        assert not verdict.passed, "no longer missed: take it from the list"
+        assert verdict.figure < most, f"{verdict.figure:.3g} {verdict.words}"
+        pytest.xfail(f"{verdict.figure:.3g} {words}")
     assert verdict.passed, f"{verdict.figure:.3g} {verdict.words}"
 
 
