@@ -17,6 +17,7 @@ __all__ = ["Launched"]
 
 FIRST_SEARCHES = 4  # launched before it is known how many are needed
 SPARE_PART = 4  # a part of those that were needed before is launched beyond them
+MORE_PART = 2  # a part of those that have been made follows where they were too few
 
 
 @ti.data_oriented
@@ -37,7 +38,7 @@ class Launched:
         for launch, names in (
             (self._run, ("set_target", "start_search", "search", "open_stage")),
             (self._run_stage, ("begin", "end")),
-            (self._run_step, ("linearise", "evaluate", "compare", "judge_guess")),
+            (self._run_step, ("linearise", "evaluate", "compare", "take_back", "judge_guess")),
             (self._ask, ("doubtful", "raised", "unsolved", "searching", "larger", "report")),
         ):
             for name in names:
@@ -67,11 +68,10 @@ class Launched:
                 follows = NEXT_ITERATION
                 continue
             part = 1.0
-            while follows == JUDGE_CHANGE:
+            while follows == JUDGE_CHANGE:  # it goes on only where the potential was raised
                 launched.compare(s, part)
-                if launched.raised():
-                    part = 0.5 * part
-                    launched.evaluate(s, -part)
+                part = 0.5 * part
+                launched.take_back(s, -part)
                 follows = launched.report() % CODES
             iteration += 1
         launched.end(stage)
@@ -87,7 +87,7 @@ class Launched:
                 launched.search()
             launched.evaluate(s, 1.0)
             taken, follows = divmod(launched.report(), CODES)
-            batch = max(FIRST_SEARCHES, taken // SPARE_PART)
+            batch = max(FIRST_SEARCHES, taken // MORE_PART)
             if follows != JUDGE_GUESS:
                 self.searches[stage, iteration] = taken
         return follows

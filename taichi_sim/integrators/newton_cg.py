@@ -204,6 +204,11 @@ class StageSolver(Verdicts):
         self.work.find(self.base, self.sum, self.first, self.bodies, self.number)
 
     @ti.func
+    def take_back(self, s, step):
+        """Where the change raised the potential: add `step` of it, a negative part, and evaluate that."""
+        self.evaluate(s, ti.select(self.raised() == 1, step, 0.0 * step))
+
+    @ti.func
     def _measure_residual(self, c):
         residual = ti.cast(0.0, self.wide)
         for k in range(members(c, self.parts, self.n)):
