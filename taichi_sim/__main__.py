@@ -1,5 +1,19 @@
-"""`python -m taichi_sim`: the taichi-sim command."""
+"""`python -m taichi_sim`, and where the taichi-sim command starts."""
 
-from taichi_sim.cli.main import main
+import sys
 
-main()
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Run the command; whoever interrupts what it loads gets no traceback."""
+    try:
+        from taichi_sim.cli.main import main as run
+    except KeyboardInterrupt:
+        print("taichi-sim: interrupted", file=sys.stderr)
+        sys.exit(130)
+    run()
+
+
+if __name__ == "__main__":
+    main()

@@ -115,6 +115,22 @@ def test_who_stops_reading_gets_no_error(tmp_path, arguments):
     assert done.returncode == 1
 
 
+def test_ctrl_c_while_the_command_loads_is_no_traceback(tmp_path):
+    loading = """
+import runpy, sys
+
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == "taichi_sim.cli.command":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupts())
+runpy.run_module("taichi_sim", run_name="__main__")
+"""
+    done = subprocess.run([sys.executable, "-c", loading], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "taichi-sim: interrupted\n")
+
+
 def test_run_writes_arrays_and_a_summary(folder):
     done = command(folder, "run", "ball.toml", "-o", "ball.npz", "-o", "ball.csv")
     assert (done.returncode, done.stderr) == (0, "")
