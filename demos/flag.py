@@ -19,6 +19,7 @@ def scene():
         position=(0, 2.2, 0),
         rotation=(90, 0, 0),
         pinned=np.arange(0, NUMBER[1], 3),
+        surface_collision=True,
         colour=(0.8, 0.15, 0.2),
     )
     strength = np.random.default_rng(7).uniform(0.1, 0.3, len(flag.springs))  # cloth is not as strong everywhere

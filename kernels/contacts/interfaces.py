@@ -260,6 +260,15 @@ class Triangle(Protocol):
     beyond_a: int  # third ball of the triangle beyond the edge across from a, or BORDER or NOT_OWNED
     beyond_b: int  # the same across from b
     beyond_c: int  # the same across from c
+    across_a: int  # where springs tear: the triangle of beyond_a, or that which owns the edge
+    across_b: int  # the same across from b
+    across_c: int  # the same across from c
+
+
+class Severed(Protocol):
+    """What has lost a side for good."""
+
+    gone: Field  # one a row; 1: acts no more
 
 
 class Edge(Protocol):
@@ -329,6 +338,9 @@ class Triangles(Incidences, Protocol):
     triangle_start: Field  # (n + 1) where those of a ball begin
     edge: "Edge"  # all of them, by owner
     edge_start: Field  # (n + 1) where those of a ball begin
+    tears: bool  # whether springs can tear
+    severed_triangles: "Severed"  # one a triangle, where they can
+    severed_edges: "Severed"  # one an edge, likewise
     spacing: Field  # (n) m, distance that springs keep
     leaf: "Leaf"  # (leaf_count)
     leaf_count: int  # balls that own anything

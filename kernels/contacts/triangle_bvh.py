@@ -16,6 +16,7 @@ from taichi_sim.kernels.contacts.triangle_pairs import (
     LOOK_AHEAD,
     ball_triangle,
     edge_edge,
+    holds,
     near_boxes,
     stretch,
 )
@@ -52,12 +53,13 @@ def bounds(triangles: ti.template(), ball: ti.template(), i, job: ti.template())
     thick, spread = triangles.model.radius[i], 0.0 * triangles.model.radius[i]
     for e in range(triangles.edge_start[i], triangles.edge_start[i + 1]):
         k = triangles.edge[e].two
-        bottom, top = stretch(triangles, ball, k, job)
-        low, high = ti.min(low, bottom), ti.max(high, top)
-        thick = ti.max(thick, triangles.model.radius[k])
-        if ti.static(job == FIND_CANDIDATES):
-            apart = triangles.expected_displacement[k] - triangles.expected_displacement[i]
-            spread = ti.max(spread, LOOK_AHEAD * apart.norm())
+        if holds(triangles, e):
+            bottom, top = stretch(triangles, ball, k, job)
+            low, high = ti.min(low, bottom), ti.max(high, top)
+            thick = ti.max(thick, triangles.model.radius[k])
+            if ti.static(job == FIND_CANDIDATES):
+                apart = triangles.expected_displacement[k] - triangles.expected_displacement[i]
+                spread = ti.max(spread, LOOK_AHEAD * apart.norm())
     if ti.static(job == LIMIT_WAYS):
         thick *= KEPT_DISTANCE  # what lies in a plane between two ways gets no nearer
     return low, high, 1.001 * (thick + spread)  # for rounding

@@ -37,7 +37,7 @@ def ball_triangle(
     found = 0
     triangle = triangles.triangle[t]
     a, b, c = triangle.a, triangle.b, triangle.c
-    if i != a and i != b and i != c:
+    if i != a and i != b and i != c and is_whole(triangles, t):
         low, high = stretch(triangles, ball, i, job)
         low_a, high_a = stretch(triangles, ball, a, job)
         low_b, high_b = stretch(triangles, ball, b, job)
@@ -69,6 +69,11 @@ def ball_near_triangle(
         if ti.static(job == LIST_PAIRS):
             whole = w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0
             beyond = ti.Vector([triangle.beyond_a, triangle.beyond_b, triangle.beyond_c])
+            if ti.static(triangles.tears):
+                across_from = ti.Vector([triangle.across_a, triangle.across_b, triangle.across_c])
+                for k in ti.static(range(3)):
+                    if beyond[k] != BORDER and not is_whole(triangles, across_from[k]):
+                        beyond[k] = BORDER
             for k in ti.static(range(3)):  # on the edge across from corner k; a hit at a corner is one of two balls
                 if w[k] == 0.0 and w[(k + 1) % 3] > 0.0 and w[(k + 2) % 3] > 0.0 and beyond[k] > NOT_OWNED:
                     whole = True
@@ -92,7 +97,8 @@ def edge_edge(triangles: ti.template(), solver: ti.template(), ball: ti.template
     """1 where edges e and f become a candidate, else 0; or let them limit their ways. low, high: the box of edge f."""
     found = 0
     a, b, c, d = triangles.edge[e].one, triangles.edge[e].two, triangles.edge[f].one, triangles.edge[f].two
-    if a != c and a != d and b != c and b != d and triangles.edge[e].bare + triangles.edge[f].bare < 2:
+    apart = a != c and a != d and b != c and b != d and triangles.edge[e].bare + triangles.edge[f].bare < 2
+    if apart and holds(triangles, e) and holds(triangles, f):
         low_a, high_a = stretch(triangles, ball, a, job)
         low_b, high_b = stretch(triangles, ball, b, job)
         if near_boxes(ti.min(low_a, low_b), ti.max(high_a, high_b), low, high, near):
@@ -122,6 +128,24 @@ def near_edges(
         kind = EDGE_EDGE + STICK_FIRST * triangles.edge[e].bare + STICK_SECOND * triangles.edge[f].bare
         take_pair(triangles, solver, ball, p, balls, g, r, kind, inside, place, job)
     return found
+
+
+@ti.func
+def is_whole(triangles: ti.template(), t):
+    """Whether no side of triangle t has torn: it is no more where one has."""
+    whole = True
+    if ti.static(triangles.tears):
+        whole = triangles.severed_triangles.gone[t] == 0
+    return whole
+
+
+@ti.func
+def holds(triangles: ti.template(), e):
+    """Whether edge e has not torn."""
+    yes = True
+    if ti.static(triangles.tears):
+        yes = triangles.severed_edges.gone[e] == 0
+    return yes
 
 
 @ti.func
@@ -164,9 +188,11 @@ def list_candidate(c, triangles: ti.template(), solver: ti.template(), ball: ti.
     candidate = triangles.candidate[c]
     p, place = candidate.owner, candidate.place
     if candidate.second >= 0:
-        ball_near_triangle(triangles, solver, ball, p, candidate.first, candidate.second, 0.0, place, LIST_PAIRS)
+        if is_whole(triangles, candidate.second):
+            ball_near_triangle(triangles, solver, ball, p, candidate.first, candidate.second, 0.0, place, LIST_PAIRS)
     else:
-        near_edges(triangles, solver, ball, p, candidate.first, -1 - candidate.second, 0.0, place, LIST_PAIRS)
+        if holds(triangles, candidate.first) and holds(triangles, -1 - candidate.second):
+            near_edges(triangles, solver, ball, p, candidate.first, -1 - candidate.second, 0.0, place, LIST_PAIRS)
 
 
 @ti.func

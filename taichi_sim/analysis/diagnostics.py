@@ -120,18 +120,19 @@ def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
 
 
 def torn_open(scene: Scene, position: NDArray, torn: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which triangles (t,) of a scene are no more where springs (m,) have torn: those with two torn sides, or one that gapes.
-    A thread that tears leaves no hole in cloth that holds."""
+    """Which triangles (t,) of a scene are no more where springs (m,) have torn: those with two torn sides, or one that gapes: a
+    thread that tears leaves no hole in cloth that holds; of those that collide, which then do so no more, all with one."""
     n, pairs = scene.n_balls, np.sort(scene.pairs[torn].astype(np.int64), axis=1)
     length = np.linalg.norm(position[pairs[:, 1]] - position[pairs[:, 0]], axis=1)
     gapes = length > GAPING * scene.rest_length[torn]
     sides = np.sort(scene.triangles[:, [[0, 1], [1, 2], [2, 0]]].astype(np.int64), axis=2)
     side, spring = sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1]
-    return np.asarray((np.isin(side, spring).sum(axis=1) > 1) | np.isin(side, spring[gapes]).any(axis=1))
+    lost = np.isin(side, spring).sum(axis=1)
+    return np.asarray((lost > np.where(scene.solid, 0, 1)) | np.isin(side, spring[gapes]).any(axis=1))
 
 
 def check_tearing(scene: Scene) -> None:
-    """Raise SceneError where a side of a triangle that collides, or holds a gas, could tear: what is left would still do so."""
+    """Raise SceneError where a side of a triangle that holds a gas could tear: what is left would still do so."""
     validation.strains("springs.break_strain", scene.break_strain, scene.n_springs)  # which may have been set by hand
     validation.strained(scene.break_strain, scene.rest_length)
     tears = np.isfinite(scene.break_strain)
@@ -139,15 +140,6 @@ def check_tearing(scene: Scene) -> None:
         if cut(gas.triangles, scene.pairs[tears], scene.n_balls).any():
             says = f"the surface of gas {number} could tear, and a gas does not flow out"
             raise SceneError("springs.break_strain", says=says)
-    if tears.any() and scene.solid.any():
-        both = np.flatnonzero(cut(scene.triangles[scene.solid], scene.pairs[tears], scene.n_balls))
-        if len(both):
-            number = int(np.flatnonzero(scene.solid)[both[0]])
-            raise SceneError(
-                "springs.break_strain",
-                says=f"a side of triangle {number}, which collides, could tear; leave break_strain or collides"
-                " (surface_collision) out",
-            )
 
 
 def inverted(scene: Scene, x: Floats) -> int:

@@ -211,6 +211,8 @@ class FoundContacts:
                         ccd_triangles.cut_short(self.triangles, self, ball, i)
                     self.pairs.grid.note_origin(ball, i)
                 ccd_triangles.begin(self.triangles, self, ball, i)
+            if ti.static(self.triangles.tears and moved):  # what tears here collides no more from here on
+                self.triangles.tearing.cut_overstretched(ball)
         for part in ti.static(self.grid_parts):
             part.detect(ball)
         if ti.static(self.plan.triangles):

@@ -7,6 +7,7 @@ from taichi_sim.contacts.pairs import Pairs
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.forces.tearing import Severed
 from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.kernels.contacts import contact_law, statistics
@@ -44,12 +45,18 @@ class TriangleContacts:
     def __init__(self, model: Model, fields: Fields, pairs: Pairs, capacity: int = 0) -> None:
         scene, n = model.scene, model.n
         self.model, self.pairs, self.grid = model, pairs, pairs.grid
-        triangles, beyond, edges, bare = owned_by_balls(scene)
+        triangles, beyond, across, edges, bare = owned_by_balls(scene)
+        self.tears, self.tearing = bool(np.isfinite(scene.break_strain).any()), None  # see forces.tearing
+        self.severed = [Severed(part, fields) for part in (triangles, edges)] if self.tears else []
         self.triangle_start, self.edge_start = (
             fields.integers(np.searchsorted(part[:, 0], np.arange(n + 1))) for part in (triangles, edges)
         )
         names = ("a", "b", "c", "beyond_a", "beyond_b", "beyond_c")
         columns = dict(zip(names, np.concatenate([triangles, beyond], axis=1).T))
+        if self.tears:
+            self.severed_triangles, self.severed_edges = self.severed
+            names = (*names, "across_a", "across_b", "across_c")
+            columns |= dict(zip(names[-3:], across.T))
         self.triangle = fields.table(dict.fromkeys(names, ti.i32), len(triangles), columns)
         columns = {"one": edges[:, 0], "two": edges[:, 1], "bare": bare}
         self.edge = fields.table(dict.fromkeys(columns, ti.i32), len(edges), columns)
@@ -285,10 +292,10 @@ def stages(bottom_nodes: int) -> list[tuple[int, int]]:
     return found
 
 
-def owned_by_balls(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def owned_by_balls(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
     """The triangles that collide (t, 3), each from its lowest ball on, sorted; what lies beyond the edges across from their
-    corners (t, 3): the ball of the next triangle, or BORDER, or NOT_OWNED; all edges (e, 2) of triangles, and sticks, sorted; and
-    which of them are bare sticks (e,)."""
+    corners (t, 3): the ball of the next triangle, or BORDER, or NOT_OWNED; the triangles there (t, 3): the next one, or the one
+    that owns the edge; all edges (e, 2) of triangles, and sticks, sorted; and which of them are bare sticks (e,)."""
     t = scene.triangles[scene.solid].astype(np.int64)
     first = np.argmin(t, axis=1)
     t = np.take_along_axis(t, (first[:, None] + np.arange(3)) % 3, axis=1)
@@ -301,7 +308,9 @@ def owned_by_balls(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     place = np.empty(len(order), dtype=np.int64)
     place[order] = np.arange(len(order)) - start[kind[order]]
     corner = t.T.reshape(-1)
-    other = corner[order[start[kind] + (place + 1) % times[kind]]]
+    following = order[start[kind] + (place + 1) % times[kind]]
+    other = corner[following]
+    next_one = np.where(place > 0, order[start[kind]], following) % max(1, len(t))
     beyond = np.where(place > 0, loops.NOT_OWNED, np.where(times[kind] > 1, other, loops.BORDER))
     sticks = np.unique(np.sort(scene.pairs[scene.collides].astype(np.int64), axis=1), axis=0).reshape(-1, 2)
     n = max(1, scene.n_balls)
@@ -309,7 +318,7 @@ def owned_by_balls(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     bare = np.repeat([0, 1], [len(edges), len(sticks)])
     edges = np.concatenate([edges, sticks])
     order = np.lexsort(edges.T[::-1])
-    return t, beyond.reshape(3, -1).T, edges[order], bare[order]
+    return t, beyond.reshape(3, -1).T, next_one.reshape(3, -1).T, edges[order], bare[order]
 
 
 def leaf_order(scene: Scene, edges: NDArray) -> tuple[NDArray[np.int64], int]:

@@ -1,7 +1,7 @@
 """Tearing: springs that break for good where they are stretched too far."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,23 +9,40 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields, fill
 from taichi_sim.device.model import Model
-from taichi_sim.forces.incidence import Corners
 from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels.springs import law
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["Tearing"]
+__all__ = ["Severable", "Severed", "Tearing"]
+
+
+class Severable(Protocol):
+    """What acts no more once a spring between two of its balls has torn."""
+
+    members: NDArray  # (r, k) balls of each row
+    gone: Any  # field (r), 1: acts no more
+
+
+@ti.data_oriented
+class Severed:
+    """Which rows of balls (r, k) are gone."""
+
+    def __init__(self, members: NDArray, fields: Fields) -> None:
+        self.members, self.gone = members, fields.integers(len(members))
 
 
 @ti.data_oriented
 class Tearing:
-    """Looks at all springs after each substep; those longer than `limit` [m] lose their stiffness and damping.
+    """Looks at all springs in each substep; those longer than `limit` [m] lose their stiffness and damping.
 
     `torn` (as the springs are stored) marks them; `kept`: the same in the last state known to be good. An element, a triangle in
-    the wind among them, two of whose balls a torn spring joined, acts no more.
+    the wind among them, two of whose balls a torn spring joined, acts no more, and a triangle that collides is no more.
+    before_contacts: springs are looked at once balls have moved, before contacts are found, and not at the end of the substep.
     """
 
-    def __init__(self, model: Model, springs: Springs, elements: Sequence[Corners], fields: Fields) -> None:
+    def __init__(
+        self, model: Model, springs: Springs, parts: Sequence[Severable], fields: Fields, before_contacts: bool
+    ) -> None:
         scene = model.scene
         self.springs, self.n, self.m = springs, model.n, scene.n_springs
         springs.tearing = self
@@ -38,7 +55,8 @@ class Tearing:
         self.limit = fields.reals(np.minimum(stored, 1e30))
         self.torn, self.kept = fields.integers(springs.entries), fields.integers(springs.entries)
         self.stiffness = np.where(number < 0, 0.0, scene.stiffness[number])
-        self.ties = [_Ties(scene, springs, force, fields) for force in elements]
+        self.ties = [_Ties(scene, springs, part, fields) for part in parts]
+        self.before_contacts = before_contacts
 
     @ti.func
     def cut_overstretched(self, ball: ti.template()):
@@ -100,13 +118,13 @@ class Tearing:
 
 @ti.data_oriented
 class _Ties:
-    """Which rows of a force have both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
+    """Which rows of a part have both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
 
-    def __init__(self, scene: Scene, springs: Springs, force: Corners, fields: Fields) -> None:
-        self.force = force
+    def __init__(self, scene: Scene, springs: Springs, part: Severable, fields: Fields) -> None:
+        self.part = part
         n, pairs = scene.n_balls, np.sort(scene.pairs.astype(np.int64), axis=1)
         joined, key = np.unique(pairs[:, 0] * n + pairs[:, 1], return_inverse=True)
-        members = np.sort(force.members.astype(np.int64), axis=1)
+        members = np.sort(part.members.astype(np.int64), axis=1)
         sides = [(a, b) for b in range(members.shape[1]) for a in range(b)]
         codes = np.concatenate([members[:, a] * n + members[:, b] for a, b in sides])
         found = np.minimum(np.searchsorted(joined, codes), len(joined) - 1)
@@ -123,11 +141,11 @@ class _Ties:
         """Spring `place` has torn."""
         key = self.key[place]
         for k in range(self.first[key], self.first[key + 1]):
-            self.force.gone[self.row[k]] = 1
+            self.part.gone[self.row[k]] = 1
 
     def set(self, torn: NDArray[np.bool_]) -> None:
         """Springs (as they are stored) that are torn, and no others."""
-        gone = np.zeros(len(self.force.members), dtype=np.int32)
+        gone = np.zeros(len(self.part.members), dtype=np.int32)
         for key in np.unique(self._key[torn]):
             gone[self._row[self._first[key] : self._first[key + 1]]] = 1
-        self.force.gone.from_numpy(gone)
+        self.part.gone.from_numpy(gone)

@@ -184,7 +184,11 @@ class Assembly:
         self.pins = DrivenPins(self.model, self.state, self.fields) if scene.moving_pins else None
         self.tearing: Tearing | None = None
         if springs is not None and np.isfinite(scene.break_strain).any():
-            self.tearing = Tearing(self.model, springs, self.forces.elements, self.fields)
+            solid = self.contacts.triangles if self.plan.triangles else None
+            parts = [*self.forces.elements, *(solid.severed if solid else ())]
+            self.tearing = Tearing(self.model, springs, parts, self.fields, before_contacts=solid is not None)
+            if solid:
+                solid.tearing = self.tearing
             self.state.followers.append(self.tearing)
         moves = self.colliders is not None and self.colliders.moves
         driven = (self.colliders if moves else None, self.pins, self.forces.motors)

@@ -20,7 +20,8 @@ class Drivers:
 
     def __init__(self, integrator: Any, pins: Any = None, motors: Any = None, tearing: Any = None) -> None:
         self.integrator, self.pins, self.motors, self.tearing = integrator, pins, motors, tearing
-        self.leads, self.flexes, self.tears = (part is not None for part in (pins, motors, tearing))
+        self.leads, self.flexes = pins is not None, motors is not None
+        self.tears = tearing is not None and not tearing.before_contacts
 
     @ti.func
     def _lead(self, forth: ti.template()):

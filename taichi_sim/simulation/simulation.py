@@ -253,8 +253,8 @@ class Simulation(Reader):
         return self.contacts().penetration
 
     def crossings(self) -> int:
-        """How often an edge of the triangles pierces one of them, all of the scene's taken together; 0 in 2D. In NumPy."""
-        return len(crossings(self.position, self.scene.triangles)) if self.scene.dim == 3 else 0
+        """How often an edge of the triangles pierces one of them, all that have not torn taken together; 0 in 2D. In NumPy."""
+        return len(crossings(self.position, self.frame().triangles)) if self.scene.dim == 3 else 0
 
     def frame(self) -> Frame:
         """The present moment as NumPy arrays."""

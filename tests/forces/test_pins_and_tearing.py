@@ -285,12 +285,82 @@ def test_tolerance_and_tearing_exclude_each_other():
         ts.Simulation(strip(), tolerance=1e-2, precision=PRECISION)
 
 
-def test_what_collides_cannot_tear():
-    scene = ts.Scene(dim=3)
-    sheet = ts.shapes.cloth(scene, resolution=(3, 3), surface_collision=True)
-    scene.set_springs(sheet.springs[0], break_strain=0.5)
-    with pytest.raises(ts.SceneError, match=r"springs.break_strain: a side of triangle \d+, which collides"):
-        ts.Simulation(scene, precision=PRECISION)
+@pytest.mark.parametrize("torn", [(0, 1), (1, 3)], ids=["owner", "other"])
+def test_a_torn_triangle_lets_through_and_its_neighbour_bears(torn):
+    """Two triangles share an edge; one loses a side. Balls fall on the middle of either, and on the edge."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1]])
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.add_balls(corners, radius=0.02, pinned=True)
+    pairs = [[0, 1], [1, 2], [0, 2], [1, 3], [2, 3]]
+    long = [1.0 if tuple(pair) == torn else np.inf for pair in pairs]
+    scene.add_springs(pairs, stiffness=10.0, rest_length=0.4, break_strain=long)
+    scene.add_triangles([[0, 1, 2], [2, 1, 3]], collides=True)
+    middles = [corners[[0, 1, 2]].mean(axis=0), corners[[2, 1, 3]].mean(axis=0), [0.48, 0.0, 0.5], [0.52, 0.0, 0.5]]
+    scene.add_balls(np.add(middles, [0, 0.06, 0]), radius=0.02)
+    with simulate(scene, dt=1e-3) as sim:
+        sim.run(0.5)
+        assert sim.torn.sum() == 1
+        gone, whole = (0, 1) if torn == (0, 1) else (1, 0)
+        x, y, z = sim.position[4:].T
+        assert y[gone] < -0.5
+        assert y[whole] == pytest.approx(0.04, abs=2e-3)
+        assert y[2 + whole] == pytest.approx(0.04, abs=2e-3)  # beside the edge, on what is left
+        assert y[2 + gone] < -0.2
+        away = (x + z - 1.0) * [-1, 1, -1, 1]  # from the edge
+        assert away[2 + gone] > 0.1  # it slid off the edge, and did not fall beside it
+        assert away[:2] == pytest.approx(1 / 3, abs=1e-6)
+
+
+def pierced(resolution=(11, 11), weak=0.06) -> ts.Scene:
+    """A sheet between two pinned sides, weak along its middle, and a heavy ball that falls on it."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=resolution, stiffness=1500, damping=0.5, mass=0.3,
+                            pinned="left", surface_collision=True)  # fmt: skip
+    right = sheet.balls[scene.position[sheet.balls, 0] > scene.position[sheet.balls, 0].max() - 1e-6]
+    scene.set_balls(right, pinned=True)
+    if weak:
+        x = scene.position[scene.pairs[sheet.springs]][:, :, 0] - scene.position[sheet.balls, 0].mean()
+        across = (x.min(axis=1) < 1e-6) & (x.max(axis=1) > 1e-6)
+        scene.set_springs(sheet.springs[across], break_strain=weak)
+    centre = scene.position[sheet.balls].mean(axis=0)
+    scene.add_balls(np.add([centre], [0.01, 0.3, 0.02]), radius=0.15, mass=3.0)
+    return scene
+
+
+def test_cloth_that_tears_collides_with_what_tears_it():
+    """A ball goes through a sheet where it tears, without piercing what is left, and stays on one that holds."""
+    with simulate(pierced(weak=None), dt=1e-3) as sim:
+        sim.run(0.8)
+        assert sim.position[-1, 1] > sim.position[:-1, 1].min()
+    with simulate(pierced(), dt=1e-3) as sim:
+        for _ in range(40):
+            sim.run(0.02)
+            assert sim.crossings() == 0
+        assert sim.torn.sum() > 5
+        assert sim.position[-1, 1] < sim.position[:-1, 1].min() - 0.15
+        assert len(sim.frame().torn_triangles) > 5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("driver", ["fused", "parallel"])
+def test_so_does_a_run_that_was_saved_while_it_tore(driver, tmp_path):
+    """To the same bits, saved whenever something has just torn."""
+    at, n = [], 0
+    with simulate(pierced(), ("ordered", driver), dt=1e-3) as sim:
+        for step in range(420):
+            sim.step(1)
+            if sim.torn.sum() > n and len(at) < 3:
+                n = sim.torn.sum()
+                at.append(tmp_path / f"{step}.npz")
+                sim.save(at[-1])
+        whole = np.concatenate([sim.position, sim.velocity])
+        torn = sim.torn
+    assert len(at) == 3
+    for file in at:
+        with ts.Simulation.restore(file) as sim:
+            sim.step(419 - int(file.stem))
+            assert np.array_equal(sim.torn, torn)
+            assert np.array_equal(np.concatenate([sim.position, sim.velocity]), whole)
 
 
 @pytest.mark.parametrize(
