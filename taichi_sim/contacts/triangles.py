@@ -1,5 +1,7 @@
 """TriangleContacts: triangles that collide, as thick as their balls, with balls, with sticks, and with each other."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,7 +48,8 @@ class TriangleContacts:
         scene, n = model.scene, model.n
         self.model, self.pairs, self.grid = model, pairs, pairs.grid
         triangles, beyond, across, edges, bare = owned_by_balls(scene)
-        self.tears, self.tearing = bool(np.isfinite(scene.break_strain).any()), None  # see forces.tearing
+        self.tears = bool(np.isfinite(scene.break_strain).any())
+        self.tearing: Any = None  # see forces.tearing
         self.severed = [Severed(part, fields) for part in (triangles, edges)] if self.tears else []
         self.triangle_start, self.edge_start = (
             fields.integers(np.searchsorted(part[:, 0], np.arange(n + 1))) for part in (triangles, edges)
@@ -55,9 +58,8 @@ class TriangleContacts:
         columns = dict(zip(names, np.concatenate([triangles, beyond], axis=1).T))
         if self.tears:
             self.severed_triangles, self.severed_edges = self.severed
-            names = (*names, "across_a", "across_b", "across_c")
-            columns |= dict(zip(names[-3:], across.T))
-        self.triangle = fields.table(dict.fromkeys(names, ti.i32), len(triangles), columns)
+            columns |= dict(zip(("across_a", "across_b", "across_c"), across.T))
+        self.triangle = fields.table(dict.fromkeys(columns, ti.i32), len(triangles), columns)
         columns = {"one": edges[:, 0], "two": edges[:, 1], "bare": bare}
         self.edge = fields.table(dict.fromkeys(columns, ti.i32), len(edges), columns)
         self.spacing = fields.reals(spacing(scene))
