@@ -285,6 +285,7 @@ def test_tolerance_and_tearing_exclude_each_other():
         ts.Simulation(strip(), tolerance=1e-2, precision=PRECISION)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torn", [(0, 1), (1, 3)], ids=["owner", "other"])
 def test_a_torn_triangle_lets_through_and_its_neighbour_bears(torn):
     """Two triangles share an edge; one loses a side. Balls fall on the middle of either, and on the edge."""
@@ -327,6 +328,8 @@ def pierced(resolution=(11, 11), weak=0.06) -> ts.Scene:
     return scene
 
 
+@pytest.mark.slow
+@pytest.mark.long_in("f64")
 def test_cloth_that_tears_collides_with_what_tears_it():
     """A ball goes through a sheet where it tears, without piercing what is left, and stays on one that holds."""
     with simulate(pierced(weak=None), dt=1e-3) as sim:
