@@ -18,7 +18,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-SCENE = """# A net with a weight swings.
+NET = """# A net with a weight swings.
 format = 1
 dim = 3
 gravity = [0.0, -10.0, 0.0]
@@ -44,6 +44,42 @@ duration = 1.5
 size = [96, 64]
 camera = {follow = [900]}
 """
+HEAP = """# Balls with friction fall into a heap on a floor and a turning bar.
+format = 1
+dim = 3
+gravity = [0.0, -10.0, 0.0]
+[simulation]
+dt = 0.0001
+arch = "cpu"
+[[materials]]
+name = "rubber"
+friction = 0.5
+restitution = 0.2
+[[walls]]
+normal = [0.0, 1.0, 0.0]
+offset = 0.0
+material = "rubber"
+[[colliders]]
+shape = "box"
+center = [0.3, 0.1, 0.3]
+size = [0.8, 0.05, 0.1]
+rotation_rate = [0.0, 90.0, 0.0]
+[[pile]]
+name = "heap"
+resolution = [6, 8, 6]
+radius = 0.04
+position = [0.0, 0.3, 0.0]
+material = "rubber"
+[[probes]]
+name = "all"
+kind = "energy"
+[output]
+fps = 40
+duration = 1.5
+size = [96, 64]
+camera = {follow = [100]}
+"""
+SCENES = {"net": NET, "heap": HEAP}
 FORMATS = (
     "x.mp4",
     "x.webm",
@@ -83,7 +119,7 @@ class Tally:
 
 def start(folder: Path, name: str, *options: str) -> subprocess.Popen[str]:
     """An export of the scene into a folder."""
-    words = ("run", str(folder.parent / "net.toml"), "-o", name, "--checkpoint", str(INTERVAL), *options)
+    words = ("run", str(folder.parent / "scene.toml"), "-o", name, "--checkpoint", str(INTERVAL), *options)
     pipe = subprocess.PIPE
     return subprocess.Popen([sys.executable, "-c", COMMAND, *words], cwd=folder, text=True, stdout=pipe, stderr=pipe)
 
@@ -106,11 +142,11 @@ def since(folder: Path, begin: float) -> float:
 
 
 def campaign(
-    root: Path, formats: tuple[str, ...], kills: int, seed: int, until: float = float("inf")
+    root: Path, formats: tuple[str, ...], kills: int, seed: int, until: float = float("inf"), scene: str = "net"
 ) -> dict[str, Tally]:
     """Kill so many exports in all, of the formats in turn, or until a time [s] of time.time()."""
     chance = random.Random(seed)
-    (root / "net.toml").write_text(SCENE)
+    (root / "scene.toml").write_text(SCENES[scene])
     whole, times = {}, {}
     for name in formats:
         (folder := root / f"whole_{name}").mkdir()
@@ -205,10 +241,16 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--formats", nargs="+", default=FORMATS, help="those to try")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="wall time after which no more is begun")
+    parser.add_argument("--scene", choices=sorted(SCENES), default="net", help="a net, or a heap with contacts")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         tallies = campaign(
-            Path(folder), tuple(given.formats), given.kills, given.seed, time.time() + 60 * given.minutes
+            Path(folder),
+            tuple(given.formats),
+            given.kills,
+            given.seed,
+            time.time() + 60 * given.minutes,
+            given.scene,
         )
     for name, one in tallies.items():
         print(
