@@ -21,7 +21,8 @@ Args that several shapes have:
     scale: its size in relation to what the other arguments say [1].
     colour: sRGB in 0..1 [1]; chosen by the renderer otherwise.
     self_collision: whether its balls collide with each other; those that a spring joins never do.
-    surface_collision: in 3D, whether nothing goes through its triangles, its own balls included.
+    surface_collision: in 3D, whether nothing goes through its triangles, its own balls included. One is no more
+        once a spring at its side has torn.
 
 Defaults. A stiffness that is not given follows from the mass and the resolution so that the bound which holds for
 every shape the springs can take, h^2 (S_i/m_i + S_j/m_j) < 4 for each spring (physics section 5), is met at h = 1 ms
