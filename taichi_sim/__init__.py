@@ -14,19 +14,15 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from taichi_sim import shapes
-from taichi_sim.analysis.element_rates import largest_rate
-from taichi_sim.analysis.frame import Frame
-from taichi_sim.analysis.limits import StabilityLimit
-from taichi_sim.analysis.methods import Method
-from taichi_sim.common.errors import BackendError, SceneError, UnstableError
 from taichi_sim.common.version import __version__
-from taichi_sim.scene.colliders import Box, Capsule, ColliderShape, Mesh, Sphere
-from taichi_sim.scene.scene import Scene
-from taichi_sim.scene.snapshot import Snapshot
-from taichi_sim.scene.spring_units import spring_from_rates
 
 if TYPE_CHECKING:
+    from taichi_sim import shapes
+    from taichi_sim.analysis.element_rates import largest_rate
+    from taichi_sim.analysis.frame import Frame
+    from taichi_sim.analysis.limits import StabilityLimit
+    from taichi_sim.analysis.methods import Method
+    from taichi_sim.common.errors import BackendError, SceneError, UnstableError
     from taichi_sim.contacts import ContactRule
     from taichi_sim.files.toml_reader import load_scene
     from taichi_sim.forces.element import Element
@@ -34,6 +30,10 @@ if TYPE_CHECKING:
     from taichi_sim.integrators import Integrator
     from taichi_sim.outputs import Output, export, open_output
     from taichi_sim.outputs.quick import picture, video
+    from taichi_sim.scene.colliders import Box, Capsule, ColliderShape, Mesh, Sphere
+    from taichi_sim.scene.scene import Scene
+    from taichi_sim.scene.snapshot import Snapshot
+    from taichi_sim.scene.spring_units import spring_from_rates
     from taichi_sim.simulation.simulation import Simulation
     from taichi_sim.sweeps.fit import fit
     from taichi_sim.sweeps.sweep import sweep
@@ -73,18 +73,33 @@ __all__ = [
     "video",
 ]
 
-_LAZY = {
+_MODULES = {
+    "BackendError": "taichi_sim.common.errors",
+    "Box": "taichi_sim.scene.colliders",
+    "Capsule": "taichi_sim.scene.colliders",
+    "ColliderShape": "taichi_sim.scene.colliders",
     "ContactRule": "taichi_sim.contacts",
     "Element": "taichi_sim.forces.element",
+    "Frame": "taichi_sim.analysis.frame",
     "Integrator": "taichi_sim.integrators",
+    "Mesh": "taichi_sim.scene.colliders",
+    "Method": "taichi_sim.analysis.methods",
     "Output": "taichi_sim.outputs",
     "Pointer": "taichi_sim.forces.pointer",
+    "Scene": "taichi_sim.scene.scene",
+    "SceneError": "taichi_sim.common.errors",
     "Simulation": "taichi_sim.simulation.simulation",
+    "Snapshot": "taichi_sim.scene.snapshot",
+    "Sphere": "taichi_sim.scene.colliders",
+    "StabilityLimit": "taichi_sim.analysis.limits",
+    "UnstableError": "taichi_sim.common.errors",
     "export": "taichi_sim.outputs",
     "fit": "taichi_sim.sweeps.fit",
+    "largest_rate": "taichi_sim.analysis.element_rates",
     "load_scene": "taichi_sim.files.toml_reader",
     "open_output": "taichi_sim.outputs",
     "picture": "taichi_sim.outputs.quick",
+    "spring_from_rates": "taichi_sim.scene.spring_units",
     "sweep": "taichi_sim.sweeps.sweep",
     "video": "taichi_sim.outputs.quick",
 }
@@ -95,7 +110,10 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Names that bring Taichi or other heavy modules are imported when first used."""
-    if name not in _LAZY:
+    """Names are imported when first used: a command starts before it knows what it needs."""
+    if name == "shapes":
+        return import_module("taichi_sim.shapes")
+    if name not in _MODULES:
         raise AttributeError(f"module 'taichi_sim' has no attribute {name!r}")
-    return getattr(import_module(_LAZY[name]), name)
+    value = globals()[name] = getattr(import_module(_MODULES[name]), name)
+    return value

@@ -50,7 +50,8 @@ class TriangleContacts:
         triangles, beyond, across, edges, bare = owned_by_balls(scene)
         self.tears = bool(np.isfinite(scene.break_strain).any())
         self.tearing: Any = None  # see forces.tearing
-        self.severed = [Severed(part, fields) for part in (triangles, edges)] if self.tears else []
+        of_triangles = np.where(bare[:, None] > 0, -1, edges)  # sticks do not tear
+        self.severed = [Severed(part, fields) for part in (triangles, of_triangles)] if self.tears else []
         self.triangle_start, self.edge_start = (
             fields.integers(np.searchsorted(part[:, 0], np.arange(n + 1))) for part in (triangles, edges)
         )

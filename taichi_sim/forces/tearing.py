@@ -19,13 +19,13 @@ __all__ = ["Severable", "Severed", "Tearing"]
 class Severable(Protocol):
     """What acts no more once a spring between two of its balls has torn."""
 
-    members: NDArray  # (r, k) balls of each row
+    members: NDArray  # (r, k) balls of each row, negative: of none
     gone: Any  # field (r), 1: acts no more
 
 
 @ti.data_oriented
 class Severed:
-    """Which rows of balls (r, k) are gone."""
+    """Which rows of balls (r, k), negative for none, are gone."""
 
     def __init__(self, members: NDArray, fields: Fields) -> None:
         self.members, self.gone = members, fields.integers(len(members))

@@ -186,7 +186,8 @@ class Assembly:
         if springs is not None and np.isfinite(scene.break_strain).any():
             solid = self.contacts.triangles if self.plan.triangles else None
             parts = [*self.forces.elements, *(solid.severed if solid else ())]
-            self.tearing = Tearing(self.model, springs, parts, self.fields, before_contacts=solid is not None)
+            builtin = type(settings.integrator) in BUILT_IN  # others may move balls without looking for contacts
+            self.tearing = Tearing(self.model, springs, parts, self.fields, before_contacts=bool(solid) and builtin)
             if solid:
                 solid.tearing = self.tearing
             self.state.followers.append(self.tearing)

@@ -36,7 +36,7 @@ class Folder:
         self._written: set[str] = set()  # keys of the file of all rows
         require_folder_place(path)
         self._lock: Any = None
-        self._overwrite = overwrite
+        self._overwrite, self._is_ours = overwrite, False
         if path.is_dir() and any(path.iterdir()):
             if not (path / MARK).is_file():
                 raise FileExistsError(f"{path}: the folder is not empty and holds no sweep; use another name")
@@ -65,6 +65,7 @@ class Folder:
                 one.unlink(missing_ok=True)
         with replacing(self.path / MARK) as file:
             file.write(json.dumps(self.about, indent=1).encode())
+        self._is_ours = True
         self._compact()
 
     def close(self) -> None:
@@ -116,7 +117,7 @@ class Folder:
     def finish(self, points: Sequence[Point]) -> None:
         """Write the table of these points, in their order, those that are done; as Parquet, too, where pyarrow is installed.
         Nothing, while the folder is not this sweep's."""
-        if self._lock is None or not (self.path / MARK).is_file():
+        if not self._is_ours:
             return
         self._compact()
         rows = [self.rows[key] for key in dict.fromkeys(point.key for point in points) if key in self.rows]

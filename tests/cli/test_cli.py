@@ -115,13 +115,14 @@ def test_who_stops_reading_gets_no_error(tmp_path, arguments):
     assert done.returncode == 1
 
 
-def test_ctrl_c_while_the_command_loads_is_no_traceback(tmp_path):
-    loading = """
+@pytest.mark.parametrize("module", ["taichi_sim.cli.command", "taichi_sim.common.errors", "typer"])
+def test_ctrl_c_while_the_command_loads_is_no_traceback(tmp_path, module):
+    loading = f"""
 import runpy, sys
 
 class Interrupts:
     def find_spec(self, name, path=None, target=None):
-        if name == "taichi_sim.cli.command":
+        if name == "{module}":
             raise KeyboardInterrupt
 
 sys.meta_path.insert(0, Interrupts())

@@ -9,6 +9,7 @@ from physics_support import EPS, PRECISION, simulate, vector
 from scene_files import assert_refused
 
 import taichi_sim as ts
+from taichi_sim.device.engine import ti
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -342,6 +343,49 @@ def test_cloth_that_tears_collides_with_what_tears_it():
         assert sim.torn.sum() > 5
         assert sim.position[-1, 1] < sim.position[:-1, 1].min() - 0.15
         assert len(sim.frame().torn_triangles) > 5
+
+
+@ti.data_oriented
+class Falling(ts.Integrator):
+    """Moves balls without looking for contacts."""
+
+    method = ts.Method("falling", order=1, symplectic=True, limit=ts.StabilityLimit(undamped=2.0, damped=2.0))
+
+    @ti.func
+    def substep(self, h, time):
+        self.forces.total(self.ball, h, time)
+        for i in range(self.model.n):
+            self.state.kick(i, self.forces.change(i, h))
+            self.state.shift(i, h * self.ball[i].v)
+
+
+@pytest.mark.slow
+def test_springs_tear_by_methods_that_look_for_no_contacts():
+    """Also where triangles collide, and springs are else looked at before contacts are found."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.add_balls(
+        [[0, 0, 0], [0, -1, 0], [3, 0, 0], [4, 0, 0], [3, 0, 1]], radius=0.01, pinned=[True, False, True, True, True]
+    )
+    scene.add_springs([[0, 1]], stiffness=1.0, rest_length=1.0, break_strain=0.5)
+    scene.add_triangles([[2, 3, 4]], collides=True)
+    with simulate(scene, integrator=Falling(), dt=1e-3) as sim:
+        sim.run(0.6)
+        assert sim.torn.tolist() == [True]
+
+
+@pytest.mark.slow
+def test_a_stick_beside_a_spring_that_tears_still_collides():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1]])
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    scene.add_balls(corners, radius=0.02, pinned=True)
+    scene.add_triangles([[0, 1, 2], [2, 1, 3]], collides=True)
+    ends = scene.add_balls([[0.5, 0.1, -0.5], [0.5, 0.1, 1.5]], radius=0.02)
+    scene.add_springs([ends], stiffness=1e4, rest_length=2.0, collides=True)
+    scene.add_springs([ends], stiffness=1.0, rest_length=1.0, break_strain=0.5)
+    with simulate(scene, dt=1e-3) as sim:
+        sim.run(0.4)
+        assert sim.torn.tolist() == [False, True]
+        assert sim.position[4:, 1] == pytest.approx(0.02, abs=2e-3)
 
 
 @pytest.mark.long

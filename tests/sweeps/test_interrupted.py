@@ -128,3 +128,18 @@ def test_ctrl_c_before_the_first_point(tmp_path, monkeypatch):
     assert table(tmp_path / "swept") == []
     assert len(sweep(tmp_path / "heap.toml", folder=tmp_path / "swept", **given).rows) == 2
     assert len(table(tmp_path / "swept")) == 2
+
+
+def test_ctrl_c_before_another_sweep_is_gone_leaves_it(tmp_path, monkeypatch):
+    (tmp_path / "heap.toml").write_text(SCENE)
+    given = {"measure": "energy.kinetic.max", "workers": 0, "folder": tmp_path / "swept"}
+    sweep(tmp_path / "heap.toml", seeds=2, **given)
+    before = (tmp_path / "swept" / "table.csv").read_bytes()
+
+    def interrupt(folder):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Folder, "_empty", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(tmp_path / "heap.toml", seeds=3, duration=0.1, overwrite=True, **given)
+    assert (tmp_path / "swept" / "table.csv").read_bytes() == before
