@@ -199,6 +199,10 @@ def chain(
         now = time.time()
         process.communicate()
         tally.kills, left = tally.kills + 1, left - 1
+        if files(folder) == whole:  # it was done, and the process about to end: there is nothing to resume
+            tally.finished += 1
+            shutil.rmtree(folder)
+            return
         if last := since(folder, begin):
             tally.lost = max(tally.lost, now - last)
         partly = {key: data for key, data in files(folder).items() if not key.rpartition("/")[2].startswith(".")}
