@@ -5,11 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
+from own_methods import Declared
 from physics_support import EPS, PRECISION, simulate, vector
 from scene_files import assert_refused
 
 import taichi_sim as ts
-from taichi_sim.device.engine import ti
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -345,20 +345,6 @@ def test_cloth_that_tears_collides_with_what_tears_it():
         assert len(sim.frame().torn_triangles) > 5
 
 
-@ti.data_oriented
-class Falling(ts.Integrator):
-    """Moves balls without looking for contacts."""
-
-    method = ts.Method("falling", order=1, symplectic=True, limit=ts.StabilityLimit(undamped=2.0, damped=2.0))
-
-    @ti.func
-    def substep(self, h, time):
-        self.forces.total(self.ball, h, time)
-        for i in range(self.model.n):
-            self.state.kick(i, self.forces.change(i, h))
-            self.state.shift(i, h * self.ball[i].v)
-
-
 @pytest.mark.slow
 def test_springs_tear_by_methods_that_look_for_no_contacts():
     """Also where triangles collide, and springs are else looked at before contacts are found."""
@@ -368,7 +354,7 @@ def test_springs_tear_by_methods_that_look_for_no_contacts():
     )
     scene.add_springs([[0, 1]], stiffness=1.0, rest_length=1.0, break_strain=0.5)
     scene.add_triangles([[2, 3, 4]], collides=True)
-    with simulate(scene, integrator=Falling(), dt=1e-3) as sim:
+    with simulate(scene, integrator=Declared(), dt=1e-3) as sim:
         sim.run(0.6)
         assert sim.torn.tolist() == [True]
 

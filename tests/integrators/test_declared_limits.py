@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-import taichi as ti
+from own_methods import Declared, Silent
 from physics_support import PRECISION
 
 import taichi_sim as ts
@@ -12,27 +12,6 @@ from taichi_sim.analysis.methods import BUILT_IN_METHODS
 from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.reports import check
-
-
-@ti.data_oriented
-class Silent(ts.Integrator):
-    """Symplectic Euler without contacts, of which nothing is said."""
-
-    method = ts.Method("silent", order=1)
-
-    @ti.func
-    def substep(self, h, time):
-        self.forces.total(self.ball, h, time)
-        for i in range(self.model.n):
-            self.state.kick(i, self.forces.change(i, h))
-            self.state.shift(i, h * self.ball[i].v)
-
-
-@ti.data_oriented
-class Declared(Silent):
-    """The same, with its limit."""
-
-    method = ts.Method("declared", order=1, symplectic=True, limit=ts.StabilityLimit(undamped=2.0, damped=2.0))
 
 
 def pair(damping=0.0):

@@ -35,13 +35,7 @@ pinned = [0, 29]
 [[balls]]
 position = [[0.5, 1.5, 0.5]]
 radius = 0.1
-[[probes]]
-name = "all"
-kind = "energy"
 [output]
-fps = 40
-duration = 1.5
-size = [96, 64]
 camera = {follow = [900]}
 """
 HEAP = """# Balls with friction fall into a heap on a floor and a turning bar.
@@ -70,16 +64,17 @@ resolution = [6, 8, 6]
 radius = 0.04
 position = [0.0, 0.3, 0.0]
 material = "rubber"
+[output]
+camera = {follow = [100]}
+"""
+LOOKED_AT = """fps = 40
+duration = 1.5
+size = [96, 64]
 [[probes]]
 name = "all"
 kind = "energy"
-[output]
-fps = 40
-duration = 1.5
-size = [96, 64]
-camera = {follow = [100]}
 """
-SCENES = {"net": NET, "heap": HEAP}
+SCENES = {"net": NET + LOOKED_AT, "heap": HEAP + LOOKED_AT}
 FORMATS = (
     "x.mp4",
     "x.webm",
