@@ -4,6 +4,7 @@ The CPU's results are made by another process, since Taichi holds one device for
 balls have begun in each other; where nothing collides, 1e-5 m.
 """
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -27,25 +28,45 @@ def arch(request):
     return request.config.getoption("--arch")
 
 
+def by_scene(names):
+    """Parameters whose tests share a worker under `-n 6 --dist loadgroup`, so that each scene is run once."""
+    return [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in names]
+
+
 @pytest.fixture(scope="module")
 def on_cpu(tmp_path_factory):
-    """What the CPU finds: begun with the first test, waited for by the first that compares."""
-    file = tmp_path_factory.mktemp("cpu") / "found.npz"
-    command = [sys.executable, str(Path(device_scenes.__file__)), "cpu", str(file)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    loaded = {}
+    """What the CPU finds: begun with the first test, waited for by the first that compares; by workers, scene by scene."""
+    folder = tmp_path_factory.mktemp("cpu")
+    command = [sys.executable, str(Path(device_scenes.__file__)), "cpu"]
+    running, loaded = {}, {}
+
+    def begin(*names):
+        file = folder / f"{len(running)}.npz"
+        running[file] = subprocess.Popen(
+            [*command, file, *names], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        return file
+
+    def load(file):
+        said, _ = running[file].communicate()
+        assert running[file].returncode == 0, said
+        with np.load(file) as arrays:
+            for key, array in arrays.items():
+                name, _, what = key.partition(".")
+                loaded.setdefault(name, {})[what] = array
+
+    alone = "PYTEST_XDIST_WORKER" not in os.environ
+    whole = begin() if alone else None
 
     def found(name):
-        if not loaded:
-            said, _ = process.communicate()
-            assert process.returncode == 0, said
-            with np.load(file) as arrays:
-                loaded.update(arrays)
-        return {key.partition(".")[2]: array for key, array in loaded.items() if key.partition(".")[0] == name}
+        if name not in loaded:
+            load(whole if alone else begin(name))
+        return loaded[name]
 
     yield found
-    process.kill()
-    process.wait()
+    for process in running.values():
+        process.kill()
+        process.wait()
 
 
 def test_the_device_computes_right(on_cpu):
@@ -65,12 +86,12 @@ def on_device(arch):
     return found
 
 
-@pytest.mark.parametrize("name", device_scenes.BY_NAME)
+@pytest.mark.parametrize("name", by_scene(device_scenes.BY_NAME))
 def test_runs(name, on_cpu, on_device):
     assert np.isfinite(on_device(name)["position"]).all()
 
 
-@pytest.mark.parametrize("name", ["pile_ordered", "pile_2d", "colours_3d", "surfaces", "implicit_euler"])
+@pytest.mark.parametrize("name", by_scene(["pile_ordered", "pile_2d", "colours_3d", "surfaces", "implicit_euler"]))
 def test_the_same_bits_in_every_run(name, arch, on_device):
     once, again = on_device(name), device_scenes.run(name, arch)
     for what in ("position", "velocity", "spin"):
@@ -92,7 +113,7 @@ def test_sums_over_many_balls_are_right(arch):
     assert energy.gravity == pytest.approx(10.0 * np.sum(scene.mass * scene.position[:, 1]), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["many_springs", "colours_2d"])
+@pytest.mark.parametrize("name", by_scene(["many_springs", "colours_2d"]))
 def test_a_restored_run_goes_on(name, arch, tmp_path):
     scene, settings = device_scenes.BY_NAME[name]()
     with ts.Simulation(scene, arch=arch, **settings) as whole:
@@ -124,7 +145,7 @@ def differences(one, other, tolerance):
     return np.array([moved.max(), np.mean(moved > tolerance), energy, contacts, depth.max()])
 
 
-@pytest.mark.parametrize("name", device_scenes.BY_NAME)
+@pytest.mark.parametrize("name", by_scene(device_scenes.BY_NAME))
 def test_as_the_cpu(name, on_cpu, on_device):
     """Or, where a scene is sensitive, as near to the CPU as that comes to itself from starts that are off by a rounding error."""
     here, there = on_device(name), on_cpu(name)
@@ -148,7 +169,7 @@ def test_scenes_have_what_is_to_be_compared(on_cpu):
     assert np.abs(on_cpu("pile_3d")["spin"]).max() > 0.1
 
 
-@pytest.mark.parametrize("name", device_scenes.SWINGING)
+@pytest.mark.parametrize("name", by_scene(device_scenes.SWINGING))
 def test_springs_by_colours_are_as_accurate_as_in_turn(name, arch, on_cpu):
     here, there = device_scenes.swung(name, arch), on_cpu(name)
     assert "springs.colours" in here["kernels"]
@@ -156,7 +177,7 @@ def test_springs_by_colours_are_as_accurate_as_in_turn(name, arch, on_cpu):
     assert mine < 1.1 * theirs
 
 
-@pytest.mark.parametrize("name", device_scenes.STIFF)
+@pytest.mark.parametrize("name", by_scene(device_scenes.STIFF))
 def test_implicit_methods_are_solved_as_well_as_on_the_cpu(name, arch, on_cpu):
     """By default settings, against the same steps solved to rounding: without aggregates a tolerance hides slow modes."""
     here, there = device_scenes.stiff(name, arch), on_cpu(name)
@@ -164,7 +185,7 @@ def test_implicit_methods_are_solved_as_well_as_on_the_cpu(name, arch, on_cpu):
     assert mine < 2.0 * theirs + 5e-5
 
 
-@pytest.mark.parametrize("name", device_scenes.PICTURES)
+@pytest.mark.parametrize("name", by_scene(device_scenes.PICTURES))
 def test_pictures_as_the_cpu_draws_them(name, arch, on_cpu):
     here, there = device_scenes.picture(name, arch).astype(int), on_cpu(name)["picture"].astype(int)
     assert there.std() > 10  # something is seen

@@ -13,6 +13,7 @@ import warnings
 
 import numpy as np
 import reference_bits as bits
+from physics_support import PRECISION
 
 import taichi_sim as ts
 from taichi_sim.device import backend
@@ -188,7 +189,7 @@ def run(name, arch, scene=None, settings=None):
         scene, settings = BY_NAME[name]()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        simulation = ts.Simulation(scene, arch=arch, precision="f32", driver="parallel", **settings)
+        simulation = ts.Simulation(scene, arch=arch, precision=PRECISION, driver="parallel", **settings)
     with simulation:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -224,7 +225,7 @@ SWINGING = {"swinging_cloth": swinging_cloth, "hanging_beam": hanging_beam}
 
 def swung(name, arch, integrator="xpbd", parts=1):
     """Positions after 0.2 s by steps of 1 ms / parts."""
-    settings = {"driver": "auto" if arch == "cpu" else "parallel", "contacts": "off", "precision": "f32"}
+    settings = {"driver": "auto" if arch == "cpu" else "parallel", "contacts": "off", "precision": PRECISION}
     with ts.Simulation(SWINGING[name](), arch=arch, integrator=integrator, dt=1e-3 / parts, **settings) as sim:
         sim.step(200 * parts)
         return {"position": sim.position, "kernels": np.array(sim.kernels())}
@@ -237,7 +238,7 @@ def stiff(name, arch, **tolerance):
     """Positions of a cloth after 0.2 s, in steps that do not resolve its springs: slow modes are what is hard to solve for."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     ts.shapes.cloth(scene, size=(1.2, 1), resolution=(24, 20), mass=0.4, stiffness=6e4, damping=0.1, pinned="left")
-    settings = {"driver": "auto" if arch == "cpu" else "parallel", "contacts": "off", "precision": "f32"}
+    settings = {"driver": "auto" if arch == "cpu" else "parallel", "contacts": "off", "precision": PRECISION}
     with ts.Simulation(scene, arch=arch, integrator=STIFF[name](**tolerance), dt=5e-3, **settings) as sim:
         sim.step(40)
         return {"position": sim.position}
@@ -262,7 +263,9 @@ PICTURES = {
 
 def picture(name, arch):
     """(height, width, 3) of a scene at its start."""
-    with ts.Simulation(PICTURES[name](), arch=arch, precision="f32", contacts="off", driver="parallel", dt=1e-4) as sim:
+    with ts.Simulation(
+        PICTURES[name](), arch=arch, precision=PRECISION, contacts="off", driver="parallel", dt=1e-4
+    ) as sim:
         frame = sim.frame()
     renderer = Renderer(frame, size=(480, 270))
     return renderer.render(frame)
@@ -271,7 +274,7 @@ def picture(name, arch):
 if __name__ == "__main__":
     arch, file, *names = sys.argv[1:]
     if arch == "cpu":  # scenes are small, and each worker of pytest has such a process
-        backend.start(arch, "f32", threads=min(2, os.cpu_count() or 1))
+        backend.start(arch, PRECISION, threads=min(2, os.cpu_count() or 1))
     found = {}
     for name in names or (*PICTURES, *BY_NAME, *SWINGING, *STIFF):
         if name in STIFF:
