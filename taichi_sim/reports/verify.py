@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from taichi_sim import __version__, shapes
 from taichi_sim.common.errors import UnstableError
 from taichi_sim.device import backend
+from taichi_sim.integrators import ImplicitEuler
 from taichi_sim.reports.machine import processor
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.simulation import Simulation
@@ -100,8 +101,14 @@ CASES = (
         0.5,
     ),
     Case("collisions, gauss_seidel", _collision, {"contacts": "gauss_seidel"}, 0.6, cpu=True),
-    Case("cloth, implicit_euler", _cloth, {"integrator": "implicit_euler", "contacts": "off", "dt": 4e-3}, 0.4),
-    Case("jelly, xpbd", _jelly, {"integrator": "xpbd", "contacts": "off"}, 0.2),
+    Case(  # solved until rounding ends it: by its usual tolerance what a device without aggregates leaves is 3e-4 of the size
+        "cloth, implicit_euler",
+        _cloth,
+        {"integrator": ImplicitEuler(tolerance=3e-5), "contacts": "off", "dt": 4e-3},
+        0.4,
+    ),
+    Case("jelly, xpbd in turn", _jelly, {"integrator": "xpbd", "contacts": "off"}, 0.2, cpu=True),
+    Case("jelly, xpbd by colours", _jelly, {"integrator": "xpbd", "contacts": "off", "accumulate": "gather"}, 0.2),
 )
 
 

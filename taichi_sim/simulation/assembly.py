@@ -209,7 +209,7 @@ class Assembly:
             order = "atomic"
         elif once and self.parallel and not self.integrator.in_turn:
             order = "ends"
-        elif once and not cpu:
+        elif once and (self.parallel or not cpu):  # ordered alike on both
             coloured = self.integrator.in_turn and np.bincount(scene.pairs.ravel()).max() <= MOST_COLOURS // 2
             order = "colours" if coloured else "atomic"
         elif once and order == "gather":

@@ -44,7 +44,7 @@ def test_the_last_line_says_that_all_passed(monkeypatch):
     monkeypatch.setattr(verify, "computed", lambda case, **_: stored(case))
     ended = CliRunner().invoke(main, ["verify", "--arch", "cpu"])
     assert ended.exit_code == 0
-    assert ended.output.splitlines()[-1] == "all 6 passed"
+    assert ended.output.splitlines()[-1] == "all 7 passed"
 
 
 @pytest.mark.parametrize("what", ["position", "energy", "nan", "unstable"])
@@ -64,7 +64,7 @@ def test_one_scene_that_is_off_is_named_and_ends_with_status_1(what, monkeypatch
     lines = ended.output.splitlines()
     assert next(line for line in lines if line.startswith("WRONG")).startswith("WRONG   cloth, implicit_euler: ")
     assert sum(line.startswith("passed") for line in lines) == len(verify.CASES) - 1
-    assert ended.output.splitlines()[-1] == "taichi-sim: 1 of 6 failed: cloth, implicit_euler"
+    assert ended.output.splitlines()[-1] == "taichi-sim: 1 of 7 failed: cloth, implicit_euler"
     assert ("off by 2.0e-05 of its size or energy, allowed 1e-05" in ended.output) == (what in ("position", "energy"))
     for part in ("taichi-sim 0", "f32", f"{ENGINE} {VERSION}", "NumPy", "Python", "allowed 1e-05"):
         assert part in ended.output
@@ -77,4 +77,4 @@ def test_what_only_a_cpu_runs_is_passed_over_on_a_device(monkeypatch):
     monkeypatch.setattr(verify.backend, "start", lambda *_: Device)
     monkeypatch.setattr(verify, "computed", lambda case, **_: stored(case))
     passed_over = [result.name for result in verify.results("vulkan") if result.deviation is None and result.passed]
-    assert passed_over == ["collisions, gauss_seidel"]
+    assert passed_over == ["collisions, gauss_seidel", "jelly, xpbd in turn"]

@@ -162,7 +162,7 @@ BY_NAME = {build.__name__: build for build in SCENES}
 SENSITIVE = ("colours_2d", "colours_3d", "surfaces")
 STARTS = 8  # each coordinate off by a rounding error at most
 ROUNDING = 2.0**-24
-COMPARED = ("position", "energy", "contacts", "depth")
+COMPARED = ("position", "velocity", "energy", "contacts", "depth")
 
 
 def run_from_other_starts(name):
