@@ -109,9 +109,9 @@ def test_a_stale_lock_of_the_cache_is_removed_and_said(tmp_path, monkeypatch):
 
 BEGIN = """
 import numpy as np
-import taichi as ti
 import taichi_sim as ts
 from taichi_sim.device import backend
+from taichi_sim.device.engine import ti  # the engine that is used
 
 def is_closed(sim):
     try:
