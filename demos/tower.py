@@ -32,7 +32,7 @@ def scene():
                 size=(SIDE,) * 3,
                 resolution=(4, 4, 4),
                 mass=10.0,
-                stiffness=12000.0,
+                stiffness=20000.0,
                 damping=20.0,
                 material="jelly",
                 position=place,

@@ -79,6 +79,17 @@ def program() -> Any:
     return runtime.prog if ENGINE == "taichi" else runtime._prog
 
 
+def forget_launches() -> None:
+    """To be called where kernels were dropped: Quadrants 1.4.0 keeps their prepared launches by address, and a new kernel that gets
+    the address of a dropped one is refused ("kernel_ == other.kernel_")."""
+    if ENGINE == "quadrants":
+        for kernel in ti.lang.impl.get_runtime().kernels:
+            prepared = getattr(kernel, "launch_context_buffer_cache", None)  # other versions may have none
+            if prepared is not None:
+                prepared._launch_ctx_cache.clear()
+                prepared._launch_ctx_cache_tracker.clear()
+
+
 # what a mistake in a user's kernel raises
 CompilationError: type[Exception] = ti.TaichiCompilationError if ENGINE == "taichi" else ti.QuadrantsCompilationError
 

@@ -6,7 +6,7 @@ another tree. So a freed tree is kept for a while, and fields of the same layout
 
 from typing import Any
 
-from taichi_sim.device.engine import program, ti
+from taichi_sim.device.engine import forget_launches, program, ti
 from taichi_sim.device.fast_launches import KEY, quicken
 
 __all__ = ["Tree", "drop", "forget", "kept", "lead", "take", "take_back", "twin"]
@@ -60,6 +60,7 @@ class Tree:
     def destroy(self) -> None:
         """Give the memory back; all kernels of the process are compiled again when they run next."""
         self._tree.destroy()
+        forget_launches()
 
 
 def kept() -> list[Tree]:

@@ -197,3 +197,14 @@ def test_fields_that_are_given_up_leave_nothing_behind():
     fields, part = made([1.0])
     part.work()
     fields.free()
+
+
+def test_kernels_run_when_all_were_dropped_with_a_destroyed_tree():
+    """What is compiled anew often gets the address of what was dropped, by which Quadrants 1.4.0 keeps what to launch."""
+    fields, part = made([1.0, 2.0], factor=4.0)
+    for n in range(3, 33):
+        part.work()
+        made(np.arange(n))[0].free()
+        trees._kept.pop().destroy()
+    assert part.vector.to_numpy()[1, 0] == 240.0
+    fields.free()

@@ -42,7 +42,7 @@ LONG = (
     "thread/15_ball_stick",
     "thread/16_many_kinds",
 )  # up to minutes each
-WHOLE = ("jelly", "squeeze", "stairs")  # surfaces that never pierce themselves
+WHOLE = ("cloth", "eel", "flag", "jelly", "shell", "sphere", "squeeze", "stairs", "tower", "wind")  # surfaces are drawn
 CHECKS = {"box": check_box}  # scene files hold no code
 
 
