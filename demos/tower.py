@@ -10,7 +10,7 @@ COLOURS = ((0.86, 0.22, 0.32), (0.95, 0.62, 0.2), (0.25, 0.6, 0.45), (0.25, 0.42
 
 def scene():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    view = {"azimuth": 20, "elevation": 20, "distance": 10, "target": (0.4, 1.4, 0.3)}  # room for what falls
+    view = {"azimuth": 20, "elevation": 20, "distance": 11.5, "target": (0.4, 1.2, 0.3)}  # room for what falls
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720), "camera": view}
     scene.settings = {
         "spin": False,
