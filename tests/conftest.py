@@ -50,7 +50,7 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.long)
         if item.get_closest_marker("long") or _is_where(item, "slow_where"):
             item.add_marker(pytest.mark.slow)
-    if os.environ.get("TAICHI_SIM_PRECISION") == "f64":  # asked for: single precision has its own run
+    if os.environ.get("TAICHI_SIM_PRECISION") == "f64" or (of_device and PRECISION == "f64"):  # f32 has its own run
         again = [item for item in items if item.get_closest_marker("once")]
         config.hook.pytest_deselected(items=again)
         items[:] = [item for item in items if item not in again]

@@ -1,6 +1,8 @@
 """Simulation to one .npz file and back: the scene, all arguments, and where everything is."""
 
+import hashlib
 import json
+import warnings
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from os import PathLike
@@ -18,7 +20,7 @@ from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 
-__all__ = ["FORMAT", "parts_of", "restore_state", "save_state", "scene_of", "text_of"]
+__all__ = ["FORMAT", "digest", "parts_of", "restore_state", "save_state", "scene_of", "text_of"]
 
 FORMAT = 5
 MESH = ("vertices", "triangles")
@@ -38,8 +40,22 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     snapshot = simulation.snapshot()
     about, arrays = parts_of(scene)
     about |= {"settings": settings, "time": snapshot.time, "stepping": snapshot.stepping}
+    arrays = snapshot.arrays() | arrays
+    about = plain(about)
+    about["digest"] = digest(about, arrays)
     with replacing(path) as file:
-        np.savez(file, about=text_of(about), **snapshot.arrays(), **arrays)
+        np.savez(file, about=text_of(about), **arrays)
+
+
+def digest(about: Mapping[str, Any], arrays: Mapping[str, Any]) -> str:
+    """SHA-256 of all that a state holds but this."""
+    found = hashlib.sha256(json.dumps({k: v for k, v in about.items() if k != "digest"}, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        if name != "about":
+            found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+            found.update(np.ascontiguousarray(array).data if array.dtype.kind in "biuf" else array.tobytes())
+    return found.hexdigest()
 
 
 def text_of(about: Mapping[str, Any]) -> NDArray[np.str_]:
@@ -90,13 +106,24 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         settings = dict(about["settings"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
         raise SceneError((), says=f"is not a state that Simulation.save wrote ({error})", file=path) from None
-    simulation = kind(scene, **{**settings, **overrides})
-    if {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
+    edited = about.get("digest") != digest(about, arrays)
+    if (
+        edited
+    ):  # lists of contacts name balls and places of each other: what kernels follow is never taken from a stranger
+        warnings.warn(
+            f"{path}: was edited, or written by an earlier version: it goes on from its positions and velocities, and contacts"
+            " find the load that they carry anew",
+            stacklevel=3,
+        )
+    if edited or {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
         snapshot = replace(snapshot, stepping={}, memory={})
+    simulation = None
     try:
+        simulation = kind(scene, **{**settings, **overrides})
         simulation.resume(snapshot)
     except BaseException as error:
-        simulation.close()
+        if simulation is not None:
+            simulation.close()
         if isinstance(error, SceneError) and error.file is None:
             error.file = path
         raise

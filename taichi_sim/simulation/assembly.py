@@ -204,14 +204,16 @@ class Assembly:
         if scene.n_springs == 0:
             return None
         once = self.integrator.each_once  # in blocks, padded or not; a GPU has more threads than there are
+        coloured = once and self.integrator.in_turn and np.bincount(scene.pairs.ravel()).max() <= MOST_COLOURS // 2
         order = fixed_order(self.model, cpu, small)
         if self.atomic:
             order = "atomic"
         elif once and self.parallel and not self.integrator.in_turn:
             order = "ends"
-        elif once and (self.parallel or not cpu):  # ordered alike on both
-            coloured = self.integrator.in_turn and np.bincount(scene.pairs.ravel()).max() <= MOST_COLOURS // 2
-            order = "colours" if coloured else "atomic"
+        elif coloured and (self.parallel or not cpu):  # ordered alike on both
+            order = "colours"
+        elif once and not cpu:
+            order = "atomic"
         elif once and order == "gather":
             order = "blocks"
         elif self.integrator.in_turn and order == "padded":
@@ -486,7 +488,9 @@ class Assembly:
     @property
     def order_of_sums(self) -> str:
         """In what order impulses are added: runs that differ in it differ in the last digits."""
-        return "atomic" if self.plan.atomic else "gather" if self.plan.gathers else "blocks"
+        contacts = "atomic" if self.plan.atomic else "gather" if self.plan.gathers else "blocks"
+        springs = self.forces.springs
+        return contacts if springs is None else f"{contacts} {springs.order}"
 
     @property
     def room(self) -> ContactCapacity:

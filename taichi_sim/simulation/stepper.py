@@ -497,7 +497,7 @@ class Stepper:
             return
         try:
             values = self._checked(snapshot)
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             raise SceneError("stepping", says=f"is not what Simulation.snapshot gives ({error})") from None
         self._put_back(values, snapshot)
         if not self._reaches(snapshot):
@@ -522,7 +522,9 @@ class Stepper:
         values = {name: _as_is(getattr(self, name), given[name]) for name in self.saved}
         steps, mark, end, substeps = (values[name] for name in ("steps", "mark", "end", "substeps"))
         most = max(1, self.chunk // self._first_substeps)
-        if not 0 <= mark <= steps <= end <= mark + most or substeps < 1:
+        if not (
+            0 <= mark <= steps <= end <= mark + most and 1 <= substeps < 1 << 31 and values["largest_motion"] >= 0.0
+        ):
             raise ValueError(f"steps {steps} from {mark} to {end} in {substeps} parts")
         if not abs(values["begin"] + steps * self.dt - snapshot.time) <= 1e-9 * snapshot.time:
             raise ValueError(f"{steps} steps since {values['begin']} s end at another time than {snapshot.time} s")
@@ -534,6 +536,7 @@ class Stepper:
             self.parts = self.parts.with_room(room)
             self.primed = False  # what contacts held is gone
         self.parts.check(snapshot.memory, given["h"])
+        _monitored(given["monitor"])
         return values
 
     def _put_back(self, values: Mapping[str, Any], snapshot: Snapshot) -> None:
@@ -543,10 +546,9 @@ class Stepper:
         for name, value in values.items():
             setattr(self, name, value)
         self.parts.set_step(self.h, holds=False)
-        monitor = snapshot.stepping["monitor"]
-        if monitor is not None:
-            self.monitor.least, self.monitor.most = float(monitor[0]), float(monitor[1])
-            self.monitor.last = StateSample(*monitor[2])
+        monitored = _monitored(snapshot.stepping["monitor"])
+        if monitored is not None:
+            self.monitor.least, self.monitor.most, self.monitor.last = monitored
 
     def _reaches(self, snapshot: Snapshot) -> bool:
         """Go on from what was kept. Returns whether that leads to where the snapshot is: on the same kind of machine it does."""
@@ -556,6 +558,14 @@ class Stepper:
             self._run(steps)
         self.steps = steps
         return np.array_equal(self.parts.state.position, snapshot.position)
+
+
+def _monitored(given: Any) -> tuple[float, float, StateSample] | None:
+    """What an energy monitor goes on from, of a snapshot's plain values."""
+    if given is None:
+        return None
+    least, most, (bad, *numbers) = given
+    return float(least), float(most), StateSample(None if bad is None else int(bad), *map(float, numbers))
 
 
 def _as_is(present: Any, given: Any) -> Any:

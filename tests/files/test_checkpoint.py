@@ -7,6 +7,7 @@ import pytest
 
 import taichi_sim as ts
 from taichi_sim.analysis.damping import predicts_damping
+from taichi_sim.files import checkpoint
 from taichi_sim.files.checkpoint import FORMAT
 from taichi_sim.files.source import checked_output
 from taichi_sim.outputs.recording import Recording
@@ -63,13 +64,13 @@ def test_what_a_method_remembers_is_saved(tmp_path, monkeypatch, method):
             assert np.array_equal(again.position, sim.position)
             assert np.array_equal(again.velocity, sim.velocity)
         name = f"stepping.ball.{sim.parts.moments.first}"
-        _edited(path, **{name: 0.5 * np.load(path)[name]})
+        _edited(path, signed=True, **{name: 0.5 * np.load(path)[name]})
         with pytest.warns(UserWarning, match="goes on from the positions saved"):
             again = ts.Simulation.restore(path)
         with again:
             again.step(50)
             assert not np.array_equal(again.velocity, sim.velocity)
-        _edited(path, **{name: None})
+        _edited(path, signed=True, **{name: None})
         with pytest.raises(
             ts.SceneError, match=r"state\.npz: stepping: is not what Simulation\.snapshot gives \(ball\.\d is missing\)"
         ):
@@ -126,14 +127,73 @@ def test_saving_into_a_missing_folder_writes_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def _edited(path, **changes):
-    """The archive with some arrays replaced, or left out where the new one is None."""
+def _edited(path, signed=False, **changes):
+    """The archive with some arrays replaced, or left out where the new one is None. signed: as if the program had written it."""
     with np.load(path) as file:
         arrays = dict(file)
     about = json.loads(str(arrays.pop("about")))
     about.update(changes.pop("about", {}))
-    arrays.update(changes)
-    np.savez(path, about=np.array(json.dumps(about)), **{k: v for k, v in arrays.items() if v is not None})
+    arrays = {name: array for name, array in (arrays | changes).items() if array is not None}
+    if signed:
+        about["digest"] = checkpoint.digest(about, arrays)
+    np.savez(path, about=np.array(json.dumps(about)), **arrays)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda arrays, about: arrays["stepping.contact.0"].fill(2**31 - 1),
+        lambda arrays, about: arrays.pop("stepping.contact.0"),
+        lambda arrays, about: about["stepping"].update(monitor=-1),
+        lambda arrays, about: about["stepping"].update(largest_motion=None),
+        lambda arrays, about: about.pop("digest"),
+    ],
+    ids=["list", "no list", "monitor", "motion", "unsigned"],
+)
+def test_what_kernels_follow_is_not_taken_from_an_edited_file(tmp_path, edit):
+    """Lists of contacts name balls and places of each other: a wrong one would end the process."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls([[0, 0.1], [0, 0.3]], radius=0.1)
+    scene.add_wall((0, 1))
+    path = tmp_path / "state.npz"
+    with ts.Simulation(scene, dt=1e-3) as sim:
+        sim.step(20)
+        sim.save(path)
+        with np.load(path) as file:
+            arrays = dict(file)
+        about = json.loads(str(arrays.pop("about")))
+        edit(arrays, about)
+        np.savez(path, about=np.array(json.dumps(about)), **arrays)
+        with pytest.warns(
+            UserWarning, match=r"state\.npz: was edited, or written by an earlier version: it goes on from"
+        ):
+            again = ts.Simulation.restore(path)
+        with again:
+            assert np.array_equal(again.position, sim.position)
+            again.step(20)
+            assert np.abs(again.position - sim.position).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    "stepping", [{"monitor": -1}, {"monitor": [1, 2]}, {"largest_motion": None}, {"begin": 10**400}]
+)
+def test_plain_values_of_a_run_are_judged(tmp_path, stepping):
+    with ts.Simulation(small_scene(), dt=2e-3) as sim:
+        sim.step(3)
+        sim.save(tmp_path / "state.npz")
+        about = {"stepping": dict(sim.snapshot().stepping) | stepping}
+    _edited(tmp_path / "state.npz", signed=True, about=json.loads(json.dumps(about)))
+    with pytest.raises(ts.SceneError, match=r"state\.npz: stepping: is not what Simulation\.snapshot gives"):
+        ts.Simulation.restore(tmp_path / "state.npz")
+
+
+def test_settings_of_a_state_are_judged_with_its_name(tmp_path):
+    with ts.Simulation(small_scene(), dt=2e-3) as sim:
+        sim.save(tmp_path / "state.npz")
+        settings = json.loads(str(np.load(tmp_path / "state.npz")["about"]))["settings"]
+    _edited(tmp_path / "state.npz", signed=True, about={"settings": settings | {"dt": -1.0}})
+    with pytest.raises(ts.SceneError, match=r"state\.npz: dt: -1\.0 is not allowed"):
+        ts.Simulation.restore(tmp_path / "state.npz")
 
 
 @pytest.mark.parametrize(

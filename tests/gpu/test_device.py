@@ -1,4 +1,4 @@
-"""A device against the CPU, in single precision: the same scenes, a few steps, and what comes out of each.
+"""A device against the CPU, in the precision of TAICHI_SIM_PRECISION: the same scenes, a few steps, and what comes out of each.
 
 The CPU's results are made by another process, since Taichi holds one device for each. Tolerances: positions within 2e-4 m after
 balls have begun in each other; where nothing collides, 1e-5 m.

@@ -237,6 +237,16 @@ def test_xpbd_by_colours_is_what_a_device_does():
     assert np.abs(found[0] - found[2]).max() > 1e-6  # another order
 
 
+def test_xpbd_keeps_an_order_where_a_ball_has_too_many_springs_for_colours():
+    """Atomic sums would vary in the last bits, and split the masses of all."""
+    scene = ts.Scene(dim=2)
+    around = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    scene.add_balls([[0, 0], *np.stack([np.cos(around), np.sin(around)], axis=1)], radius=0.01)
+    scene.add_springs([(0, k) for k in range(1, 41)], stiffness=10.0)
+    with simulate(scene, ("gather", "parallel"), integrator="xpbd", dt=1e-3, contacts="off") as sim:
+        assert "springs.blocks" in sim.kernels()
+
+
 @pytest.mark.slow
 @each_stiff
 @pytest.mark.long_where(method=["implicit_euler"])
