@@ -135,9 +135,10 @@ def robust_bounds(position: Floats, radius: Floats) -> tuple[Bounds, NDArray[np.
     return Bounds((position[kept] - r).min(axis=0), (position[kept] + r).max(axis=0)), kept
 
 
-def near_boxes(frame: Frame, bounds: Bounds) -> Floats:
-    """Corners (k, dim) of the boxes about colliders near the balls, cut off where they reach far beyond them."""
-    reach = 0.75 * bounds.size
+def near_boxes(frame: Frame, bounds: Bounds, least: float = 0.0) -> Floats:
+    """Corners (k, dim) of the boxes about colliders near the balls, cut off where they reach far beyond them. least [m]: what
+    is no further from them is near in any case."""
+    reach = max(0.75 * bounds.size, least)
     low, high = bounds.low - reach, bounds.high + reach
     corners = [np.clip(corner, low, high) for p in frame.colliders for corner in p.box if _meet(p.box, low, high)]
     return np.array(corners).reshape(-1, frame.dim)

@@ -26,6 +26,8 @@ PINNED_COLOUR = (0.24, 0.25, 0.28)
 MANY_PRIMITIVES = 150_000  # primitives: from here one sample per pixel and a smoothing pass instead of four samples
 MOST_TESTS = 1.5e8  # ray tests of spheres in one picture
 
+IN_SIGHT = 0.4  # of the camera's distance from its target: colliders so near to the balls have shadows
+
 
 class Renderer3D:
     """See `Renderer`. Inside, lengths are in units of the scene's size about its centre: f32 suffices."""
@@ -52,7 +54,7 @@ class Renderer3D:
         self._table = Colouring.table()
         self._tracker: Tracker | None = Tracker(frame, camera, size[0] / size[1])
         self._aim_from(self._tracker.first)
-        self._bounds = self._extent(frame)
+        self._bounds = self._extent(frame, np.inf)
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
         self._zenith, self._horizon = background_colours(background, stage.zenith, stage.horizon)
@@ -102,6 +104,8 @@ class Renderer3D:
         if self._tracker is not None:
             self._tracker.fit(frames)
             self._aim_from(self._tracker.first)
+            now = [self._bounds, *(self._extent(frame, max(self._distance, self._unit)) for frame in frames)]
+            self._bounds = Bounds(np.min([one.low for one in now], axis=0), np.max([one.high for one in now], axis=0))
 
     def _aim_from(self, camera: Camera) -> None:
         """Begin with a camera, whose lights stay when it moves."""
@@ -186,7 +190,7 @@ class Renderer3D:
 
     def _spare(self, view: NDArray[np.float32]) -> None:
         """Bound the work where balls share one spot and their spheres would be drawn over each other endlessly."""
-        distance = np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)) / self._unit
+        distance = self._distance / self._unit
         shadow = (self._canvas.shadow_size * self._unit / self._bounds.size) ** 2 if self._shadow else 0.0
         per_square = float(view[3, 0] / distance) ** 2  # px for a unit square at the target
         tests = self._canvas.samples + shadow / per_square  # for a px of disc
@@ -203,11 +207,22 @@ class Renderer3D:
             styles = (b.style_of, b.style, b.is_see_through)
             raster.draw_triangles(b.ball, b.corner, *styles, seen, samples, v, width, height, b.triangles)
 
-    def _extent(self, frame: Frame) -> Bounds:
+    def _extent(self, frame: Frame, most: float) -> Bounds:
+        """What shadows are for: the balls and the colliders near them or in sight, at most so far [m] from the camera's target,
+        beyond which a ball that was flung away would leave no detail to all others' shadows."""
         step = max(1, len(frame.position) // 4096)
         bounds = robust_bounds(frame.position[::step], frame.radius[::step])[0]
-        points = np.concatenate([bounds.low[None], bounds.high[None], near_boxes(frame, bounds)])
-        return Bounds(points.min(axis=0), points.max(axis=0))
+        near = near_boxes(frame, bounds, IN_SIGHT * self._distance)
+        points = np.concatenate([bounds.low[None], bounds.high[None], near])
+        target = np.asarray(self.camera.target)
+        return Bounds(
+            *(np.clip(ends, target - most, target + most) for ends in (points.min(axis=0), points.max(axis=0)))
+        )
+
+    @property
+    def _distance(self) -> float:
+        """Of the camera from its target [m]."""
+        return float(np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)))
 
     def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:
         """Draw the shadow map; return its view, which covers the bounds."""
@@ -226,7 +241,7 @@ class Renderer3D:
 
     def _widen(self, frame: Frame) -> Bounds:
         """The scene's bounds, which grow in steps as balls spread."""
-        now = self._extent(frame)
+        now = self._extent(frame, max(self._distance, self._unit))
         low, high = np.minimum(now.low, self._bounds.low), np.maximum(now.high, self._bounds.high)
         grown = Bounds(low, high)
         if grown.size > 1.02 * self._bounds.size:

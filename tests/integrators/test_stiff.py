@@ -244,7 +244,7 @@ def test_xpbd_keeps_an_order_where_a_ball_has_too_many_springs_for_colours():
     scene.add_balls([[0, 0], *np.stack([np.cos(around), np.sin(around)], axis=1)], radius=0.01)
     scene.add_springs([(0, k) for k in range(1, 41)], stiffness=10.0)
     with simulate(scene, ("gather", "parallel"), integrator="xpbd", dt=1e-3, contacts="off") as sim:
-        assert "springs.blocks" in sim.kernels()
+        assert "springs.batches" in sim.kernels()
 
 
 @pytest.mark.slow
