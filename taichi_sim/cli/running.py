@@ -1,6 +1,7 @@
 """run, render, view: scenes into pictures, files or a window."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -76,7 +77,8 @@ def run(
     if resume:
         for name, target in zip(out or [], targets):
             if isinstance(target, Resumable) and not target.log.resumes:
-                typer.echo(f"{name}: nothing is kept of it; it begins at the first frame", err=True)
+                there = "is complete, or of a run without checkpoints, and is made anew" if Path(name).exists() else ""
+                typer.echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:

@@ -24,10 +24,20 @@ __all__ = [
     "naming",
     "replacing",
     "require_name",
+    "require_parent",
     "require_place",
     "sweep",
     "synced",
 ]
+
+
+def require_parent(path: Path) -> None:
+    """Raises FileNotFoundError or NotADirectoryError where there is no folder to write into."""
+    parent = path.parent
+    if parent.exists() and not parent.is_dir():
+        raise NotADirectoryError(f"{path}: {str(parent)!r} is a file; name a folder before the last part")
+    if not parent.is_dir():
+        raise FileNotFoundError(f"{path}: there is no folder {str(parent)!r}; make it first")
 
 
 class PartFile:
@@ -43,8 +53,7 @@ class PartFile:
         require_name(self.path)
         self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.{next(NUMBERS)}.part")
         parent = self.path.parent
-        if not parent.is_dir():
-            raise FileNotFoundError(f"{self.path}: there is no folder {str(parent)!r}; make it first")
+        require_parent(self.path)
         if self.path.is_dir():
             raise IsADirectoryError(f"{self.path}: is a folder; give the name of a file")
         if not swept:

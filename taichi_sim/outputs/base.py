@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.atomic_file import require_parent
 from taichi_sim.common.errors import UnstableError
 
 # (height, width, 3) sRGB, row 0 at the top; with alpha (height, width, 4), colours not multiplied by it
@@ -30,8 +31,7 @@ Image = NDArray[np.uint8]
 
 def require_folder_place(path: Path) -> None:
     """Raises OSError where there can be no folder: without a parent, or where a file is."""
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path}: there is no folder {str(path.parent)!r}; make it first")
+    require_parent(path)
     if path.exists() and not path.is_dir():
         raise NotADirectoryError(f"{path}: is a file; give the name of a folder")
 

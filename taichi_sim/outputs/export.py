@@ -56,6 +56,7 @@ class Summary:
     largest_speed: float = 0.0  # m/s
     probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
     units: dict[str, str] = field(default_factory=dict)  # of probes
+    torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
@@ -72,6 +73,7 @@ class Summary:
         one = cls(**plain)
         one.contacts = None if one.contacts is None else Contacts(*one.contacts)
         one.energy_start = tuple(one.energy_start)
+        one.torn = None if one.torn is None else tuple(one.torn)  # type: ignore[assignment]
         one.probes = {name: (last, least, most) for name, (last, least, most) in one.probes.items()}
         return one
 
@@ -113,6 +115,8 @@ class Summary:
                     f"residual     iterations leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
                     f" {of_approach(left, scales, self.largest_speed, now.iterations)}"
                 )
+        if self.torn is not None:
+            lines.append(f"torn         {self.torn[0]} of the {self.torn[1]} springs that may tear")
         for name, (last, least, most) in self.probes.items():
             unit = f" {self.units.get(name, '')}".rstrip()
             lines.append(f"{name:12} {last:.5g}{unit} in the last frame, {least:.5g} to {most:.5g}{unit} in all")
@@ -331,6 +335,9 @@ def export(
                 keep(index, None)
         summary.duration, summary.units = duration, units_of(simulation.scene)
         summary.device, summary.decisions = str(simulation.backend), simulation.decisions()
+        torn = simulation.torn
+        if torn is not None:
+            summary.torn = int(np.count_nonzero(torn)), int(np.isfinite(simulation.scene.break_strain).sum())
         if frame is None and last is not None:
             frame = simulation.frame()
         if frame is not None and frame.energy is not None:

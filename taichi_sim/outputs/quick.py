@@ -61,13 +61,15 @@ def video(
 def picture(what: Any, *, size: tuple[int, int] = (640, 360), **style: Any) -> Any:
     """The present moment of a Simulation, or the start of a Scene, as a Pillow image, which a notebook shows.
 
-    Args: size (width, height) [px]; style: further arguments of `taichi_sim.render.Renderer`.
+    Args: size (width, height) [px]; style: further arguments of `taichi_sim.render.Renderer`; what is left out is taken from
+    `scene.output`, but for its size.
     """
     from PIL import Image
 
     from taichi_sim.render.renderer import Renderer
 
-    _, context = _simulation(what, {"contacts": "off"} if isinstance(what, Scene) else {})
+    scene, context = _simulation(what, {"contacts": "off"} if isinstance(what, Scene) else {})
+    style = output_options(scene, {})["style"] | style
     with context() as simulation:
         frame = simulation.frame()
         renderer = Renderer(frame, size=size, **style)

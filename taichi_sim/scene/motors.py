@@ -159,7 +159,9 @@ def _moved(scene: Any, where: str, springs: Any, balls: Any) -> NDArray[np.int32
         if not len(index):
             raise SceneError(f"{where}.balls", says="no spring joins two of them; there is nothing to drive")
     else:
-        index = validation.indices(f"{where}.springs", np.atleast_1d(validation.as_array(springs)), scene.n_springs)
+        index = validation.indices(
+            f"{where}.springs", np.atleast_1d(validation.as_array(springs)), scene.n_springs, what="spring"
+        )
         if not len(index):
             raise SceneError(f"{where}.springs", says="is empty; name at least one spring")
     both, ordered = index[scene._motored()[index]], np.sort(index)

@@ -592,7 +592,7 @@ def _rows(where: str, rows: Any, n: int) -> NDArray[np.int64]:
     array = np.atleast_1d(validation.as_array(rows))
     if array.dtype == np.bool_:
         return np.flatnonzero(validation.flags(where, array, n))
-    return validation.indices(where, array, n).astype(np.int64)
+    return validation.indices(where, array, n, what=where.removesuffix("s")).astype(np.int64)
 
 
 def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:

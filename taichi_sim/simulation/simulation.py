@@ -266,7 +266,8 @@ class Simulation(Reader):
         return None if self._still else self.parts.torn
 
     def inverted(self) -> int:
-        """How many cells are flat or turned inside out."""
+        """How many cells are flat or turned inside out. Jelly of springs alone (without `poisson_ratio`) has no cells: 0 says
+        nothing of it."""
         return diagnostics.inverted(self.scene, self.position)
 
     def error(self) -> ErrorEstimate | None:

@@ -33,6 +33,7 @@ class FakeSimulation:
     backend = Backend("cpu", "f32", 2)
     parts = SimpleNamespace(arguments=[()])
     time = 0.0
+    torn = None
 
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
         self.fails_at, self.failure = fails_at, error
@@ -335,6 +336,19 @@ def test_summary():
         "per simulated second",
     ):
         assert word in text
+
+
+def test_the_summary_says_how_much_has_torn():
+    class Tearing(FakeSimulation):
+        scene = Scene(dim=2)
+        scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1)
+        scene.add_springs([[0, 1], [1, 2]], stiffness=1.0, break_strain=[0.5, np.inf])
+        torn = np.array([True, False])
+
+    summary = export(Tearing(), None, fps=60.0, duration=0.05)
+    assert "torn         1 of the 1 springs that may tear" in summary.lines()
+    assert summary.torn == (1, 1)
+    assert not any(line.startswith("torn") for line in export(FakeSimulation(), None, fps=60.0, duration=0.05).lines())
 
 
 def test_a_short_run_says_how_fast_a_long_one_is(monkeypatch):

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+import taichi_sim as ts
 from taichi_sim import Box, Scene, Sphere
 from taichi_sim.analysis.frame import Frame, Placed
 from taichi_sim.device import backend
@@ -332,6 +333,32 @@ def test_shadows_of_what_rests_do_not_flicker_while_something_moves():
     changed = np.abs(seen[1] - seen[0]).sum(axis=2) > 0
     assert changed.any()
     assert not changed[:, : SIZE[0] // 2 - 8].any()
+
+
+def test_a_ball_that_is_flung_away_takes_no_detail_from_shadows():
+    """Beyond the camera's distance from its target the map of shadows does not grow with it."""
+    ground = np.array([[0.0, 1.0, 0.0, 0.0]])
+    seen = []
+    with Renderer(
+        balls([(0.0, 0.5, 0.0), (1.0, 0.5, 0.0)], 0.4, [RED, GREEN], walls=ground), SIZE, camera=FRONT
+    ) as renderer:
+        for x in (60.0, 70.0, 300.0):
+            frame = balls([(0.0, 0.5, 0.0), (x, 0.5, 0.0)], 0.4, [RED, GREEN], walls=ground)
+            seen.append(renderer.render(frame))
+    np.testing.assert_array_equal(seen[0], seen[1])
+    np.testing.assert_array_equal(seen[0], seen[2])
+
+
+def test_a_collider_in_sight_has_a_shadow_where_balls_are_few():
+    scene = Scene(dim=3)
+    scene.add_balls([[0.6, 0.1, 0.3]], radius=0.05)
+    scene.add_wall((0, 1, 0))
+    scene.add_collider(Box((0.0, 0.6, 0.0), (0.8, 0.05, 0.5)))
+    scene.output = {"camera": {"eye": [0.8, 1.2, 3.2], "target": [0.0, 0.5, 0.0]}}
+    dark, plain = (np.asarray(ts.picture(scene, size=SIZE, shadow=shadow)).astype(int) for shadow in (True, False))
+    assert (np.abs(dark - plain).max(axis=2) > 30).mean() > 0.01
+    other = np.asarray(ts.picture(scene, size=SIZE, shadow=False, camera={"azimuth": 0.0})).astype(int)
+    assert (np.abs(other - plain).max(axis=2) > 30).mean() > 0.01  # the camera was that of scene.output
 
 
 @pytest.mark.slow

@@ -98,6 +98,12 @@ REFUSED = [
     (lambda: springs(damping=NAN), r"springs\.damping: nan"),
     (lambda: springs(rest_length=[-0.5]), r"springs\.rest_length\[0\]: -0.5"),
     (lambda: springs(collides=1), r"springs\.collides: 1"),
+    (lambda: springs().set_springs([4], damping=0.1), r"springs\[0\]: 4 .*must name a spring, from 0 to 0"),
+    (
+        lambda: springs().add_motor([5], amplitude=0.1, frequency=1),
+        r"motors\[0\]\.springs\[0\]: 5 .*a spring, from 0 to 0",
+    ),
+    (lambda: springs().set_balls([7], mass=1), r"balls\[0\]: 7 .*must name a ball, from 0 to 1"),
     (lambda: springs(collides=[[True], [True, False]]), r"springs\.collides: "),
     (lambda: Scene(dim=2).add_wall((0, 0)), r"walls\.normal: .*direction"),
     (lambda: Scene(dim=2).add_wall((0, 1), INF), r"walls\.offset: inf"),
