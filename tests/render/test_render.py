@@ -337,14 +337,15 @@ def test_shadows_of_what_rests_do_not_flicker_while_something_moves():
 
 def test_a_ball_that_is_flung_away_takes_no_detail_from_shadows():
     """Beyond the camera's distance from its target the map of shadows does not grow with it."""
-    ground = np.array([[0.0, 1.0, 0.0, 0.0]])
-    seen = []
-    with Renderer(
-        balls([(0.0, 0.5, 0.0), (1.0, 0.5, 0.0)], 0.4, [RED, GREEN], walls=ground), SIZE, camera=FRONT
-    ) as renderer:
-        for x in (60.0, 70.0, 300.0):
-            frame = balls([(0.0, 0.5, 0.0), (x, 0.5, 0.0)], 0.4, [RED, GREEN], walls=ground)
-            seen.append(renderer.render(frame))
+    ground, above = np.array([[0.0, 1.0, 0.0, 0.0]]), Camera(eye=(0.0, 3.0, 8.0), target=(0.0, 0.5, 0.0))
+
+    def frame(x: float) -> Frame:
+        return balls([(0.0, 0.5, 0.0), (x, 0.5, 0.0)], 0.4, [RED, GREEN], walls=ground)
+
+    with Renderer(frame(1.0), SIZE, camera=above) as renderer:
+        seen = [renderer.render(frame(x)) for x in (60.0, 70.0, 300.0)]
+    with Renderer(frame(1.0), SIZE, camera=above, shadow=False) as renderer:
+        assert (renderer.render(frame(60.0)) != seen[0]).any()
     np.testing.assert_array_equal(seen[0], seen[1])
     np.testing.assert_array_equal(seen[0], seen[2])
 
