@@ -23,10 +23,11 @@ def list_materials() -> None:
     """List the materials that scenes may name, with their numbers in SI units and where these come from."""
     from dataclasses import asdict
 
-    from taichi_sim.scene.presets import PRESETS
+    from taichi_sim.scene.presets import PRESETS, UNITS
 
     for name, preset in PRESETS.items():
-        numbers = [f"{key} {value:.3g}" for key, value in asdict(preset).items() if isinstance(value, float)]
+        known = {key: value for key, value in asdict(preset).items() if isinstance(value, float)}
+        numbers = [f"{key} {value:.3g} {UNITS.get(key, '')}".rstrip() for key, value in known.items()]
         typer.echo(f"{name}: {', '.join(numbers)}\n    {preset.source}")
 
 

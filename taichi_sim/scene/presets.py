@@ -9,16 +9,25 @@ from dataclasses import dataclass
 
 from taichi_sim.scene.materials import Material
 
-__all__ = ["PRESETS", "SLAB", "Preset"]
+__all__ = ["PRESETS", "SLAB", "UNITS", "Preset"]
 
 SLAB = 0.1  # m, the thickness that bodies in 2D stand for
 SHEET = 1e-3  # m, a sheet of rubber
 
+UNITS = {  # others are plain numbers
+    "mass_per_area": "kg/m^2",
+    "stretch_stiffness": "N/m",
+    "shear_stiffness": "N/m",
+    "bending_rigidity": "N m",
+    "density": "kg/m^3",
+    "young_modulus": "Pa",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """A material of that name. Cloth of it has a mass per area [kg/m^2], stretch and shear stiffness [N/m] and bending rigidity
-    [N m]; bodies have a density [kg/m^3], and as jelly a Young's modulus [Pa] and Poisson's ratio. None: not known.
+    """A material of that name. Cloth of it has a mass per area, stretch and shear stiffness and bending rigidity; bodies have a
+    density, and as jelly a Young's modulus and Poisson's ratio, in UNITS. None: not known.
     """
 
     source: str
