@@ -34,10 +34,11 @@ __all__ = [
 def require_parent(path: Path) -> None:
     """Raises FileNotFoundError or NotADirectoryError where there is no folder to write into."""
     parent = path.parent
-    if parent.exists() and not parent.is_dir():
+    if parent.is_dir():
+        return
+    if parent.exists():
         raise NotADirectoryError(f"{path}: {str(parent)!r} is a file; name a folder before the last part")
-    if not parent.is_dir():
-        raise FileNotFoundError(f"{path}: there is no folder {str(parent)!r}; make it first")
+    raise FileNotFoundError(f"{path}: there is no folder {str(parent)!r}; make it first")
 
 
 class PartFile:
@@ -52,12 +53,11 @@ class PartFile:
         self.path = Path(path)
         require_name(self.path)
         self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.{next(NUMBERS)}.part")
-        parent = self.path.parent
         require_parent(self.path)
         if self.path.is_dir():
             raise IsADirectoryError(f"{self.path}: is a folder; give the name of a file")
         if not swept:
-            sweep(parent, glob.escape(self.path.name))
+            sweep(self.path.parent, glob.escape(self.path.name))
         try:
             self.file: IO[bytes] = open(self.part, "w+b")  # noqa: SIM115  # closed by finish or discard
         except OSError as error:

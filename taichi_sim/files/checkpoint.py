@@ -106,10 +106,9 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
         settings = dict(about["settings"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
         raise SceneError((), says=f"is not a state that Simulation.save wrote ({error})", file=path) from None
+    # lists of contacts name balls and places of each other: what kernels follow is never taken from a stranger
     edited = about.get("digest") != digest(about, arrays)
-    if (
-        edited
-    ):  # lists of contacts name balls and places of each other: what kernels follow is never taken from a stranger
+    if edited:
         warnings.warn(
             f"{path}: was edited, or written by an earlier version: it goes on from its positions and velocities, and contacts"
             " find the load that they carry anew",

@@ -22,9 +22,9 @@ class XPBD(Integrator):
     spring were alone: J = h (k (d - l) + c u) / (1 + (h^2 k + h c) W), d and u predicted, W the sum of inverse masses. That is
     XPBD's projection, written for velocities: with v a variable, and not a difference of positions, small steps lose no digits.
     Springs see what those before them changed (Gauss-Seidel, in a fixed order: blocks, in small scenes SIMD batches, on a GPU and
-    with accumulate="gather" colours); where sums are atomic, and instead of colours where one ball has more than 32 springs, all
-    act on old values and every ball splits its mass between its springs. Order 1 with a large
-    constant: stiff springs act softer than they are, unless steps are small.
+    with accumulate="gather" colours, if no ball has more than 32 springs); where sums are atomic, and on a GPU without colours,
+    all act on old values and every ball splits its mass between its springs. Order 1 with a large constant: stiff springs act
+    softer than they are, unless steps are small.
     """
 
     method = methods.XPBD

@@ -104,7 +104,7 @@ class Renderer3D:
         if self._tracker is not None:
             self._tracker.fit(frames)
             self._aim_from(self._tracker.first)
-            now = [self._bounds, *(self._extent(frame, max(self._distance, self._unit)) for frame in frames)]
+            now = [self._bounds, *(self._extent(frame, self._sight) for frame in frames)]
             self._bounds = Bounds(np.min([one.low for one in now], axis=0), np.max([one.high for one in now], axis=0))
 
     def _aim_from(self, camera: Camera) -> None:
@@ -224,6 +224,11 @@ class Renderer3D:
         """Of the camera from its target [m]."""
         return float(np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)))
 
+    @property
+    def _sight(self) -> float:
+        """How far from the camera's target shadows reach [m]: as the camera is, but no less than the scene at its start."""
+        return max(self._distance, self._unit)
+
     def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:
         """Draw the shadow map; return its view, which covers the bounds."""
         bounds = self._widen(frame)
@@ -241,7 +246,7 @@ class Renderer3D:
 
     def _widen(self, frame: Frame) -> Bounds:
         """The scene's bounds, which grow in steps as balls spread."""
-        now = self._extent(frame, max(self._distance, self._unit))
+        now = self._extent(frame, self._sight)
         low, high = np.minimum(now.low, self._bounds.low), np.maximum(now.high, self._bounds.high)
         grown = Bounds(low, high)
         if grown.size > 1.02 * self._bounds.size:

@@ -218,13 +218,18 @@ def test_both_drivers_give_the_same_bits(method):
     assert np.max(np.abs(found[0][1])) > 0.1
 
 
+def hanging_sheet(along, across, stiffness, steps):
+    """A sheet held along one side, and where its balls are after so many steps of 0.5 ms, by RK4."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(along, across), stiffness=stiffness, damping=0.05, mass=0.3)
+    scene.set_balls(sheet.balls[:across], pinned=True)
+    return scene, ref.run("rk4", net_of(scene), scene.position, scene.velocity, 5e-4, steps)[0]
+
+
 @pytest.mark.slow
 def test_xpbd_by_colours_is_what_a_device_does():
     """The same bits in either driver, all springs once, and as far from the exact motion as in turn."""
-    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(9, 7), stiffness=2e3, mass=0.3, damping=0.05)
-    scene.set_balls(sheet.balls[:7], pinned=True)
-    exact, _ = ref.run("rk4", net_of(scene), scene.position, scene.velocity, 5e-4, 400)
+    scene, exact = hanging_sheet(9, 7, 2e3, 400)
     found = []
     for accumulate, driver in (("gather", "fused"), ("gather", "parallel"), ("ordered", "parallel")):
         with simulate(scene, (accumulate, driver), integrator="xpbd", dt=2e-3, contacts="off") as sim:
@@ -342,10 +347,7 @@ def test_a_tolerance_out_of_range_is_refused():
 @pytest.mark.slow
 def test_small_steps_keep_single_precision():
     """A sheet at ten times smaller steps is no further from its end than at larger ones: velocities are no differences."""
-    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(6, 6), stiffness=100.0, damping=0.05, mass=0.3)
-    scene.set_balls(sheet.balls[:6], pinned=True)
-    x, _ = ref.run("rk4", net_of(scene), scene.position, scene.velocity, 5e-4, 600)
+    scene, x = hanging_sheet(6, 6, 100.0, 600)
     e = []
     for n in (300, 3000, 30000):
         with simulate(scene, integrator="xpbd", dt=0.3 / n, contacts="off") as sim:
