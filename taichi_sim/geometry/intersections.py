@@ -44,16 +44,23 @@ def _pierces(p: NDArray, q: NDArray, a: NDArray, b: NDArray, c: NDArray) -> NDAr
 
 
 def _near(segments: NDArray, triangles: NDArray) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Pairs of a segment (e, 2, 3) and a triangle (t, 3, 3) whose boxes overlap, by chunks of segments."""
+    """Pairs of a segment (e, 2, 3) and a triangle (t, 3, 3) whose boxes overlap, by chunks of segments.
+
+    Triangles of about one size are searched together: a few large ones would widen the search among all the small ones.
+    """
     low, high = segments.min(axis=1), segments.max(axis=1)
     bottom, top = triangles.min(axis=1), triangles.max(axis=1)
-    tree = cKDTree(0.5 * (bottom + top))
+    size = (top - bottom).max(axis=1)
+    power = np.frexp(size)[1]
     rounding = 4.0 * np.spacing(np.abs(triangles).max())
-    reach = 0.5 * ((high - low).max(axis=1) + (top - bottom).max()) + rounding
-    for first in range(0, len(segments), SEGMENTS_AT_ONCE):
-        part = slice(first, first + SEGMENTS_AT_ONCE)
-        found = tree.query_ball_point(0.5 * (low[part] + high[part]), reach[part], p=np.inf)
-        e = first + np.repeat(np.arange(len(found)), [len(near) for near in found])
-        f = np.fromiter(chain.from_iterable(found), dtype=np.int64, count=len(e))
-        over = np.all((low[e] <= top[f]) & (bottom[f] <= high[e]), axis=1)
-        yield e[over], f[over]
+    for one in np.unique(power):
+        alike = np.flatnonzero(power == one)
+        tree = cKDTree(0.5 * (bottom + top)[alike])
+        reach = 0.5 * ((high - low).max(axis=1) + size[alike].max()) + rounding
+        for first in range(0, len(segments), SEGMENTS_AT_ONCE):
+            part = slice(first, first + SEGMENTS_AT_ONCE)
+            found = tree.query_ball_point(0.5 * (low[part] + high[part]), reach[part], p=np.inf)
+            e = first + np.repeat(np.arange(len(found)), [len(near) for near in found])
+            f = alike[np.fromiter(chain.from_iterable(found), dtype=np.int64, count=len(e))]
+            over = np.all((low[e] <= top[f]) & (bottom[f] <= high[e]), axis=1)
+            yield e[over], f[over]
