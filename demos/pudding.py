@@ -7,14 +7,15 @@ import taichi_sim as ts
 SPACING = 0.009  # m between balls
 HEIGHT, WIDE, NARROW, FLUTES = 0.62, 0.52, 0.36, 12
 RINGS, AROUND = 25, 144
-SHAKE, RATE, UNTIL = 0.065, 1.5, 2.0  # m, 1/s, s
+SHAKE, RATE, UNTIL = 0.045, 1.5, 2.0  # m, 1/s, s
 VISCOSITY = 1.0  # Pa s: so that the damping of a spring is the same material at every spacing
 
 
 def mould():
-    """(vertices, triangles) of a fluted cone whose upper rim is rounded."""
+    """(vertices, triangles) of a fluted cone whose upper rim is rounded, the lower one drawn in: a sharp one folds under."""
     up, turn = np.linspace(0.0, 1.0, RINGS), 2 * np.pi * np.arange(AROUND) / AROUND
     rim = np.sqrt(1.0 - 0.55 * (np.maximum(0.0, up - 0.72) / 0.28) ** 2.6)
+    rim *= 1.0 - 0.08 * np.exp(-up / 0.04)
     reach = ((WIDE + (NARROW - WIDE) * up) * rim)[:, None] * (1.0 + 0.055 * np.cos(FLUTES * turn))
     side = np.stack(
         [reach * np.cos(turn), np.repeat(HEIGHT * up, AROUND).reshape(reach.shape), reach * np.sin(turn)], -1
@@ -32,7 +33,7 @@ def scene():
     scene.output = {"fps": 60, "duration": 3, "size": (1280, 720)}
     scene.add_material("custard", friction=0.9)
     scene.add_wall((0, 1, 0), -0.3, material="custard")
-    custard = {"young_modulus": 3e4, "density": 1000, "damping": VISCOSITY * SPACING, "material": "custard"}
+    custard = {"young_modulus": 4.5e4, "density": 1000, "damping": VISCOSITY * SPACING, "material": "custard"}
     colour = (0.9, 0.62, 0.2)
     ts.shapes.jelly(scene, mesh=mould(), spacing=SPACING, position=(0, SPACING / 2, 0), colour=colour, **custard)
     time = np.arange(0.0, 9.0, 0.05)
