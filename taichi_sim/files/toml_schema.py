@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, is_type
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -132,28 +132,40 @@ COLLIDER = "x-collider"  # in a schema: a table that describes one of that name
 _number = {"type": "number"}
 _list = {"type": "array", "items": _number}
 NUMBERS = {"anyOf": [_number, _list, {"type": "array", "items": _list}]}  # what NumPy makes an array of
+ARRAY_LIKE = set(get_args(ArrayLike)) or {ArrayLike}  # up to NumPy 2.4 a union, which joins the one around it
 
 
 def _typed(annotation: Any) -> Any:
     """The type of an argument; what pydantic has no word for the function itself checks, and editors get a schema of."""
+    if _is_known(annotation):
+        return annotation
+    return Annotated[Any, WithJsonSchema(_schema(annotation))]
+
+
+def _is_known(annotation: Any) -> bool:
+    """Whether pydantic can judge a type: without described tables, which it takes from Python 3.12 on only."""
     try:
         TypeAdapter(annotation)
     except PydanticUserError:
-        return Annotated[Any, WithJsonSchema(_schema(annotation))]
-    return annotation
+        return False
+    return not _has_tables(annotation)
+
+
+def _has_tables(annotation: Any) -> bool:
+    return is_typeddict(annotation) or any(_has_tables(part) for part in get_args(annotation))
 
 
 def _schema(annotation: Any) -> dict[str, Any]:
     """A JSON schema of a type that may hold arrays, paths or tables."""
+    if annotation is ArrayLike or _is_array(annotation):
+        return NUMBERS
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin in (Union, types.UnionType):
-        arrays = set(get_args(ArrayLike)).issubset(parts)  # a union itself, which joins the one around it
-        rest = [p for p in parts if p is not types.NoneType and not (arrays and p in get_args(ArrayLike))]
+        arrays = ARRAY_LIKE.issubset(parts)
+        rest = [p for p in parts if p is not types.NoneType and not (arrays and p in ARRAY_LIKE)]
         if any(get_origin(p) is Sequence for p in rest):
-            rest = [p for p in rest if get_origin(p) is not np.ndarray]  # in a file these are lists, too
+            rest = [p for p in rest if not _is_array(p)]  # in a file these are lists, too
         return {"anyOf": [_schema(part) for part in rest] + NUMBERS["anyOf"] * arrays}
-    if origin is np.ndarray:
-        return NUMBERS
     if annotation is PathLike or origin is PathLike:
         return {"type": "string"}
     if annotation in colliders.SHAPES.values():
@@ -165,6 +177,11 @@ def _schema(annotation: Any) -> dict[str, Any]:
     if origin in (tuple, list, Sequence):
         return {"type": "array", "items": _schema(parts[0])}
     return TypeAdapter(annotation).json_schema()
+
+
+def _is_array(annotation: Any) -> bool:
+    """Whether a type is NumPy's of arrays, which has a name of its own from NumPy 2.5 on."""
+    return annotation is NDArray or get_origin(annotation) in (np.ndarray, NDArray)
 
 
 def _object(table: Any, **more: Any) -> dict[str, Any]:
