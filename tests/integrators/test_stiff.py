@@ -242,6 +242,38 @@ def test_xpbd_by_colours_is_what_a_device_does():
     assert np.abs(found[0] - found[2]).max() > 1e-6  # another order
 
 
+@pytest.mark.slow
+def test_xpbd_by_colours_with_motors_gas_and_springs_that_tear():
+    """Both orders come to what Verlet does, by half with half the step, and tear the same springs."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(7, 6), stiffness=1500, damping=0.05, mass=0.3)
+    scene.set_balls(sheet.balls[:6], pinned=True)
+    scene.add_motor(list(range(10, 22)), amplitude=0.1, frequency=2.0)
+    scene.set_springs(slice(0, 5), break_strain=0.02)
+    ends = scene.add_balls(
+        [[-1, 0, 0], [-1, -0.5, 0]], radius=0.01, mass=0.5, velocity=[[0, 0, 0], [0, -2, 0]], pinned=[True, False]
+    )
+    scene.add_springs([ends], stiffness=100.0, break_strain=0.3)
+    ts.shapes.balloon(scene, (3, 0, 0), 0.3, subdivisions=1)
+    end = 0.2
+
+    def after(method, dt, *rules):
+        with simulate(scene, *rules, integrator=method, dt=dt, contacts="off") as sim:
+            sim.step(round(end / dt))
+            return sim.position, sim.torn
+
+    exact, torn = after("verlet", 2.5e-5)
+    assert torn.any()
+    off = {}
+    for accumulate in ("gather", "ordered"):
+        for dt in (2.5e-4, 1.25e-4):
+            x, broken = after("xpbd", dt, (accumulate, "parallel"))
+            np.testing.assert_array_equal(broken, torn)
+            off[accumulate, dt] = float(np.sqrt(np.mean((x - exact) ** 2)))
+        assert 1e-5 < off[accumulate, 1.25e-4] < 0.7 * off[accumulate, 2.5e-4], accumulate
+    assert off["gather", 1.25e-4] < 1.1 * off["ordered", 1.25e-4]
+
+
 def test_xpbd_keeps_an_order_where_a_ball_has_too_many_springs_for_colours():
     """Atomic sums would vary in the last bits, and split the masses of all."""
     scene = ts.Scene(dim=2)
