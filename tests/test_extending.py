@@ -1,6 +1,7 @@
 """Parts from outside the package: every Python block of docs/extending.md, and the examples in docstrings, run as they stand."""
 
 import importlib.util
+import inspect
 import re
 import textwrap
 from pathlib import Path
@@ -112,7 +113,9 @@ EXAMPLES = {  # a docstring, and balls that would fly on their parabolas if its 
 @pytest.mark.parametrize("kind", EXAMPLES)
 def test_example_of_a_docstring_runs(kind, tmp_path):
     thing, balls, velocity = EXAMPLES[kind]
-    indented = re.search(r"(?<=\n\n)( {4,8})(?:@ti|def|class).*\n(?:(?:\1.*)?\n)+", thing.__doc__).group()
+    indented = re.search(
+        r"(?<=\n\n)( {4}|)(?:@ti|def|class).*\n(?:(?:\1.*)?\n)+", inspect.cleandoc(thing.__doc__) + "\n"
+    ).group()
     *code, last = textwrap.dedent(indented).strip().splitlines()
     dim = len(balls[0])
     settings = {"contacts": "off"} if kind in ("force", "element", "shape") else {}  # less to compile

@@ -258,7 +258,8 @@ def _colliders() -> type[BaseModel]:
         name: (field.annotation, None) for model in COLLIDERS.values() for name, field in model.model_fields.items()
     }
     fields |= {"shape": (Literal[tuple(COLLIDERS)], ...)}
-    return create_model("colliders", __base__=Strict, __doc__=colliders.Collider.__doc__, **fields)
+    doc = "A solid body of infinite mass, which stands where it is or moves along its path and pushes balls."
+    return create_model("colliders", __base__=Strict, __doc__=doc, **fields)
 
 
 _file: dict[str, Any] = {

@@ -233,6 +233,7 @@ def test_every_key_is_described_and_quantities_have_units():
     found = list(keys())
     assert len(found) > 250
     assert [f"{where}.{key}" for where, key, one in found if not one.get("description")] == []
+    assert [name for name, table in SCHEMA["properties"].items() if "\n" in table["description"]] == []
     quantities = [(where, key, one) for where, key, one in found if holds(one, "number") and key not in COUNTED]
     assert [f"{where}.{key}" for where, key, one in quantities if "x-unit" not in one] == []
 
