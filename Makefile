@@ -6,10 +6,12 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
-.PHONY: help env demo test test-more test-gpu test-quadrants test-long test-all check bench referee kills fuzz docs gallery clean
+PYTHONS ?= python3.10 python3.12 python3.13
+
+.PHONY: help env demo test test-more test-gpu test-pythons test-quadrants test-long test-all check bench referee kills fuzz docs gallery clean
 
 help:
-	@echo "make env | demo | test | test-more | test-gpu | test-quadrants | test-long | test-all | check | bench | referee | kills | fuzz | docs | gallery | clean"
+	@echo "make env | demo | test | test-more | test-gpu | test-pythons | test-quadrants | test-long | test-all | check | bench | referee | kills | fuzz | docs | gallery | clean"
 
 env: $(STAMP)
 
@@ -38,6 +40,16 @@ test-more: env
 ARCH ?= vulkan
 test-gpu: env
 	TAICHI_SIM_PRECISION=f32 $(BIN)/python -m pytest -m gpu --arch $(ARCH)
+
+# the tests of `make test` in single precision on other Pythons, each with the newest packages that it takes
+test-pythons:
+	@for python in $(PYTHONS); do \
+	  $$python -c "" 2>/dev/null || { echo "$$python: not here"; continue; }; \
+	  folder=$$(mktemp -d) && $$python -m venv $$folder \
+	  && $$folder/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]" \
+	  && TAICHI_SIM_PRECISION=f32 $$folder/bin/python -m pytest -n 2 --dist worksteal -m "not slow" \
+	  && rm -rf $$folder || exit 1; \
+	done
 
 # the tests of `make test` on the engine Quadrants, with the same bits on the CPU
 test-quadrants: env
