@@ -245,6 +245,25 @@ def test_stripes_and_checks_on_a_cloth():
     assert np.count_nonzero(np.diff(seen["checks"][:, 5])) >= 2
 
 
+@pytest.mark.parametrize("repeat", [1, 3])
+def test_no_border_of_a_texture_shows_its_opposite_one(tmp_path, repeat):
+    """Not in pixels that see the cloth beside their centre, either."""
+    image = np.zeros((60, 60, 3), dtype=np.uint8)
+    image[:30, :, 0] = image[30:, :, 2] = 255
+    Image.fromarray(image).save(tmp_path / "two.png")
+    look = {"of": "flag", "texture": tmp_path / "two.png", "repeat": repeat}
+    frame, turn = upright(), np.deg2rad(6)
+    frame.position = frame.position @ np.array(
+        [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
+    drawn = picture(frame, camera=FRONT, shadow=False, background=(0, 0, 0), looks=[look]).astype(int)
+    for column in drawn.transpose(1, 0, 2)[68:92]:
+        seen = np.flatnonzero(column.max(axis=1) > 20)
+        upper, lower = column[seen[0]], column[seen[-1]]
+        assert upper[0] > upper[2]
+        assert lower[2] > lower[0]
+
+
 def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
     image = np.zeros((64, 64, 3), dtype=np.uint8)
     image[:32, :32], image[:32, 32:], image[32:, :32], image[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255), 255
