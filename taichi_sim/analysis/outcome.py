@@ -40,6 +40,9 @@ def _grade(value: float, good: float, wrong: float) -> str:
     return "good" if value <= good else "look at it" if value <= wrong else "wrong"
 
 
+DRIVEN = "what moves, drives or blows here gives and takes energy, so that this says nothing of the steps"
+
+
 def cure_of_depth(squeezes: bool, iterations: int) -> str:
     """What to do where balls lie deep in something."""
     steps = f"take shorter steps, or more contact_iterations than {iterations}"
@@ -63,10 +66,12 @@ def of_approach(left: float, scales: Scales, fastest: float, iterations: int) ->
 
 
 def of_energy(start: float, end: float, scales: Scales) -> str:
-    """Verdict on the total energy [J] of a closed scene; empty where something may work on it, or nothing moved."""
-    if not scales.closed or scales.motion <= 0.0:
+    """Verdict on the total energy [J]: none where something works on the scene, or nothing moved."""
+    if scales.motion <= 0.0:
         return ""
     part = (end - start) / scales.motion
+    if not scales.closed:
+        return DRIVEN if abs(part) > KEPT else ""
     much = (
         f"{abs(part):.2g}{' times' if abs(part) >= 1.0 else ' of'} the largest energy in motion, {scales.motion:.4g} J"
     )

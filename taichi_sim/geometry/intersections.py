@@ -46,12 +46,13 @@ def _pierces(p: NDArray, q: NDArray, a: NDArray, b: NDArray, c: NDArray) -> NDAr
 def _near(segments: NDArray, triangles: NDArray) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Pairs of a segment (e, 2, 3) and a triangle (t, 3, 3) whose boxes overlap, by chunks of segments.
 
-    Triangles of about one size are searched together: a few large ones would widen the search among all the small ones.
+    Triangles of about one size are searched together: a few large ones would widen the search among all the small ones. Those
+    below the median are one group: an edge reaches about as far.
     """
     low, high = segments.min(axis=1), segments.max(axis=1)
     bottom, top = triangles.min(axis=1), triangles.max(axis=1)
     size = (top - bottom).max(axis=1)
-    power = np.frexp(size)[1]
+    power = np.frexp(np.maximum(size, np.median(size)))[1] // 2
     rounding = 4.0 * np.spacing(np.abs(triangles).max())
     for one in np.unique(power):
         alike = np.flatnonzero(power == one)

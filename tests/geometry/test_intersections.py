@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from taichi_sim.geometry import intersections
 from taichi_sim.geometry.intersections import crossings
 from taichi_sim.geometry.mesh import unique_edges
 
@@ -39,6 +41,29 @@ def test_random_triangles_as_by_brute_force():
         assert {*map(tuple, found)} == expected
         total += len(expected)
     assert total > 100
+
+
+def test_a_large_triangle_does_not_widen_the_search_among_small_ones(monkeypatch):
+    """A ground of two triangles under a fine sheet: some twenty neighbours of an edge each, and the ground."""
+    candidates = []
+
+    class Counting(cKDTree):
+        def query_ball_point(self, *args, **options):
+            found = super().query_ball_point(*args, **options)
+            candidates.extend(len(near) for near in found)
+            return found
+
+    monkeypatch.setattr(intersections, "cKDTree", Counting)
+    n = 30
+    across = np.stack(np.meshgrid(np.arange(n), np.arange(n), indexing="ij"), axis=-1).reshape(-1, 2)
+    sheet = np.insert(0.01 * across, 1, 0.02 + 1e-3 * np.cos(across[:, 0]), axis=1)
+    k = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (part.ravel() for part in (k[:-1, :-1], k[1:, :-1], k[:-1, 1:], k[1:, 1:]))
+    ground = np.array([[-5, 0, -5], [5, 0, -5], [-5, 0, 5], [5, 0, 5]], dtype=float)
+    t = np.concatenate([np.stack([a, b, c], 1), np.stack([b, d, c], 1), n * n + np.array([[0, 1, 2], [1, 3, 2]])])
+    assert len(crossings(np.concatenate([sheet, ground]), t)) == 0
+    edges = len(unique_edges(t))
+    assert 10 * edges < sum(candidates) < 40 * edges
 
 
 def test_what_shares_a_ball_or_only_touches_is_no_crossing():
