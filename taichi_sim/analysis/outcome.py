@@ -12,6 +12,7 @@ __all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_depth", "of_ene
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
 MANY = 10.0  # times what is slow
+DRIVEN = "what moves, drives or blows here gives and takes energy, so that this says nothing of the steps"
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
 
@@ -38,9 +39,6 @@ def takes_nothing(scene: Scene, method: Method) -> bool:
 
 def _grade(value: float, good: float, wrong: float) -> str:
     return "good" if value <= good else "look at it" if value <= wrong else "wrong"
-
-
-DRIVEN = "what moves, drives or blows here gives and takes energy, so that this says nothing of the steps"
 
 
 def cure_of_depth(squeezes: bool, iterations: int) -> str:

@@ -144,11 +144,13 @@ def _typed(annotation: Any) -> Any:
 
 def _is_known(annotation: Any) -> bool:
     """Whether pydantic can judge a type: without described tables, which it takes from Python 3.12 on only."""
+    if _has_tables(annotation):
+        return False
     try:
         TypeAdapter(annotation)
     except PydanticUserError:
         return False
-    return not _has_tables(annotation)
+    return True
 
 
 def _has_tables(annotation: Any) -> bool:
