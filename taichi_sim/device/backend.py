@@ -9,9 +9,10 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest.mock import patch
 
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
@@ -162,10 +163,9 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
         )
     real = ti.f64 if precision == "f64" else ti.f32
     _free_cache(Path(str(ti.lang.impl.default_cfg().offline_cache_file_path)))
-    # it prints a banner that no option turns off; what other threads print meanwhile is none of its
-    with patch.object(ti.lang.misc, "print", lambda *_, **__: None, create=True):
-        quicken()
-        count_time()
+    quicken()
+    count_time()
+    with _without_banner():
         ti.init(
             arch=getattr(ti, name),
             default_fp=real,
@@ -178,6 +178,16 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
         )
     device = None if name == "cpu" else find(name)
     return Backend(name, precision, threads if name == "cpu" else 0, "" if device is None else device.words)
+
+
+@contextmanager
+def _without_banner() -> Iterator[None]:
+    """Silence the banner that Taichi prints and no option turns off; other threads print on."""
+    ti.lang.misc.print = lambda *_, **__: None
+    try:
+        yield
+    finally:
+        del ti.lang.misc.print
 
 
 def _free_cache(folder: Path) -> None:

@@ -5,6 +5,7 @@ programs. What is private to one of them, or named otherwise, is asked of it her
 """
 
 import os
+import sys
 from copy import copy
 from types import ModuleType
 from typing import Any
@@ -71,6 +72,19 @@ def another(part: Any) -> Any:
 
 # whether the engine is that whose private names are touched, see compile_speedup, compiling and shared_kernels
 IS_KNOWN = (ENGINE, VERSION) == ("taichi", "1.7.4")
+
+
+def _inside_class(level_of_class_stackframe: int) -> bool:
+    """Tell whether a decorator stands in a class body, by the names of its frame.
+
+    Taichi reads the line of source for that, which takes a fifth of the time of importing this package.
+    """
+    names = sys._getframe(level_of_class_stackframe - 1).f_locals  # the body's; the level counts to the frame around it
+    return "__qualname__" in names and "__module__" in names
+
+
+if IS_KNOWN:
+    ti.lang.kernel_impl._inside_class = _inside_class
 
 
 def program() -> Any:
