@@ -329,7 +329,7 @@ def pierced(resolution=(11, 11), weak=0.06) -> ts.Scene:
     return scene
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.long_in("f64")
 def test_cloth_that_tears_collides_with_what_tears_it():
     """A ball goes through a sheet where it tears, without piercing what is left, and stays on one that holds."""
@@ -359,7 +359,7 @@ def test_springs_tear_by_methods_that_look_for_no_contacts():
         assert sim.torn.tolist() == [True]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stick_beside_a_spring_that_tears_still_collides():
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1]])
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
