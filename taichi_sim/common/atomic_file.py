@@ -28,6 +28,7 @@ __all__ = [
     "locking",
     "naming",
     "replacing",
+    "require_file",
     "require_name",
     "require_parent",
     "require_place",
@@ -120,6 +121,12 @@ def kind_of(path: str | os.PathLike[str]) -> str:
     return kinds.get(stat.S_IFMT(mode), "device")
 
 
+def require_file(path: str | os.PathLike[str]) -> None:
+    """Raises ValueError where something else lies there, which may never end, or never begin; nothing where nothing is."""
+    if (kind := kind_of(path)) not in ("file", ""):
+        raise ValueError(f"it is a {kind}, and no file")
+
+
 def require_name(path: Path) -> None:
     """Raises IsADirectoryError for what can only be a folder: `.`, or the root."""
     if not path.name:
@@ -167,7 +174,7 @@ def _opened(path: Path, flags: int) -> IO[bytes]:
     """A file, which is never waited for. Raises OSError where there is a link, a pipe or a device in its place."""
     try:
         descriptor = os.open(path, flags | AS_IT_IS, 0o666)
-    except OSError as error:
+    except OSError:
         if path.is_symlink():
             raise OSError(f"{path}: is a link; remove it, or give another name") from None
         raise

@@ -36,8 +36,8 @@ def is_fresh(folder: Path) -> bool:
 
 
 def emptied(folder: Path, names: re.Pattern[str], order: Mapping[str, int] | None = None) -> None:
-    """Delete files of these names, and those that killed runs left under construction, in a folder that `require_own` has passed: those that `order`
-    ranks below 0 first, those above last."""
+    """Delete files of these names, and those that killed runs left under construction, in a folder that `require_own` has passed:
+    those that `order` ranks below 0 first, those above last."""
     if folder.is_symlink():  # since then
         return
     sweep(folder, "*")

@@ -40,9 +40,9 @@ class RunLog:
     """The folder `.NAME.resume` beside an output, or `.resume` within one that is a folder. It is there from the first frame
     until the output is complete; one run at a time has it.
 
-    resume: go on with what is there. Raises OSError where another run is writing it, or what lies there is not ours. checkpoint: the last one that was made, once
-    it is begun, or that which the run goes on from; damaged: whether it could not be begun, for what is there is not what was
-    written.
+    resume: go on with what is there. Raises OSError where another run is writing it, or what lies there is not ours. checkpoint:
+    the last one that was made, once it is begun, or that which the run goes on from; damaged: whether it could not be begun, for
+    what is there is not what was written.
     """
 
     def __init__(self, output: Path, *, resume: bool, within: bool = False) -> None:

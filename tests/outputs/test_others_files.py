@@ -135,7 +135,7 @@ def test_a_link_in_place_of_the_batches_of_a_sweep(tmp_path, precious, overwrite
     first.close()
     (tmp_path / "swept" / "batches").rmdir()
     (tmp_path / "swept" / "batches").symlink_to(precious, target_is_directory=True)
-    with pytest.raises(OSError, match="batches: is a link; .* remove it"):
+    with pytest.raises(OSError, match=r"batches: is a link; .* remove it"):
         Folder(tmp_path / "swept", about, overwrite)
 
 
