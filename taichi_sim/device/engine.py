@@ -8,12 +8,15 @@ import os
 from copy import copy
 from types import ModuleType
 from typing import Any
+from unittest.mock import patch
 
 from taichi_sim.common.errors import BackendError
+from taichi_sim.device.kernel_cache import settle_home
 
 __all__ = [
     "ENGINE",
     "IS_KNOWN",
+    "PREFIX",
     "QUADRANTS_ARCHES",
     "VERSION",
     "CompilationError",
@@ -28,11 +31,14 @@ __all__ = [
 ENGINES = ("taichi", "quadrants")
 QUADRANTS_ARCHES = ("cpu", "cuda")  # with Vulkan it cannot bind these kernels' fields (1.3.3, on SwiftShader)
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
+PREFIX = "TI_" if ENGINE == "taichi" else "QD_"  # of its environment variables
 
 
 def _taichi() -> ModuleType:
     try:
-        import taichi
+        with patch.dict(os.environ):
+            os.environ.pop("TI_LOG_LEVEL", None)  # an unknown one cannot be imported with; `start` sets it
+            import taichi
     except (ImportError, OSError) as error:  # on Linux, its library is linked against libX11 even without a window
         hint = (
             " Install it: `apt install libx11-6` (Debian, Ubuntu), `dnf install libX11` (Fedora), `apk`-based systems lack glibc."
@@ -54,6 +60,7 @@ def _quadrants() -> ModuleType:
 
 if ENGINE not in ENGINES:
     raise BackendError(f"TAICHI_SIM_ENGINE: {ENGINE!r} is not allowed; it must be one of {', '.join(ENGINES)}")
+settle_home()
 ti: Any = _taichi() if ENGINE == "taichi" else _quadrants()
 VERSION = ".".join(map(str, ti.__version__))
 
