@@ -2,11 +2,14 @@
 
 import sys
 
+from taichi_sim.common.printable import settle_streams
+
 __all__ = ["main"]
 
 
 def main() -> None:
     """Run the command; whoever interrupts what it loads gets no traceback."""
+    settle_streams()
     try:
         from taichi_sim.cli.main import main as run
     except KeyboardInterrupt:

@@ -15,6 +15,7 @@ from taichi_sim.cli.command import (
     Scheduler,
     Transparent,
     Workers,
+    echo,
     flag,
     say_nothing,
     subcommand,
@@ -78,7 +79,7 @@ def run(
         for name, target in zip(out or [], targets):
             if isinstance(target, Resumable) and not target.log.resumes:
                 there = "is complete, or of a run without checkpoints, and is made anew" if Path(name).exists() else ""
-                typer.echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
+                echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
@@ -89,18 +90,18 @@ def run(
     except BaseException as error:
         for name, target in zip(out or [], targets):
             if isinstance(error, UnstableError) and target.frames:
-                typer.echo(f"{name}: holds the {target.frames} frames until then", err=True)
+                echo(f"{name}: holds the {target.frames} frames until then", err=True)
                 continue
             target.discard()
             if target.frames:
-                typer.echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
+                echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
             elif target.simulated:
                 says = f"{target.simulated} frames are simulated, and kept; --resume goes on with them"
-                typer.echo(f"{name}: {says}", err=True)
+                echo(f"{name}: {says}", err=True)
         raise
     if not quiet:
         written = [target.pattern or name for name, target in zip(out or [], targets)]
-        typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
+        echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
 
 
 def _drawn_apart(
@@ -154,10 +155,10 @@ def _drawn_apart(
             draw(
                 recording, out, size=size, style=style, fps=job.output["fps"], scheduler=where[0], workers=where[1],
                 overwrite=overwrite, codec=codec, precision=precision, progress=not quiet,
-                say=say_nothing if quiet else typer.echo,
+                say=say_nothing if quiet else echo,
             )  # fmt: skip
         except BaseException:
-            typer.echo(f"{recording}: holds the run; `taichi-sim render` draws it", err=True)
+            echo(f"{recording}: holds the run; `taichi-sim render` draws it", err=True)
             raise
         recording.unlink(missing_ok=True)
     if end is not None:
@@ -166,7 +167,7 @@ def _drawn_apart(
     summary.drawing += spent
     summary.wall += spent
     if not quiet:
-        typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
+        echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
 
 
 @subcommand("size", "fps")
@@ -201,10 +202,10 @@ def render(
     count = draw(
         recording, out, size=pixels(options["size"]), style=chosen, fps=positive("--fps", options["fps"]), workers=workers,
         scheduler=scheduler, overwrite=overwrite, codec=codec, precision=precision, progress=not quiet,
-        say=say_nothing if quiet else typer.echo,
+        say=say_nothing if quiet else echo,
     )  # fmt: skip
     if not quiet:
-        typer.echo("\n".join(f"written      {name}: {count} frames" for name in out))
+        echo("\n".join(f"written      {name}: {count} frames" for name in out))
 
 
 @subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
@@ -216,4 +217,4 @@ def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     job = Job(scene, options)
     output = {key: job.output[key] for key in ("fps", "size", "style")}
     output["style"].pop("transparent", None)
-    show(job.simulation, **output, until=options["duration"], say=say_nothing if quiet else typer.echo)
+    show(job.simulation, **output, until=options["duration"], say=say_nothing if quiet else echo)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common import validation
+from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, unknown_key
 from taichi_sim.common.npz import read_npz
 from taichi_sim.files.toml_lines import deepest_line, line_of
@@ -380,6 +381,10 @@ class Reader:
                 " ts.load_scene(..., allow_outside=True)"
             )
             raise SceneError(("table", key), name, says=says)
+        try:
+            require_file(file)
+        except ValueError as error:
+            raise SceneError(("table", key), name, says=f"cannot be read: {error}") from None
         return file
 
     # Errors --------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.memory import available
 
@@ -28,6 +29,7 @@ def load(file: Path) -> Any:
         raise SceneError("mesh", says='reading meshes needs one more package: pip install "taichi-sim[mesh]"') from None
     kind = file.suffix[1:].lower()
     try:
+        require_file(file)
         _affordable(file, READ_BYTES * file.stat().st_size)
         data = file.read_bytes()
         resolver = None
@@ -94,6 +96,7 @@ def _check_gltf(file: Path, header: dict[str, Any]) -> None:
             beside = (folder / name).resolve()
             if not beside.is_relative_to(folder):
                 raise SceneError("mesh", file, says=f"names {name!r}, which lies outside its folder")
+            require_file(beside)
             held += beside.stat().st_size
     _affordable(file, READ_BYTES * held)
     accessors = header.get("accessors", ())

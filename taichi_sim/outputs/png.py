@@ -76,9 +76,9 @@ class PngFolder(Resumable):
         from PIL import Image as Pictures
 
         assert image is not None
+        self.log.open()  # refused where another run writes there
         while self._stale:
             self._stale.pop().unlink(missing_ok=True)
-        self.log.open()
         with replacing(self.path / self._name(index), swept=True) as file:
             Pictures.fromarray(image).save(file, "PNG", compress_level=1)
 

@@ -13,6 +13,7 @@ import taichi_sim as ts
 from taichi_sim.device import backend
 from taichi_sim.device.engine import ENGINE
 from taichi_sim.device.fields import Fields
+from taichi_sim.device.kernel_cache import cache_folder
 from taichi_sim.render.renderer import Renderer
 
 pytestmark = pytest.mark.once
@@ -94,16 +95,15 @@ def test_a_start_says_nothing_and_loses_nothing_of_other_threads():
 
 @pytest.mark.skipif(ENGINE != "taichi", reason="the lock of Taichi")
 def test_a_stale_lock_of_the_cache_is_removed_and_said(tmp_path, monkeypatch):
-    monkeypatch.setenv("TI_OFFLINE_CACHE_FILE_PATH", str(tmp_path))
     lock = tmp_path / "ticache.lock"
-    backend._free_cache(tmp_path / "other")  # none: nothing is said
+    assert cache_folder(tmp_path) == tmp_path  # none: nothing is said
     lock.touch()
-    backend._free_cache(tmp_path / "other")
+    assert cache_folder(tmp_path) == tmp_path
     assert lock.exists()  # somebody may hold it
     long_ago = time.time() - 3600.0
     os.utime(lock, (long_ago, long_ago))
     with pytest.warns(UserWarning, match=r"ticache\.lock: a killed process .* removed"):
-        backend._free_cache(tmp_path / "other")
+        assert cache_folder(tmp_path) == tmp_path
     assert not lock.exists()
 
 

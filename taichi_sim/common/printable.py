@@ -1,0 +1,38 @@
+"""What is written to standard output and standard error: text that no terminal takes for a command, in whatever encoding."""
+
+import os
+import sys
+
+__all__ = ["printable", "settle_streams"]
+
+LINES = "\n\t"
+
+
+def printable(text: str) -> str:
+    """Text whose control sequences, and characters that hide or turn others, are shown by their codes. Names and values in it may
+    be from a file of anybody's."""
+    if text.isprintable():
+        return text
+    return "".join(
+        one if one.isprintable() or one in LINES or (one.isspace() and one > "\x9f") else _code(one) for one in text
+    )
+
+
+def _code(character: str) -> str:
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def settle_streams() -> None:
+    """Let standard streams that are closed lead nowhere, so that no file of the run takes their number; what an encoding lacks is
+    shown by its code."""
+    while True:
+        descriptor = os.open(os.devnull, os.O_RDWR)
+        if descriptor > 2:
+            os.close(descriptor)
+            break
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
