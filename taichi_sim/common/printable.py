@@ -1,10 +1,12 @@
-"""What is written to standard output and standard error: text that no terminal takes for a command, in whatever encoding."""
+"""Text that no terminal takes for a command and no spreadsheet for a formula; standard streams in whatever state."""
 
 import os
 import sys
+from typing import Any
 
-__all__ = ["printable", "settle_streams"]
+__all__ = ["no_formula", "printable", "settle_streams"]
 
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # what they begin with
 LINES = "\n\t"
 
 
@@ -20,6 +22,11 @@ def printable(text: str) -> str:
 
 def _code(character: str) -> str:
     return character.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def no_formula(value: Any) -> Any:
+    """The cell of a table: a text that a spreadsheet would compute, such as `=1+1`, with a ' before it."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULAS) else value
 
 
 def settle_streams() -> None:

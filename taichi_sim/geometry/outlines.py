@@ -62,7 +62,11 @@ def text_outlines(where: str, text: str, height: float, font: str | None = None)
     from matplotlib.textpath import TextPath
 
     file = _font_file(f"{where}.font", font)
-    face: Any = get_font(file)
+    try:
+        face: Any = get_font(file)
+    except (RuntimeError, OSError, ValueError) as error:  # of a damaged file
+        reason = str(error).partition("\n")[0]
+        raise SceneError(f"{where}.font", file, says=f"cannot be read as a font: {reason}") from None
     for letter in text:
         if not letter.isspace() and face.get_char_index(ord(letter)) == 0:
             missing = f"{letter!r} (U+{ord(letter):04X}), which the font {face.family_name} does not have"
