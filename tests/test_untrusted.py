@@ -41,7 +41,10 @@ def written(folder, text, name="scene.toml"):
 
 @pytest.mark.parametrize(
     "text",
-    [f"a = {'[' * 700}{']' * 700}", f"a{'.b' * 4000} = 1", f"a{' . b' * 30_000} = 1", f"[a{'.b' * 30_000}]", f"a = {'[' * 30}{']' * 30}"],
+    [
+        f"a = {'[' * 700}{']' * 700}", f"a{'.b' * 4000} = 1", f"a{' . b' * 30_000} = 1", f"[a{'.b' * 30_000}]",
+        f"a = {'[' * 30}{']' * 30}",
+    ],
 )  # fmt: skip
 def test_nothing_lies_deep(tmp_path, text):
     with pytest.raises(ts.SceneError, match=r"line 3.*more than 16 deep"):
