@@ -201,6 +201,10 @@ def _own_settings() -> Iterator[None]:
         os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # it would ask its makers' server each day
         try:
             yield
+        except FileNotFoundError as error:
+            if error.filename is not None:
+                raise
+            raise BackendError("the working folder was deleted; change to another one") from None
         except ValueError as error:
             raise BackendError(f"{ENGINE} cannot be started with the environment variables {given}: {error}") from None
 

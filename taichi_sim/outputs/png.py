@@ -50,14 +50,15 @@ class PngFolder(Resumable):
         except OSError as error:
             raise OSError(f"{self.path}: cannot be written: {error.strerror or error}") from error
 
-    def begin(self, about: Mapping[str, Mapping[str, Any]], count: int, waits: bool) -> list[Checkpoint]:
-        """Raises FileExistsError, too, where there are frames of nobody knows which run."""
-        if self._there and not self.log.resumes:
+    def is_finished(self, count: int) -> bool:
+        """Raises FileExistsError where there are frames of nobody knows which run."""
+        is_finished = super().is_finished(count)
+        if self._there and not self.log.resumes and not is_finished:
             raise FileExistsError(
                 f"{self.path}: nothing says which run its frames are of, and so it cannot be resumed; use --overwrite or another"
                 " name"
             )
-        return super().begin(about, count, waits)
+        return is_finished
 
     def holds(self, count: int) -> bool:
         return self._there == set(map(self._name, range(count)))
