@@ -39,7 +39,13 @@ def written(folder, text, name="scene.toml"):
 # Scene files -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("text", [f"a = {'[' * 700}{']' * 700}", f"a{'.b' * 4000} = 1", f"a = {'[' * 30}{']' * 30}"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"a = {'[' * 700}{']' * 700}", f"a{'.b' * 4000} = 1", f"a{' . b' * 30_000} = 1", f"[a{'.b' * 30_000}]",
+        f"a = {'[' * 30}{']' * 30}",
+    ],
+)  # fmt: skip
 def test_nothing_lies_deep(tmp_path, text):
     with pytest.raises(ts.SceneError, match=r"line 3.*more than 16 deep"):
         ts.load_scene(written(tmp_path, HEAD + text + "\n"))

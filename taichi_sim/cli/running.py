@@ -61,7 +61,6 @@ def run(
 ) -> None:
     """Simulate SCENE and write a video, pictures, arrays or files for other programs; without --out show the summary only."""
     from taichi_sim.outputs import export, open_outputs
-    from taichi_sim.outputs.resumable import Resumable
 
     job = Job(scene, options)
     if round(job.output["fps"] * job.output["duration"]) < 1:
@@ -75,11 +74,8 @@ def run(
         _drawn_apart(job, out, (scheduler, workers), overwrite, codec, quiet)
         return
     targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-    if resume:
-        for name, target in zip(out or [], targets):
-            if isinstance(target, Resumable) and not target.log.resumes:
-                there = "is complete, or of a run without checkpoints, and is made anew" if Path(name).exists() else ""
-                echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
+    if resume and targets and _tell_resumed(out or [], targets, round(job.output["fps"] * job.output["duration"])):
+        return
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
@@ -102,6 +98,23 @@ def run(
     if not quiet:
         written = [target.pattern or name for name, target in zip(out or [], targets)]
         echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
+
+
+def _tell_resumed(names: Sequence[str], targets: Sequence[Any], count: int) -> bool:
+    """Say what there is of outputs that are to be resumed; whether all of them are complete, and given up here."""
+    from taichi_sim.outputs.resumable import Resumable
+
+    finished = [isinstance(target, Resumable) and target.is_finished(count) for target in targets]
+    for name, target, is_finished in zip(names, targets, finished):
+        if is_finished:
+            echo(f"{name}: is complete, and is left as it is; without --resume it is made anew", err=True)
+        elif isinstance(target, Resumable) and not target.log.resumes:
+            there = "nothing is kept of the run that wrote it; it is made anew" if Path(name).exists() else ""
+            echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
+    if all(finished):
+        for target in targets:
+            target.discard()
+    return all(finished)
 
 
 def _drawn_apart(

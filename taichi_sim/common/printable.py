@@ -1,10 +1,12 @@
-"""What is written to standard output and standard error: text that no terminal takes for a command, in whatever encoding."""
+"""Text that no terminal takes for a command and no spreadsheet for a formula; standard streams in whatever state."""
 
 import os
 import sys
+from typing import Any
 
-__all__ = ["printable", "settle_streams"]
+__all__ = ["no_formula", "printable", "settle_streams"]
 
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # what they begin with
 LINES = "\n\t"
 
 
@@ -22,6 +24,11 @@ def _code(character: str) -> str:
     return character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
+def no_formula(value: Any) -> Any:
+    """The cell of a table: a text that a spreadsheet would compute, such as `=1+1`, with a ' before it."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULAS) else value
+
+
 def settle_streams() -> None:
     """Let standard streams that are closed lead nowhere, so that no file of the run takes their number; what an encoding lacks is
     shown by its code."""
@@ -33,6 +40,8 @@ def settle_streams() -> None:
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends
+            nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  # until the process ends
+            setattr(sys, name, nowhere)
+            setattr(sys, f"__{name}__", nowhere)
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -30,6 +30,7 @@ WIDE_ARCHES = ("cpu", "cuda")  # with 64-bit numbers
 # of environment variables that the engine reads behind its prefix
 OWN_SETTINGS = ("ARCH", "DEFAULT_FP", "DEFAULT_IP", "CPU_MAX_NUM_THREADS", "OFFLINE_CACHE", "OFFLINE_CACHE_FILE_PATH",
     "OFFLINE_CACHE_MAX_SIZE_OF_FILES", "LOG_LEVEL", "FAST_MATH", "ADVANCED_OPTIMIZATION")  # fmt: skip
+MOST_THREADS = max(64, 4 * (os.cpu_count() or 1))  # where memory is limited the engine hangs when it cannot start them
 CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
 
 
@@ -110,8 +111,10 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
         )
     if precision is not None and precision not in PRECISIONS:
         raise ValueError(f"precision: {precision!r} is not allowed; it must be f32 or f64")
-    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-        raise ValueError(f"threads: {threads!r} is not allowed; it must be a whole number of at least 1")
+    if threads is not None and (
+        isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS
+    ):
+        raise ValueError(f"threads: {threads!r} is not allowed; it must be a whole number from 1 to {MOST_THREADS}")
     if precision == "f64" and arch not in (None, "auto", *WIDE_ARCHES):
         raise BackendError(
             f"precision: 'f64' was asked for, which {arch} devices may lack; use 'f32', or arch 'cpu' or 'cuda'"
@@ -207,6 +210,10 @@ def _own_settings() -> Iterator[None]:
         os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # it would ask its makers' server each day
         try:
             yield
+        except FileNotFoundError as error:
+            if error.filename is not None:
+                raise
+            raise BackendError("the working folder was deleted; change to another one") from None
         except ValueError as error:
             raise BackendError(f"{ENGINE} cannot be started with the environment variables {given}: {error}") from None
 

@@ -7,6 +7,7 @@ colliders, triangles, objects, embedded_surfaces, probes. Springs that name no g
 
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -44,6 +45,9 @@ __all__ = ["MOST_NESTED", "Reader", "load_scene", "nested", "parsed"]
 
 
 MOST_NESTED = 16  # lists and tables within each other
+LONG_KEY = re.compile(
+    r"""(?<![\w"'.-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){1000}"""
+)  # which takes seconds to parse
 
 
 def load_scene(
@@ -73,6 +77,8 @@ def parsed(file: Path) -> tuple[str, dict[str, Any]]:
     """The text of a file and what it says in TOML. Raises SceneError."""
     try:
         text = file.read_text(encoding="utf-8")
+        if LONG_KEY.search(text):
+            raise RecursionError
         document = tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise SceneError((), says=f"is not a text in UTF-8: {error.reason} at byte {error.start}", file=file) from None

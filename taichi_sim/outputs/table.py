@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.printable import no_formula
 from taichi_sim.outputs.base import Image, Output
 from taichi_sim.outputs.growing import Growing
 
@@ -73,7 +74,7 @@ def write_row(file: Any, row: dict[str, Any], names: bool = False) -> None:
     """A line of the table, and before it the names of its columns."""
     writer = csv.writer(file, lineterminator="\n")
     if names:
-        writer.writerow(row)
+        writer.writerow(map(no_formula, row))
     writer.writerow([repr(value) for value in row.values()])
 
 

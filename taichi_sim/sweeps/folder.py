@@ -14,6 +14,7 @@ from taichi_sim.common.atomic_file import lock, replacing
 from taichi_sim.common.differences import differences, named
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.own_folder import LOCK, emptied, is_fresh, require_own
+from taichi_sim.common.printable import no_formula
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.sweeps.points import Point, Row, lines_of, rows_of
 
@@ -126,8 +127,8 @@ class Folder:
         columns = columns_of(rows)
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values()))
+        writer.writerow(map(no_formula, columns))
+        writer.writerows(map(no_formula, row) for row in zip(*columns.values()))
         with replacing(self.path / TABLE) as file:
             file.write(text.getvalue().encode(errors="backslashreplace"))
         try:

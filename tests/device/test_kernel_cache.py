@@ -165,6 +165,14 @@ def test_environment_variables_of_the_engine_end_nothing(place):
     assert started(place, HOME=str(place / "home"), **given) == []
 
 
+def test_the_working_folder_was_deleted(place, tmp_path):
+    (tmp_path / "gone").mkdir()
+    code = f"import os; os.chdir({str(tmp_path / 'gone')!r}); os.rmdir(os.getcwd())"
+    (place / "double.py").write_text(f"{code}{SCRIPT}")
+    with pytest.raises(AssertionError, match="BackendError: the working folder was deleted; change to another one"):
+        started(place, HOME=str(place / "home"))
+
+
 def test_a_wrong_environment_variable_is_named(place):
     with pytest.raises(AssertionError, match="environment variables TI_OPT_LEVEL: invalid literal"):
         started(place, HOME=str(place / "home"), TI_OPT_LEVEL="high")

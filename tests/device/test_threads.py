@@ -167,3 +167,10 @@ def test_threads_of_a_gpu_are_refused():
 def test_a_stopped_engine_starts_again_in_any_precision():
     done = subprocess.run([sys.executable, "-c", BEGIN + STOPS], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("threads", [0, -1, True, 2.0, backend.MOST_THREADS + 1, 4096 * 4096])
+def test_the_number_of_threads_is_bounded(threads):
+    """Where memory is limited the engine would wait for those that it cannot start."""
+    with pytest.raises(ValueError, match=f"threads: {threads} is not allowed; it must be a whole number from 1 to"):
+        backend.start("cpu", threads=threads)

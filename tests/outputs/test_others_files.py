@@ -95,6 +95,15 @@ def test_links_within_what_is_kept(tmp_path, precious, name, file):
         make(tmp_path, name, resume=True)
 
 
+def test_a_pipe_within_what_is_kept(tmp_path):
+    cut_off(tmp_path, "x.gif")
+    inside = tmp_path / ".x.gif.resume" / "pictures"
+    inside.unlink()
+    os.mkfifo(inside)
+    with pytest.raises(OSError, match=r"\.resume: holds 'pictures', which is a pipe; .* remove it"):
+        make(tmp_path, "x.gif", resume=True)
+
+
 def test_what_others_put_into_what_is_kept_stays(tmp_path):
     cut_off(tmp_path, "x.gif")
     inside = tmp_path / ".x.gif.resume"
