@@ -14,17 +14,24 @@ from taichi_sim.device.engine import ti
 @ti.func
 def rotated(q, angle):
     """q rotated by an angle (2D) or a rotation vector (3D)."""
-    result = q
+    return q + rotation_chord(q, angle)
+
+
+@ti.func
+def rotation_chord(q, angle):
+    """The way from q to q rotated by an angle (2D) or a rotation vector (3D), in half angles, which cancel no digits."""
+    chord = 0.0 * q
     if ti.static(q.n == 2):
-        s, c = sine_cosine(angle)
-        result = ti.Vector([c * q[0] - s * q[1], s * q[0] + c * q[1]])
+        s, c = sine_cosine(0.5 * angle)
+        chord = 2.0 * s * (c * lever(1.0, q) - s * q)
     else:
         size = angle.norm()
         if size > 0.0:
             n = angle / size
-            s, c = sine_cosine(size)
-            result = c * q + s * n.cross(q) + (1.0 - c) * n.dot(q) * n
-    return result
+            s, c = sine_cosine(0.5 * size)
+            m = n.cross(q)
+            chord = 2.0 * s * (c * m + s * n.cross(m))
+    return chord
 
 
 @ti.func
@@ -67,6 +74,19 @@ def surface_velocity(colliders: ti.template(), k, x, after):
         v = pose.v
         if ti.static(colliders.rotates):
             v += lever(pose.spin, x - pose.x - after * pose.v)
+    return v
+
+
+@ti.func
+def chord_velocity(colliders: ti.template(), k, x, h):
+    """Velocity that takes the matter of collider k at the point x, at the start of a step, to where it is h seconds later: what
+    moves with it stays at its distance from the axis, where the velocity at the start would lead outward."""
+    v = 0.0 * x
+    if ti.static(colliders.moves):
+        pose = colliders.pose[k]
+        v = pose.v
+        if ti.static(colliders.rotates):
+            v += rotation_chord(x - pose.x, h * pose.spin) / h
     return v
 
 

@@ -10,9 +10,9 @@ EMPTY = -1  # its key
 
 
 @ti.func
-def find(walls: ti.template(), x, i, crowded):
+def find(walls: ti.template(), x, i, crowded, h):
     """Fill the slots of ball i at x with the colliders in reach: each where it was before, those that are new in a free one;
-    where there are too many, the nearest. Returns how many contacts there are to look at: none of the slots of a ball that is
+    where there are too many, the nearest. h [s]: the step to come. Returns how many contacts there are to look at: none of the slots of a ball that is
     and was far from all colliders, which are not even cleared."""
     at = walls.collider_contacts
     first = i * at.count
@@ -32,7 +32,7 @@ def find(walls: ti.template(), x, i, crowded):
                             at.slot[e].gap = FAR_GAP
                             at.slot[e].key = EMPTY
                         ready = True
-                        fill_slot(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n)
+                        fill_slot(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n, h)
     filled = 0
     for e in range(first, ti.select(ready, first + at.count, first)):
         if at.slot[e].gap == FAR_GAP:
@@ -44,7 +44,7 @@ def find(walls: ti.template(), x, i, crowded):
 
 
 @ti.func
-def fill_slot(walls: ti.template(), i, k, key, gap, n, point):
+def fill_slot(walls: ti.template(), i, k, key, gap, n, point, h):
     """Note a contact of ball i with collider k at a point: in the slot of its key, else in a free one, else in that of the widest
     gap."""
     at = walls.collider_contacts
@@ -67,4 +67,4 @@ def fill_slot(walls: ti.template(), i, k, key, gap, n, point):
         at.slot[place].gap = gap
         at.slot[place].normal = n
         if ti.static(at.moves):
-            at.slot[place].velocity = geometry.surface_velocity(walls.colliders, k, point, 0.0)
+            at.slot[place].velocity = geometry.chord_velocity(walls.colliders, k, point, h)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from physics_colliders import ROOM, SHOTS, SPEED, G, H, Laboratory, R, block, ring
+from physics_colliders import ROOM, SHOTS, SPEED, TURNTABLE, G, H, Laboratory, R, block, ring
 from physics_support import DIMS, EPS, F64, METHODS, simulate, vector
 
 import taichi_sim as ts
@@ -182,6 +182,18 @@ def test_a_lift_carries_a_ball_up_and_lets_it_fly_when_it_stops(laboratory):
     assert y.max() == pytest.approx(0.5 + 1 / (2 * G), abs=2e-3)
     assert y[-1] == pytest.approx(0.5, abs=1e-3)
     assert np.abs(v[-1]).max() < 2 * G * H
+
+
+def test_what_friction_holds_on_a_turntable_goes_round_in_a_circle(laboratory):
+    """It is carried along chords of the circle; along tangents it would creep out by exp(W^2 h t / 2) - 1, half a hundredth."""
+    if laboratory.lab.dim == 2:
+        return
+    x, _ = path(laboratory, "held on a turntable")
+    out = np.hypot(x[2:, 0], x[2:, 2])
+    angle = np.unwrap(np.arctan2(-x[2:, 2], x[2:, 0]))
+    far = 200 * EPS * ROOM * laboratory.lab.next  # places are rounded far from the origin
+    assert np.abs(out - out[0]).max() < far
+    assert np.abs(angle - angle[0] - TURNTABLE * H * np.arange(len(out))).max() < far
 
 
 def test_pinned_balls_ignore_colliders(laboratory):

@@ -10,6 +10,7 @@ import taichi_sim as ts
 H, G, R = 1e-3, 10.0, 0.05
 SHOTS, SPEED = 125, 10 * R / H  # bullets at each shape, of 10 radii a step
 ROOM = 8.0  # m between one experiment and the next
+TURNTABLE = 2.7  # 1/s
 LIFT = ((0.0, 0.0), (0.2, 0.0), (0.7, 0.5), (1.2, 0.5))  # s, m: waits, rises at 1 m/s, stands
 
 
@@ -118,6 +119,13 @@ class Laboratory:
 
     def _movers(self):
         dim = self.dim
+        if dim == 3:
+            c = self.place("turntable")
+            turning = {"rotation_rate": (0, np.degrees(TURNTABLE), 0), "pivot": c, "material": "rough"}
+            self.scene.add_collider(ts.Box(c + (0.4, -0.5, 0.0), (4.0, 1.0, 3.0), **turning))
+            self.add(
+                "held on a turntable", c + (0.9, R, 0.3), "rough", velocity=np.cross((0, TURNTABLE, 0), (0.9, 0, 0.3))
+            )
         c = self.place("piston")
         self.scene.add_collider(ts.Box(c - vector(dim, 0.5), np.ones(dim), velocity=vector(dim, 2.0)))
         self.add("pushed by a piston", c + vector(dim, 0.3), "elastic")
