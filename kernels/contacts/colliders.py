@@ -5,6 +5,7 @@ pose at its end. All distances are signed: negative inside the solid.
 """
 
 from taichi_sim.kernels.contacts.kinds import BOX, MESH, ROUND
+from taichi_sim.kernels.contacts.triangle_tree import signed_distance
 from taichi_sim.kernels.trigonometry import sine_cosine
 from taichi_sim.kernels.vectors import lever
 
@@ -136,25 +137,35 @@ def round_distance(p, half, radius):
 
 
 @ti.func
-def cell_value(grid: ti.template(), shape, i, j, k):
-    """Distance kept at a corner of the grid of a mesh."""
-    return grid[shape.first + (k * shape.cells[1] + j) * shape.cells[0] + i]
-
-
-@ti.func
-def mesh_distance(grid: ti.template(), shape, p):
-    """The same for a mesh: linear in each cell of its grid. Outside the grid from the nearest point that its border knows."""
+def mesh_distance(colliders: ti.template(), shape, p):
+    """The same for a mesh: linear in each cell of its grid, but by triangles where that would be too coarse."""
     g = (p - shape.low) * shape.inverse_cell
     top = ti.cast(shape.cells, float) - 1.0
     inner = ti.max(ti.min(g, top), 0.0)
     cell = ti.min(ti.cast(ti.floor(inner), ti.i32), shape.cells - 2)
-    t = inner - ti.cast(cell, float)
-    i, j, k = cell[0], cell[1], cell[2]
-    d = 0.0 * p[0]
-    n = 0.0 * p
+    first = shape.first + (cell[2] * shape.cells[1] + cell[1]) * shape.cells[0] + cell[0]
+    near = colliders.near[first]
+    d, n = 0.0 * p[0], 0.0 * p
+    if near >= 0:
+        d, n, _ = signed_distance(
+            colliders.box, colliders.link, colliders.triangle, shape.first_node, shape.last_node, near, p
+        )
+    else:
+        d, n = interpolated(
+            colliders.grid, shape, first, inner - ti.cast(cell, float), (g - inner) / shape.inverse_cell
+        )
+    return d, n
+
+
+@ti.func
+def interpolated(grid: ti.template(), shape, first, t, out):
+    """The same in the cell whose values begin at `first`, at the parts t of it along the axes; from a point that is `out` [m]
+    away from the grid, that of the nearest point which its border knows."""
+    d = 0.0 * t[0]
+    n = 0.0 * t
     for c in ti.static(range(8)):
         dx, dy, dz = ti.static(c & 1, (c >> 1) & 1, (c >> 2) & 1)
-        value = cell_value(grid, shape, i + dx, j + dy, k + dz)
+        value = grid[first + (dz * shape.cells[1] + dy) * shape.cells[0] + dx]
         wx = t[0] if ti.static(dx == 1) else 1.0 - t[0]
         wy = t[1] if ti.static(dy == 1) else 1.0 - t[1]
         wz = t[2] if ti.static(dz == 1) else 1.0 - t[2]
@@ -165,7 +176,6 @@ def mesh_distance(grid: ti.template(), shape, p):
         n = n / size
     else:
         n[1] = 1.0
-    out = (g - inner) / shape.inverse_cell
     if out.dot(out) > 0.0:
         r = out + d * n
         d = r.norm()
@@ -209,7 +219,7 @@ def distance(colliders: ti.template(), k, p):
             d, n = box_distance(p, shape.half)
     if ti.static(colliders.has_mesh):
         if shape.kind == MESH:
-            d, n = mesh_distance(colliders.grid, shape, p)
+            d, n = mesh_distance(colliders, shape, p)
     if ti.static(colliders.has_custom):
         for number, distance_from in ti.static(colliders.custom):
             if k == number:

@@ -394,6 +394,8 @@ class ColliderShape(Protocol):
     low: Field  # vector, m: corner of that grid
     inverse_cell: float  # 1/m
     cells: Field  # (3) numbers along the axes
+    first_node: int  # of the tree of a mesh
+    last_node: int  # the node after its last
 
 
 class Colliders(Protocol):
@@ -404,6 +406,10 @@ class Colliders(Protocol):
     shape: "ColliderShape"  # (count)
     pose: "ColliderPose"  # (count)
     grid: Field  # m, distances from meshes, one grid behind the other
+    near: Field  # the same: a triangle near the cell that begins there, where distances are taken from triangles, or -1
+    box: Field  # m, (6 nodes) of the trees of meshes, see contacts.triangle_tree
+    link: Field  # (3 nodes)
+    triangle: Field  # (30 triangles)
     custom: list  # number of each that the user defines, and its Taichi function distance(p) [m], p in its own frame
     difference: float  # of an extent: between points whose distances give a direction
     faces: int  # of a hollow box, or 1

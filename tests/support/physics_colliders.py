@@ -121,11 +121,10 @@ class Laboratory:
         dim = self.dim
         if dim == 3:
             c = self.place("turntable")
-            turning = {"rotation_rate": (0, np.degrees(TURNTABLE), 0), "pivot": c, "material": "rough"}
-            self.scene.add_collider(ts.Box(c + (0.4, -0.5, 0.0), (4.0, 1.0, 3.0), **turning))
-            self.add(
-                "held on a turntable", c + (0.9, R, 0.3), "rough", velocity=np.cross((0, TURNTABLE, 0), (0.9, 0, 0.3))
-            )
+            arm, turning = np.array((0.9, 0.0, 0.3)), np.array((0.0, TURNTABLE, 0.0))
+            plate = {"rotation_rate": np.degrees(turning), "pivot": c, "material": "rough"}
+            self.scene.add_collider(ts.Box(c + vector(dim, 0.4, -0.5), (4.0, 1.0, 3.0), **plate))
+            self.add("held on a turntable", c + arm + vector(dim, 0.0, R), "rough", velocity=np.cross(turning, arm))
         c = self.place("piston")
         self.scene.add_collider(ts.Box(c - vector(dim, 0.5), np.ones(dim), velocity=vector(dim, 2.0)))
         self.add("pushed by a piston", c + vector(dim, 0.3), "elastic")
