@@ -50,9 +50,11 @@ def signed_distance(box: ti.template(), link: ti.template(), triangle: ti.templa
         gap = ti.max(entry(box, 6 * k) - p, p - entry(box, 6 * k + 3), 0.0)
         if gap.dot(gap) < best:
             for t in range(link[3 * k + 1], link[3 * k + 2]):
-                q, on = from_triangle(triangle, t, p)
-                if q.dot(q) < best:
-                    r, feature, best, closest = q, on, q.dot(q), t
+                above = entry(triangle, WIDTH * t + 9).dot(p - entry(triangle, WIDTH * t))
+                if above * above < best:
+                    q, on = from_triangle(triangle, t, p)
+                    if q.dot(q) < best:
+                        r, feature, best, closest = q, on, q.dot(q), t
             k += 1
         else:
             k = link[3 * k]

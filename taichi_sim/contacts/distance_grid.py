@@ -23,7 +23,7 @@ MOST_CORNERS = 1 << 24
 CORNER_BYTES = 32  # while a grid is made; what it keeps is half of that
 BORDER = 2  # cells around what comes near the mesh
 NEAR = 2.0  # cells: beyond, what lies between corners is as good as they are
-INEXACT = 0.01  # of a cell, and of the smallest diameter: the largest error of what lies between corners
+INEXACT = 0.02  # of a cell, and of the smallest diameter: the largest error of what lies between corners
 ROW_SHIFT = 1e-5  # of a cell, see `winding`
 
 

@@ -10,7 +10,7 @@ from taichi_sim.kernels.contacts.triangle_tree import WIDTH
 
 __all__ = ["TriangleTree", "triangle_tree"]
 
-LEAF = 4  # triangles at most
+LEAF = 2  # triangles at most
 CORNERS = 9  # the first numbers of a triangle
 
 Floats = NDArray[np.float64]
