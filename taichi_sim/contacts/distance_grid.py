@@ -20,7 +20,7 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["DistanceGrid", "distance_grid", "distance_grids"]
 
 MOST_CORNERS = 1 << 24
-CORNER_BYTES = 32  # while a grid is made; what it keeps is half of that
+CORNER_BYTES = 32  # while a grid is made; what it keeps is less than half of that
 BORDER = 2  # cells around what comes near the mesh
 NEAR = 2.0  # cells: beyond, what lies between corners is as good as they are
 INEXACT = 0.02  # of a cell, and of the smallest diameter: the largest error of what lies between corners
@@ -79,8 +79,8 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     for distance in [*reaches, 2, 1]:
         source = copy(closest)
         loops.spread(corner, source, closest, best, frame, distance)
-    windings = given(np.zeros(shape), np.int32)
-    loops.winding(corner, windings, frame)
+    once, windings = (collider.vertices - origin)[collider.triangles], given(np.zeros(shape), np.int32)
+    loops.winding(given(once.reshape(-1, 3)), windings, frame)
     ti.sync()
     inside, far = _on_host(windings) != 0, np.sqrt(_on_host(best).astype(np.float64))
     value = np.where(inside, -far, far)
@@ -126,7 +126,7 @@ def _on_device(array: NDArray[Any]) -> Any:
 def distance_grids(scene: Scene) -> list[DistanceGrid]:
     """One for each collider, empty for what is no mesh; to be made before the fields of a simulation are. Raises SceneError where
     they do not fit into memory together."""
-    none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros((0, 0, 0)), np.zeros(3), 1.0, NO_TREE)
+    none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros((0, 0, 0), np.int32), np.zeros(3), 1.0, NO_TREE)
     if all(collider.kind != MESH for collider in scene.colliders):
         return [none] * len(scene.colliders)
     reach = 2.0 * float(np.max(scene.radius, initial=0.0))

@@ -1,6 +1,7 @@
 """A closed mesh as a tree of boxes around its triangles, with the normals that tell inside from outside."""
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,12 +59,12 @@ def triangle_tree(surface: Surface) -> TriangleTree:
 def _halved(centre: Floats) -> tuple[NDArray[np.int64], int]:
     """Numbers of triangles leaf by leaf, all leaves alike, the last triangle as often as that takes; the depth of the tree."""
     n = len(centre)
-    depth = max(0, int(np.ceil(np.log2(n / LEAF))))
-    order = np.minimum(np.arange((-(-n >> depth)) << depth), n - 1)
+    depth = max(0, math.ceil(math.log2(n / LEAF)))
+    order: NDArray[Any] = np.minimum(np.arange((-(-n >> depth)) << depth), n - 1)
     for level in range(depth):
         order = order.reshape(1 << level, -1)
         points = centre[order]
-        axis = np.ptp(points, axis=1).argmax(axis=1)
+        axis = np.argmax(np.ptp(points, axis=1), axis=1)
         along = np.take_along_axis(points, axis[:, None, None], axis=2)[:, :, 0]
         order = np.take_along_axis(order, np.argsort(along, axis=1, kind="stable"), axis=1)
     return order.ravel(), depth

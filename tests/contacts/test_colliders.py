@@ -119,6 +119,20 @@ def test_a_dropped_ball_comes_to_rest(laboratory):
     assert abs(x[-1, 1] - R) < (2e-5 * R if F64 else 0.02 * R)
 
 
+def test_a_mesh_thinner_than_the_cells_of_its_grid_holds_what_falls_on_it(laboratory):
+    """A plate whose corners are turned, not its collider, so that its grid lies askew to it."""
+    if laboratory.lab.dim == 2:
+        return
+    plate = next(c for c in laboratory.lab.scene.colliders if c.resolution == 16)
+    for k in range(3):
+        ball = laboratory.lab.ball[f"dropped on a thin plate {k}"]
+        x, v = laboratory.x[:, ball], laboratory.v[:, ball]
+        gap = plate.distance(x[::20], 0.0) - R
+        assert np.abs(gap[-10:]).max() < (2e-4 if F64 else 2e-3) * R, k
+        assert gap.min() > -2e-3 * R, k
+        assert np.abs(v[-1]).max() < 2 * G * H
+
+
 def test_walls_and_colliders_hold_a_ball_together(laboratory):
     x, v = path(laboratory, "rolls into a corner")
     assert np.abs(v[-1]).max() < (1e-12 if F64 else 1e-6)
