@@ -67,6 +67,18 @@ def world(colliders: ti.template(), k, n, after):
 
 
 @ti.func
+def carried_back(colliders: ti.template(), k, x, after):
+    """Where the matter of collider k that is at the point x `after` seconds into the step was at its start."""
+    p = x
+    if ti.static(colliders.moves):
+        pose = colliders.pose[k]
+        p = x - after * pose.v
+        if ti.static(colliders.rotates):
+            p = pose.x + rotated(p - pose.x, -after * pose.spin)
+    return p
+
+
+@ti.func
 def surface_velocity(colliders: ti.template(), k, x, after):
     """Velocity of the matter of collider k at the point x, `after` seconds into the step."""
     v = 0.0 * x

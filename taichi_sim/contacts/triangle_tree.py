@@ -52,7 +52,7 @@ def triangle_tree(surface: Surface) -> TriangleTree:
         if level == depth:
             links[place, 1] = leaf * np.arange(len(place))
             links[place, 2] = links[place, 1] + leaf
-        place = (place[:, None] + [1, 1 + below]).ravel()
+        place = (place[:, None] + np.array([1, 1 + below])).ravel()
     return TriangleTree(boxes, links, table, order)
 
 
