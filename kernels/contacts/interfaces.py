@@ -454,7 +454,7 @@ class ColliderSlot(Protocol):
     key: int  # the collider times `faces` plus the face of it, or EMPTY
     gap: float  # m, negative inside
     normal: Field  # unit vector, toward the ball
-    velocity: Field  # vector, m/s, of the surface
+    velocity: Field  # vector, m/s, of the surface, along the chord of the step to come
 
 
 class ColliderContacts(Protocol):
@@ -464,12 +464,10 @@ class ColliderContacts(Protocol):
     slot: "ColliderSlot"  # (n count)
     filled: Field  # (n) number of slots in use
     moves: bool  # whether surfaces have velocities
+    faces: int  # of a hollow box, or 1
 
     def collider(self, i: int, s: int) -> int:
         """The collider in slot s of ball i."""
-
-    def normal(self, i: int, s: int) -> Any:
-        """Direction from it to the ball."""
 
 
 class Received(Protocol):

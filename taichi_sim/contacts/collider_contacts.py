@@ -46,7 +46,7 @@ class ColliderContacts:
 
     @ti.func
     def velocity(self, i, s):
-        """Velocity [m/s] of the surface in slot s of ball i, where colliders move."""
+        """Velocity [m/s] of the surface in slot s of ball i along the chord of the step, where colliders move."""
         return self.slot[i * self.count + s].velocity
 
     @ti.func
