@@ -206,7 +206,8 @@ class Mesh(_Placed):
     Args:
         mesh: an OBJ, PLY, STL or GLB file, or (vertices (v, 3) [m], triangles (t, 3)).
         position: (3,) where its origin goes [m]; scale: its size in relation to the file's [1].
-        resolution: cells along the longest side of the grid on which distances are kept: edges are round to about a cell.
+        resolution: cells along the longest side of the grid on which distances are kept. Where the grid is too coarse, at edges
+            and thin walls, distances are taken from the triangles.
     """
 
     mesh: str | PathLike[str] | tuple[Any, Any]
