@@ -71,7 +71,7 @@ def load_scene(
 def parsed(file: Path) -> tuple[str, dict[str, Any]]:
     """The text of a file and what it says in TOML. Raises SceneError."""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
         document = tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise SceneError((), says=f"is not a text in UTF-8: {error.reason} at byte {error.start}", file=file) from None
