@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame, Placed
 from taichi_sim.common.atomic_file import naming, require_place
-from taichi_sim.outputs.base import Image
+from taichi_sim.geometry.spheres import icosphere
+from taichi_sim.outputs.base import USUAL_FPS, Image
 from taichi_sim.outputs.extras import needed
-from taichi_sim.outputs.parts import Parts, in_3d, normals_of, placed
+from taichi_sim.outputs.parts import Parts, Texture, Textures, few_colours, in_3d, placed, textures_of
 from taichi_sim.outputs.resumable import Recorded
 from taichi_sim.render.camera import Camera, robust_bounds
 from taichi_sim.render.palette import to_linear
@@ -28,6 +29,7 @@ from taichi_sim.render.tracker import Tracker
 APERTURE = 24.0  # mm, height of the camera's film: only its ratio to the focal length means something
 APERTURE_UNIT = 0.1  # m of the scene for each unit of the aperture of an orthographic camera
 ROD = 0.28  # radius of a spring, of that of its thinner ball, as in pictures
+ROUND_BALL = 3  # how often the triangles of a ball are cut in four
 FLOOR = 4.0  # sides of the square that stands for a wall, of the size of the scene
 LEVEL = 0.7  # cosine of the angle to the vertical up to which a wall is a floor, and shown
 MARGIN = 1.1  # of a flat scene in its camera
@@ -36,33 +38,38 @@ UNSAVED = 1 << 26  # bytes that wait in memory
 
 
 class Usd(Recorded):
-    """/World holds an Xform for each object, with its name, and in it a Mesh `surface` (points and normals over time, st where
-    the object has a grid), Points `balls` (widths: diameters) of those that no surface covers, and BasisCurves `springs`; a Mesh
-    for each collider, which a transform moves; a square for each wall, in the purpose `guide` where it is no floor; `camera`.
-    Metres, y up, frame k at time code k, `fps` of which are a second. Colours are linear, as displayColor and as materials.
+    """/World holds an Xform for each object, with its name, and in it a Mesh (points and normals over time, st where the object
+    has places on a texture), a PointInstancer of spheres (scales: radii) for balls that no surface covers, and BasisCurves for
+    springs. The only one of these is called as its object is; of several each ends with _surface, _balls, _springs.
+    A Mesh for each collider, which a transform moves; a square for each wall, in the purpose `guide` where it is no floor;
+    `camera`. Metres, y up, frame k at time code k, `fps` of which are a second. Colours are linear, as displayColor and as
+    materials; a texture of a look is the material of a mesh with st.
 
     Frames wait on disk beside the file until it is complete. resume: go on where a run into the same name was cut off.
     """
 
     needs_image = False
     apart = True
+    is_film = True
 
-    def __init__(self, path: str | PathLike[str], fps: float = 60.0, resume: bool = False) -> None:
+    def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
         needed("pxr", "usd", Path(path))
         super().__init__(path, "frames", resume=resume)
         require_place(path)
-        self.fps = float(Fraction(fps).limit_denominator(100_000))
+        self.fps = fps
         self._first: Frame | None = None
         self._tracker: Tracker | None = None
         self._aspect = 16 / 9
+        self._textures: Textures = {}
 
     def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
         self._first, self._aspect = first, size[0] / size[1]
+        self._textures = textures_of(style, self.path.parent)
         if first.dim == 3:
             self._tracker = Tracker(first, style.get("camera"), self._aspect)
 
     def options(self) -> Mapping[str, Any]:
-        return {"aspect": self._aspect}
+        return {"aspect": self._aspect, "textures": dict(self._textures)}
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Keep what changes."""
@@ -100,7 +107,8 @@ class Usd(Recorded):
         part = self.log.open() / f"stage{self.path.suffix.lower()}"
         part.unlink(missing_ok=True)
         with naming(self.path):
-            stage = _Stage(part, self._first, self.fps, self._aspect)
+            fps = float(Fraction(self.fps or USUAL_FPS).limit_denominator(100_000))
+            stage = _Stage(part, self._first, fps, self._aspect, self._textures)
             shows_all = self._fit()
             for index, data in enumerate(self._records):
                 if index < self.frames:
@@ -158,7 +166,7 @@ def _read(data: bytes) -> dict[str, NDArray]:
 class _Stage:
     """A USD file under construction, of the scene that a frame is the first of."""
 
-    def __init__(self, path: Path, first: Frame | None, fps: float, aspect: float) -> None:
+    def __init__(self, path: Path, first: Frame | None, fps: float, aspect: float, textures: Textures) -> None:
         from pxr import Usd, UsdGeom
 
         self._stage = Usd.Stage.CreateNew(str(path))
@@ -171,7 +179,7 @@ class _Stage:
         self._stage.SetDefaultPrim(world)
         Usd.ModelAPI(world).SetKind("assembly")
         UsdGeom.Scope.Define(self._stage, MATERIALS)
-        self._first, self._aspect = first, aspect
+        self._first, self._aspect, self._textures = first, aspect, textures
         self._last: dict[Any, NDArray] = {}  # what each attribute holds that seldom changes
         if first is not None:
             self._parts = Parts(first)
@@ -181,21 +189,19 @@ class _Stage:
         from pxr import Usd, UsdGeom
 
         parts, self._objects = self._parts, list[str]()
+        loose = parts.number[parts.loose]
+        pairs, owner = parts.springs(first)
+        held = np.concatenate([[one.object for one in parts.surfaces], np.unique(loose), np.unique(owner)])
+        self._single = np.bincount(held.astype(np.int64), minlength=len(parts.names)) < 2
         for name in parts.names:
             prim = self._define(UsdGeom.Xform, "/World", name).GetPrim()
             Usd.ModelAPI(prim).SetKind("component")
             self._objects.append(str(prim.GetPath()))
         self._meshes = [self._surface(one) for one in parts.surfaces]
-        loose = parts.number[parts.loose]
         self._points = [
-            (balls, self._balls(self._objects[k], balls))
-            for k in range(len(parts.names))
-            if len(balls := parts.loose[loose == k])
+            (balls, self._balls(k, balls)) for k in range(len(parts.names)) if len(balls := parts.loose[loose == k])
         ]
-        pairs, owner = parts.springs(first)
-        self._curves = [
-            (k, self._springs(self._objects[k], pairs[owner == k], first.radius)) for k in np.unique(owner).tolist()
-        ]
+        self._curves = [(k, self._springs(k, pairs[owner == k], first.radius)) for k in np.unique(owner).tolist()]
         self._bodies = [self._body(one) for one in parts.bodies]
         bounds, _ = robust_bounds(in_3d(first.position), first.radius)
         self._walls(first, bounds)
@@ -217,10 +223,16 @@ class _Stage:
             made.GetPrim().SetDisplayName(name)
         return made
 
+    def _part(self, kind: Any, number: int, part: str) -> Any:
+        """A part of an object. Programs that merge it with its Xform show its name, which is therefore that of the object."""
+        name = self._parts.names[number]
+        return self._define(kind, self._objects[number], name if self._single[number] else f"{name}_{part}")
+
     def _surface(self, one: Any) -> Any:
         from pxr import Sdf, UsdGeom, Vt
 
-        mesh = self._mesh(self._objects[one.object], "surface", one.colour)
+        mesh = self._part(UsdGeom.Mesh, one.object, "surface")
+        self._as_mesh(mesh, one.colour, self._textures.get(one.name) if one.uv is not None else None)
         if one.uv is not None:
             place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
                 "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
@@ -232,26 +244,40 @@ class _Stage:
         from pxr import UsdGeom
 
         mesh = self._define(UsdGeom.Mesh, parent, name)
+        self._as_mesh(mesh, colour)
+        return mesh
+
+    def _as_mesh(self, mesh: Any, colour: Any, texture: Texture | None = None) -> None:
+        from pxr import UsdGeom
+
         mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
         mesh.CreateDoubleSidedAttr(True)
         mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-        self._paint(mesh, colour)
-        return mesh
+        self._paint(mesh, colour, texture)
 
-    def _balls(self, parent: str, balls: NDArray) -> Any:
+    def _balls(self, number: int, balls: NDArray) -> Any:
+        """Spheres, one shape for each colour: Blender gives neither points nor curves a material."""
         from pxr import UsdGeom, Vt
 
-        points = self._define(UsdGeom.Points, parent, "balls")
-        points.CreateIdsAttr(Vt.Int64Array.FromNumpy(balls.astype(np.int64)))
-        points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(_f32(2.0 * self._parts.radius[balls])))
-        points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
-        self._paint(points, self._parts.colour[balls])
-        return points
+        made = self._part(UsdGeom.PointInstancer, number, "balls")
+        made.CreateIdsAttr(Vt.Int64Array.FromNumpy(balls.astype(np.int64)))
+        made.CreateScalesAttr(_vectors(np.repeat(self._parts.radius[balls, None], 3, axis=1)))
+        colours, kind = few_colours(self._parts.colour[balls])
+        made.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(kind.astype(np.int32)))
+        ball = icosphere(ROUND_BALL)
+        for k, colour in enumerate(colours):
+            mesh = self._mesh(str(made.GetPath()), f"{self._parts.names[number]}_ball_{k}", colour)
+            self._faces(mesh, ball.triangles, None)
+            mesh.CreatePointsAttr(_vectors(ball.vertices))
+            mesh.CreateNormalsAttr(_vectors(ball.vertices))
+            mesh.CreateExtentAttr(_vectors(_box(ball.vertices)))
+            made.CreatePrototypesRel().AddTarget(mesh.GetPath())
+        return made
 
-    def _springs(self, parent: str, pairs: NDArray, radius: NDArray) -> Any:
+    def _springs(self, number: int, pairs: NDArray, radius: NDArray) -> Any:
         from pxr import UsdGeom, Vt
 
-        curves = self._define(UsdGeom.BasisCurves, parent, "springs")
+        curves = self._part(UsdGeom.BasisCurves, number, "springs")
         curves.CreateTypeAttr(UsdGeom.Tokens.linear)
         thin = float(radius[pairs].min())
         curves.CreateWidthsAttr(Vt.FloatArray([2.0 * ROD * thin]))
@@ -286,22 +312,23 @@ class _Stage:
             if normal[1] < LEVEL or first.dim == 2:
                 mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
 
-    def _paint(self, prim: Any, colour: Any) -> None:
-        """Show it in sRGB colours, one, or one for each vertex, by displayColor and by a material that reads it."""
+    def _paint(self, prim: Any, colour: Any, texture: Texture | None = None) -> None:
+        """Show it in sRGB colours, one, or one for each vertex, by displayColor and by a material that reads it; or an image."""
         from pxr import Sdf, UsdGeom, UsdShade
 
         colour = _f32(to_linear(np.asarray(colour).reshape(-1, 3)))
         one = bool(np.all(colour == colour[:1]))
         shown = prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant if one else UsdGeom.Tokens.vertex)
         shown.Set(_vectors(colour[:1] if one else colour))
-        place = prim.GetPrim().GetPath().MakeRelativePath("/World").pathString.replace("/", "_")
-        material = self._define(UsdShade.Material, MATERIALS, place)
+        material = self._define(UsdShade.Material, MATERIALS, prim.GetPrim().GetName())
         path = material.GetPrim().GetPath().pathString
         shader = UsdShade.Shader.Define(self._stage, f"{path}/shader")
         shader.CreateIdAttr("UsdPreviewSurface")
         shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
         diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-        if one:
+        if texture is not None:
+            diffuse.ConnectToSource(self._image(path, *texture))
+        elif one:
             diffuse.Set(tuple(colour[0].tolist()))
         else:
             reader = UsdShade.Shader.Define(self._stage, f"{path}/reader")
@@ -310,6 +337,28 @@ class _Stage:
             diffuse.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
         material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", Sdf.ValueTypeNames.Token))
         UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
+
+    def _image(self, path: str, texture: str, repeat: float) -> Any:
+        """The colour of an image file at st, so often repeated, as an output of a material's network."""
+        from pxr import Gf, Sdf, UsdShade
+
+        place = UsdShade.Shader.Define(self._stage, f"{path}/place")
+        place.CreateIdAttr("UsdPrimvarReader_float2")
+        place.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        image = UsdShade.Shader.Define(self._stage, f"{path}/texture")
+        image.CreateIdAttr("UsdUVTexture")
+        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(texture)
+        for side in ("wrapS", "wrapT"):
+            image.CreateInput(side, Sdf.ValueTypeNames.Token).Set("repeat")
+        st = place.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        if repeat != 1.0:
+            scaled = UsdShade.Shader.Define(self._stage, f"{path}/repeat")
+            scaled.CreateIdAttr("UsdTransform2d")
+            scaled.CreateInput("scale", Sdf.ValueTypeNames.Float2).Set(Gf.Vec2f(repeat, repeat))
+            scaled.CreateInput("in", Sdf.ValueTypeNames.Float2).ConnectToSource(st)
+            st = scaled.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(st)
+        return image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
 
     def add(self, index: int, now: Mapping[str, NDArray]) -> None:
         """A frame."""
@@ -322,7 +371,7 @@ class _Stage:
             points = one.points(x)
             self._faces(mesh, faces, index)
             self._move(mesh, points, index)
-            self._set(mesh.GetNormalsAttr() or mesh.CreateNormalsAttr(), _vectors(normals_of(points, faces)), index)
+            self._set(mesh.GetNormalsAttr() or mesh.CreateNormalsAttr(), _vectors(one.normals(points, faces)), index)
         for balls, prim in self._points:
             self._move(prim, x[balls], index, parts.radius[balls].max())
         pairs, owner = parts.springs(frame)
@@ -363,7 +412,8 @@ class _Stage:
 
     def _move(self, prim: Any, points: NDArray, index: int, reach: float = 0.0) -> None:
         """Put a prim's points somewhere, which reach so far about them [m]."""
-        self._set(prim.GetPointsAttr(), _vectors(points), index)
+        of = prim.GetPositionsAttr() if hasattr(prim, "GetPositionsAttr") else prim.GetPointsAttr()
+        self._set(of, _vectors(points), index)
         if len(points):
             box = _box(points) + reach * np.array([[-1.0], [1.0]])
             self._set(prim.GetExtentAttr() or prim.CreateExtentAttr(), _vectors(box), index)

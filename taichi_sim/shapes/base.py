@@ -242,7 +242,7 @@ def build(
 
     stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
     corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`. uv: (n, 2),
-    places on a sheet in 0..1.
+    places on a sheet in 0..1, or (t, 3, 2) of the corners of its triangles.
     """
     n, own = len(points), points
     points = moved(shape, own, part.position, part.rotation, part.scale)

@@ -153,7 +153,7 @@ def cloth(
             drag = drag / cotton.stretch * np.concatenate([k for _, k in parts.springs])
     placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation, "scale": factor}
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
-    more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": None if grid is None else grid[4]}
+    more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": surface.uv if grid is None else grid[4]}
     return build(scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, **more)
 
 

@@ -8,9 +8,9 @@ import pytest
 from taichi_sim import Scene, SceneError, shapes
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.mesh import Surface, read_surface, volume
+from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs import open_output
 from taichi_sim.outputs.parts import Parts, Together
-from taichi_sim.shapes.balloon import _sphere
 
 pytestmark = pytest.mark.once
 
@@ -38,7 +38,7 @@ def written(folder, name, *frames):
 @pytest.mark.parametrize("kind", ["obj", "ply"])
 def test_a_block_and_a_skin(tmp_path, kind):
     """The skin takes the place of the boxes below it, the block beside it has its own triangles."""
-    scene, ball = Scene(dim=3), _sphere(2)
+    scene, ball = Scene(dim=3), icosphere(2)
     shapes.jelly(scene, mesh=ball, spacing=0.4)
     shapes.jelly(scene, (1, 2, 3), (3, 3, 3), position=(5, 0, 0))
     written(tmp_path, f"x.{kind}", frame(scene), frame(scene))
@@ -81,7 +81,7 @@ def test_a_folder_that_is_missing(tmp_path):
 
 def test_binary_gltf_comes_in(tmp_path):
     trimesh = pytest.importorskip("trimesh")
-    ball = _sphere(1)
+    ball = icosphere(1)
     trimesh.Trimesh(ball.vertices, ball.triangles, process=False).export(tmp_path / "ball.glb")
     surface = read_surface(tmp_path / "ball.glb")
     assert isinstance(surface, Surface)
