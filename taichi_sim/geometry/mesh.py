@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.geometry.mesh_file import SUFFIXES, load, states_up
-from taichi_sim.geometry.polygons import triangulated
+from taichi_sim.geometry.polygons import triangulated, without_repeats
 
 PLACES_NAMED = 3  # in a message
 THINNEST_TRIANGLE = 1e-6  # twice its area over the square of its longest side: a triangle of less has none
@@ -64,7 +64,7 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
         )
     _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     corners = first[same.reshape(-1)][polygons.corners]
-    kept, counts = _without_repeats(corners, counts)
+    kept, counts = without_repeats(corners, counts)
     cut, crossing = triangulated(vertices, corners[kept], counts)
     if len(crossing):
         warnings.warn(
@@ -78,15 +78,6 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     if not len(surface.triangles):
         raise SceneError("mesh", file, says="has no face with an area; a surface needs at least one triangle")
     return surface
-
-
-def _without_repeats(corners: NDArray, counts: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Which corners (c,) of polygons are another vertex than the one before, and how many that leaves to each polygon."""
-    starts = np.cumsum(counts) - counts
-    before = np.roll(corners, 1)
-    before[starts[counts > 0]] = corners[(starts + counts - 1)[counts > 0]]
-    kept = corners != before
-    return kept, np.bincount(np.repeat(np.arange(len(counts)), counts)[kept], minlength=len(counts))
 
 
 def _compact(vertices: NDArray, triangles: NDArray, uv: NDArray | None) -> Surface:

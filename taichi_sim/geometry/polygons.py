@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Polygons", "triangulated"]
+__all__ = ["Polygons", "triangulated", "without_repeats"]
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -49,6 +49,15 @@ def triangulated(vertices: Floats, corners: Whole, counts: Whole) -> tuple[Whole
         found.append(fan.reshape(-1, 3))
     triangles = np.concatenate(found)
     return triangles[np.argsort(triangles[:, 0], kind="stable")], np.array(crossing, dtype=np.int64)
+
+
+def without_repeats(corners: Whole, counts: Whole) -> tuple[NDArray[np.bool_], Whole]:
+    """Return which corners (c,) of polygons are another vertex than the one before, and how many corners (p,) that leaves to each polygon."""
+    starts = np.cumsum(counts) - counts
+    before = np.roll(corners, 1)
+    before[starts[counts > 0]] = corners[(starts + counts - 1)[counts > 0]]
+    kept = corners != before
+    return kept, np.bincount(np.repeat(np.arange(len(counts)), counts)[kept], minlength=len(counts))
 
 
 def _flat(x: Floats, normal: Floats) -> Floats:

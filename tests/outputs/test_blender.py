@@ -54,7 +54,10 @@ def test_usd_has_names_counts_and_frames(seen, name):
     assert view["frames"] == [0, exchange.FRAMES - 1]
     objects = view["objects"]
     drawn = {key for key, one in objects.items() if one["type"] not in ("EMPTY", "CAMERA")}
-    marbles, rope = {"marbles", "marbles_ball_0", "marbles_ball_1"}, {"rope_0_balls", "rope_0_ball_0", "rope_0_springs"}
+    marbles, rope = (
+        {"marbles", "marbles_ball_0", "marbles_ball_1"},
+        {"rope_0_balls", "rope_0_ball_0", "rope_0_springs", "rope_0_rod"},
+    )
     assert drawn == {*OBJECTS, *marbles, *rope, "moon", "box_0", "wall_0"}
     assert objects["camera"]["type"] == "CAMERA"
     for key, count in OBJECTS.items():
@@ -83,6 +86,9 @@ def test_usd_moves(seen, name):
         assert np.abs(np.linalg.norm(moon - middle, axis=1) - 0.3).max() < 1e-5
         shown = [one for one in view["instances"][str(k)] if one["of"] == "marbles"]
         assert same([one["place"] for one in shown], z_up(frames[k].position[MARBLES]))
+        rope = frames[k].position[balls_of(frames[k], "rope_0")]
+        rods = [one["place"] for one in view["instances"][str(k)] if one["of"] == "rope_0_springs"]
+        assert same(rods, z_up(0.5 * (rope[1:] + rope[:-1])))
         assert sorted(one["scale"] for one in shown) == pytest.approx(sorted(frames[k].radius[MARBLES]))
 
 

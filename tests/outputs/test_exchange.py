@@ -93,7 +93,7 @@ def test_all_that_is_drawn_has_a_material(stage):
     drawn = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Gprim)]
     names = [UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0].GetPrim().GetName() for prim in drawn]
     assert names == [prim.GetName() for prim in drawn]
-    assert {"marbles_ball_0", "marbles_ball_1", "moon", "rope_0_springs"} <= set(names)
+    assert {"marbles_ball_0", "marbles_ball_1", "moon", "rope_0_rod"} <= set(names)
 
 
 def test_marbles_are_spheres_of_their_colours(stage, made):

@@ -20,6 +20,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.frame import Placed
 from taichi_sim.outputs import CODECS, OTHERS, Output, export, open_output, open_outputs
 from taichi_sim.outputs.parts import Parts
+from taichi_sim.outputs.usd_stage import ROD
 from taichi_sim.render.palette import to_linear
 from taichi_sim.scene.objects import named
 
@@ -128,7 +129,15 @@ def test_usd_moves_as_the_simulation_does(stage, run):
         shell = np.delete(np.arange(12, 39), 13)  # the ball in the middle of the jelly is not seen
         assert np.array_equal(at("jelly_0/jelly_0").GetPointsAttr().Get(k), x[shell])
         assert np.array_equal(spheres("rope_0/rope_0_balls").GetPositionsAttr().Get(k), x[39:43])
-        assert np.array_equal(at("rope_0/rope_0_springs").GetPointsAttr().Get(k), x[[39, 40, 40, 41, 41, 42]])
+        rods = spheres("rope_0/rope_0_springs")
+        ends = frame.position[[[39, 40], [40, 41], [41, 42]]]
+        assert np.array_equal(rods.GetPositionsAttr().Get(k), single(ends.mean(axis=1)))
+        for matrix, (one, other) in zip(rods.ComputeInstanceTransformsAtTime(k, k), ends):
+            assert np.allclose(matrix.Transform((0.0, 0.0, 0.5)), other, atol=1e-3)
+            assert np.allclose(matrix.Transform((0.0, 0.0, -0.5)), one, atol=1e-3)
+            assert np.linalg.norm(matrix.TransformDir((1.0, 0.0, 0.0))) == pytest.approx(
+                ROD * frame.radius[39], rel=1e-2
+            )
         assert np.array_equal(spheres("balls/balls").GetPositionsAttr().Get(k), x[43:])
         assert np.abs(np.linalg.norm(at("left_flag/left_flag").GetNormalsAttr().Get(k), axis=1) - 1).max() < 1e-6
         cache = UsdGeom.XformCache(k)
@@ -154,9 +163,8 @@ def test_usd_has_widths_faces_and_places_for_textures(stage, run):
     assert balls.GetIdsAttr().Get() == [43, 44]
     shape = UsdGeom.Mesh(stage.GetPrimAtPath(balls.GetPrototypesRel().GetTargets()[0]))
     assert np.abs(np.linalg.norm(shape.GetPointsAttr().Get(), axis=1) - 1).max() < 1e-6
-    rope = UsdGeom.BasisCurves(stage.GetPrimAtPath("/World/rope_0/rope_0_springs"))
-    assert rope.GetTypeAttr().Get() == "linear"
-    assert list(rope.GetCurveVertexCountsAttr().Get()) == [2, 2, 2]
+    rope = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/rope_0/rope_0_springs"))
+    assert list(rope.GetProtoIndicesAttr().Get()) == [0, 0, 0]
 
 
 def test_the_camera_of_usd_is_that_of_pictures(stage, run):
@@ -367,9 +375,9 @@ def test_what_tears_in_usd(tmp_path, name):
     stage = usd.Stage.Open(str(tmp_path / name))
     faces = stage.GetPrimAtPath("/World/balls/balls_surface").GetAttribute("faceVertexCounts")
     assert [len(faces.Get(k)) for k in range(3)] == [4, 4, 2]
-    curves = stage.GetPrimAtPath("/World/balls/balls_springs")
-    assert [len(curves.GetAttribute("curveVertexCounts").Get(k)) for k in range(3)] == [2, 2, 1]
-    assert [len(curves.GetAttribute("points").Get(k)) for k in range(3)] == [4, 4, 2]
+    rods = stage.GetPrimAtPath("/World/balls/balls_springs")
+    for one in ("protoIndices", "positions", "orientations", "scales"):
+        assert [len(rods.GetAttribute(one).Get(k)) for k in range(3)] == [2, 2, 1]
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
