@@ -52,7 +52,7 @@ def triangulated(vertices: Floats, corners: Whole, counts: Whole) -> tuple[Whole
 
 
 def without_repeats(corners: Whole, counts: Whole) -> tuple[NDArray[np.bool_], Whole]:
-    """Return which corners (c,) of polygons are another vertex than the one before, and how many corners (p,) that leaves to each polygon."""
+    """Return which corners (c,) of polygons are another vertex than the one before, and how many (p,) that leaves to each."""
     starts = np.cumsum(counts) - counts
     before = np.roll(corners, 1)
     before[starts[counts > 0]] = corners[(starts + counts - 1)[counts > 0]]

@@ -54,10 +54,8 @@ def test_usd_has_names_counts_and_frames(seen, name):
     assert view["frames"] == [0, exchange.FRAMES - 1]
     objects = view["objects"]
     drawn = {key for key, one in objects.items() if one["type"] not in ("EMPTY", "CAMERA")}
-    marbles, rope = (
-        {"marbles", "marbles_ball_0", "marbles_ball_1"},
-        {"rope_0_balls", "rope_0_ball_0", "rope_0_springs", "rope_0_rod"},
-    )
+    marbles = {"marbles", "marbles_ball_0", "marbles_ball_1"}
+    rope = {f"rope_0_{part}" for part in ("balls", "ball_0", "springs", "rod")}
     assert drawn == {*OBJECTS, *marbles, *rope, "moon", "box_0", "wall_0"}
     assert objects["camera"]["type"] == "CAMERA"
     for key, count in OBJECTS.items():
