@@ -164,12 +164,11 @@ def given_surface(where: str, mesh: Any, up: str | None = None) -> Surface:
 
 def by_hand(where: str, mesh: Any) -> Surface:
     """A mesh that was given as two arrays, checked. Raises SceneError, which begins with `where`."""
-    if isinstance(mesh, Surface):
-        return mesh
-    if not isinstance(mesh, (list, tuple)) or len(mesh) != 2:
+    uv = mesh.uv if isinstance(mesh, Surface) else None
+    if not isinstance(mesh, Surface) and (not isinstance(mesh, (list, tuple)) or len(mesh) != 2):
         raise SceneError(where, mesh, f"a file {' '.join(SUFFIXES)} or (vertices, triangles)")
     vertices = validation.vectors(f"{where}.vertices", mesh[0], None, 3)
-    return Surface(vertices, validation.indices(f"{where}.triangles", mesh[1], len(vertices), 3, "vertex"))
+    return Surface(vertices, validation.indices(f"{where}.triangles", mesh[1], len(vertices), 3, "vertex"), uv)
 
 
 def sides(triangles: NDArray) -> NDArray:

@@ -214,3 +214,17 @@ def test_seams_come_back_from_a_scene_file(tmp_path):
     assert np.array_equal(again.objects[1].uv, scene.objects[1].uv)
     with pytest.raises(ts.SceneError, match=r"objects.uv: \(3, 3, 2\) .*shape \(4, 3, 2\)"):
         scene.set_name(scene.objects[1].balls, "sail", np.zeros((3, 3, 2)))
+
+
+def test_the_library_of_a_resumed_run_knows_what_has_torn_away(tmp_path):
+    scene = exchange.scene(tmp_path)
+    first, *_, last = exchange.frames(scene)
+    less = Frame(0.0, last.position, last.velocity, last.radius, triangles=last.triangles[:0])
+    written = []
+    for index, frame in ((0, first), (1, less)):
+        with open_output(tmp_path / "x.obj") as output:
+            output.prepare(first, (64, 48), {})
+            output.write(index, frame, None)
+            output.frames += 1
+        written.append((tmp_path / "x_frames.mtl").read_text())
+    assert written[0] == written[1]
