@@ -56,12 +56,11 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
         face = polygons.corners[ends[bad] - counts[bad] : ends[bad]].tolist()
         says = f"has face {bad} (from 0) of vertices {face}, and there are {len(vertices)}"
         raise SceneError("mesh", file, says=says)
-    finite = np.isfinite(vertices).all(axis=1)
+    finite = (np.abs(vertices) <= validation.MOST_MAGNITUDE).all(axis=1)
     if not finite.all():
         bad = int(np.argmin(finite))
-        raise SceneError(
-            "mesh", file, says=f"has vertex {bad} (from 0) at {vertices[bad].tolist()}, which is not finite"
-        )
+        why = "too far away" if np.isfinite(vertices[bad]).all() else "not finite"
+        raise SceneError("mesh", file, says=f"has vertex {bad} (from 0) at {vertices[bad].tolist()}, which is {why}")
     _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     corners = first[same.reshape(-1)][polygons.corners]
     kept, counts = without_repeats(corners, counts)

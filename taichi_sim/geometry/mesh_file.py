@@ -39,7 +39,7 @@ def load(file: Path) -> Polygons:
 
 
 def states_up(file: Path) -> bool:
-    """Whether a mesh file, or its format, tells which axis is up: OBJ and glTF do by custom, STL and PLY do not."""
+    """Return whether a file, or the custom of its format, tells which axis is up: OBJ and glTF do, STL and most PLY do not."""
     if file.suffix.lower() == ".ply":
         with open(file, "rb") as opened:
             return bool(ply_file.up_of(opened.read(4096)))

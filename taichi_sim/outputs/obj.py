@@ -17,7 +17,7 @@ BALL_TRIANGLES, MOST_CUTS = 50_000, 2  # of the balls of a frame together, and c
 
 
 class Obj:
-    """What all frames of an OBJ have in common: names, materials, and spheres for loose balls, which its readers pass over."""
+    """The common part of all frames of an OBJ: names, materials, and spheres for loose balls, which its readers pass over."""
 
     def __init__(self, parts: Together, library: Path, textures: Textures) -> None:
         self._library, self._is_written = library, False

@@ -30,7 +30,7 @@ class SceneObject:
 
     @property
     def is_sheet(self) -> bool:
-        """Whether each of its balls has one place on a texture, as on a rectangular cloth."""
+        """True where each of its balls has one place on a texture, as on a rectangular cloth."""
         return self.uv is not None and self.uv.ndim == 2
 
 

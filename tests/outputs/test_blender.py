@@ -1,4 +1,4 @@
-"""What Blender itself sees in the files: `make test-blender`, which names a Python that has bpy as BLENDER_PYTHON."""
+"""Files as Blender itself sees them: `make test-blender`, which names a Python that has bpy as BLENDER_PYTHON."""
 
 import json
 import os
@@ -22,7 +22,7 @@ MARBLES = slice(len(range(12 + 6 + 27 + 4)), None)
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
-    """What Blender sees of each file by its name, and the frames."""
+    """The view of each file by its name, and the frames."""
     folder = tmp_path_factory.mktemp("blender")
     frames = exchange.write(exchange.scene(folder), folder, ["x.usdc", "x.usda", "x.obj", "x.ply"])
     names = ["x.usdc", "x.usda", *(f"x_{k:05d}.{kind}" for kind in ("obj", "ply") for k in SHOWN)]

@@ -1,4 +1,4 @@
-"""What other programs need of a file: names, rates, materials, images, places on them across seams; without Blender."""
+"""Files for other programs: names, rates, materials, images, places on them across seams; read without Blender."""
 
 import re
 

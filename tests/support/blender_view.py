@@ -1,4 +1,4 @@
-"""What Blender sees in files: run by a Python that has bpy, it writes a JSON of each. python blender_view.py OUT.json FILE ..."""
+"""Blender's view of files: run by a Python that has bpy, this writes a JSON of each. python blender_view.py OUT.json FILE ..."""
 
 import json
 import sys

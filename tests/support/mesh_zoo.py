@@ -161,6 +161,7 @@ def obj_cases():
         ("half an index", v + "f 1.5 2 3\n", "line 9: '1.5' is not"),
         ("points alone", v + "p 1\n", "has no faces"),
         ("not a number", v.replace("v 0.0", "v nan", 1) + f_lines(BOX), "vertex 0 .* not finite"),
+        ("too far", v.replace("v 0.0", "v 1e200", 1) + f_lines(BOX), "vertex 0 .* too far"),
         ("no area", v + "f 1 1 2\n", "no face with an area"),
         ("pairs", v + "f 1 2\n", "has no faces"),
     ):
