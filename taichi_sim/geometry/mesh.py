@@ -19,7 +19,7 @@ THINNEST_TRIANGLE = 1e-6  # twice its area over the square of its longest side: 
 
 
 UPS = ("y", "z")  # axes of a mesh that may point up
-SEAM = 1e-3  # of the mean edge: vertices at borders that lie so close are one
+SEAM = 0.01  # of the shortest edge there: vertices at borders that lie so close are one
 NEAR = 0.05  # likewise: so close to a border a vertex was meant to lie on it
 
 
@@ -35,8 +35,9 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     """Read an OBJ, PLY, STL, GLB or glTF file; larger polygons become triangles.
 
     Vertices at the same place become one (an STL file repeats them for each triangle, an OBJ file at texture seams), in
-    the order of their first appearance, and so do vertices at borders that lie within a thousandth of the mean edge of each
-    other; triangles that this leaves without area and vertices without a triangle go. It warns of polygons that cross themselves.
+    the order of their first appearance, and so do vertices at borders that lie within a hundredth of their shortest edge of
+    each other; triangles that this leaves without area and vertices without a triangle go. It warns of polygons that cross
+    themselves.
 
     Raises SceneError for a missing or unreadable file, one without faces, and one with vertices that are not finite.
     """
@@ -89,14 +90,15 @@ def _compact(vertices: NDArray, triangles: NDArray, uv: NDArray | None) -> Surfa
 def _sewn(surface: Surface) -> NDArray:
     """The triangles with one vertex in place of several at borders that lie close to each other."""
     x, triangles = surface.vertices, surface.triangles
-    border, length = _border(surface)
+    border, shortest = _border(surface)
     at = np.unique(border)
-    pairs = cKDTree(x[at]).query_pairs(SEAM * length, output_type="ndarray") if len(at) else np.zeros((0, 2), dtype=int)
-    if not len(pairs):
-        return triangles
+    reach = SEAM * shortest[at]
+    pairs = cKDTree(x[at]).query_pairs(reach.max(), output_type="ndarray") if len(at) else np.zeros((0, 2), dtype=int)
+    apart = np.linalg.norm(x[at[pairs[:, 0]]] - x[at[pairs[:, 1]]], axis=1)
+    pairs = pairs[apart <= reach[pairs].min(axis=1)]
     one = np.arange(len(x))
     low, high = np.sort(at[pairs], axis=1).T
-    for _ in range(len(at)):  # as a rule two rounds
+    for _ in range(len(pairs)):  # as a rule two rounds
         before = one.copy()
         np.minimum.at(one, high, one[low])
         np.minimum.at(one, low, one[high])
@@ -105,25 +107,25 @@ def _sewn(surface: Surface) -> NDArray:
     return one[triangles]
 
 
-def _border(surface: Surface) -> tuple[NDArray[np.int32], float]:
-    """The edges (b, 2) that one triangle has alone, and the mean length of all edges [m]."""
+def _border(surface: Surface) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """The edges (b, 2) that one triangle has alone, and the shortest edge (n,) at each vertex [m]."""
     edges = Edges.of(surface.triangles)
-    if not len(edges.ends):
-        return edges.ends, 0.0
     ends = surface.vertices[edges.ends]
-    return edges.ends[edges.triangles == 1], float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+    shortest = np.full(len(surface.vertices), np.inf)
+    np.minimum.at(shortest, edges.ends.ravel(), np.repeat(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 2))
+    return edges.ends[edges.triangles == 1], shortest
 
 
 def loose_seams(surface: Surface) -> NDArray[np.int64]:
     """The vertices (k,) at a border that lie at another piece of the border which does not share them: a seam that is open."""
     x = surface.vertices
-    border, length = _border(surface)
+    border, shortest = _border(surface)
     if not len(border):
         return np.zeros(0, dtype=np.int64)
     at = np.unique(border)
     a, b = x[border[:, 0]], x[border[:, 1]]
-    half = 0.5 * np.linalg.norm(b - a, axis=1)
-    near = cKDTree(x[at]).query_ball_point(0.5 * (a + b), half + NEAR * length)
+    length = np.linalg.norm(b - a, axis=1)
+    near = cKDTree(x[at]).query_ball_point(0.5 * (a + b), (0.5 + NEAR) * length)
     edge = np.repeat(np.arange(len(border)), [len(one) for one in near])
     vertex = at[np.concatenate([np.array(one, dtype=np.int64) for one in near])]
     other = (vertex[:, None] != border[edge]).all(axis=1)
@@ -131,8 +133,8 @@ def loose_seams(surface: Surface) -> NDArray[np.int64]:
     along, to = b[edge] - a[edge], x[vertex] - a[edge]
     square = np.maximum(np.einsum("ei,ei->e", along, along), 1e-300)
     share = np.clip(np.einsum("ei,ei->e", along, to) / square, 0.0, 1.0)
-    close = np.linalg.norm(to - share[:, None] * along, axis=1) <= NEAR * length
-    return np.unique(vertex[close])
+    reach = NEAR * np.minimum(shortest[vertex], length[edge])
+    return np.unique(vertex[np.linalg.norm(to - share[:, None] * along, axis=1) <= reach])
 
 
 def given_surface(where: str, mesh: Any, up: str | None = None) -> Surface:

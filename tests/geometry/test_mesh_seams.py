@@ -41,14 +41,14 @@ def pieces(triangles, n):
     return connected_components(coo_matrix((np.ones(len(sides)), sides.T), (n, n)))[0]
 
 
-@pytest.mark.parametrize("gap", [0.0, 3e-7, 4e-5])
+@pytest.mark.parametrize("gap", [0.0, 3e-7, 4e-5, 9e-4])
 def test_a_seam_in_a_file_is_closed(tmp_path, gap):
     vertices, triangles = side_by_side(gap)
     found = read_surface(written(tmp_path, vertices, triangles))
     assert len(found.vertices) == len(vertices) - 7
     assert pieces(found.triangles, len(found.vertices)) == 1
     assert not len(loose_seams(found))
-    assert surface_area(found) == pytest.approx(0.36, rel=1e-3)
+    assert surface_area(found) == pytest.approx(0.36, rel=3e-3)
 
 
 def test_what_a_seam_is_not(tmp_path):
@@ -59,6 +59,19 @@ def test_what_a_seam_is_not(tmp_path):
     thin = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1e-5, 0, 0]])  # a closed one with a short edge
     faces = [(0, 2, 4), (4, 2, 1), (0, 4, 3), (4, 1, 3), (1, 2, 3), (0, 3, 2)]
     assert len(read_surface(written(tmp_path, thin, np.array(faces))).vertices) == 5
+
+
+def test_fine_parts_beside_coarse_ones_stay(tmp_path):
+    """A fan whose outer edges shrink by half each: the shortest is a millionth of the longest."""
+    angle = 2.0 ** -np.arange(21)
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    vertices = np.concatenate([[[0.0, 0.0, 0.0]], rim])
+    fan = np.array([(0, k + 1, k) for k in range(1, 21)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = read_surface(written(tmp_path, vertices, fan))
+    assert (len(found.vertices), len(found.triangles)) == (22, 20)
+    assert not len(loose_seams(found))
 
 
 @pytest.mark.parametrize(
