@@ -75,7 +75,7 @@ def test_cloth_over_a_mesh_of_ones_own(capfd):
     assert Path("drape.mp4").stat().st_size > 500
     stage = usd.Stage.Open("drape.usdc")
     assert stage.GetFramesPerSecond() == 24
-    sheet = stage.GetPrimAtPath("/World/dust_sheet/surface")
+    sheet = stage.GetPrimAtPath("/World/dust_sheet/dust_sheet")
     points = np.array([sheet.GetAttribute("points").Get(k) for k in range(18)])
     assert points.shape == (18, 21 * 21, 3)
     assert np.allclose(points[0, :, 1], 1.05)

@@ -76,7 +76,7 @@ def load_scene(
 def parsed(file: Path) -> tuple[str, dict[str, Any]]:
     """The text of a file and what it says in TOML. Raises SceneError."""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
         if LONG_KEY.search(text):
             raise RecursionError
         document = tomllib.loads(text)

@@ -20,7 +20,7 @@ from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.device import compiling
 from taichi_sim.outputs import frames_file, whole_run
 from taichi_sim.outputs.background_writer import Behind
-from taichi_sim.outputs.base import Image, Output, require_alpha
+from taichi_sim.outputs.base import Image, Output, film_rate, require_alpha
 from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
 from taichi_sim.outputs.kept_files import judged
 from taichi_sim.outputs.resumable import Resumable
@@ -266,6 +266,9 @@ def export(
         expected = compiling.Expected.of(simulation, is_drawn)
         bar = stack.enter_context(_bar(max(1, count), progress))
         first = simulation.frame()
+        for one in outputs:
+            if one.fps is None:
+                one.fps = film_rate(fps) if one.is_film else fps
         drawn_last = is_drawn and whole_run.is_drawn_last(simulation.scene, count, style)
         for one in outputs:
             one.prepare(first, size, style)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.memory import available
-from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.presets import SLAB
 from taichi_sim.scene.scene import Scene
@@ -28,7 +26,6 @@ __all__ = [
     "build",
     "counts",
     "exclusive",
-    "given_surface",
     "lattice_pairs",
     "lengths",
     "moved",
@@ -132,17 +129,6 @@ def exclusive(shape: str, one: dict[str, Any], other: dict[str, Any]) -> None:
     first, second = ([name for name, value in group.items() if value is not None] for group in (one, other))
     if first and second:
         raise SceneError(f"{shape}.{first[0]}", says=f"does not go with {second[0]}; give one or the other")
-
-
-def given_surface(shape: str, mesh: Any) -> meshes.Surface:
-    """The surface that an argument `mesh` names, or is. Raises SceneError."""
-    if isinstance(mesh, (str, PathLike)):
-        with about(f"{shape}.mesh"):
-            return meshes.read_surface(mesh)
-    surface = meshes.by_hand(f"{shape}.mesh", mesh)
-    if not len(surface.triangles):
-        raise SceneError(f"{shape}.mesh", says="has no triangle")
-    return surface
 
 
 def with_preset(
@@ -256,7 +242,7 @@ def build(
 
     stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
     corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`. uv: (n, 2),
-    places on a sheet in 0..1.
+    places on a sheet in 0..1, or (t, 3, 2) of the corners of its triangles.
     """
     n, own = len(points), points
     points = moved(shape, own, part.position, part.rotation, part.scale)

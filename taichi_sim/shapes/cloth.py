@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,6 @@ from taichi_sim.shapes.base import (
     build,
     counts,
     exclusive,
-    given_surface,
     lattice_pairs,
     lengths,
     or_default,
@@ -71,6 +70,7 @@ def cloth(
     self_collision: bool = False,
     surface_collision: bool = False,
     break_strain: float | None = None,
+    up: Literal["y", "z"] | None = None,
 ) -> Shape:
     """A sheet of cloth, or a shell from a surface mesh, in 3D.
 
@@ -96,6 +96,7 @@ def cloth(
         radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
         break_strain: of all springs, at which each tears for good [1], see Scene.add_springs; never by default.
         surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
+        up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY, which do not tell.
     """
     if scene.dim != 3:
         raise SceneError("cloth", says="a cloth needs a scene with dim = 3; in 2D use rope or jelly")
@@ -113,12 +114,14 @@ def cloth(
     factor = validation.number("cloth.scale", scale, positive=True)
     grid: Any
     if mesh is None:
+        if up is not None:
+            raise SceneError("cloth.up", says="is for a mesh; give position and rotation instead")
         grid = _grid(size, resolution, any(value is not None for value in woven.values()))
         surface, spacing, area = grid[0], 0.45 * float(grid[2].min()), float(grid[3].prod())
     elif size is not None or resolution is not None:
         raise SceneError("cloth.mesh", says="takes the place of size and resolution; give one or the other")
     else:
-        grid, surface = None, given_surface("cloth", mesh)
+        grid, surface = None, meshes.given_surface("cloth", mesh, up)
         if wrong := meshes.flaws(surface, closed=False):
             warnings.warn(
                 f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters",
@@ -150,7 +153,7 @@ def cloth(
             drag = drag / cotton.stretch * np.concatenate([k for _, k in parts.springs])
     placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation, "scale": factor}
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
-    more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": None if grid is None else grid[4]}
+    more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": surface.uv if grid is None else grid[4]}
     return build(scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, **more)
 
 

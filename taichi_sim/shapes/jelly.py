@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +29,6 @@ from taichi_sim.shapes.base import (
     build,
     counts,
     exclusive,
-    given_surface,
     lattice_pairs,
     lengths,
     or_default,
@@ -74,6 +73,7 @@ def jelly(
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
     surface_collision: bool = False,
+    up: Literal["y", "z"] | None = None,
 ) -> Shape:
     """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D; or a filled mesh.
 
@@ -102,6 +102,7 @@ def jelly(
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
         radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
+        up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY, which do not tell.
     """
     elastic = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
     if stiffness is None:
@@ -120,6 +121,8 @@ def jelly(
     if mesh is None:
         if spacing is not None:
             raise SceneError("jelly.spacing", says="is for a mesh; a block has a resolution")
+        if up is not None:
+            raise SceneError("jelly.up", says="is for a mesh; give position and rotation instead")
         block = _block(scene.dim, size, resolution)
         if all(value is None for value in elastic.values()):
             points, kinds, soft, triangles, finest = _springs(block, factor, mass)
@@ -137,7 +140,7 @@ def jelly(
         for name, value in (("size", size), ("resolution", resolution), ("stiffness", stiffness)):
             if value is not None:
                 raise SceneError(f"jelly.{name}", says="is for a block; a mesh takes spacing, scale and young_modulus")
-        surface = given_surface("jelly", mesh)
+        surface = meshes.given_surface("jelly", mesh, up)
         surface = meshes.Surface(surface.vertices * factor, surface.triangles)
         extent = np.ptp(surface.vertices, axis=0)
         step = or_default("jelly.spacing", spacing, float(extent.max()) / DEFAULT_BOXES)

@@ -8,7 +8,7 @@ from statics import at_rest
 
 from taichi_sim import Box, Scene, shapes
 from taichi_sim.analysis.diagnostics import inverted
-from taichi_sim.shapes.balloon import _sphere
+from taichi_sim.geometry.spheres import icosphere
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -69,7 +69,7 @@ def test_a_filled_ball_comes_back_from_being_squeezed_flat():
     """A piston presses it to a hundredth of its height, so that cells turn inside out, and leaves: after 1 s none is."""
     scene = Scene(dim=3)
     scene.add_wall((0, 1, 0))
-    shapes.jelly(scene, mesh=_sphere(2), spacing=0.4, young_modulus=1e5, position=(0, 1.15, 0), radius=0.02)
+    shapes.jelly(scene, mesh=icosphere(2), spacing=0.4, young_modulus=1e5, position=(0, 1.15, 0), radius=0.02)
     path = [(0.0, (0, 0, 0)), (0.2, (0, -2.1, 0)), (0.25, (0, -2.1, 0)), (0.35, (0, 0.8, 0)), (9.0, (0, 0.8, 0))]
     scene.add_collider(Box((0, 3.2, 0), (6, 2, 6), path=path))
     with simulate(scene, integrator="verlet", dt=1e-3) as sim:

@@ -48,7 +48,7 @@ def finer(file: Path, levels: int = LEVELS) -> list[Finer]:
         raise SceneError(
             f"--resolutions: {file} is Python, whose shapes have one resolution; a scene file's can be refined"
         )
-    document = tomllib.loads(file.read_text(encoding="utf-8"))
+    document = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     for name in BY_HAND:
         if name in document:
             raise SceneError(f"--resolutions: {file}: [[{name}]] names balls by hand, which a finer mesh does not have")
