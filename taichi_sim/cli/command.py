@@ -1,15 +1,17 @@
 """What all commands share: the application, options that several take, a scene with its options, errors of one line."""
 
 import functools
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
 
 from taichi_sim.cli.options import pixels, positive, share, step
 from taichi_sim.common.errors import BackendError, UnstableError
+from taichi_sim.common.progress import log_to
 from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
 from taichi_sim.common.version import __version__
 
@@ -58,7 +60,7 @@ def subcommand(*shared: str, name: str | None = None) -> Callable[[Callable[...,
     def add(function: Callable[..., None]) -> None:
         @functools.wraps(function)
         def command(**given: Any) -> None:
-            with plain_errors():
+            with plain_errors(), log_to(sys.stdout):
                 function(**given)
 
         main.command(name=name)(share(command, shared))
@@ -128,11 +130,12 @@ class Job:
 
 @contextmanager
 def waiting(what: str, shown: bool) -> Iterator[None]:
-    """On a terminal, say meanwhile what is waited for."""
-    from rich.console import Console
+    """Say meanwhile what is waited for."""
+    from taichi_sim.common.progress import Work, showing
 
-    console = Console(stderr=True)
-    with console.status(what) if shown and console.is_terminal else nullcontext():
+    work = Work()
+    work.words = lambda: what
+    with showing(work, shown):
         yield
 
 

@@ -3,7 +3,7 @@
 import time
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from datetime import timedelta
 from html import escape
@@ -17,6 +17,7 @@ from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, UnstableError
+from taichi_sim.common.progress import Work, showing
 from taichi_sim.device import compiling
 from taichi_sim.outputs import frames_file, whole_run
 from taichi_sim.outputs.background_writer import Behind
@@ -259,7 +260,8 @@ def export(
         require_alpha(outputs, style)
         count, is_drawn = round(fps * duration), any(one.needs_image for one in outputs)
         expected = compiling.Expected.of(simulation, is_drawn)
-        bar = stack.enter_context(_bar(max(1, count), progress))
+        bar = _Frames(max(1, count))
+        stack.enter_context(showing(bar, progress))
         first = simulation.frame()
         drawn_last = is_drawn and whole_run.is_drawn_last(simulation.scene, count, style)
         for one in outputs:
@@ -280,7 +282,7 @@ def export(
             summary = clock.summary = _recall(last, renderer)
         frame, since = None, simulation.time
         frames = _observed(simulation, frames, summary, clock)
-        bar.phase(expected.words, "frames simulated," if drawn_last else "frames,")
+        bar.phase(expected.words, "frames simulated" if drawn_last else "frames")
 
         def write(index: int, frame: Frame, image: Image | None, wanting: Sequence[_Writer]) -> None:
             for writer in wanting:
@@ -318,7 +320,7 @@ def export(
             renderer.fit(kept)
             clock.charge("drawing")
             clock.starts = True  # until the first picture is there
-            bar.phase(lambda _: "drawing", "frames drawn,")
+            bar.phase(lambda _: "drawing", "frames drawn")
         for index, frame in enumerate(frames, begin):
             wanting = [one for one in drawing if one.output.wants(index)]
             image = None
@@ -399,61 +401,29 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
     return Renderer(frame, size=size, **style)
 
 
-class _Bar:
-    """The frames that are done, in one phase or two."""
-
-    def __init__(self, progress: Any, total: int) -> None:
-        self._progress, self._total = progress, total
-        self._task = progress.add_task("", total=total, what="", words=str)
+class _Frames(Work):
+    """Frames that are done, in one phase or two."""
 
     def phase(self, waiting: Callable[[float], str], what: str) -> None:
         """Begin to count what it names; what `waiting` makes of the seconds since then is said until the second frame."""
-        self._first: tuple[int, float, float] | None = None  # frames, simulated and wall time after the first frame
-        begin = time.perf_counter()
-        self._progress.reset(self._task, what=what, words=lambda: waiting(time.perf_counter() - begin))
+        self.done = 0
+        self.begin(what)
+        self._first_frame: tuple[int, float, float] | None = (
+            None  # frames, simulated and wall time after the first frame
+        )
+        self.words = lambda: waiting(self.elapsed)
 
     def advance(self, done: int, simulated: float) -> None:
         """So many frames are done, and so many seconds simulated since the beginning."""
-        now = time.perf_counter()
-        if self._first is None:
-            self._first = (done, simulated, now)
-            self._progress.update(self._task, completed=done)
+        now, self.done = time.perf_counter(), done
+        if self._first_frame is None:
+            self._first_frame = (done, simulated, now)
             return
-        frames, before, then = self._first
-        each = (now - then) / (done - frames)
-        speed = (simulated - before) / max(1e-9, now - then)
-        words = f"{timedelta(seconds=round(each * (self._total - done)))} left, {speed:.3g} x real time"
-        self._progress.update(self._task, completed=done, words=lambda: words)
-
-
-@contextmanager
-def _bar(total: int, shown: bool) -> Iterator[_Bar]:
-    """A progress bar on standard error."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        Task,
-        TextColumn,
-        TimeElapsedColumn,
-    )
-    from rich.text import Text
-
-    class Words(ProgressColumn):
-        """What they are whenever it is drawn."""
-
-        def render(self, task: Task) -> Text:
-            return Text(task.fields["words"]())
-
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[what]}"),
-        TimeElapsedColumn(),
-        Words(),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        yield _Bar(progress, total)
+        frames, before, then = self._first_frame
+        passed = max(1e-9, now - then)
+        left = timedelta(seconds=round(passed / (done - frames) * ((self.total or done) - done)))
+        words = (
+            f"t = {simulated:.4g} s, {(done - frames) / passed:.3g} frames/s,"
+            f" {(simulated - before) / passed:.3g} x real time, {left} left"
+        )
+        self.words = lambda: words

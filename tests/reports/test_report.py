@@ -216,6 +216,24 @@ def test_an_interrupted_report_goes_on(tmp_path, made_up):
     assert {trial.method for _, trial in third.trials} == {"rk4"}  # a method more is added to what is there
 
 
+@pytest.mark.parametrize("fail", [1, 4])
+def test_a_report_that_ends_within_its_reference_goes_on_there(tmp_path, made_up, fail):
+    """Every run that is finished is kept, with all that it came to, and nothing of them is left once the report is there."""
+    scene, folder, say = pair(), tmp_path / "r", lambda line: None
+    first = made_up(scene, fail=fail)
+    with pytest.raises(KeyboardInterrupt):
+        report.main(scene, plan(), folder, progress=False, say=say)
+    assert len(list(folder.glob("run_*.npz"))) == fail
+    second = made_up(scene)
+    found = report.main(scene, plan(), folder, progress=False, say=say)
+    whole = made_up(scene)
+    fresh = report.main(scene, plan(), tmp_path / "whole", progress=False, say=say)
+    assert len(first.trials) + len(second.trials) == len(whole.trials)
+    assert [row.rms_error for row in found.rows] == [row.rms_error for row in fresh.rows]
+    np.testing.assert_array_equal(found.reference.position, fresh.reference.position)
+    assert not list(folder.glob("run_*"))
+
+
 def test_folders_of_others_are_refused(tmp_path, made_up):
     scene, say = pair(), lambda line: None
     made_up(scene)
