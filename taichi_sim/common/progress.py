@@ -1,17 +1,37 @@
 """Progress of long work: a bar on a terminal; in a log a line every few seconds, from the first seconds on."""
 
+import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 from typing import Any, TextIO
 
 __all__ = ["EVERY", "Work", "log_to", "showing"]
 
-# s, between two lines of a log: no more than ten even where compiling holds up all threads for some seconds
-EVERY = 5.0
+EVERY = 5.0  # s, between two lines of a log
+
+FEED = 1.0  # s, between two lines that the printing process is told
+
+PRINTER = """
+import datetime, os, signal, sys, threading, time
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+every, begin, said = float(sys.argv[1]), time.monotonic(), [b""]
+def read():
+    for line in sys.stdin.buffer:
+        said[0] = line
+    os._exit(0)
+threading.Thread(target=read, daemon=True).start()
+while True:
+    time.sleep(every)
+    passed = datetime.timedelta(seconds=round(time.monotonic() - begin))
+    try:
+        os.write(1, f"{passed}  ".encode() + said[0])
+    except OSError:
+        os._exit(0)
+"""
 
 _log: TextIO | None = None  # where lines go instead of standard error
 
@@ -103,21 +123,61 @@ def _bar(work: Work, console: Any) -> Any:
 
 @contextmanager
 def _lines(work: Work) -> Iterator[None]:
-    """A line every EVERY seconds, by a thread, since a step of the work may take longer than that."""
+    """Print a line every EVERY seconds. A thread asks the work for its line, and a process of its own prints what it got last:
+    compiling a kernel holds up all threads of this one, for half a minute on a busy machine."""
     ended, start = threading.Event(), time.monotonic()
+    stream: TextIO = _log or sys.stderr
+    printer = _printer(stream) if stream in (sys.__stdout__, sys.__stderr__) else None
 
     def say() -> None:
-        while not ended.wait(EVERY):
-            stream = _log or sys.stderr
+        while not ended.wait(EVERY if printer is None else min(EVERY, FEED)):
             try:
-                print(f"{timedelta(seconds=round(time.monotonic() - start))}  {work.line()}", file=stream, flush=True)
+                if printer is None:
+                    print(
+                        f"{timedelta(seconds=round(time.monotonic() - start))}  {work.line()}", file=stream, flush=True
+                    )
+                else:
+                    tell()
             except (OSError, ValueError):  # whoever read it has gone
                 return
 
+    def tell() -> None:
+        assert printer is not None
+        assert printer.stdin is not None
+        printer.stdin.write(work.line().replace("\n", " ").encode("utf-8", "backslashreplace") + b"\n")
+        printer.stdin.flush()
+
     thread = threading.Thread(target=say, name="progress", daemon=True)
-    thread.start()
     try:
+        if printer is not None:
+            with suppress(OSError):
+                tell()
+        thread.start()
         yield
     finally:
         ended.set()
         thread.join(1.0)
+        if printer is not None:
+            _end(printer)
+
+
+def _printer(stream: TextIO) -> "subprocess.Popen[bytes] | None":
+    """A process that prints the last line of its standard input every EVERY seconds; None where none can be started."""
+    try:
+        stream.flush()
+        command = [sys.executable, "-I", "-S", "-c", PRINTER, str(EVERY)]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=stream.fileno(), stderr=subprocess.DEVNULL)
+    except (OSError, ValueError):
+        return None
+
+
+def _end(printer: "subprocess.Popen[bytes]") -> None:
+    """It ends where its input does, and prints nothing more."""
+    assert printer.stdin is not None
+    with suppress(OSError):
+        printer.stdin.close()
+    try:
+        printer.wait(5.0)
+    except subprocess.TimeoutExpired:
+        printer.kill()
+        printer.wait()

@@ -1,6 +1,8 @@
 """Lines about long work where there is no terminal."""
 
 import io
+import subprocess
+import sys
 import time
 
 import pytest
@@ -66,3 +68,25 @@ def test_time_left_is_judged_by_the_phase(monkeypatch):
     now[0] += 30.0
     work.done = 8
     assert work.remaining == "0:00:30 left"
+
+
+HELD = """
+import ctypes, sys, time
+from taichi_sim.common import progress
+progress.EVERY = 0.2
+work = progress.Work(9, "frames")
+with progress.log_to(sys.stdout), progress.showing(work, True):
+    ctypes.PyDLL(None).usleep(900_000)  # holds the interpreter's lock, as the compiler does
+    time.sleep(0.0)
+print("end")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="usleep")
+def test_lines_go_on_while_the_compiler_holds_all_threads_up():
+    said = subprocess.run([sys.executable, "-c", HELD], capture_output=True, text=True, timeout=60, check=True)
+    lines = said.stdout.splitlines()
+    assert len(lines) >= 3
+    assert all(line.endswith("  0 of 9 frames") for line in lines[:-1])
+    assert lines[-1] == "end"
+    assert said.stderr == ""

@@ -108,10 +108,11 @@ class Folder:
 
         def parse(path: Path) -> Outcome:
             arrays: dict[str, Any] = read_npz(path)
-            values = {name: value.item() if value.ndim == 0 else list(value) for name, value in arrays.items()}
+            values: Any = {k: value.item() if value.ndim == 0 else list(value) for k, value in arrays.items()}
             values["energy"] = [tuple(map(float, energy)) for energy in values["energy"]]
-            values["contacts"] = [(int(number), float(depth)) for number, depth in values["contacts"]]
-            return Outcome(**{**values, "begin": arrays.get("begin")})
+            values["contacts"] = [(int(n), float(depth)) for n, depth in values["contacts"]]
+            values["begin"] = arrays.get("begin")
+            return Outcome(**values)
 
         return self._read(_run_file(precision, trial), parse)
 
