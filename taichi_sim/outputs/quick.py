@@ -34,6 +34,7 @@ def video(
     overwrite: bool = False,
     codec: str | None = None,
     style: dict[str, Any] | None = None,
+    error: bool = False,
     **settings: Any,
 ) -> Summary:
     """Simulate and write what is seen: `ts.video(scene, "x.mp4", duration=3)`. Any ending that `ts.open_output` knows will do.
@@ -42,7 +43,7 @@ def video(
         what: a Scene, or a Simulation, which goes on from where it is and stays open.
         duration [s], fps [1/s], size (width, height) [px], style (arguments of `Renderer`): what is left out is taken from
             `scene.output`, then 5 s, 60 frames a second, 1280 x 720.
-        progress: a bar on standard error. overwrite, codec: see `ts.open_output`.
+        progress: a bar on standard error. overwrite, codec: see `ts.open_output`. error: see `ts.export`.
         settings: arguments of Simulation, where a Scene is given: dt, integrator, ...
 
     Returns what the run did; `print("\\n".join(summary.lines()))` says it in words, and a notebook shows it with the
@@ -53,7 +54,7 @@ def video(
     options["style"] |= style or {}
     with context() as simulation:
         output = open_output(path, fps=options["fps"], overwrite=overwrite, codec=codec)
-        summary = export(simulation, output, progress=progress, **options)
+        summary = export(simulation, output, progress=progress, error=error, **options)
     summary.video = str(path)
     return summary
 
