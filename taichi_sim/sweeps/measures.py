@@ -60,9 +60,13 @@ class Measures:
         """Of the numbers; functions may give several of their own."""
         return [number.name for number in self.numbers]
 
+    def unit(self, name: str) -> str:
+        """The unit of a measure; numbers of the user's functions have none."""
+        return next((number.unit for number in self.numbers if number.name == name), "")
+
     def with_unit(self, name: str) -> str:
-        """`probes.load.y [N]`; numbers of the user's functions have none."""
-        unit = next((number.unit for number in self.numbers if number.name == name), "")
+        """`probes.load.y [N]`."""
+        unit = self.unit(name)
         return f"{name} [{unit}]" if unit else name
 
     def identity(self) -> list[str]:

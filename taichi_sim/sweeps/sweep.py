@@ -13,6 +13,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.progress import Work, showing
 from taichi_sim.sweeps.design import MOST_POINTS, Axis, Design, axes_of
+from taichi_sim.sweeps.effects import grouped, parameters_in_words
 from taichi_sim.sweeps.folder import columns_of
 from taichi_sim.sweeps.measures import Measures
 from taichi_sim.sweeps.points import Point, Row
@@ -71,6 +72,19 @@ class Sweep:
             else np.array(values)
             for name, values in columns_of(self.rows).items()
         }
+
+    def lines(self, most: int = 20) -> Iterator[str]:
+        """What was measured, a line for each combination of parameters and each measure: the mean over seeds with the interval
+        in which it lies with 95 % confidence, or the value of one run. most: combinations that are shown."""
+        for measure in self.measures:
+            groups = [group for group in grouped(self.rows, measure) if len(group.values)]
+            for group in groups[:most]:
+                at = ", ".join(
+                    f"{name} {words}" for name, words in zip(group.parameters, parameters_in_words(group.parameters))
+                )
+                yield f"{measure:12} {group.in_words(self._measures.unit(measure))}{f' at {at}' if at else ''}"
+            if len(groups) > most:
+                yield f"{measure:12} and {len(groups) - most} combinations more, see the table"
 
     def scene(self, row: int | Row) -> Any:
         """The Scene of a point."""
