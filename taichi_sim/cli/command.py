@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from taichi_sim.cli.options import pixels, positive, share, step
+from taichi_sim.cli.options import paths_and_values, pixels, positive, share, step
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.progress import log_to
 from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
@@ -92,7 +92,8 @@ class Job:
         asked["size"] = pixels(options.get("size"))  # type: ignore[assignment]
         self.options = {**options, "dt": step(options["dt"])}
         self.file = resolve(name)
-        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]))
+        self.parameters = paths_and_values("--set", options.get("set") or ())
+        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]), parameters=self.parameters)
         self.made = self._made() if self.scene is None else None
         shown: Any = self.scene if self.made is None else self.made.scene
         self.output = output_options(shown, asked)
@@ -118,7 +119,7 @@ class Job:
                 raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
         if given:
             backend.start(**given)
-        made = open_simulation(self.file)
+        made = open_simulation(self.file, self.parameters)
         from taichi_sim.simulation.simulation import Simulation
 
         if not isinstance(made, Simulation):

@@ -29,7 +29,7 @@ NAMES = (
 )
 
 
-@subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
 def run(
     scene: SceneName,
     out: Annotated[
@@ -213,7 +213,7 @@ def render(
         typer.echo("\n".join(f"written      {name}: {count} frames" for name in out))
 
 
-@subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
 def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
     from taichi_sim.viewer.window import require_display, show

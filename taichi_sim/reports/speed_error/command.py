@@ -1,6 +1,7 @@
 """What the commands `report` and `tune` take: a scene and options, checked before anything runs."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ def read(
     arch: str | None = None,
     threads: int | None = None,
     allow_outside: bool | None = None,
+    parameters: Mapping[str, Any] | None = None,
 ) -> tuple[Path, Scene, Plan]:
     """The file, its scene, and the plan. Raises ValueError or OSError that names the option and what is allowed."""
     assert name is not None
@@ -42,7 +44,7 @@ def read(
     if duration is not None:
         _positive("--duration", duration)
     file = resolve(name)
-    scene = open_scene(file, allow_outside=bool(allow_outside))
+    scene = open_scene(file, allow_outside=bool(allow_outside), parameters=parameters)
     if scene is None:
         raise SceneError(f"{file}: makes its own simulation(); methods and steps can be compared for a scene() only")
     if not scene.n_balls:
