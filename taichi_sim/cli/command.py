@@ -50,7 +50,7 @@ Workers = Annotated[int | None, typer.Option(help="Processes; one for each core 
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
 Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
 # with "threads", arguments of a Simulation; those of PROCESS are given to whatever runs in it
-SIMULATION = ("arch", "dt", "tolerance", "integrator", "contacts", "precision")
+SIMULATION = ("arch", "dt", "tolerance", "integrator", "contacts", "precision", "settle")
 PROCESS = ("arch", "precision", "threads")
 
 
@@ -106,7 +106,7 @@ class Job:
         return self.made or Simulation(scene, forces=forces, **self._given())
 
     def _given(self) -> dict[str, Any]:
-        return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options[key] is not None}
+        return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options.get(key) is not None}
 
     def _made(self) -> Any:
         """What simulation() of the file returns."""

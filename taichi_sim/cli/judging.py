@@ -26,7 +26,7 @@ def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Say which time step is safe for SCENE, and what limits it, before anything runs."""
     from taichi_sim.reports import check as stability_report
 
-    with Job(scene, options).simulation() as sim:
+    with Job(scene, {**options, "settle": False}).simulation() as sim:
         typer.echo("\n".join(stability_report.lines(sim)))
 
 

@@ -54,8 +54,8 @@ def list_demos(
         takes_only(context, ("quiet", "copy"), "demos: --copy takes no other option")
         from taichi_sim.files.source import copy_demo
 
-        for name in copy_demo(copy):
-            typer.echo(f"written      {name}")
+        for file in copy_demo(copy):
+            typer.echo(f"written      {file}")
         return
     takes_only(context, ("quiet",), "demos: options are for --all")
     width = max(map(len, known), default=0)

@@ -30,6 +30,12 @@ SHARED: dict[str, Any] = {
         bool | None,
         typer.Option("--allow-outside", help="Let the scene file name arrays and meshes outside its own folder."),
     ],
+    "settle": Annotated[
+        bool | None,
+        typer.Option(
+            "--settle", help="Bring SCENE to rest before its clock starts; the summary gives the net force left."
+        ),
+    ],
     "set": Annotated[
         list[str] | None,
         typer.Option(

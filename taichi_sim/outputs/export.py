@@ -65,6 +65,7 @@ class Summary:
     solver: Any = None  # see Simulation.solver
     step_error: StepError | None = None  # estimated by a second run, see Companion
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
+    settled: str = ""  # how well the scene was at rest at the start, where that was asked for
     device: str = ""  # what computed it, in words
     checkpoints: int = 0
     checkpointing: float = 0.0
@@ -94,6 +95,8 @@ class Summary:
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""
         lines = [f"frames       {self.frames}, {self.duration:.4g} s simulated"]
+        if self.settled:
+            lines.append(f"settled      {self.settled}")
         if self.energy_start:
             kinetic, spring, gravity, total = self.energy_end
             off = None if self.step_error is None else self.step_error.energy
@@ -369,6 +372,7 @@ def export(
             if log is not None and log.due and index + 1 < count:
                 keep(index, None)
         summary.duration, summary.units = duration, units_of(simulation.scene)
+        summary.settled = str(getattr(simulation, "settled", None) or summary.settled)
         summary.device, summary.decisions = str(simulation.backend), simulation.decisions()
         torn = simulation.torn
         if torn is not None:

@@ -33,7 +33,9 @@ def scene(height=1.0):
     made.add_balls([[0, height]], radius=0.1, material="rubber")
     return made
 """
-OPTIONS = dict.fromkeys(("fps", "duration", "size", "dt", "arch", "threads", "allow_outside", "precision", "integrator"))
+OPTIONS = dict.fromkeys(
+    ("fps", "duration", "size", "dt", "arch", "threads", "allow_outside", "precision", "integrator")
+)
 
 
 @pytest.fixture
@@ -45,7 +47,13 @@ def files(tmp_path):
 
 def test_values_are_as_in_a_scene_file():
     texts = ["materials.rubber.restitution=0.25", "gravity=[0, -5]", "output.colour=speed", "a[0].b = true", "n=3"]
-    wanted = {"materials.rubber.restitution": 0.25, "gravity": [0, -5], "output.colour": "speed", "a[0].b": True, "n": 3}
+    wanted = {
+        "materials.rubber.restitution": 0.25,
+        "gravity": [0, -5],
+        "output.colour": "speed",
+        "a[0].b": True,
+        "n": 3,
+    }
     assert paths_and_values("--set", texts) == wanted
 
 
@@ -108,7 +116,7 @@ def test_demos_are_copied_and_run_from_there(tmp_path, monkeypatch):
     assert copied.n_balls == 25
     with pytest.raises(FileExistsError, match=r"^cloth\.py: exists already"):
         copy_demo("cloth")
-    with pytest.raises(FileNotFoundError, match="did you mean 'springs'|did you mean"):
+    with pytest.raises(FileNotFoundError, match="did you mean"):
         copy_demo("clooth")
     assert (tmp_path / "06_springs.py") == tmp_path / copy_demo("06_springs")[0]
 

@@ -2,8 +2,11 @@
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common import validation
@@ -50,6 +53,10 @@ def read(
     if not scene.n_balls:
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
     checked_output(scene)
+    if scene.settings.get("settle"):
+        if resolutions:
+            raise SceneError("--resolutions: cannot be combined with `settle`: finer meshes come to rest elsewhere")
+        scene = settled_scene(scene)
     process = {"arch": arch, "threads": threads}
     given = {key: value for key, value in process.items() if value is not None}
     with scene.in_file(given):
@@ -75,6 +82,18 @@ def read(
             " that are compared (--duration)"
         )
     return file, scene, plan
+
+
+def settled_scene(scene: Scene) -> Scene:
+    """The scene as it is where it has come to rest, which every method and step starts from."""
+    from taichi_sim.simulation.simulation import Simulation
+
+    with Simulation(scene, precision=None, arch=None, threads=None) as simulation:
+        position = simulation.position
+    made = copy(scene)
+    made.settings = {key: value for key, value in scene.settings.items() if key != "settle"}
+    made.set_balls(position=position, velocity=np.zeros_like(position))
+    return made
 
 
 def require_own_file(name: str, file: Path) -> None:
