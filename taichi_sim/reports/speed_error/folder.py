@@ -1,7 +1,6 @@
 """The folder of a report: what it holds is added row by row, so that an interrupted report goes on where it stopped."""
 
 import csv
-import hashlib
 import io
 import json
 import zlib
@@ -18,12 +17,11 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.common.npz import read_npz
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.reports.speed_error.budget import Budget
+from taichi_sim.reports.speed_error.kept_outcomes import KeptOutcomes
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import Row
-from taichi_sim.reports.speed_error.worker import Outcome, Trial
 
 MARK = "report.json"  # what makes a folder one of ours, with the key of its rows
-RUN = "run_"  # what names of files begin with that keep single trials of an unfinished report
 OURS = (
     MARK,
     "rows.csv",
@@ -54,6 +52,7 @@ class Folder:
     def __init__(self, path: Path, key: str, overwrite: bool = False) -> None:
         """Raises OSError or ValueError before anything is written where the folder cannot be used."""
         self.path, self.key = path, key
+        self.outcomes = KeptOutcomes(path, self._read, self.write)
         require_folder_place(path)
         if path.is_dir() and any(path.iterdir()):
             if not (path / MARK).is_file():
@@ -65,7 +64,7 @@ class Folder:
         if path.is_dir() and overwrite:
             for name in OURS:
                 (path / name).unlink(missing_ok=True)
-            self.forget_outcomes()
+            self.outcomes.forget()
         self.rows = self.table("rows.csv", Row)
 
     def _read(self, name: str, parse: Callable[[Path], Entry]) -> Entry | None:
@@ -103,30 +102,6 @@ class Folder:
         self.rows.append(row)
         self.keep_table("rows.csv", Row, self.rows)
 
-    def outcome(self, precision: str, trial: Trial) -> Outcome | None:
-        """What an interrupted report has found in this trial."""
-
-        def parse(path: Path) -> Outcome:
-            arrays: dict[str, Any] = read_npz(path)
-            values: Any = {k: value.item() if value.ndim == 0 else list(value) for k, value in arrays.items()}
-            values["energy"] = [tuple(map(float, energy)) for energy in values["energy"]]
-            values["contacts"] = [(int(n), float(depth)) for n, depth in values["contacts"]]
-            values["begin"] = arrays.get("begin")
-            return Outcome(**values)
-
-        return self._read(_run_file(precision, trial), parse)
-
-    def keep_outcome(self, precision: str, trial: Trial, outcome: Outcome) -> None:
-        """Keep what a trial came to until the report is complete."""
-        data = io.BytesIO()
-        np.savez(data, **{k: np.asarray(v) for k, v in outcome._asdict().items() if v is not None})  # type: ignore[arg-type]
-        self.write(_run_file(precision, trial), data.getvalue())
-
-    def forget_outcomes(self) -> None:
-        """Remove what is kept of trials."""
-        for path in self.path.glob(f"{RUN}*.npz"):
-            path.unlink(missing_ok=True)
-
     def complete(self, found: list[Row]) -> None:
         """Write the rows once more, those found with their orders; what was not asked for this time stays as it was."""
         by_key = {row.key: row for row in found}
@@ -156,13 +131,6 @@ class Folder:
     def keep_budget(self, budget: Budget) -> None:
         """As JSON."""
         self.write("budget.json", json.dumps(asdict(budget)).encode())
-
-
-def _run_file(precision: str, trial: Trial) -> str:
-    """Name of the file that keeps what a trial came to."""
-    start = "" if trial.start is None else hashlib.sha256(np.ascontiguousarray(trial.start).tobytes()).hexdigest()
-    about = repr((precision, trial.method, trial.step, trial.most, trial.contacts, start))
-    return f"{RUN}{hashlib.sha256(about.encode()).hexdigest()[:16]}.npz"
 
 
 def parsed(text: str, kind: type[Entry]) -> list[Entry]:

@@ -48,11 +48,11 @@ def main(
 
     folder = Folder(out, key_of(scene, plan), overwrite)
     with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
-        findings = _run_all(Study(scene, plan, workers, folder), folder, say, step_done, meshes)
+        findings = _run_all(Study(scene, plan, workers, folder.outcomes), folder, say, step_done, meshes)
     write_pages(findings, folder)
     if folder.rows:
         folder.complete(findings.rows)
-    folder.forget_outcomes()
+    folder.outcomes.forget()
     say("\n".join(findings.lines()))
     say(f"written      {out / 'report.html'}, report.md, rows.csv, error.svg, error.png")
     return findings

@@ -2,18 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.reports.speed_error.compared import Compared
+from taichi_sim.reports.speed_error.kept_outcomes import KeptOutcomes
 from taichi_sim.reports.speed_error.plan import Plan, Step, fitting, own_step, size_of
 from taichi_sim.reports.speed_error.worker import Outcome, Trial, Workers
 from taichi_sim.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from taichi_sim.reports.speed_error.folder import Folder
 
 
 @dataclass(frozen=True)
@@ -23,7 +21,7 @@ class Study:
     scene: Scene
     plan: Plan
     workers: Workers
-    kept: "Folder | None" = None
+    kept: KeptOutcomes | None = None
 
     @cached_property
     def compared(self) -> Compared:
@@ -44,11 +42,11 @@ class Study:
         """One trial, see `Trial`, or what is kept of it. Timed ones are not kept: they become rows."""
         trial = Trial(method, step, **how)
         kept = None if trial.timed else self.kept
-        found = None if kept is None else kept.outcome(precision, trial)
+        found = None if kept is None else kept.find(precision, trial)
         if found is None:
             found = self.workers.run(precision, trial)
             if kept is not None and not found.left_out:
-                kept.keep_outcome(precision, trial, found)
+                kept.keep(precision, trial, found)
         return found
 
     def apart(self, share: float, seed: int) -> NDArray[np.float64]:
