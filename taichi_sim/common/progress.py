@@ -105,6 +105,7 @@ def showing(work: Work, shown: bool) -> Iterator[None]:
 def _bar(work: Work, console: Any) -> Any:
     """A bar of the terminal, redrawn by a thread of its own."""
     from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TimeElapsedColumn
+    from rich.table import Column
     from rich.text import Text
 
     class Line(ProgressColumn):
@@ -115,8 +116,9 @@ def _bar(work: Work, console: Any) -> Any:
                 task.total, task.completed = work.total, work.done
             return Text(work.line())
 
-    first = SpinnerColumn() if work.total is None else BarColumn()
-    progress = Progress(first, TimeElapsedColumn(), Line(), console=console, transient=True)
+    first = SpinnerColumn() if work.total is None else BarColumn(bar_width=16)
+    line = Line(Column(no_wrap=True, overflow="ellipsis"))
+    progress = Progress(first, TimeElapsedColumn(), line, console=console, transient=True)
     progress.add_task("", total=work.total)
     return progress
 

@@ -57,7 +57,7 @@ def _one(value: float, uncertainty: float | None, unit: str) -> str:
     if uncertainty is None or math.isnan(uncertainty) or not math.isfinite(value):
         return f"{plain_number(value)}{shown}"
     if uncertainty <= EXACT * abs(value):
-        return f"{plain_number(value, 6)}{shown}, exact to rounding"
+        return f"{value:.6g}{shown}, exact to rounding"
     if not math.isfinite(uncertainty):
         return f"{plain_number(value)}{shown}, uncertainty without bound"
     digits = 2 if f"{uncertainty:.0e}"[0] == "1" else 1

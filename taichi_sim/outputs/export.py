@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taichi_sim.analysis.frame import Contacts, Frame
+from taichi_sim.analysis.frame import Contacts, Frame, frame_count
 from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
@@ -101,7 +101,7 @@ class Summary:
             kinetic, spring, gravity, total = self.energy_end
             off = None if self.step_error is None else self.step_error.energy
             lines.append(
-                f"energy       {plain_number(self.energy_start[3], 6)} J at the start,"
+                f"energy       {self.energy_start[3]:.6g} J at the start,"
                 f" {_at_the_end(total, off)} at the end (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
             )
             if self.scales is not None and (said := of_energy(self.energy_start[3], total, self._seen(self.scales))):
@@ -142,7 +142,7 @@ class Summary:
                 f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
-        simulated = self.duration * self.steady / max(1, self.frames)
+        simulated = self.duration * self.steady / max(1, self.frames - 1)
         rate = (self.wall - self.compiling - self.starting) / simulated if simulated else 0.0
         per = f": {rate:.3g} s per simulated second without compiling and starting" if simulated else ""
         parts = (
@@ -203,7 +203,7 @@ def _check_output(output: Any) -> None:
 def _at_the_end(energy: float, off: float | None) -> str:
     """An energy [J]; off: the uncertainty by the step, where it is known."""
     known = off is not None and not np.isnan(off)
-    return measured(energy, off, "J", STEP) if known else f"{plain_number(energy, 6)} J"
+    return measured(energy, off, "J", STEP) if known else f"{energy:.6g} J"
 
 
 class _Writer:
@@ -261,8 +261,8 @@ def export(
     """Run a simulation and give its frames to an output, to each of several, or to none for the summary alone.
 
     Args:
-        simulation: a `Simulation`; round(fps x duration) frames are made of it, from where it is on. It is left at
-            the last of them, one frame short of `duration` [s].
+        simulation: a `Simulation`; round(fps x duration) + 1 frames are made of it, the first where it is, the last `duration`
+            [s] later, where it is left.
         size: of the pictures, (width, height) px. style: further arguments of `Renderer`.
         progress: a bar on standard error with the time left and the speed against real time.
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
@@ -291,9 +291,9 @@ def export(
     with ExitStack() as stack:
         writers = [_Writer(one, stack) for one in outputs]
         require_alpha(outputs, style)
-        count, is_drawn = round(fps * duration), any(one.needs_image for one in outputs)
+        count, is_drawn = frame_count(fps, duration), any(one.needs_image for one in outputs)
         expected = compiling.Expected.of(simulation, is_drawn)
-        bar = _Frames(max(1, count))
+        bar = _Frames(count)
         stack.enter_context(showing(bar, progress))
         first = simulation.frame()
         drawn_last = is_drawn and whole_run.is_drawn_last(simulation.scene, count, style)
@@ -468,7 +468,7 @@ class _Frames(Work):
         passed = max(1e-9, now - then)
         left = timedelta(seconds=round(passed / (done - frames) * ((self.total or done) - done)))
         words = (
-            f"t = {simulated:.4g} s, {(done - frames) / passed:.3g} frames/s,"
-            f" {(simulated - before) / passed:.3g} x real time, {left} left"
+            f"{left} left, {(simulated - before) / passed:.3g} x real time, t = {simulated:.4g} s,"
+            f" {(done - frames) / passed:.3g} frames/s"
         )
         self.words = lambda: words

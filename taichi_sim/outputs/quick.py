@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
+from inspect import signature
 from os import PathLike
 from typing import Any
 
+from taichi_sim.common.errors import unknown_key
 from taichi_sim.outputs import open_output
 from taichi_sim.outputs.export import Summary, export
 from taichi_sim.scene.scene import Scene
@@ -49,6 +51,7 @@ def video(
     Returns what the run did; `print("\\n".join(summary.lines()))` says it in words, and a notebook shows it with the
     video. Raises what Simulation, `ts.open_output` and `ts.export` raise.
     """
+    _require_known(settings)
     scene, context = _simulation(what, settings)
     options = output_options(scene, {"duration": duration, "fps": fps, "size": size})
     options["style"] |= style or {}
@@ -78,6 +81,16 @@ def picture(what: Any, *, size: tuple[int, int] = (640, 360), **style: Any) -> A
             return Image.fromarray(renderer.render(frame))
         finally:
             renderer.close()
+
+
+def _require_known(settings: Mapping[str, Any]) -> None:
+    """Raise SceneError for a word that is no argument of `video`, nor of Simulation."""
+    from taichi_sim.simulation.settings import DEFAULTS as SETTINGS
+
+    own = [name for name in signature(video).parameters if name not in ("what", "settings")]
+    for name in settings:
+        if name not in SETTINGS and name != "forces":
+            raise unknown_key(name, [*own, *SETTINGS, "forces"], "an argument of video")
 
 
 def _simulation(what: Any, settings: dict[str, Any]) -> tuple[Scene, Callable[[], Any]]:

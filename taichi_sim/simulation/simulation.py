@@ -10,6 +10,7 @@ from importlib import import_module
 from io import BytesIO
 from os import PathLike
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,7 @@ from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.analysis.collider_checks import check_colliders
 from taichi_sim.analysis.element_rates import declared_rates, undeclared
-from taichi_sim.analysis.frame import Contacts, Frame
+from taichi_sim.analysis.frame import Contacts, Frame, frame_count
 from taichi_sim.analysis.lazy_frame import MomentsOf
 from taichi_sim.analysis.outcome import Scales
 from taichi_sim.analysis.preflight import cautions
@@ -85,6 +86,7 @@ class Simulation(Reader):
         if not isinstance(scene, Scene):
             says = "is no Scene; ts.load_scene reads one from a file"
             raise SceneError("scene", scene, says=says)
+        self._source = ref(scene)
         self.scene = scene = scene.frozen()
         self._given = settings
         with scene.in_file(settings):
@@ -172,22 +174,33 @@ class Simulation(Reader):
         """Advance by n steps of dt. step(0) only compiles; on several threads the step itself compiles with the first. Raises
         UnstableError, leaving the last good state."""
         steps = validation.whole("step", n, 0)
+        self._require_unchanged()
         if self._still:
             self._stepper.steps += steps
         elif self._state is not None:  # not closed
             self._stepper.step(steps)
+
+    def _require_unchanged(self) -> None:
+        """Raise SceneError where the scene that it was made of has got more since, which would have no effect."""
+        source = self._source()
+        if source is not None and (changed := source.grown_since(self.scene)):
+            says = (
+                f"got more {changed} after this simulation was made of it; make a new Simulation, or call reset(scene)"
+            )
+            raise SceneError("scene", says=says)
 
     def run(self, duration: float) -> None:
         """Advance by round(duration / dt) steps; duration in seconds."""
         self.step(round(validation.number("duration", duration, low=0) / self.dt))
 
     def frames(self, fps: float = 60.0, duration: float = 5.0) -> Iterator[Frame]:
-        """round(fps x duration) frames, the first the present state, each at the step nearest to its time.
+        """round(fps x duration) + 1 frames, the first the present state, the last at the end, each at the step nearest to its
+        time.
 
         Steps made between two frames count towards the next one.
         """
         rate = validation.number("fps", fps, positive=True)
-        count = round(min(rate * validation.number("duration", duration, low=0), 2.0 * MOST_FRAMES))
+        count = frame_count(1.0, min(rate * validation.number("duration", duration, low=0), 2.0 * MOST_FRAMES))
         if count > MOST_FRAMES:
             raise ValueError(
                 f"frames: {rate:g} a second for {duration:g} s are more than {MOST_FRAMES}, the most allowed"

@@ -112,7 +112,12 @@ def measures_of(given: Any, scene: Scene) -> Measures:
     returns a number, or a mapping of names to numbers. Raises SceneError, which says what there is.
     """
     if given is None:
-        given = [f"probes.{one.name}.{number}" for one in scene.probes for number in one.numbers(scene.dim)]
+        given = [
+            f"probes.{one.name}.{number}"
+            for one in scene.probes
+            for number in one.numbers(scene.dim)
+            if number != "interval"  # of a mean force: as long as frames are apart
+        ]
         given = given or ["energy.total"]
     if isinstance(given, str) or not isinstance(given, Sequence):
         given = [given]

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.once
         (15604.2, 88.0, "N", "15.60 +- 0.09 kN"),
         (15604.2, None, "N", "15.6 kN"),
         (0.0342, 0.00123, "m", "34.2 +- 1.2 mm"),
-        (0.7, 2e-15 * 0.7, "m", "700.000 mm, exact to rounding"),
+        (0.7, 2e-15 * 0.7, "m", "700 mm, exact to rounding"),
         (-3.2, 40.0, "J", "0 +- 40 J"),
         (0.0, 2.5e-4, "m", "0 +- 200 µm"),
         (0.0, 0.0, "m", "0 m, exact to rounding"),
