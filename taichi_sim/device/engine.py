@@ -5,6 +5,7 @@ programs. What is private to one of them, or named otherwise, is asked of it her
 """
 
 import os
+import sys
 from copy import copy
 from types import ModuleType
 from typing import Any
@@ -31,6 +32,10 @@ ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
 
 
 def _taichi() -> ModuleType:
+    if (
+        "ipykernel" in sys.modules
+    ):  # which shows what kernels print; Taichi would say in the cell that it found a notebook
+        os.environ.setdefault("TI_ENABLE_PYBUF", "0")
     try:
         import taichi
     except (ImportError, OSError) as error:  # on Linux, its library is linked against libX11 even without a window
