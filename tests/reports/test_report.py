@@ -149,6 +149,8 @@ def test_pareto_front_and_the_cheapest():
     assert rows.cheapest(found, 1e-3, motion=1.0, known=1e-5) == [best]  # what the reference may be off counts as well
     assert rows.cheapest(found, 1e-10, motion=1.0, known=0.0) == []
     assert worse not in rows.pareto(found, 0.0)
+    exact = row(1.5, 1e-15)
+    assert rows.pareto([*found, exact], known=1e-9) == [fast]  # what is exact beats all that is slower
     assert wild not in rows.pareto(found, 0.0)
 
 

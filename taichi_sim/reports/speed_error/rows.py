@@ -91,11 +91,13 @@ def as_fast(row: Row, other: Row) -> bool:
 
 
 def pareto(rows: Sequence[Row], known: float) -> list[Row]:
-    """The rows that none beats in both speed and error, the fastest first: none that is as fast has a smaller error."""
-    telling = [row for row in rows if tells(row, known) and row.seconds is not None]
+    """The rows that none beats in both speed and error, the fastest first: none that is as fast has a smaller error. Rows too
+    near to the reference for their error to be told are not among them, but beat those that they are faster than."""
+    stable = [row for row in rows if row.verdict == STABLE and row.rms_error is not None and row.seconds is not None]
+    telling = [row for row in stable if tells(row, known)]
     front: list[Row] = []
     for row in sorted(telling, key=lambda row: (row.seconds, row.rms_error)):
-        better = [other for other in telling if other.rms_error < row.rms_error]  # type: ignore[operator]
+        better = [other for other in stable if other.rms_error < row.rms_error]  # type: ignore[operator]
         same = any(other.rms_error == row.rms_error for other in front)
         if not same and not any(as_fast(other, row) for other in better):
             front.append(row)
