@@ -1,17 +1,19 @@
 """What all commands share: the application, options that several take, a scene with its options, errors of one line."""
 
 import functools
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any
 
 import typer
 
-from taichi_sim.cli.options import pixels, positive, share, step
+from taichi_sim.cli.options import paths_and_values, pixels, positive, share, step
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.printable import printable
+from taichi_sim.common.progress import log_to
 from taichi_sim.common.signals import ENDED, INTERRUPTED, insistent_signals, leave
 from taichi_sim.common.version import __version__
 
@@ -50,7 +52,7 @@ Workers = Annotated[int | None, typer.Option(help="Processes; one for each core 
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
 Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
 # with "threads", arguments of a Simulation; those of PROCESS are given to whatever runs in it
-SIMULATION = ("arch", "dt", "tolerance", "integrator", "contacts", "precision")
+SIMULATION = ("arch", "dt", "tolerance", "integrator", "contacts", "precision", "settle")
 PROCESS = ("arch", "precision", "threads")
 
 
@@ -60,7 +62,7 @@ def subcommand(*shared: str, name: str | None = None) -> Callable[[Callable[...,
     def add(function: Callable[..., None]) -> None:
         @functools.wraps(function)
         def command(**given: Any) -> None:
-            with plain_errors():
+            with plain_errors(), log_to(sys.stdout):
                 function(**given)
 
         main.command(name=name)(share(command, shared))
@@ -93,7 +95,8 @@ class Job:
         asked["size"] = pixels(options.get("size"))  # type: ignore[assignment]
         self.options = {**options, "dt": step(options["dt"])}
         self.file = resolve(name)
-        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]))
+        self.parameters = paths_and_values("--set", options.get("set") or ())
+        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]), parameters=self.parameters)
         self.made = self._made() if self.scene is None else None
         shown: Any = self.scene if self.made is None else self.made.scene
         self.output = output_options(shown, asked)
@@ -106,7 +109,7 @@ class Job:
         return self.made or Simulation(scene, forces=forces, **self._given())
 
     def _given(self) -> dict[str, Any]:
-        return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options[key] is not None}
+        return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options.get(key) is not None}
 
     def _made(self) -> Any:
         """What simulation() of the file returns."""
@@ -119,7 +122,7 @@ class Job:
                 raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
         if given:
             backend.start(**given)
-        made = open_simulation(self.file)
+        made = open_simulation(self.file, self.parameters)
         from taichi_sim.simulation.simulation import Simulation
 
         if not isinstance(made, Simulation):
@@ -131,11 +134,12 @@ class Job:
 
 @contextmanager
 def waiting(what: str, shown: bool) -> Iterator[None]:
-    """On a terminal, say meanwhile what is waited for."""
-    from rich.console import Console
+    """Say meanwhile what is waited for."""
+    from taichi_sim.common.progress import Work, showing
 
-    console = Console(stderr=True)
-    with console.status(what) if shown and console.is_terminal else nullcontext():
+    work = Work()
+    work.words = lambda: what
+    with showing(work, shown):
         yield
 
 

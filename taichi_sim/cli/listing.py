@@ -36,10 +36,13 @@ def list_demos(
     context: typer.Context,
     everything: Annotated[bool, typer.Option("--all", help="Make videos of those that have none yet.")] = False,
     out: Annotated[str, typer.Option("--out", "-o", metavar="FOLDER", help="Where to, with --all.")] = "demos_out",
+    copy: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Copy the file of a demo into this folder, to change it.")
+    ] = None,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
-    """List the built-in scenes, one line each, or make videos of them."""
+    """List the built-in scenes, one line each, make videos of them, or copy one."""
     from taichi_sim.files.source import built_in, demos
 
     known = demos()
@@ -47,6 +50,13 @@ def list_demos(
         from taichi_sim.outputs.gallery import render_all
 
         raise typer.Exit(render_all(list(known), out, quiet=quiet, **options))
+    if copy is not None:
+        takes_only(context, ("quiet", "copy"), "demos: --copy takes no other option")
+        from taichi_sim.files.source import copy_demo
+
+        for file in copy_demo(copy):
+            echo(f"written      {file}")
+        return
     takes_only(context, ("quiet",), "demos: options are for --all")
     width = max(map(len, known), default=0)
     for name, file in known.items():

@@ -30,7 +30,7 @@ NAMES = (
 )
 
 
-@subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
 def run(
     scene: SceneName,
     out: Annotated[
@@ -56,6 +56,10 @@ def run(
         int | None, typer.Option(help="Processes that draw, once all is simulated; this one, meanwhile, otherwise.")
     ] = None,
     scheduler: Scheduler = None,
+    error: Annotated[
+        bool,
+        flag("error", "Run SCENE a second time at half the step, and give the results with the error of the step."),
+    ] = False,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
@@ -68,9 +72,11 @@ def run(
     if transparent:
         job.output["style"]["transparent"] = True
     every = interval("--checkpoint", checkpoint)
+    if error and resume:
+        raise ValueError("--error: the error of a run that is resumed cannot be estimated; leave --resume out")
     if workers is not None or scheduler is not None:
-        if not out or resume or checkpoint:
-            raise ValueError("--workers and --scheduler need --out, and go neither with --resume nor with --checkpoint")
+        if not out or resume or checkpoint or error:
+            raise ValueError("--workers and --scheduler need --out, and exclude --resume, --checkpoint and --error")
         _drawn_apart(job, out, (scheduler, workers), overwrite, codec, quiet)
         return
     targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
@@ -82,7 +88,7 @@ def run(
         with waiting("reading the scene", not quiet):
             sim = job.simulation()
         with sim:
-            summary = export(sim, targets, progress=not quiet, checkpoint=every, **job.output)
+            summary = export(sim, targets, progress=not quiet, checkpoint=every, error=error, **job.output)
     except BaseException as error:
         for name, target in zip(out or [], targets):
             if isinstance(error, UnstableError) and target.frames:
@@ -221,7 +227,7 @@ def render(
         echo("\n".join(f"written      {name}: {count} frames" for name in out))
 
 
-@subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
 def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
     from taichi_sim.viewer.window import require_display, show

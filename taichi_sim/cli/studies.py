@@ -31,7 +31,7 @@ def sweep(
             " range like 0.1:0.9 for designs that sample. May be given several times."
         ),
     ] = None,
-    seeds: Annotated[int | None, typer.Option(help="How often each point is run, with other chance.")] = None,
+    seeds: Annotated[int | None, typer.Option(help="Runs of each point, each with another seed.")] = None,
     measure: Annotated[
         list[str] | None,
         typer.Option(
@@ -42,7 +42,7 @@ def sweep(
     out: Annotated[str | None, typer.Option("--out", "-o", help="Folder of the table; NAME_sweep otherwise.")] = None,
     design: Annotated[str, typer.Option(help="product, random, latin or sobol.")] = "product",
     points: Annotated[int | None, typer.Option(help="How many, of designs that sample.")] = None,
-    luck: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
+    luck: Annotated[int, typer.Option(help="Random seed of the sample.")] = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
     overwrite: Annotated[bool, flag("overwrite", "Replace another sweep in that folder.")] = False,
@@ -70,6 +70,8 @@ def sweep(
             echo(f"{folder}: keeps the points that are done; the same command goes on", err=True)
         raise
     if not quiet:
+        for line in done.lines():
+            echo(line)
         for row in done.failed[:SHOWN]:
             at = ", ".join(f"{name} {value}" for name, value in row.parameters.items())
             echo(f"failed       {at}: {row.error}")
@@ -98,7 +100,7 @@ def fit(
     misfit: Annotated[float, typer.Option(help="How far from the target it may be, relative.")] = 1e-3,
     runs: Annotated[int, typer.Option(help="Points at most.")] = 100,
     seeds: Annotated[
-        int | None, typer.Option(help="How often each point is run, with other chance; the mean counts.")
+        int | None, typer.Option(help="Runs of each point, each with another seed; their mean counts.")
     ] = None,
     luck: Annotated[int, typer.Option(help="Seed of what is chosen by chance.")] = 0,
     out: Annotated[

@@ -36,6 +36,10 @@ PREFIX = "TI_" if ENGINE == "taichi" else "QD_"  # of its environment variables
 
 
 def _taichi() -> ModuleType:
+    if (
+        "ipykernel" in sys.modules
+    ):  # which shows what kernels print; Taichi would say in the cell that it found a notebook
+        os.environ.setdefault("TI_ENABLE_PYBUF", "0")
     try:
         with restored_environment():
             os.environ.pop("TI_LOG_LEVEL", None)  # an unknown one cannot be imported with; `start` sets it

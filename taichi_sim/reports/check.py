@@ -95,12 +95,12 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
     stiff = ", ".join(map(str, STIFF))
     if elements:
-        yield f"{stiff}: no spring limits them, but cells and bending do, and gas all but {IMPLICIT_EULER}"
+        yield f"{stiff}: springs do not limit the step; cells and bending do, and gas does except with {IMPLICIT_EULER}"
     else:
         yield f"{stiff}: any step is stable, its error is another matter"
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
-        yield f"user-defined forces act explicitly in all of them; what step {names} needs is not known, see stiffness_rate"
+        yield f"All methods treat user-defined forces explicitly. The step that {names} needs is unknown; declare stiffness_rate"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
 

@@ -14,6 +14,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
 from taichi_sim.device import backend
 from taichi_sim.scene.scene import Scene, max_restitution
+from taichi_sim.simulation.settling import require_tolerance
 
 __all__ = ["Settings", "part_of_bound"]
 
@@ -30,6 +31,7 @@ DEFAULTS: dict[str, Any] = {
     "accumulate": "auto",
     "driver": "auto",
     "spin": "auto",
+    "settle": None,
 }
 WORDS: dict[str, tuple[Any, ...]] = {
     "accumulate": ("auto", "ordered", "gather", "atomic"),
@@ -72,6 +74,7 @@ class Settings:
     accumulate: str
     driver: str
     spin: Any
+    settle: float | None
 
     @classmethod
     def resolve(cls, scene: Scene, given: dict[str, Any]) -> "Settings":
@@ -94,6 +97,7 @@ class Settings:
         for name in ("contact_iterations", "substeps"):
             if not _auto(values[name]):
                 values[name] = validation.whole(name, values[name], 1, MOST_PARTS_GIVEN)
+        values["settle"] = require_tolerance(values["settle"])
         if not _auto(values["dt"]):
             values["dt"] = validation.number("dt", values["dt"], high=math.inf)
             if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:

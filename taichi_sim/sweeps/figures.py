@@ -1,6 +1,6 @@
 """Pictures of a sweep: a curve for one parameter, a map for two, parallel coordinates for more, a histogram for seeds alone."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -61,7 +61,7 @@ def _histogram(axis: Any, group: Group, measure: str) -> None:
     axis.axvspan(group.mean - half, group.mean + half, color=INK, alpha=0.15, lw=0)
     axis.set_xlabel(measure, color=INK)
     axis.set_ylabel("seeds", color=INK)
-    axis.set_title(f"{len(values)} seeds: mean {group.mean:.5g} ± {half:.2g} (95 %)", color=INK, fontsize=11)
+    axis.set_title(f"{group.in_words()}", color=INK, fontsize=11)
     _dress(axis)
 
 
@@ -186,8 +186,3 @@ def _parallel(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Ax
     _dress(axis, grid=False)
     for spine in axis.spines.values():
         spine.set_visible(False)
-
-
-def parameters_in_words(parameters: Mapping[str, Any]) -> list[str]:
-    """Cells of a table."""
-    return [f"{value:.6g}" if isinstance(value, float) else str(value) for value in parameters.values()]

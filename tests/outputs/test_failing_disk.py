@@ -141,7 +141,7 @@ def test_frames_are_kept_only_where_they_are(tmp_path):
 
     output = open_output(tmp_path / "x.gif")
     with pytest.raises(KeyboardInterrupt):
-        export(Removed(), output, duration=0.5, checkpoint=None)
+        export(Removed(), output, duration=29 / 60, checkpoint=None)
     assert output.frames == 0
     assert not list(tmp_path.iterdir())
 

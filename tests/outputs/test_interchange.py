@@ -73,7 +73,7 @@ def run(tmp_path_factory):
     method = {"integrator": "symplectic_euler", "contacts": "off"}  # which compile soonest
     with ts.Simulation(world(), dt=1e-3, arch="cpu", **method) as simulation:
         outputs = open_outputs([folder / name for name in there], fps=FPS)
-        export(simulation, [*outputs, seen], fps=FPS, duration=FRAMES / FPS, style={"camera": {"orbit": 40.0}})
+        export(simulation, [*outputs, seen], fps=FPS, duration=(FRAMES - 1) / FPS, style={"camera": {"orbit": 40.0}})
     return folder, seen.seen
 
 
@@ -568,7 +568,7 @@ def test_a_run_goes_on_from_its_checkpoint(tmp_path, monkeypatch, names):
     from taichi_sim.outputs import checkpoints
 
     def going_on(first, simulation, fps, duration):
-        for k in range(first, round(fps * duration)):
+        for k in range(first, round(fps * duration) + 1):
             yield simulation.frame(k / fps, k)
 
     @contextmanager
@@ -626,7 +626,7 @@ def test_of_several_outputs_each_keeps_what_it_can(tmp_path, monkeypatch):
     """A video that was cut off without a checkpoint is not drawn again up to there, while a table begins anew."""
     draw_with(monkeypatch, FakeRenderer)
     names = [tmp_path / "x.mp4", tmp_path / "x.csv"]
-    how = {"duration": 0.2, "size": (64, 48)}
+    how = {"duration": 11 / 60, "size": (64, 48)}
     with pytest.raises(KeyboardInterrupt):
         export(FakeSimulation(5, KeyboardInterrupt()), open_outputs(names), **how)
     export(FakeSimulation(), open_outputs(names, resume=True), **how)

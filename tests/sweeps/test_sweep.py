@@ -16,11 +16,12 @@ from sweep_scenes import both, heap, hostile, mortal, slow, springs, top
 
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
+from taichi_sim.files.parameters import put
 from taichi_sim.sweeps.cluster import Workers, _answers
 from taichi_sim.sweeps.folder import Folder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
-from taichi_sim.sweeps.subject import FileSubject, put, subject_of
+from taichi_sim.sweeps.subject import FileSubject, subject_of
 
 pytestmark = pytest.mark.once
 HERE = {"workers": 0, "precision": PRECISION}

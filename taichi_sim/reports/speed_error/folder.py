@@ -18,6 +18,7 @@ from taichi_sim.common.npz import read_npz
 from taichi_sim.common.own_folder import LOCK, is_fresh
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.reports.speed_error.budget import Budget
+from taichi_sim.reports.speed_error.kept_outcomes import KeptOutcomes
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import Row
 
@@ -53,6 +54,7 @@ class Folder:
         """Raises OSError or ValueError before anything is written where the folder cannot be used."""
         self.path, self.key = path, key
         self._lock: Any = None
+        self.outcomes = KeptOutcomes(path, self._read, self.write)
         require_folder_place(path)
         if path.is_dir() and not is_fresh(path):
             if not (path / MARK).is_file():
@@ -66,6 +68,7 @@ class Folder:
         if path.is_dir() and overwrite:
             for name in OURS:
                 (path / name).unlink(missing_ok=True)
+            self.outcomes.forget()
         self.rows = self.table("rows.csv", Row)
 
     def _take(self) -> None:

@@ -62,7 +62,7 @@ def draw(findings: Findings) -> Any:
             axis.axvspan(0.1 * low, CLEAR_OF_REFERENCE * findings.reference.known / motion, color=INK, alpha=0.08, lw=0)
         if precision == "f32" and findings.floor is not None:
             axis.axvline(findings.floor, color=INK, lw=0.9, ls="--", label="floor of f32")
-    axes[0].set_ylabel("wall time per simulated second [s]", color=INK)
+    axes[0].set_ylabel(f"{known[0].clock} per simulated second [s]", color=INK)
     marks = {label: mark for axis in axes for mark, label in zip(*axis.get_legend_handles_labels())}
     order = {name: k for k, name in enumerate(METHODS)}
     labels = sorted(marks, key=lambda label: order.get(label, len(order)))
