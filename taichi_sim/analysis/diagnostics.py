@@ -88,7 +88,7 @@ def _elements(scene: Scene, x: Floats, torn: NDArray) -> float:
     if len(scene.bends):
         curve = np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends] - x[scene.bends[:, :1]])
         whole = ~cut(scene.bends, torn, scene.n_balls)
-        total += 0.5 * float(np.sum((scene.bend_stiffness * np.sum(curve**2, axis=1))[whole]))
+        total += 0.5 * float(np.sum((scene.held_bending()[0] * np.sum(curve**2, axis=1))[whole]))
     for gas in scene.gases:
         now = enclosed(x, gas.triangles) / gas.volume
         inside = (gas.pressure + gas.outside) * gas.volume

@@ -23,16 +23,17 @@ class Bending(Corners):
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
         bends, weights = scene.bends, scene.bend_weights
-        self.damped = bool(np.any(scene.bend_damping > 0))
+        stiffness, damping = scene.held_bending()
+        self.damped = bool(np.any(damping > 0))
         rest = [[j for j in range(4) if j != k] for k in range(4)]
         others = np.concatenate([bends[:, r] for r in rest])
         real = fields.real
         columns = {name: real for name in ("stiffness", "own", "wa", "wb", "wc")}
-        data = {"stiffness": np.tile(scene.bend_stiffness, 4), "own": weights.T.ravel()}
+        data = {"stiffness": np.tile(stiffness, 4), "own": weights.T.ravel()}
         data |= {name: np.concatenate([weights[:, r[k]] for r in rest]) for k, name in enumerate(("wa", "wb", "wc"))}
         if self.damped:
             columns["damping"] = real
-            data["damping"] = np.tile(scene.bend_damping, 4)
+            data["damping"] = np.tile(damping, 4)
         self.gather(model, fields, others, bends.T.ravel(), columns, data)
 
     @ti.func

@@ -71,7 +71,11 @@ class Elements(Probed, Objects, Motorised):
             together=np.zeros(0, dtype=whole),
         )
         self._bends = Table(
-            corners=np.zeros((0, 4), dtype=whole), weights=np.zeros((0, 4)), stiffness=np.zeros(0), damping=np.zeros(0)
+            corners=np.zeros((0, 4), dtype=whole),
+            weights=np.zeros((0, 4)),
+            stiffness=np.zeros(0),
+            damping=np.zeros(0),
+            hinge=np.zeros(0, dtype=bool),
         )
         self.wind: Wind | None = None
         self.gases: list[Gas] = []
@@ -89,6 +93,9 @@ class Elements(Probed, Objects, Motorised):
     bend_weights = property(lambda self: self._bends["weights"], doc="(b, 4) sum 0 for each")
     bend_stiffness = property(lambda self: self._bends["stiffness"], doc="(b,) N/m")
     bend_damping = property(lambda self: self._bends["damping"], doc="(b,) N s/m")
+    bend_hinge = property(
+        lambda self: self._bends["hinge"], doc="(b,) bool; True: of two sides, one of which may be held"
+    )
 
     def has_elements(self) -> bool:
         """Whether forces besides gravity, springs and contacts act."""
@@ -154,16 +161,27 @@ class Elements(Probed, Objects, Motorised):
         return np.arange(first, first + c, dtype=np.int32)
 
     def add_bending(
-        self: Any, corners: ArrayLike, *, weights: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+        self: Any,
+        corners: ArrayLike,
+        *,
+        weights: ArrayLike,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        hinge: bool | Sequence[bool] | NDArray = False,
     ) -> None:
         """Add b bending elements: forces -w_i sum_j w_j (stiffness x_j + damping v_j) on four balls each.
 
         The energy is stiffness |sum w_j x_j|^2 / 2, 0 where the element is flat; quadratic, so its force is linear (Bergou et
-        al. 2006, "A quadratic bending model for inextensible surfaces").
+        al. 2006, "A quadratic bending model for inextensible surfaces"). An element of a rod through balls a, b, c has the
+        corners (b, b, a, c) and the weights (-1, -1, 1, 1).
 
         Args:
             corners: (b, 4) balls; weights: (b, 4) of them [1], the sum of each row 0.
             stiffness: one or one per element, >= 0 [N/m]; damping: one or one per element, >= 0 [N s/m].
+            hinge: one or one per element: corners 0 and 1 are the hinge between two sides of a rod or sheet, corners 2 and 3
+                their far ends. A side whose balls are all pinned cannot bend. The other one then bears the whole change of
+                angle over its own length, so stiffness and damping rise to those of that side: twice, for equal sides. A rod
+                or sheet is thus clamped exactly at its last pinned balls.
         """
         ij = validation.indices("bending.corners", validation.many(corners, 1), self.n_balls, width=4)
         w = validation.vectors("bending.weights", validation.many(weights, 1), None, 4)
@@ -176,7 +194,22 @@ class Elements(Probed, Objects, Motorised):
             raise SceneError(f"bending.weights[{k}]", w[k], "four numbers whose sum is 0")
         strength = validation.per_item("bending.stiffness", stiffness, len(ij), low=0)
         loss = validation.per_item("bending.damping", damping, len(ij), low=0)
-        self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss)
+        sides = validation.flags("bending.hinge", hinge, len(ij))
+        ends = w[:, 2:][sides]
+        if np.any(ends[:, 0] * ends[:, 1] <= 0.0):
+            k = int(np.flatnonzero(sides)[np.argmax(ends[:, 0] * ends[:, 1] <= 0.0)])
+            raise SceneError(f"bending.weights[{k}]", w[k], "of a hinge: the last two of one sign, and not 0")
+        self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss, hinge=sides)
+
+    def held_bending(self: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Stiffness (b,) [N/m] and damping (b,) [N s/m] of the bending elements as they act with the present pins, see
+        `add_bending`. The two sides of a hinge are as long as the inverse weights of their far ends."""
+        held = self.pinned[self.bends]
+        held[:, 2:] &= held[:, :1] & held[:, 1:2] & self.bend_hinge[:, None]
+        size = np.abs(self.bend_weights[:, [3, 2]])  # of side 2 and 3, as 1 / w2 : 1 / w3
+        free = np.where(held[:, 2:], 0.0, size).sum(axis=1)
+        rise = np.divide(size.sum(axis=1), free, out=np.ones(len(free)), where=free > 0.0)
+        return self.bend_stiffness * rise, self.bend_damping * rise
 
     def set_bending(self: Any, *, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
         """Change all b bending elements: stiffness [N/m], damping [N s/m], one or one per element; what is left None stays."""

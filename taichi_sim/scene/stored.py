@@ -22,6 +22,7 @@ NEWER = {
     "break_strain": np.inf,
     "collides": False,
     "together": np.int32(-1),
+    "hinge": False,
 }  # columns that files of older versions may lack
 
 

@@ -196,6 +196,8 @@ def _elements(scene: Any, store: _Arrays) -> dict[str, Any]:
     if len(scene.bends):
         columns = {"corners": scene.bends, "weights": scene.bend_weights}
         columns |= {"stiffness": _one(scene.bend_stiffness), "damping": _one(scene.bend_damping)}
+        if scene.bend_hinge.any():
+            columns["hinge"] = _one(scene.bend_hinge)
         tables["bending"] = [store.table("bending_", columns)]
     tables["gases"] = [
         store.table(f"gases_{k}_", {"triangles": gas.triangles}, pressure=gas.pressure, outside=gas.outside)
