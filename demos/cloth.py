@@ -16,7 +16,7 @@ def scene():
         resolution=(NUMBER, NUMBER),
         mass=MASS,
         stiffness=1000,
-        bending_stiffness=5,
+        bending_stiffness=0.1,
         damping=0.04,
         pinned=[0, NUMBER * (NUMBER - 1)],
         position=(-SIDE / 2, SIDE, 0),

@@ -25,7 +25,10 @@ class Bending(Corners):
         bends, weights = scene.bends, scene.bend_weights
         stiffness, damping = scene.held_bending()
         self.damped = bool(np.any(damping > 0))
+        rod = bends[:, 0] == bends[:, 1]  # of three balls, the first of which counts twice
+        weights = np.where(rod[:, None], np.stack([weights[:, 0] + weights[:, 1], 0 * rod, *weights.T[2:]], 1), weights)
         rest = [[j for j in range(4) if j != k] for k in range(4)]
+        kept = np.concatenate([~rod if k == 1 else np.ones(len(rod), dtype=bool) for k in range(4)])
         others = np.concatenate([bends[:, r] for r in rest])
         real = fields.real
         columns = {name: real for name in ("stiffness", "own", "wa", "wb", "wc")}
@@ -34,7 +37,8 @@ class Bending(Corners):
         if self.damped:
             columns["damping"] = real
             data["damping"] = np.tile(damping, 4)
-        self.gather(model, fields, others, bends.T.ravel(), columns, data)
+        data = {name: values[kept] for name, values in data.items()}
+        self.gather(model, fields, others[kept], bends.T.ravel()[kept], columns, data)
 
     @ti.func
     def _curve(self, ball: ti.template(), i, row):
@@ -58,6 +62,7 @@ class Bending(Corners):
 
     @ti.func
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
-        """A quarter of the element's."""
+        """The element's, in shares as its weights are."""
         bent = self._curve(ball, i, row)
-        return 0.125 * ti.cast(row.stiffness, real) * ti.cast(bent.dot(bent), real)
+        share = abs(row.own) / max(1e-30, abs(row.own) + abs(row.wa) + abs(row.wb) + abs(row.wc))
+        return 0.5 * ti.cast(share * row.stiffness, real) * ti.cast(bent.dot(bent), real)

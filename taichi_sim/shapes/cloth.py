@@ -41,10 +41,10 @@ __all__ = ["cloth"]
 
 CLOTH_DENSITY = 0.2  # kg/m^2, a cotton sheet
 SHEAR_SHARE = 0.25  # of a cloth's stiffness, in its diagonals
-BENDING_SHARE = 0.002  # of a cloth's stiffness, of each three balls in a row or across an edge
 STRETCH_STIFFNESS = 100.0  # N/m: 2 % at the top of a cotton sheet that hangs 1 m
 SHEAR_PART = 0.2  # of the stretch stiffness
 BENDING_RIGIDITY = 1e-5  # N m, cotton
+BENDING_SHARE = 0.002  # of a stiffness that is stable at 1 ms: the default bending is no more, and stable at 16 ms
 
 
 @takes_color
@@ -89,8 +89,8 @@ def cloth(
         mesh: an OBJ, PLY, STL or GLB file, or (vertices (v, 3) [m], triangles (t, 3)), in place of size and resolution.
         mass: of all of it [kg], shared out equally (by area in a material); 0.2 kg per m^2 of the sheet by default.
         stiffness: of each spring [N/m].
-        bending_stiffness: of each three balls in a row [N/m], a five hundredth of stiffness by default. The bending rigidity
-            [N m] of a grid is this times the square of the spacing.
+        bending_stiffness: of each three balls in a row [N/m]: the bending rigidity of a grid over the square of its spacing. By
+            default that of 1e-5 N m, or less where that would not be stable at 16 ms.
         mass_per_area: in place of mass [kg/m^2]; 0.2.
         stretch_stiffness: force per width and strain along the threads [N/m]; 100.
         shear_stiffness: the same across them [N/m]; a fifth of it by default. A mesh has none of its own: a third of it.
@@ -117,7 +117,7 @@ def cloth(
     grid: Any
     if mesh is None:
         grid = _grid(size, resolution)
-        surface, spacing, area = grid[0], 0.45 * float(grid[2].min()), float(grid[3].prod())
+        surface, spacing, area = grid[0], float(grid[2].min()), float(grid[3].prod())
     elif size is not None or resolution is not None:
         raise SceneError("cloth.mesh", says="takes the place of size and resolution; give one or the other")
     else:
@@ -127,11 +127,12 @@ def cloth(
                 f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters",
                 stacklevel=3,
             )
-        spacing, area = 0.4 * _mean_edge(surface), meshes.surface_area(surface)
+        spacing, area = _mean_edge(surface), meshes.surface_area(surface)
     area = area * factor**2
     total = or_default("cloth.mass", mass, CLOTH_DENSITY * area)
     thinner = surface_part("cloth", surface_collision)
-    ball_radius = or_default("cloth.radius", radius, thinner * spacing * factor)
+    spacing *= factor
+    ball_radius = or_default("cloth.radius", radius, (0.45 if grid is not None else 0.4) * thinner * spacing)
     drag = at_least_0("cloth.damping", damping)
     strength = 0.0
     masses: float | NDArray = total
@@ -140,7 +141,8 @@ def cloth(
         usual = [*kinds, Springs(across.pairs, np.minimum(BENDING_SHARE * across.weight, 1.0))]
         stable = stable_stiffness(usual, len(surface.vertices), total, bends.times(BENDING_SHARE))
         strength = at_least_0("cloth.stiffness", stiffness, stable)
-        bending = at_least_0("cloth.bending_stiffness", bending_stiffness, BENDING_SHARE * strength)
+        soft = min(BENDING_RIGIDITY / spacing**2, BENDING_SHARE * stable)
+        bending = at_least_0("cloth.bending_stiffness", bending_stiffness, soft)
         kinds.append(Springs(across.pairs, 0.0, np.minimum(bending * across.weight, strength)))
         bends = bends.times(bending)
     else:
