@@ -55,7 +55,9 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
     root = np.where(scene.pinned, 0.0, 1.0 / np.sqrt(scene.mass))
     kinds, press = [], 0.0
     if len(scene.cells):
-        kinds.append(_Kind(scene.cells, _gradients(scene), ROOM * scene.bulk_modulus / scene.rest_volume))
+        kinds.append(
+            _Kind(scene.cells, _gradients(scene), (ROOM * scene.bulk_modulus + scene.crush_modulus) / scene.rest_volume)
+        )
     bends = scene.bend_weights[:, :, None]
     stiffness, loss = scene.held_bending()
     if len(scene.bends):

@@ -25,6 +25,7 @@ __all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
 AIR = 1.2  # kg/m^3
 PLATE = 1.28  # drag of a flat plate across the flow
 SKIN_FRICTION = 0.05  # the same along it
+CRUSHED = 0.5  # of its rest volume: a cell that has less resists with its crush modulus, too
 FLAT_CELL = 1e-9  # of the cube of its longest edge: a cell of less volume is flat
 
 
@@ -67,6 +68,7 @@ class Elements(Probed, Objects, Motorised):
         self._cells = Table(
             corners=np.zeros((0, dim + 1), dtype=whole),
             bulk_modulus=np.zeros(0),
+            crush_modulus=np.zeros(0),
             rest_volume=np.zeros(0),
             together=np.zeros(0, dtype=whole),
         )
@@ -87,6 +89,10 @@ class Elements(Probed, Objects, Motorised):
 
     cells = property(lambda self: self._cells["corners"], doc="(c, dim + 1) balls of each cell")
     bulk_modulus = property(lambda self: self._cells["bulk_modulus"], doc="(c,) Pa, in 2D N/m")
+    crush_modulus = property(
+        lambda self: self._cells["crush_modulus"],
+        doc="(c,) Pa, in 2D N/m, of cells of less than half of their rest volume",
+    )
     rest_volume = property(lambda self: self._cells["rest_volume"], doc="(c,) m^3, in 2D m^2; positive")
     cells_together = property(lambda self: self._cells["together"], doc="(c,) a number that cells in one have, or -1")
     bends = property(lambda self: self._bends["corners"], doc="(b, 4) balls of each bending element")
@@ -99,7 +105,11 @@ class Elements(Probed, Objects, Motorised):
 
     def has_elements(self) -> bool:
         """Whether forces besides gravity, springs and contacts act."""
-        return bool(self._cells.rows or self._bends.rows or self.wind is not None or self.gases)
+        return bool(self.cells_act() or self._bends.rows or self.wind is not None or self.gases)
+
+    def cells_act(self) -> bool:
+        """Whether any cell exerts a force; others are only watched, see `Simulation.inverted`."""
+        return bool(self.bulk_modulus.any() or self.crush_modulus.any())
 
     def joined(self: Any) -> NDArray[np.bool_]:
         """Which balls (n,) belong to a spring, a cell, a bending element or the skin of a gas."""
@@ -113,17 +123,21 @@ class Elements(Probed, Objects, Motorised):
         corners: ArrayLike,
         *,
         bulk_modulus: ArrayLike,
+        crush_modulus: ArrayLike = 0.0,
         rest_volume: ArrayLike | None = None,
         together: ArrayLike | None = None,
     ) -> NDArray[np.int32]:
         """Add c cells that resist a change of volume and return their indices, shape (c,).
 
         A cell, a tetrahedron in 3D and a triangle in 2D, stores bulk_modulus V0 (V / V0 - 1)^2 / 2, V with its sign: one that
-        is turned inside out is driven back through flatness.
+        is turned inside out is driven back through flatness. Below half of its rest volume it stores besides crush_modulus V0
+        (V / V0 - 1/2)^2 / 2.
 
         Args:
             corners: (c, dim + 1) balls, or one cell, in any order.
             bulk_modulus: one or one per cell, >= 0 [Pa, in 2D N/m].
+            crush_modulus: one or one per cell, >= 0 [Pa, in 2D N/m]: keeps cells from being crushed, and does not change how they
+                respond to small strains.
             rest_volume: V0, one or one per cell, > 0 [m^3, in 2D m^2]; None: the present volume, whose orientation then counts as
                 positive.
             together: (c,) whole numbers: cells with the same one, from 0 on, resist a change of their volumes' sum alone, as one
@@ -137,6 +151,7 @@ class Elements(Probed, Objects, Motorised):
             k = int(np.argmax(twice))
             raise SceneError(f"cells.corners[{k}]", ij[k], says=f"names a ball twice; give {self.dim + 1} different")
         modulus = validation.per_item("cells.bulk_modulus", bulk_modulus, c, low=0)
+        crush = validation.per_item("cells.crush_modulus", crush_modulus, c, low=0)
         present = cell_volumes(self.position, ij)
         if rest_volume is None:
             edge = np.abs(self.position[ij] - self.position[ij[:, :1]]).max(axis=(1, 2), initial=0.0)
@@ -157,7 +172,8 @@ class Elements(Probed, Objects, Motorised):
         before = int(self.cells_together.max(initial=-1)) + 1
         shared = np.where(shared < 0, -1, shared + before).astype(np.int32)
         first = self._cells.rows
-        self._cells.append(c, corners=ij, bulk_modulus=modulus, rest_volume=rest, together=shared)
+        columns = {"bulk_modulus": modulus, "crush_modulus": crush, "rest_volume": rest, "together": shared}
+        self._cells.append(c, corners=ij, **columns)
         return np.arange(first, first + c, dtype=np.int32)
 
     def add_bending(

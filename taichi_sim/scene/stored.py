@@ -23,6 +23,7 @@ NEWER = {
     "collides": False,
     "together": np.int32(-1),
     "hinge": False,
+    "crush_modulus": 0.0,
 }  # columns that files of older versions may lack
 
 

@@ -20,6 +20,7 @@ from taichi_sim.scene.scene import Scene
 
 __all__ = [
     "Bends",
+    "Cells",
     "Part",
     "Pins",
     "Shape",
@@ -98,6 +99,16 @@ class Bends(NamedTuple):
     def times(self, factor: float) -> Bends:
         """Those that are so many times as stiff."""
         return self._replace(stiffness=factor * self.stiffness)
+
+
+class Cells(NamedTuple):
+    """Cells within a shape, as `Scene.add_cells` takes them."""
+
+    corners: NDArray[np.int64]  # (c, dim + 1) of its balls
+    bulk_modulus: NDArray[np.float64]  # (c,) Pa, in 2D N/m
+    crush_modulus: NDArray[np.float64]  # (c,) the same
+    rest_volume: NDArray[np.float64]  # (c,) m^dim
+    together: NDArray[np.int64] | None = None  # (c,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,14 +297,13 @@ def build(
     *,
     stretched: NDArray | None = None,
     bends: Bends | None = None,
-    cells: tuple[NDArray, NDArray, NDArray, NDArray | None] | None = None,
+    cells: Cells | None = None,
     break_strain: float | None = None,
     uv: NDArray | None = None,
 ) -> Shape:
     """Add one shape to the scene: points (n, dim) m, before they are moved; triangles (t, 3) and springs' pairs index its balls.
 
-    stretched: strain (m,) of the springs at the start. cells: corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest
-    (c,), and which act together, see `Scene.add_cells`. uv: (n, 2), places on a sheet in 0..1.
+    stretched: strain (m,) of the springs at the start. uv: (n, 2), places on a sheet in 0..1.
     """
     n, own = len(points), points
     points = moved(shape, own, part.position, part.rotation, part.scale)
@@ -343,11 +353,7 @@ def build(
         scene.add_triangles(faces, collides=part.surface_collision)
         if bends is not None and bends.stiffness.any():
             scene.add_bending(balls[bends.corners], weights=bends.weights, stiffness=bends.stiffness, hinge=bends.hinge)
-        if cells is None or not len(cells[0]):
+        if cells is None or not len(cells.corners):
             return Shape(balls, springs, faces)
-        return Shape(
-            balls,
-            springs,
-            faces,
-            scene.add_cells(balls[cells[0]], bulk_modulus=cells[1], rest_volume=cells[2], together=cells[3]),
-        )
+        more = cells._asdict()
+        return Shape(balls, springs, faces, scene.add_cells(balls[more.pop("corners")], **more))
