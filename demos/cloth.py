@@ -7,7 +7,7 @@ import taichi_sim as ts
 SIDE, NUMBER, MASS = 1.2, 48, 0.3
 
 
-def scene(number=NUMBER, mass=MASS, stiffness=1000.0, bending_stiffness=5.0, damping=0.04):
+def scene(number=NUMBER, mass=MASS, stiffness=1000.0, bending_stiffness=0.1, damping=0.04):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
     ts.shapes.cloth(

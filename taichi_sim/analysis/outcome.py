@@ -7,7 +7,7 @@ import numpy as np
 from taichi_sim.analysis.methods import Method
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_depth", "of_energy", "takes_nothing"]
+__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_cells", "of_depth", "of_energy", "takes_nothing"]
 
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
@@ -61,6 +61,13 @@ def of_approach(left: float, scales: Scales, fastest: float, iterations: int) ->
     slow = max(scales.slow, SLOW_PART * fastest)
     grade = _grade(left, slow, MANY * slow)
     return grade if grade == "good" else f"{grade}; {cure_of_depth(False, iterations)}"
+
+
+def of_cells(now: int, most: int) -> str:
+    """Verdict on cells that are inverted at the end, and at most in a frame."""
+    if now:
+        return "wrong; the body is crushed: make it stiffer, give it a larger poisson_ratio, or take shorter steps"
+    return "look at it; the body was crushed for a moment and recovered" if most else "good"
 
 
 def of_energy(start: float, end: float, scales: Scales) -> str:

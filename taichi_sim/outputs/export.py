@@ -12,8 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
-from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
+from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, UnstableError
@@ -31,6 +32,7 @@ from taichi_sim.outputs.run_log import CHECKPOINT, Checkpoint
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
 STEP = "step"  # the source of an uncertainty
+WATCHED_CELLS = 200_000  # in each frame; more are counted at the end alone
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
 
@@ -61,6 +63,7 @@ class Summary:
     probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
     units: dict[str, str] = field(default_factory=dict)  # of probes
     torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
+    inverted: tuple[int, int] = (0, 0)  # cells at the end, and the most at a frame
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
     step_error: StepError | None = None  # estimated by a second run, see Companion
@@ -80,6 +83,7 @@ class Summary:
         one.contacts = None if one.contacts is None else Contacts(*one.contacts)
         one.energy_start = tuple(one.energy_start)
         one.torn = None if one.torn is None else tuple(one.torn)  # type: ignore[assignment]
+        one.inverted = tuple(one.inverted)  # type: ignore[assignment]
         one.probes = {name: (last, least, most) for name, (last, least, most) in one.probes.items()}
         return one
 
@@ -124,6 +128,10 @@ class Summary:
                     f"residual     approach speed left by the contact solver: {left:.3g} m/s typical,"
                     f" {max(self.unsolved):.3g} m/s worst: {of_approach(left, scales, self.largest_speed, now.iterations)}"
                 )
+        if self.inverted[1]:
+            lines.append(
+                f"cells        {self.inverted[0]} inverted at the end, {self.inverted[1]} at most: {of_cells(*self.inverted)}"
+            )
         if self.torn is not None:
             lines.append(f"torn         {self.torn[0]} of the {self.torn[1]} springs that may tear")
         lines += self._readings()
@@ -385,6 +393,8 @@ def export(
         torn = simulation.torn
         if torn is not None:
             summary.torn = int(np.count_nonzero(torn)), int(np.isfinite(simulation.scene.break_strain).sum())
+        if len(simulation.scene.cells):
+            _count_inverted(summary, simulation.inverted())
         if frame is None and last is not None:
             frame = simulation.frame()
         if frame is not None and frame.energy is not None:
@@ -424,10 +434,16 @@ def _observed(
         clock.charge("simulating")
         summary.steady += not clock.starts
         frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
+        if len(simulation.scene.cells) <= WATCHED_CELLS:
+            _count_inverted(summary, inverted(simulation.scene, frame.position))
         _observe(summary, frame)
         if companion is not None:
             companion.note(frame)
         yield frame
+
+
+def _count_inverted(summary: Summary, now: int) -> None:
+    summary.inverted = now, max(summary.inverted[1], now)
 
 
 def _observe(summary: Summary, frame: Frame) -> None:

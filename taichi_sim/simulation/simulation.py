@@ -320,8 +320,7 @@ class Simulation(Reader):
         return None if self._still else self.parts.torn
 
     def inverted(self) -> int:
-        """How many cells are flat or turned inside out. Jelly of springs alone (without `poisson_ratio`) has no cells: 0 says
-        nothing of it."""
+        """Number of cells that are flat or turned inside out. Every jelly has cells."""
         return diagnostics.inverted(self.scene, self.position)
 
     def error(self) -> ErrorEstimate | None:
