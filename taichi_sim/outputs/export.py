@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from taichi_sim.analysis.frame import Contacts, Frame
+from taichi_sim.analysis import turning
 from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
@@ -59,6 +60,7 @@ class Summary:
     torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
+    rotation: str = ""  # angular momentum that the method took, where that shows
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
     device: str = ""  # what computed it, in words
     checkpoints: int = 0
@@ -129,6 +131,8 @@ class Summary:
                 + (f"; no promise from t = {e.unsure:.4g} s on, many contacts at once" if e.unsure is not None else "")
                 + (f"; not kept from t = {e.lost:.4g} s on" if e.lost is not None else "")
             )
+        if self.rotation:
+            lines.append(f"rotation     {self.rotation}")
         if self.solver is not None:
             s = self.solver
             lines.append(
@@ -343,9 +347,23 @@ def export(
         if frame is not None and frame.energy is not None:
             summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()
+        summary.rotation = _rotation(simulation, frame)
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
     clock.charge("writing")
     return summary
+
+
+def _rotation(simulation: Any, frame: Frame | None) -> str:
+    """What the method takes of angular momentum, at the start or at the end, whichever is more; empty where that does not show."""
+    method, scene, h = simulation.settings.integrator.method, simulation.scene, simulation.dt / simulation.substeps
+    if method.turning_loss(1.0, h) == 0.0:
+        return ""
+    states = [(scene.position, scene.velocity)] + ([] if frame is None else [(frame.position, frame.velocity)])
+    turns = [turn for state in states if (turn := turning.fastest_turn(scene, *state)) is not None]
+    turn = max(turns, key=lambda one: one.speed, default=None)
+    if turn is None or not turn.shows(method, h):
+        return ""
+    return f"{turning.sentence(turn, method, h, simulation.time or 1.0)}; {turning.cure(turn, method, h)}"
 
 
 def _own(summary: Summary, renderer: Any) -> dict[str, Any]:
