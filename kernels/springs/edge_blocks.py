@@ -54,8 +54,8 @@ def sum_block(b, total: ti.template(), springs: ti.template(), h):
 
 @ti.func
 def there_and_back(sweep: ti.template(), springs: ti.template(), h):
-    """sweep.change(i, j, e, h) for all springs e, i its lower ball, in order and then in the reverse order, each seeing what those
-    before it changed: by colours, whose springs share no ball, or by blocks."""
+    """sweep.change(i, j, e, h) for all springs e, i its lower ball, in order and then in the reverse order, each seeing what
+    those before it changed: by colours, whose springs share no ball, or by blocks."""
     if ti.static(springs.order == "colours"):
         last = ti.static(len(springs.colours) - 2)
         for step in ti.static(range(2 * last + 2)):

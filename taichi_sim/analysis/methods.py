@@ -47,7 +47,7 @@ class Method:
     a simulation needs a number as dt. `symplectic`: small motion keeps an energy near the true one, but large motion of
     undamped springs resonates with the step, so that automatic steps are shorter there. `conserves`: it damps nothing of its
     own. `contact_solves`: in a step, each for its part of the load. `solves_gas`: together with springs. `single_pass`: each
-    spring gives once in a step what it would if it were alone.
+    spring gives once in a step, or by halves in two passes, what it would if it were alone.
 
     A method that can say more overrides the functions below:
 

@@ -71,15 +71,15 @@ def fastest_turn(scene: Scene, position: Floats, velocity: Floats) -> Turn | Non
 def _sums(body: NDArray[np.int64], values: Floats, n: int) -> Floats:
     """Sums of values (n,) or (n, k) over the balls of each body, stored at its first ball."""
     if values.ndim == 1:
-        return np.bincount(body, values, n)
+        return np.bincount(body, values, n).astype(np.float64)
     return np.stack([np.bincount(body, column, n) for column in values.T], axis=1)
 
 
 def sentence(turn: Turn, method: Method, h: float, seconds: float = 1.0) -> str:
     """The loss of a turning body in words."""
     return (
-        f"{method} takes {turn.rate(method, h):.2g} of the angular momentum a second from the body of ball {turn.ball}, which turns"
-        f" at {turn.speed:.3g} rad/s: if nothing else acts, {turn.kept(h, seconds):.2g} is left after {seconds:.3g} s"
+        f"{method} takes {turn.rate(method, h):.2g} of the angular momentum a second from the body of ball {turn.ball}, which"
+        f" turns at {turn.speed:.3g} rad/s: if nothing else acts, {turn.kept(h, seconds):.2g} is left after {seconds:.3g} s"
     )
 
 

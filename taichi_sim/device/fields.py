@@ -114,8 +114,8 @@ class Fields:
         return 8 if self.real == ti.f64 else 4
 
     def _cast(self, data: NDArray, what: str = "number") -> NDArray:
-        """A copy in the precision of the run. A number too large for it raises SceneError, with a word for what it is; one that is
-        too small becomes 0."""
+        """A copy in the precision of the run, where a number may become 0. One that is too large raises SceneError, with a word
+        for what it is."""
         if self.real == ti.f64:
             return np.ascontiguousarray(data, dtype=np.float64)
         with np.errstate(over="ignore"):

@@ -25,8 +25,9 @@ class XPBD(Integrator):
     accumulate="gather" colours, if no ball has more than 32 springs).
 
     Two rules make it stable (docs/physics.md). Each substep takes the springs in order and then in the reverse order, each time
-    with half of k and c: one pass alone is not symmetric, and gains energy in a wide cloth. A spring that will be shorter than its rest
-    length pushes along its direction at the start of the step: along the predicted one, ends that pass each other gain energy.
+    with half of k and c: one pass alone is not symmetric, and gains energy in a wide cloth. A spring that will be shorter than
+    its rest length pushes along its direction at the start of the step: along the predicted one, ends that pass each other gain
+    energy.
 
     Where sums are atomic, and on a GPU without colours, all springs act once on old values, which is symmetric, and every ball
     splits its mass between its springs. Order 1 with a large constant: stiff springs act softer than they are, unless steps are
@@ -100,8 +101,8 @@ class XPBD(Integrator):
 
     @ti.func
     def give(self, i, j, e, h):
-        """The impulse of half of spring e on ball i where its ends do not meet, without a branch, and the square of the smaller of
-        their distances before and after the step."""
+        """The impulse of half of spring e on ball i where its ends do not meet, without a branch, and the square of the smaller
+        of their distances before and after the step."""
         a, b = self.ball[i], self.ball[j]
         start = b.x - a.x
         r = start + h * (b.v - a.v)

@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taichi_sim.analysis.frame import Contacts, Frame
 from taichi_sim.analysis import turning
+from taichi_sim.analysis.frame import Contacts, Frame
 from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
@@ -354,7 +354,7 @@ def export(
 
 
 def _rotation(simulation: Any, frame: Frame | None) -> str:
-    """What the method takes of angular momentum, at the start or at the end, whichever is more; empty where that does not show."""
+    """Loss of angular momentum by the method, at the start or at the end, whichever is more; empty where it does not show."""
     method, scene, h = simulation.settings.integrator.method, simulation.scene, simulation.dt / simulation.substeps
     if method.turning_loss(1.0, h) == 0.0:
         return ""

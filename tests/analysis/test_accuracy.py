@@ -58,7 +58,9 @@ def test_bodies_that_turn_lose_as_much_angular_momentum_as_said(method):
             start = float(sim.angular_momentum()) if pinned else scene.mass.prod() / scene.mass.sum() * 0.09 * speed
             told = said(sim, "rotation")
             assert "take tr_bdf2" in told.cure
-            assert figure(told.what, "of the angular momentum a second") == pytest.approx(h * speed**2, rel=0.05)  # two digits
+            assert figure(told.what, "of the angular momentum a second") == pytest.approx(
+                h * speed**2, rel=0.05
+            )  # two digits
             left = figure(said(sim, "rotation").what, " is left after 1 s")
             summary = export(sim, None, fps=20, duration=end)
             assert any(line.startswith("rotation ") for line in summary.lines())

@@ -62,7 +62,7 @@ def tr_bdf2(net: ref.Network, x: Array, v: Array, h: float, steps: int) -> tuple
 
 
 def xpbd(net: ref.Network, x: Array, v: Array, h: float, steps: int) -> tuple[Array, Array]:
-    """XPBD in positions: half of each spring in turn, ordered by its lower ball, then the other one, and again in the reverse order.
+    """XPBD in positions: half of each spring in turn, ordered by its lower ball, then the other one, and again in reverse.
 
     Predict y = x + h v; for each spring C = |y_j - y_i| - l, with compliance 1 / k and damping as Macklin et al. (2016, eq. 26)
     have it, beta = c / k^2: lambda = -(C + gamma n.(y_j - x_j - y_i + x_i)) / ((1 + gamma) W + a), a = 1 / (k h^2),

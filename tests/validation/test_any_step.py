@@ -54,7 +54,7 @@ def bodies(number, seed, h):
         rest = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
         mass = 10.0 ** (rng.uniform(-2, 1) + rng.uniform(-2, 2, len(x)) * (k % 3 > 0))
         v = rng.normal(size=x.shape) * rng.choice([0.0, 0.3, 1.0]) * np.median(rest) / h
-        balls = scene.add_balls(x + [10.0 * k, 0, 0], velocity=v, mass=mass, radius=1e-3, pinned=pinned)
+        balls = scene.add_balls(x + (10.0 * k, 0, 0), velocity=v, mass=mass, radius=1e-3, pinned=pinned)
         spread = 10.0 ** rng.uniform(1, 9, len(pairs) if k % 2 == 1 else 1)
         damping = spread * (10.0 ** rng.uniform(-5, 0) if k % 4 == 0 else 0.0)
         scene.add_springs(
@@ -93,7 +93,7 @@ def gains(number, seed, h, duration, **settings):
 
 
 def test_no_body_gains_energy_at_a_thirtieth_of_a_second():
-    """Each of two faults shows here: one pass in one direction, and compressed springs that push along their predicted direction."""
+    """Either of two faults shows: one pass in one direction, and compressed springs that push along the predicted direction."""
     assert gains(60, 6, 1 / 30, 2.0).max() < GAIN  # the first: 7e5 here
     assert gains(60, 4, 1 / 30, 2.0).max() < GAIN  # the second: 0.25
 
