@@ -51,10 +51,11 @@ def bodies(number, seed, h):
     for k in range(number):
         x, pairs, pinned = (chain, chain, cloud, chain, sheet)[k % 5](rng)
         x = x * 10.0 ** rng.uniform(-1, 0.3)
+        place = np.array([10.0 * k, 0.0, 0.0])
         rest = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
         mass = 10.0 ** (rng.uniform(-2, 1) + rng.uniform(-2, 2, len(x)) * (k % 3 > 0))
         v = rng.normal(size=x.shape) * rng.choice([0.0, 0.3, 1.0]) * np.median(rest) / h
-        balls = scene.add_balls(x + (10.0 * k, 0, 0), velocity=v, mass=mass, radius=1e-3, pinned=pinned)
+        balls = scene.add_balls(x + place, velocity=v, mass=mass, radius=1e-3, pinned=pinned)
         spread = 10.0 ** rng.uniform(1, 9, len(pairs) if k % 2 == 1 else 1)
         damping = spread * (10.0 ** rng.uniform(-5, 0) if k % 4 == 0 else 0.0)
         scene.add_springs(
@@ -67,7 +68,7 @@ def bodies(number, seed, h):
     return scene, np.array(body)
 
 
-def gains(number, seed, h, duration, **settings):
+def gains(number, seed, h, duration, method="xpbd", **settings):
     """The most that kinetic and gravity energy exceed the start of each body, as a part of what it can turn into motion."""
     scene, body = bodies(number, seed, h)
     mass = np.where(scene.pinned, 0.0, scene.mass)
@@ -84,7 +85,7 @@ def gains(number, seed, h, duration, **settings):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with ts.Simulation(
-            scene, arch="cpu", precision=PRECISION, integrator="xpbd", dt=h, substeps=1, contacts="off", **settings
+            scene, arch="cpu", precision=PRECISION, integrator=method, dt=h, substeps=1, contacts="off", **settings
         ) as sim:
             for _ in range(round(duration / h)):
                 sim.step(1)
