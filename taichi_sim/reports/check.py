@@ -97,7 +97,7 @@ def lines(sim: Simulation) -> Iterator[str]:
     if elements:
         yield f"{stiff}: no spring limits them, but cells and bending do, and gas all but {IMPLICIT_EULER}"
     else:
-        yield f"{stiff}: any step is stable, its error is another matter"
+        yield f"{stiff}: any step is stable, but the error grows with it: springs are damped, and {XPBD} makes them too soft"
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
         yield f"user-defined forces act explicitly in all of them; what step {names} needs is not known, see stiffness_rate"
