@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis import turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
@@ -81,9 +82,19 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
             )
         yield from _cloth(scene)
     yield from _cells(scene)
+    yield from _turning(scene, setup)
     if setup.precision == "f32" and scene.n_balls:
         yield from _rounding(scene, setup)
         yield from _bending(scene)
+
+
+def _turning(scene: Scene, setup: Setup) -> Iterator[Finding]:
+    """What the method takes from the body that turns fastest at the start."""
+    method, h = setup.method, setup.h
+    if method.turning_loss(1.0, h) > 0.0:
+        turn = turning.fastest_turn(scene, scene.position, scene.velocity)
+        if turn is not None and turn.rate(method, h) > 0.0:
+            yield Finding("rotation", turning.sentence(turn, method, h), turning.cure(turn, method, h))
 
 
 # Bounces and impacts ---------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from taichi_sim.analysis import turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
 from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy
@@ -67,6 +68,7 @@ class Summary:
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
     step_error: StepError | None = None  # estimated by a second run, see Companion
+    rotation: str = ""  # angular momentum that the method took, where that shows
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
     settled: str = ""  # how well the scene was at rest at the start, where that was asked for
     device: str = ""  # what computed it, in words
@@ -144,6 +146,8 @@ class Summary:
                 + (f"; no promise from t = {e.unsure:.4g} s on, many contacts at once" if e.unsure is not None else "")
                 + (f"; not kept from t = {e.lost:.4g} s on" if e.lost is not None else "")
             )
+        if self.rotation:
+            lines.append(f"rotation     {self.rotation}")
         if self.solver is not None:
             s = self.solver
             lines.append(
@@ -400,6 +404,7 @@ def export(
         if frame is not None and frame.energy is not None:
             summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()
+        summary.rotation = _rotation(simulation, frame)
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
         if companion is not None:
             bar.phase(lambda _: "compiling", "frames of the second run, at half the step")
@@ -407,6 +412,19 @@ def export(
             clock.charge("simulating")
     clock.charge("writing")
     return summary
+
+
+def _rotation(simulation: Any, frame: Frame | None) -> str:
+    """Loss of angular momentum by the method, at the start or at the end, whichever is more; empty where it does not show."""
+    method, scene, h = simulation.settings.integrator.method, simulation.scene, simulation.dt / simulation.substeps
+    if method.turning_loss(1.0, h) == 0.0:
+        return ""
+    states = [(scene.position, scene.velocity)] + ([] if frame is None else [(frame.position, frame.velocity)])
+    turns = [turn for state in states if (turn := turning.fastest_turn(scene, *state)) is not None]
+    turn = max(turns, key=lambda one: one.speed, default=None)
+    if turn is None or not turn.shows(method, h):
+        return ""
+    return f"{turning.sentence(turn, method, h, simulation.time or 1.0)}; {turning.cure(turn, method, h)}"
 
 
 def _own(summary: Summary, renderer: Any) -> dict[str, Any]:

@@ -34,7 +34,7 @@ WRONG_IN_A_CYCLE = 0.01  # of a cycle's motion, likewise, where springs damp les
 def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64]) -> Iterator[str]:
     """What steps of h seconds make of the decay of the slowest motions, and the cure where it is wrong."""
     if method.single_pass and (sinking := sinking_spring(scene, h)) is not None:
-        yield f"damping               not known: ball {sinking[1]} is too heavy for its springs at this step of {method}"
+        yield f"damping               not known: ball {sinking.ball} is too heavy for its springs at this step of {method}"
         return
     if method.amplification(scene, 0.0, 0.0, h) is None:
         yield f"damping               not known: {method} declares no amplification"
@@ -97,7 +97,7 @@ def lines(sim: Simulation) -> Iterator[str]:
     if elements:
         yield f"{stiff}: springs do not limit the step; cells and bending do, and gas does except with {IMPLICIT_EULER}"
     else:
-        yield f"{stiff}: any step is stable, its error is another matter"
+        yield f"{stiff}: any step is stable, but the error grows with it: springs are damped, and {XPBD} makes them too soft"
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
         yield f"All methods treat user-defined forces explicitly. The step that {names} needs is unknown; declare stiffness_rate"
