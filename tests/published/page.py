@@ -14,7 +14,8 @@ PAGE = FOLDER.parents[1] / "docs" / "published.md"
 HEAD = """# Published tests
 
 Problems with a solution in the literature, run with the defaults of the program (Verlet, automatic step, single precision).
-Each reference is a formula or an independent numerical solution in NumPy and SciPy. `make published` measures all of them again and
+Each reference is a formula or an independent numerical solution in NumPy and SciPy. `make published` measures all of them again
+and
 writes this page; each file in `tests/published/` is one test. "Finer" lists the error with a shorter step or a finer mesh, "double" the
 error at the defaults in double precision.
 """
