@@ -23,6 +23,8 @@ def measured(names: list[str], precision: str) -> dict[str, list[dict]]:
     backend.start(arch="cpu", precision=precision)
     found = {}
     for name, module in modules(names).items():
+        if precision == "f64" and hasattr(module, "CHAOTIC"):
+            continue  # another draw, which says nothing of precision
         began = time.process_time()
         found[name] = [asdict(row) | {"error": row.error} for row in module.measure()]
         print(f"{name} ({precision}, {time.process_time() - began:.1f} s of processor time)", flush=True)

@@ -1,7 +1,8 @@
-"""Shared parts of the published tests: a measured row, the check of rows, step refinement, and the page made from them.
+"""Shared parts of the published tests: a measured row, their check, and how scenes are refined.
 
-Each file `test_NAME.py` has a docstring (title; source, formula and reference) and `measure()`, which returns rows. Names in
-`SOFT = "cause"` mark a test that the program cannot pass yet.
+Each file `test_NAME.py` has a docstring (title; problem, formula, source and reference), `measure()`, which returns rows, and a
+test that holds them. `CHAOTIC` marks a mean of random starts, measured in single precision alone. `CAUSE` says why the program
+cannot pass yet; such a test is marked xfail, strictly.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""A finite element method for plane linear elasticity with quadratic elements of nine nodes, the reference for bodies of jelly."""
+"""Plane linear elasticity by finite elements of nine nodes, the reference for bodies of jelly."""
 
 from itertools import product
 

@@ -1,13 +1,17 @@
 """Billiard in a rectangle.
 
-A disc in a box with elastic walls moves along a straight line in the plane of the box's mirror images (Tabachnikov, "Geometry and
-Billiards", 2005, chapter 2). After a thousand or more bounces its place follows by folding that line back.
+A disc in a box with elastic walls moves along a straight line in the plane of the box's mirror images (Tabachnikov,
+"Geometry and Billiards", 2005, chapter 2). After a thousand or more bounces its place follows by folding that line
+back.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.once
 
 SIZE, RADIUS, END = np.array([1.0, 0.7]), 0.04, 100.0
 START, VELOCITY = np.array([0.3, 0.2]), np.array([7.3, 4.1])

@@ -1,13 +1,16 @@
 """Ball that bounces to rest.
 
-A ball dropped from a height h bounces with restitution e infinitely often and rests after sqrt(2 h / g) (1 + e) / (1 - e) (Bernstein,
-American Journal of Physics 45, 1977, 41). Its n-th bounce rises to h e^(2 n).
+A ball dropped from a height h bounces with restitution e infinitely often and rests after sqrt(2 h / g) (1 + e) / (1 -
+e) (Bernstein, American Journal of Physics 45, 1977, 41). Its n-th bounce rises to h e^(2 n).
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, RADIUS, HEIGHT, RESTITUTION = 9.81, 0.05, 0.8, 0.75
 

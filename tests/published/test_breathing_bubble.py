@@ -1,15 +1,19 @@
 """Breathing bubble.
 
-A bubble whose gas keeps p V constant and whose skin has the mass M breathes about a radius R, where inside and outside pressure P are equal.
-Its frequency is sqrt(3 P A / (M R)) for small amplitudes, A = dV/dR (Minnaert 1933 with the exponent 1). An octahedron of gas keeps
-its shape; at an amplitude of a fifth its radius follows M R'' = (P V0 / V - P) dV/dR, integrated by SciPy with a tolerance of 1e-12.
+A bubble whose gas keeps p V constant and whose skin has the mass M breathes about a radius R, where inside and outside
+pressure P are equal. Its frequency is sqrt(3 P A / (M R)) for small amplitudes, A = dV/dR (Minnaert 1933 with the
+exponent 1). An octahedron of gas keeps its shape; at an amplitude of a fifth its radius follows M R'' = (P V0 / V - P)
+dV/dR, integrated by SciPy with a tolerance of 1e-12.
 """
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
 from tests.published.common import Row, crossings, hold, refined
+
+pytestmark = pytest.mark.long
 
 RADIUS, PRESSURE, MASS, NARROWER, END = 0.3, 50.0, 0.4, 0.8, 2.0
 

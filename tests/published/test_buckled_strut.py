@@ -1,16 +1,20 @@
 """Buckled strut.
 
-A straight elastic rod with hinged ends that come nearer by a tenth of its length bends into Euler's elastica: with k the sine of half the end's angle its
-chord is L (2 E(k) / K(k) - 1), its middle is k L / K(k) aside and its thrust is 4 K(k)^2 B / L^2, pi^2 B / L^2 at the onset (Love, "Mathematical
-Theory of Elasticity", section 263). Bending elements with the weights 1, -2, 1 and springs form the rod.
+A straight elastic rod with hinged ends that come nearer by a tenth of its length bends into Euler's elastica: with k
+the sine of half the end's angle its chord is L (2 E(k) / K(k) - 1), its middle is k L / K(k) aside and its thrust is 4
+K(k)^2 B / L^2, pi^2 B / L^2 at the onset (Love, "Mathematical Theory of Elasticity", section 263). Bending elements
+with the weights 1, -2, 1 and springs form the rod.
 """
 
 import numpy as np
+import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 import taichi_sim as ts
 from tests.published.common import DEFAULTS, Row, hold, relax
+
+pytestmark = pytest.mark.long
 
 LENGTH, RIGIDITY, EXTENSION, MASS = 1.0, 0.01, 400.0, 0.1  # m, N m^2, N, kg
 NEARER = 0.1

@@ -1,14 +1,17 @@
 """Rope around a capstan.
 
-Two weights hang on a light rope over a fixed round bar. Without friction they move with (m1 - m2) / (m1 + m2) g (Atwood 1784). With friction the
-pulls differ by the factor e^(mu pi) while the rope slides (Euler 1769, Eytelwein 1808), so that they move with
-(m1 - m2 e^(mu pi)) / (m1 + m2 e^(mu pi)) g, and stay where m1 < m2 e^(mu pi).
+Two weights hang on a light rope over a fixed round bar. Without friction they move with (m1 - m2) / (m1 + m2) g (Atwood
+1784). With friction the pulls differ by the factor e^(mu pi) while the rope slides (Euler 1769, Eytelwein 1808), so
+that they move with (m1 - m2 e^(mu pi)) / (m1 + m2 e^(mu pi)) g, and stay where m1 < m2 e^(mu pi).
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, BAR, MU, HEAVY, LIGHT = 9.81, 0.25, 0.2, 2.0, 0.8
 COUNT, RADIUS, STIFFNESS, LENGTH = 81, 0.004, 4e4, 2.4  # balls of the rope, m, N/m, m

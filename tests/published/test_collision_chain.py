@@ -1,14 +1,18 @@
 """Chain of elastic collisions.
 
-A heavy ball strikes a row of balls, each lighter than the one before. Each central elastic impact hands on 2 m_i / (m_i + m_(i+1)) of the speed
-(Huygens, "De motu corporum ex percussione", 1656; Kerwin, American Journal of Physics 40, 1972, 1152). With masses in a geometric row the
-last ball is faster the more balls there are. Seven balls of masses 64 to 1; with equal masses the row is Newton's cradle.
+A heavy ball strikes a row of balls, each lighter than the one before. Each central elastic impact hands on 2 m_i / (m_i
++ m_(i+1)) of the speed (Huygens, "De motu corporum ex percussione", 1656; Kerwin, American Journal of Physics 40, 1972,
+1152). With masses in a geometric row the last ball is faster the more balls there are. Seven balls of masses 64 to 1;
+with equal masses the row is Newton's cradle.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 COUNT, SPEED, RADIUS, GAP = 7, 1.7, 0.05, 0.02
 MASSES = {"64 to 1": 2.0 ** np.arange(COUNT - 1, -1, -1), "equal": np.ones(COUNT)}

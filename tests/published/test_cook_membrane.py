@@ -1,8 +1,9 @@
 """Cook's membrane.
 
-A tapered panel with the corners (0, 0), (48, 44), (48, 60), (0, 44) is held at its left side and loaded upward at its right one (Cook, Journal of the
-Structural Division 100, 1974, 1851). With Poisson's ratio 1/3 in two dimensions (plane stress) the middle of the right side rises by 23.96 F / E; with
-0.98 (plane strain 0.495) and the panel's own weight the reference is a finite element solution (nine nodes an element, 32 x 32).
+A tapered panel with the corners (0, 0), (48, 44), (48, 60), (0, 44) is held at its left side and loaded upward at its
+right one (Cook, Journal of the Structural Division 100, 1974, 1851). With Poisson's ratio 1/3 in two dimensions (plane
+stress) the middle of the right side rises by 23.96 F / E; with 0.98 (plane strain 0.495) and the panel's own weight the
+reference is a finite element solution (nine nodes an element, 32 x 32).
 """
 
 import tempfile
@@ -14,6 +15,8 @@ import pytest
 import taichi_sim as ts
 from tests.published.common import DEFAULTS, Row, hold, relax
 from tests.published.elasticity import near, plane_moduli, solve
+
+pytestmark = pytest.mark.long
 
 CAUSE = "jelly of springs and squares is too stiff in bending and follows slanted outlines by steps."
 UNIT, YOUNG, FORCE, G, DENSITY = 0.01, 1e4, 1.0, 10.0, 0.02  # m, N/m, N, m/s^2, kg/m^2

@@ -1,14 +1,17 @@
 """Oscillator with dry friction.
 
-A body on a spring slides on a floor with friction mu. Each half swing is one of sqrt(k / m) about a place shifted by mu m g / k, so that turning
-points come nearer by 2 mu m g / k, until one lies within mu m g / k, where the body stays (Lorenz 1924; Marchewka, Abbott and Beichner,
-American Journal of Physics 72, 2004, 477).
+A body on a spring slides on a floor with friction mu. Each half swing is one of sqrt(k / m) about a place shifted by mu
+m g / k, so that turning points come nearer by 2 mu m g / k, until one lies within mu m g / k, where the body stays
+(Lorenz 1924; Marchewka, Abbott and Beichner, American Journal of Physics 72, 2004, 477).
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, MASS, STIFFNESS, MU, START, RADIUS = 9.81, 0.5, 80.0, 0.12, 0.1, 0.02
 SHIFT = MU * MASS * G / STIFFNESS

@@ -1,16 +1,19 @@
 """Elastic pendulum near its 1:2 resonance.
 
-The energy of a ball on a soft spring goes from bouncing to swinging and back when the spring's frequency is twice that of the pendulum
-(Vitt and Gorelik, 1933; Nayfeh and Mook, "Nonlinear Oscillations", section 6.2). The reference is the equation of motion in polar
-coordinates, integrated by SciPy's DOP853 with a tolerance of 1e-12. The swing's largest width, the time at which it is reached and
-the position after 8 s are compared.
+The energy of a ball on a soft spring goes from bouncing to swinging and back when the spring's frequency is twice that
+of the pendulum (Vitt and Gorelik, 1933; Nayfeh and Mook, "Nonlinear Oscillations", chapter 6). The reference is the
+equation of motion in polar coordinates, integrated by SciPy's DOP853 with a tolerance of 1e-12. The swing's largest
+width, the time at which it is reached and the position after 8 s are compared.
 """
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.once
 
 G, MASS, REST, STIFFNESS = 9.81, 0.8, 0.6, 0.8 * 3 * 9.81 / 0.6  # k L0 = 3 m g: 1:2
 START, END = np.array([0.05, -1.0]), 8.0

@@ -1,14 +1,17 @@
 """Falling slinky.
 
-A hanging spring of mass M and stiffness K is let go at its top. Its lower end stays where it is until the wave from the top arrives after
-sqrt(M / K) (Calkin, American Journal of Physics 61, 1993, 261). A chain of springs of rest length 0 is linear: its exact motion
-follows from the eigenvectors of its stiffness matrix. The turns may pass each other here.
+A hanging spring of mass M and stiffness K is let go at its top. Its lower end stays where it is until the wave from the
+top arrives after sqrt(M / K) (Calkin, American Journal of Physics 61, 1993, 261). A chain of springs of rest length 0
+is linear: its exact motion follows from the eigenvectors of its stiffness matrix. The turns may pass each other here.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.once
 
 G, N, MASS, STIFFNESS = 9.81, 60, 0.3, 1.2  # balls; kg and N/m of the whole
 M, K = MASS / N, STIFFNESS * (N - 1)

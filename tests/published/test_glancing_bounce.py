@@ -1,14 +1,18 @@
 """Bounce of a spinning ball (superball, rigid limit).
 
 A sphere hits a floor with the speeds v down and u along, and the spin w. The surface point has u + r w. It sticks where
-|u + r w| < 7/2 mu (1 + e) v, which takes 2/7 of u + r w from u; else friction takes mu (1 + e) v (Garwin, American Journal of Physics 37, 1969,
-88; Foerster et al., Physics of Fluids 6, 1994, 1108, with no tangential restitution). The spin changes by 5/(2 r) of what u does.
+|u + r w| < 7/2 mu (1 + e) v, which takes 2/7 of u + r w from u; else friction takes mu (1 + e) v (Garwin, American
+Journal of Physics 37, 1969, 88; Foerster et al., Physics of Fluids 6, 1994, 1108, with no tangential restitution). The
+spin changes by 5/(2 r) of what u does.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 RADIUS, DOWN, E, MU = 0.1, 2.0, 0.7, 0.15
 ALONG = np.array([0.2, 1.0, 1.7, 1.9, 3.0, 6.0])  # m/s; 7/2 mu (1 + e) v is 1.785

@@ -1,15 +1,20 @@
 """Cooling of a granular gas (Haff's law).
 
-Discs that lose 1 - e^2 of the energy along the line of centres in each collision cool as T0 / (1 + t / tau)^2 while they stay evenly spread (Haff,
-Journal of Fluid Mechanics 134, 1983, 401). 1 / tau = (1 - e^2) nu / 4 with Enskog's collision rate nu = 2 sqrt(pi) n d chi sqrt(T / m), chi = (1 - 7 y / 16) /
-(1 - y)^2 (Henderson). Walls are elastic. Mean over two starts.
+Discs that lose 1 - e^2 of the energy along the line of centres in each collision cool as T0 / (1 + t / tau)^2 while
+they stay evenly spread (Haff, Journal of Fluid Mechanics 134, 1983, 401). 1 / tau = (1 - e^2) nu / 4 with Enskog's
+collision rate nu = 2 sqrt(pi) n d chi sqrt(T / m), chi = (1 - 7 y / 16) / (1 - y)^2 (Henderson). Walls are elastic.
+Mean over two starts.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import DEFAULTS, Row, hold
 from tests.published.gas import COUNT, SEEDS, SPEED, box
+
+pytestmark = [pytest.mark.long, pytest.mark.once]
+CHAOTIC = True
 
 FILLED, RESTITUTION = 0.1, 0.95
 

@@ -1,14 +1,19 @@
 """Flow out of a hopper (Beverloo's law).
 
-In two dimensions the number of discs that leave a flat-bottomed silo per second grows as (D - k d)^(3/2) with the width D of the opening, d the
-diameter and k about 1 to 1.5, and does not depend on the height of the filling (Beverloo, Leniger and van de Velde 1961; Mankoc et al.,
-Granular Matter 9, 2007, 407). The prefactor is C sqrt(g) / d^2 times the packing; the exponent is fitted with k = 1.3.
+In two dimensions the number of discs that leave a flat-bottomed silo per second grows as (D - k d)^(3/2) with the width
+D of the opening, d the diameter and k about 1 to 1.5, and does not depend on the height of the filling (Beverloo,
+Leniger and van de Velde 1961; Mankoc et al., Granular Matter 9, 2007, 407). The prefactor is C sqrt(g) / d^2 times the
+packing; the exponent is fitted with k = 1.3.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import DEFAULTS, Row, hold
+
+pytestmark = [pytest.mark.long, pytest.mark.once]
+CHAOTIC = True
 
 G, RADIUS, WIDTH, ROWS, COLUMNS = 9.81, 0.01, 0.8, 42, 36
 DIAMETER = 2 * RADIUS

@@ -1,7 +1,8 @@
 """Bar of jelly that bends under its weight.
 
-A bar five times as long as high is held at one end. The reference is a finite element solution with nine nodes an element, 40 x 8; the bar is
-jelly four squares high, eight in the finer one, Poisson's ratio 1/3 and 0.9 in two dimensions. The weight bends it by 1 % of its length.
+A bar five times as long as high is held at one end. The reference is a finite element solution with nine nodes an
+element, 40 x 8; the bar is jelly four squares high, eight in the finer one, Poisson's ratio 1/3 and 0.9 in two
+dimensions. The weight bends it by 1 % of its length.
 """
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 import taichi_sim as ts
 from tests.published.common import DEFAULTS, Row, hold, relax
 from tests.published.elasticity import near, plane_moduli, solve
+
+pytestmark = pytest.mark.long
 
 CAUSE = "squares of springs and cells of one pressure are too stiff in bending: the error falls with the square of their number."
 G, LENGTH, HEIGHT, YOUNG, DENSITY = 9.81, 1.0, 0.2, 2e5, 5.0

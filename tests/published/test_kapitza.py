@@ -1,15 +1,19 @@
 """Kapitza's pendulum.
 
-A pendulum whose pivot vibrates quickly along the vertical stands upside down where a^2 w^2 > 2 g l. It swings slowly about the top with
-sqrt(a^2 w^2 / (2 l^2) - g / l) for a small (Kapitza 1951; Landau and Lifshitz, "Mechanics", section 30). The reference is the equation of a
-rigid pendulum, integrated by SciPy's DOP853 with a tolerance of 1e-11. With a slower pivot it falls.
+A pendulum whose pivot vibrates quickly along the vertical stands upside down where a^2 w^2 > 2 g l. It swings slowly
+about the top with sqrt(a^2 w^2 / (2 l^2) - g / l) for a small (Kapitza 1951; Landau and Lifshitz, "Mechanics", section
+30). The reference is the equation of a rigid pendulum, integrated by SciPy's DOP853 with a tolerance of 1e-11. With a
+slower pivot it falls.
 """
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
 from tests.published.common import Row, crossings, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, LENGTH, MASS, STIFFNESS, DAMPING = 9.81, 0.5, 0.2, 2e6, 20.0
 SWING, PER_SECOND, POINTS = 0.04, 25, 40  # m, swings of the pivot per second, keyframes for each

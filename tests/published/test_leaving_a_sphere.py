@@ -1,14 +1,17 @@
 """Ball that leaves a sphere.
 
-A small push sends a ball from the top of a fixed sphere. Without friction it leaves where cos(angle) = 2/3; a sphere that rolls without slipping
-leaves where cos(angle) = 10/17 (Pars, "Analytical Dynamics", 1965; Bukina and Dubovik 2014). Energy of the push is allowed for: the
-cosine grows by v^2 / (3 g d), rolling 7 v^2 / (17 g d), d the distance of the centres.
+A small push sends a ball from the top of a fixed sphere. Without friction it leaves where cos(angle) = 2/3; a sphere
+that rolls without slipping leaves where cos(angle) = 10/17 (a classical exercise). The energy of the push v is allowed
+for: the cosine grows by v^2 / (3 g d), rolling by 7 v^2 / (17 g d), d the distance of the centres.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, LARGE, SMALL, PUSH = 9.81, 1.0, 0.1, 0.15
 

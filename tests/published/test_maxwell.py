@@ -1,14 +1,19 @@
 """Maxwell's distribution of speeds.
 
-Elastic discs that all start with the same speed reach Maxwell's distribution by collisions: <v^4> / <v^2>^2 = 2 and <|v|> = sqrt(pi k T / (2 m)) in
-two dimensions (Maxwell 1860). Mean over two starts and 100 moments between 2 and 12 s; energy stays.
+Elastic discs that all start with the same speed reach Maxwell's distribution by collisions: <v^4> / <v^2>^2 = 2 and
+<|v|> = sqrt(pi k T / (2 m)) in two dimensions (Maxwell 1860). Mean over two starts and 100 moments between 2 and 12 s;
+energy stays.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold
 from tests.published.gas import COUNT, SEEDS, SPEED, box
+
+pytestmark = [pytest.mark.long, pytest.mark.once]
+CHAOTIC = True
 
 
 def measure():

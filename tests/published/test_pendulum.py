@@ -1,15 +1,18 @@
 """Pendulum at large amplitudes.
 
-A ball on a nearly rigid spring swings from rest at an angle of 30 to 170 degrees. Its period is 4 sqrt(L / g) K(sin(amplitude / 2)), K
-the complete elliptic integral of the first kind (Lima and Arun, American Journal of Physics 74, 2006, 892). L is the length of
-the hanging spring.
+A ball on a nearly rigid spring swings from rest at an angle of 30 to 170 degrees. Its period is 4 sqrt(L / g)
+K(sin(amplitude / 2)), K the complete elliptic integral of the first kind (Lima and Arun, American Journal of Physics
+74, 2006, 892). L is the length of the hanging spring.
 """
 
 import numpy as np
+import pytest
 from scipy.special import ellipk
 
 import taichi_sim as ts
 from tests.published.common import Row, crossings, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, LENGTH, STIFFNESS, MASS = 9.81, 0.7, 2e6, 1.3
 AMPLITUDES = (30, 90, 150, 170)  # degrees

@@ -1,15 +1,19 @@
 """Random packing of discs.
 
-Discs of two sizes, 1 and 1.4, equal in number and without friction, jam at the share 0.841 of the area (O'Hern, Silbert, Liu and Nagel, Physical
-Review E 68, 2003, 011306). Dropped into a box they settle to it, apart from the walls; the share is that of the middle of the heap,
-from the area of discs cut by the window's border. Mean over four starts.
+Discs of two sizes, 1 and 1.4, equal in number and without friction, jam at the share 0.841 of the area (O'Hern,
+Silbert, Liu and Nagel, Physical Review E 68, 2003, 011306). Dropped into a box they settle to it, apart from the walls;
+the share is that of the middle of the heap, from the area of discs cut by the window's border. Mean over four starts.
 """
 
 import numpy as np
+import pytest
 from scipy.spatial import cKDTree
 
 import taichi_sim as ts
 from tests.published.common import DEFAULTS, Row, hold
+
+pytestmark = [pytest.mark.long, pytest.mark.once]
+CHAOTIC = True
 
 G, RADIUS, COLUMNS, ROWS = 9.81, 0.01, 24, 24
 WIDTH = COLUMNS * 2.2 * 1.4 * RADIUS

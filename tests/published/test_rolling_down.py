@@ -1,13 +1,17 @@
 """Ball on an incline.
 
-A sphere rolls down an incline with 5/7 g sin(angle) where tan(angle) < 7/2 mu; on a steeper one it slides with g (sin(angle) - mu cos(angle)) and
-spins up with 5 mu g cos(angle) / (2 r) (Galilei 1638; Landau and Lifshitz, "Mechanics", section 38).
+A sphere rolls down an incline with 5/7 g sin(angle) where tan(angle) < 7/2 mu; on a steeper one it slides with g
+(sin(angle) - mu cos(angle)) and spins up with 5 mu g cos(angle) / (2 r) (Galilei 1638; Landau and Lifshitz,
+"Mechanics", section 38).
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, RADIUS, MU, END = 9.81, 0.05, 0.2, 0.8
 ANGLES = (10, 30, 34, 37, 60)  # degrees; the threshold is 34.99

@@ -1,15 +1,19 @@
 """Precession of a spherical pendulum.
 
-The ellipse in which a pendulum swings turns with about 3/8 of its frequency times the angles of its half axes (Airy 1851; Olsson,
-American Journal of Physics 46, 1978, 1118). At large angles the angle between two outermost points is an integral over the polar
-angle; the equation of motion of a rigid pendulum, integrated by SciPy with a tolerance of 1e-12, gives the reference.
+The ellipse in which a pendulum swings turns with about 3/8 of its frequency times the angles of its half axes (Airy
+1851; Olsson, American Journal of Physics 46, 1978, 1118). At large angles the angle between two outermost points is an
+integral over the polar angle; the equation of motion of a rigid pendulum, integrated by SciPy with a tolerance of
+1e-12, gives the reference.
 """
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, LENGTH, MASS, STIFFNESS = 9.81, 0.9, 0.6, 1e6
 OUT, ASIDE = np.radians(50.0), 0.8  # rad, m/s across

@@ -1,14 +1,17 @@
 """Spinning pair on a spring.
 
-Two balls of masses m1 and m2 turn about their centre with angular velocity W. Their spring stretches to L / (1 - m W^2 / k), m the reduced mass.
-A smaller or larger start makes their distance breathe with sqrt(k / m + 3 W^2) (small oscillations about a circular orbit, Goldstein,
-"Classical Mechanics", section 3.6).
+Two balls of masses m1 and m2 turn about their centre with angular velocity W. Their spring stretches to L / (1 - m W^2
+/ k), m the reduced mass. A slightly wider start makes their distance breathe with sqrt(k / m + 3 W^2) (small
+oscillations about a circular orbit, Goldstein, "Classical Mechanics", chapter 3).
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, crossings, hold, refined
+
+pytestmark = pytest.mark.long
 
 M1, M2, STIFFNESS, REST, RATE = 0.4, 1.6, 40.0, 0.5, 5.0
 REDUCED = M1 * M2 / (M1 + M2)

@@ -1,16 +1,19 @@
 """Orbit on a spring.
 
-A ball circles a pinned one on a spring with a rest length. Its distance swings between two turning points r1 and r2 and its orbit
-precesses. The angle from one farthest point to the next is 2 times the integral of L / (r^2 p) dr from r1 to r2, where p is the
-radial momentum (Landau and Lifshitz, "Mechanics", section 14). SciPy's quad gives the reference.
+A ball circles a pinned one on a spring with a rest length. Its distance swings between two turning points r1 and r2 and
+its orbit precesses. The angle from one farthest point to the next is 2 times the integral of L / (r^2 p) dr from r1 to
+r2, where p is the radial momentum (Landau and Lifshitz, "Mechanics", section 14). SciPy's quad gives the reference.
 """
 
 import numpy as np
+import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 MASS, REST, STIFFNESS = 0.5, 0.4, 20.0
 FAR, SPEED = 1.0, 1.5  # m, m/s at the farthest point, across

@@ -1,14 +1,18 @@
 """Plate that falls in air.
 
-A flat plate of mass m and area A that falls face down in still air of density rho has the speed v tanh(g t / v) with
-v = sqrt(2 m g / (rho A C)), C the drag coefficient (quadratic drag; Timmerman and van der Weele, American Journal of Physics 67, 1999,
-538). The plate is a hexagon of six triangles whose masses are shared as the drag is, so that it stays flat.
+A flat plate of mass m and area A that falls face down in still air of density rho has the speed v tanh(g t / v) with v
+= sqrt(2 m g / (rho A C)), C the drag coefficient (quadratic drag; Timmerman and van der Weele, American Journal of
+Physics 67, 1999, 538). The plate is a hexagon of six triangles whose masses are shared as the drag is, so that it stays
+flat.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, MASS, SIDE, DENSITY, DRAG = 9.81, 0.12, 0.4, 1.2, 1.17
 AREA = 1.5 * np.sqrt(3) * SIDE**2

@@ -1,14 +1,18 @@
 """Ball that rolls on a turntable.
 
-A sphere that rolls without slipping on a table turning with W moves on a circle, whatever its start: its centre turns with 2/7 W
-(Weltner, American Journal of Physics 47, 1979, 984). Started at rest in the room at a distance d from the axis, touching the table
-without spin, it is first dragged along until it rolls; from then on radius and centre of the circle stay.
+A sphere that rolls without slipping on a table turning with W moves on a circle, whatever its start: its centre turns
+with 2/7 W (Weltner, American Journal of Physics 47, 1979, 984). Started at rest in the room at a distance d from the
+axis, touching the table without spin, it is first dragged along until it rolls; from then on radius and centre of the
+circle stay.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 G, RADIUS, MU, TURN, END = 9.81, 0.04, 0.8, 90.0, 40.0  # TURN in degrees per second
 

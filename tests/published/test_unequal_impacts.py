@@ -1,14 +1,18 @@
 """Oblique impacts of unequal discs.
 
-Two smooth discs meet off centre. The velocity along the line of centres changes by -(1 + e) m2 / (m1 + m2) times the speed of approach, the
-velocity across it stays (Whittaker, "Analytical Dynamics", section 100). Offsets of 0 to 0.8 of the sum of radii, mass ratios 1, 7 and 150,
-restitution 1 and 0.6. The line of centres of the reference is that of first contact.
+Two smooth discs meet off centre. The velocity along the line of centres changes by -(1 + e) m2 / (m1 + m2) times the
+speed of approach, the velocity across it stays (Whittaker, "Analytical Dynamics", chapter 8). Offsets of 0 to 0.8 of
+the sum of radii, mass ratios 1, 7 and 150, restitution 1 and 0.6. The line of centres of the reference is that of first
+contact.
 """
 
 import numpy as np
+import pytest
 
 import taichi_sim as ts
 from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
 
 RADII, SPEED = np.array([0.06, 0.1]), 1.3
 CASES = [(ratio, offset, e) for ratio in (1, 7, 150) for offset in (0.0, 0.3, 0.8) for e in (1.0, 0.6)]
