@@ -11,7 +11,7 @@ import pytest
 import taichi_sim as ts
 from tests.published.common import Row, history, hold, refined
 
-pytestmark = pytest.mark.once
+pytestmark = pytest.mark.long
 
 G, RADIUS, SPEED, MU = 9.81, 0.03, 1.4, 0.2
 

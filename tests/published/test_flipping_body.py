@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import taichi_sim as ts
 from tests.published.common import Row, crossings, hold, refined
 
-pytestmark = pytest.mark.once
+pytestmark = pytest.mark.long
 
 ARMS, MASS, STIFFNESS = np.array([0.5, 0.35, 0.2]), 0.5, 1e6  # m, kg, N/m
 MOMENTS = 2 * MASS * np.array([ARMS[1] ** 2 + ARMS[2] ** 2, ARMS[0] ** 2 + ARMS[2] ** 2, ARMS[0] ** 2 + ARMS[1] ** 2])
