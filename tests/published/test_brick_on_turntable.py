@@ -1,8 +1,8 @@
 """Brick on a turntable.
 
-A body that turns with a table of angular velocity W stays where r < mu g / W^2 and slides off farther out. A sliding body is decelerated by mu g
-against its velocity over the table; SciPy integrates its way (tolerance 1e-10). The bodies are pairs of balls on a stiff spring, which cannot
-roll; their middle is compared.
+A body that turns with a table of angular velocity W stays where r < mu g / W^2 and slides off farther out. A sliding
+body is decelerated by mu g against its velocity over the table; SciPy integrates its way (tolerance 1e-10). The bodies
+are pairs of balls on a stiff spring, which cannot roll; their middle is compared.
 """
 
 import numpy as np
