@@ -47,7 +47,7 @@ def main() -> None:
     if chosen.names or chosen.json:
         rows = measured(chosen.names, chosen.precision)
         if chosen.json:
-            chosen.json.write_text(json.dumps(rows))
+            chosen.json.write_text(json.dumps(rows, default=float))
         return
     both = {}
     with tempfile.TemporaryDirectory() as folder:

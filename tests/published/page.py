@@ -68,7 +68,7 @@ def page(measured: dict[str, dict[str, list[dict]]]) -> str:
                 finer,
                 percent(twice[0]["error"]) if twice else "",
             )
-            lines.append("| " + " | ".join(cells) + " |")
+            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     for name, module in modules().items():
         title, text = title_and_text(module)
         cause = getattr(module, "CAUSE", "")

@@ -2,7 +2,8 @@
 
 Discs that fill a share y of the area have the pressure n k T (1 + y^2 / 8) / (1 - y)^2 (Henderson, Molecular Physics
 30, 1975, 971), n their number per area. In a box, centres keep a radius away from walls and gather near them; n is the
-density of the middle. Mean over two starts, on a wall's middle half, from the impulses of balls that turn around there.
+density of the middle. Mean over two starts, on the middle of each wall, from the impulses of balls that turn around
+there. At the default step discs move a thirtieth of a radius; impacts found at the end of a step make them smaller.
 """
 
 import numpy as np
@@ -58,8 +59,8 @@ def measure():
         share = density * np.pi * radius**2
         exact = (1 + share**2 / 8) / (1 - share) ** 2
         found = pressure / (density * SPEED**2)
-        name = DEFAULTS if finer == 1 else f"dt / {finer}"
-        rows.append(Row(f"p / (n k T), share {filled:g}", "", exact, found, 0.03, settings=name))
+        name, allowed = (DEFAULTS, 0.05) if finer == 1 else (f"dt / {finer}", 0.03)
+        rows.append(Row(f"p / (n k T), share {filled:g}", "", exact, found, allowed, settings=name))
     return rows
 
 
