@@ -1,0 +1,72 @@
+"""Cook's membrane.
+
+A tapered panel with the corners (0, 0), (48, 44), (48, 60), (0, 44) is held at its left side and loaded upward at its
+right one (Cook, Journal of the Structural Division 100, 1974, 1851). With Poisson's ratio 1/3 in two dimensions (plane
+stress) the middle of the right side rises by 23.96 F / E without its weight; with the panel's own weight, and with 0.98
+(plane strain 0.495), the reference is a finite element solution (nine nodes an element, 32 x 32).
+"""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from tests.published.common import DEFAULTS, Row, hold, relax
+from tests.published.elasticity import near, plane_moduli, solve
+
+pytestmark = pytest.mark.long
+
+CAUSE = "jelly of springs and squares is too stiff in bending and follows slanted outlines by steps."
+UNIT, YOUNG, FORCE, G, DENSITY = 0.01, 1e4, 1.0, 10.0, 0.02  # m, N/m, N, m/s^2, kg/m^2
+OUTLINE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 48 60"><path d="M0 60 L48 16 L48 0 L0 16 Z" fill="#888"/></svg>'
+
+
+def panel(unit):
+    """Places of the unit square's points on the panel."""
+    u, v = unit.T
+    return np.stack([48 * u, 44 * u * (1 - v) + (44 + 16 * u) * v], axis=1)
+
+
+def scene(file, spacing, poisson):
+    """The panel under a load upward, and the balls of its right side."""
+    scene = ts.Scene(dim=2, gravity=(0, G))
+    ts.shapes.svg(
+        scene,
+        file,
+        height=60 * UNIT,
+        spacing=spacing * UNIT,
+        density=DENSITY,
+        young_modulus=YOUNG,
+        poisson_ratio=poisson,
+    )
+    x = scene.position[:, 0]
+    scene.set_balls(np.flatnonzero(x < x.min() + 1e-6), pinned=True)
+    right = np.flatnonzero(x > x.max() - 1e-6)
+    scene.set_balls(right, mass=scene.mass[right] + FORCE / G / len(right))
+    return scene, right
+
+
+def measure():
+    """Rise of the right side in parts of F / E; the mesh at the defaults has a spacing of 4."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "panel.svg"
+        file.write_text(OUTLINE)
+        for poisson in (1 / 3, 0.98):
+            own = (0, DENSITY * G * UNIT**2 / FORCE)
+            mesh = solve((32, 32), panel, plane_moduli(1, poisson), lambda u: u[:, 0] == 0, own, traction=(0, 1 / 16))
+            exact = near(*mesh, (48, 52))[1]
+            for spacing, settings in ((4, DEFAULTS), (2, "half the spacing")):
+                made, right = scene(file, spacing, poisson)
+                with ts.Simulation(made) as sim:
+                    relax(sim, still=1e-6, longest=20.0)
+                    found = np.mean((sim.position - made.position)[right, 1]) * YOUNG / FORCE
+                rows.append(Row(f"rise, Poisson's ratio {poisson:.2g}", "F/E", exact, found, 0.05, settings=settings))
+    return rows
+
+
+@pytest.mark.xfail(strict=True, reason=CAUSE)
+def test_rise():
+    hold(measure())

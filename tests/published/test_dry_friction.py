@@ -1,0 +1,63 @@
+"""Oscillator with dry friction.
+
+A body on a spring slides on a floor with friction mu. Each half swing is one of sqrt(k / m) about a place shifted by mu
+m g / k, so that turning points come nearer by 2 mu m g / k, until one lies within mu m g / k, where the body stays
+(Lorenz 1924; Marchewka, Abbott and Beichner, American Journal of Physics 72, 2004, 477).
+"""
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
+
+G, MASS, STIFFNESS, MU, START, RADIUS = 9.81, 0.5, 80.0, 0.12, 0.1, 0.02
+SHIFT = MU * MASS * G / STIFFNESS
+
+
+def scene():
+    """A ball on a floor, joined to a pinned one by a stretched spring."""
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    dry = scene.add_material("dry", friction=MU)
+    pair = scene.add_balls([[-1.0, RADIUS], [START, RADIUS]], radius=RADIUS, mass=MASS, pinned=[0], material=dry)
+    scene.add_springs([pair], stiffness=STIFFNESS, rest_length=1.0)
+    scene.add_wall((0, 1), 0.0, dry)
+    return scene
+
+
+def reference():
+    """Turning points [m], the last of them the place of rest."""
+    points, side = [START], 1
+    while abs(points[-1]) > SHIFT:
+        points.append(2 * side * SHIFT - points[-1])
+        side = -side
+    return points
+
+
+def measure():
+    """Turning points, the place of rest and its time."""
+    points, rows = reference(), []
+    rest = (len(points) - 1) * np.pi * np.sqrt(MASS / STIFFNESS)
+    for settings, sim in refined(scene, 4):
+        time, x, v = [], [], []
+        while sim.time < 1.5 * rest:
+            sim.step()
+            time.append(sim.time)
+            x.append(sim.position[1, 0])
+            v.append(sim.velocity[1, 0])
+        x, v = np.array(x), np.array(v)
+        turn = np.flatnonzero((v[:-1] * v[1:] < 0) | ((v[:-1] != 0) & (v[1:] == 0)))
+        for k in (1, 4):
+            rows.append(Row(f"turning point {k}", "m", points[k], x[turn[k - 1]], 5e-3, scale=START, settings=settings))
+        still = time[np.flatnonzero(np.abs(x - x[-1]) > 1e-5)[-1] + 1]
+        rows += [
+            Row("place of rest", "m", points[-1], x[-1], 5e-3, scale=START, settings=settings),
+            Row("time of rest", "s", rest, still, 0.02, settings=settings),
+        ]
+    return rows
+
+
+def test_turning_points():
+    hold(measure())

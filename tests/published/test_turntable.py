@@ -1,0 +1,51 @@
+"""Ball that rolls on a turntable.
+
+A sphere that rolls without slipping on a table turning with W moves on a circle, whatever its start: its centre turns
+with 2/7 W (Weltner, American Journal of Physics 47, 1979, 984). Started at rest in the room at a distance d from the
+axis, touching the table without spin, it is first dragged along until it rolls; from then on radius and centre of the
+circle stay.
+"""
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from tests.published.common import Row, hold, refined
+
+pytestmark = pytest.mark.long
+
+G, RADIUS, MU, TURN, END = 9.81, 0.04, 0.8, 90.0, 40.0  # TURN in degrees per second
+
+
+def scene():
+    """A ball on a turning box, off its axis."""
+    scene = ts.Scene(dim=3, gravity=(0, -G, 0))
+    rough = scene.add_material("rough", friction=MU)
+    scene.add_balls([[0.3, RADIUS, 0]], radius=RADIUS, mass=0.2, material=rough)
+    scene.add_collider(ts.Box((0, -0.1, 0), (4, 0.2, 4), material=rough, rotation_rate=(0, TURN, 0)))
+    return scene
+
+
+def measure():
+    """Angular velocity on the circle, by the turn of the ball's velocity, and the drift of its radius."""
+    rows, rate = [], np.radians(TURN)
+    for settings, sim in refined(scene, 4):
+        sim.run(1.0)
+        time, speed, heading = [], [], []
+        while sim.time < END:
+            v = sim.velocity[0]
+            time.append(sim.time)
+            speed.append(np.hypot(v[0], v[2]))
+            heading.append(np.arctan2(-v[2], v[0]))
+            sim.step(round(0.05 / sim.dt))
+        turned = np.unwrap(heading)
+        found = np.polyfit(time, turned, 1)[0]
+        rows += [
+            Row("angular velocity, in that of the table", "", 2 / 7, found / rate, 5e-3, settings=settings),
+            Row("speed after 40 s, in that after 1 s", "", 1.0, speed[-1] / speed[0], 0.01, settings=settings),
+        ]
+    return rows
+
+
+def test_circles():
+    hold(measure())
