@@ -33,14 +33,14 @@ def find(walls: ti.template(), x, i, crowded, h):
                             at.slot[e].key = EMPTY
                         ready = True
                         fill_slot(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n, h)
-    if ready:
-        forget_hidden(walls, x, i)
     filled = 0
     for e in range(first, ti.select(ready, first + at.count, first)):
         if at.slot[e].gap == FAR_GAP:
             at.slot[e].key = EMPTY
         else:
             filled += 1
+    if filled > 0 and filled + walls.planes.count > 1:
+        filled -= forget_hidden(walls, x, i)
     at.filled[i] = filled
     return ti.select(ready, walls.count, walls.planes.count)
 
@@ -75,19 +75,22 @@ def fill_slot(walls: ti.template(), i, k, key, gap, n, point, h):
 @ti.func
 def forget_hidden(walls: ti.template(), x, i):
     """Empty the slots of ball i at x whose contact is hidden by another one of it: at a seam of surfaces in one plane the edge of
-    the next one, whose direction would throw up what slides there."""
+    the next one, whose direction would throw up what slides there. Returns how many."""
     at = walls.collider_contacts
     first = i * at.count
-    hidden = 0
+    hidden, number = 0, 0
     for s in range(at.count):
-        if at.slot[first + s].gap != FAR_GAP:
+        if at.slot[first + s].key >= 0:
             for k in range(walls.count):
-                if is_hidden(walls, x, i, s, k):
+                if hidden >> s & 1 == 0 and is_hidden(walls, x, i, s, k):
                     hidden |= 1 << s
+                    number += 1
     for s in range(at.count):
         if hidden >> s & 1 == 1:
             at.slot[first + s].gap = FAR_GAP
+            at.slot[first + s].key = EMPTY
             walls.forget(i * walls.count + walls.planes.count + s)
+    return number
 
 
 @ti.func
@@ -103,7 +106,7 @@ def is_hidden(walls: ti.template(), x, i, s, k):
         gap, n = walls.planes.gap(x, i, k), walls.planes.wall[k].normal
     elif k - planes != s:
         other = at.slot[i * at.count + k - planes]
-        if other.gap != FAR_GAP and other.key // at.faces != own.key // at.faces:
+        if other.key >= 0 and other.key // at.faces != own.key // at.faces:
             gap, n, key = other.gap, other.normal, other.key
             far += walls.colliders.distance_from_origin(key // at.faces)
     touch = walls.tolerance(x, i, far)
