@@ -133,7 +133,7 @@ def test_an_eel_swims():
     assert abs(speed[2]) < 0.2 * speed[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mesh_that_changes_shape():
     """A plate bulges under a ball, which goes up with it; another slides, and takes its ball along by friction."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "scenes.md").read_text(), re.DOTALL)
@@ -171,7 +171,7 @@ def shown(cell: str, names: dict):
     return eval(compile(ast.Expression(last.value), "cell", "eval"), names)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_video_in_a_notebook():
     scene, look, video = blocks(recipe("A video in a notebook"), "python")
     names: dict = {}

@@ -3,14 +3,16 @@
 import functools
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Annotated, Any
 
 import typer
 
 from taichi_sim.cli.options import pixels, positive, share, step
+from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import BackendError, UnstableError
-from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
+from taichi_sim.common.printable import printable
+from taichi_sim.common.signals import ENDED, INTERRUPTED, insistent_signals, leave
 from taichi_sim.common.version import __version__
 
 FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3  # exit status
@@ -69,7 +71,8 @@ def subcommand(*shared: str, name: str | None = None) -> Callable[[Callable[...,
 @main.callback(invoke_without_command=True)
 def _options(version: Annotated[bool, flag("version", "Show it.")] = False) -> None:
     if version:
-        typer.echo(f"taichi-sim {__version__}")
+        with plain_errors():
+            echo(f"taichi-sim {__version__}")
         raise typer.Exit
 
 
@@ -136,6 +139,13 @@ def waiting(what: str, shown: bool) -> Iterator[None]:
         yield
 
 
+def echo(text: str, err: bool = False) -> None:
+    """A line on standard output or standard error, without control sequences that names in it may hold. Raises OSError where
+    standard output cannot be written."""
+    with suppress(OSError) if err else naming("standard output"):  # of errors that nobody reads nothing can be said
+        typer.echo(printable(text), err=err)
+
+
 def say_nothing(line: str) -> None:
     """What --quiet does with what is told on the way."""
 
@@ -144,7 +154,7 @@ def say_nothing(line: str) -> None:
 def plain_errors() -> Iterator[None]:
     """Errors as one line on standard error with the exit status they stand for; warnings as one line, too."""
     showwarning = warnings.showwarning
-    warnings.showwarning = lambda message, category, *_: typer.echo(f"warning: {message}", err=True)
+    warnings.showwarning = lambda message, category, *_: echo(f"warning: {message}", err=True)
     try:
         with insistent_signals():
             yield
@@ -159,11 +169,11 @@ def plain_errors() -> Iterator[None]:
     except MemoryError as error:
         fail(f"not enough memory for this scene: {error}", BAD_INPUT)
     except KeyboardInterrupt:
-        typer.echo("taichi-sim: interrupted", err=True)
+        echo("taichi-sim: interrupted", err=True)
         leave(INTERRUPTED)
     except SystemExit as end:
-        if end.code == TERMINATED:
-            leave(TERMINATED)
+        if end.code in ENDED:
+            leave(int(end.code))
         raise
     finally:
         warnings.showwarning = showwarning
@@ -171,5 +181,5 @@ def plain_errors() -> Iterator[None]:
 
 def fail(message: str, status: int) -> None:
     """End with one line."""
-    typer.echo(f"taichi-sim: {message}", err=True)
+    echo(f"taichi-sim: {message}", err=True)
     raise typer.Exit(status)

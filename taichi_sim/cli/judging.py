@@ -13,6 +13,7 @@ from taichi_sim.cli.command import (
     Precisions,
     Quiet,
     SceneName,
+    echo,
     flag,
     say_nothing,
     scene_argument,
@@ -27,7 +28,7 @@ def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     from taichi_sim.reports import check as stability_report
 
     with Job(scene, options).simulation() as sim:
-        typer.echo("\n".join(stability_report.lines(sim)))
+        echo("\n".join(stability_report.lines(sim)))
 
 
 @subcommand("quantity", "arch", "threads", "allow_outside")
@@ -73,7 +74,7 @@ def report(
 
     meshes = finer(file) if resolutions else []
     folder = Path(out or f"{file.stem}_report")
-    say = say_nothing if quiet else typer.echo
+    say = say_nothing if quiet else echo
     make(made, plan, folder, meshes=meshes, overwrite=overwrite, progress=not quiet, say=say)
 
 
@@ -97,9 +98,9 @@ def tune(
     file, made, plan = command.read(scene, limit=limit, **options)
     if write:
         command.require_own_file(scene, file)
-    settings = tuning.main(made, plan, progress=not quiet, say=typer.echo)
+    settings = tuning.main(made, plan, progress=not quiet, say=echo)
     if settings is None:
         raise typer.Exit(FAILED)
     if write:
         tuning.write_settings(file, settings)
-        typer.echo(f"written      {file}")
+        echo(f"written      {file}")

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from taichi_sim.cli.command import Quiet, subcommand
+from taichi_sim.cli.command import Quiet, echo, subcommand
 from taichi_sim.cli.options import takes_only
 
 
@@ -15,7 +15,7 @@ def schema() -> None:
 
     from taichi_sim.files.json_schema import scene_schema
 
-    typer.echo(json.dumps(scene_schema(), indent=1))
+    echo(json.dumps(scene_schema(), indent=1))
 
 
 @subcommand(name="materials")
@@ -28,7 +28,7 @@ def list_materials() -> None:
     for name, preset in PRESETS.items():
         known = {key: value for key, value in asdict(preset).items() if isinstance(value, float)}
         numbers = [f"{key} {value:.3g} {UNITS.get(key, '')}".rstrip() for key, value in known.items()]
-        typer.echo(f"{name}: {', '.join(numbers)}\n    {preset.source}")
+        echo(f"{name}: {', '.join(numbers)}\n    {preset.source}")
 
 
 @subcommand("size", "fps", "duration", name="demos")
@@ -50,4 +50,4 @@ def list_demos(
     takes_only(context, ("quiet",), "demos: options are for --all")
     width = max(map(len, known), default=0)
     for name, file in known.items():
-        typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())
+        echo(f"{name:{width}}  {built_in(file)}".rstrip())

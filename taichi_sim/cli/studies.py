@@ -11,6 +11,7 @@ from taichi_sim.cli.command import (
     SceneName,
     Scheduler,
     Workers,
+    echo,
     flag,
     given_of,
     say_nothing,
@@ -58,7 +59,7 @@ def sweep(
 
     given = given_of(options)
     folder = Path(out or f"{resolve(scene).stem}_sweep")
-    say = say_nothing if quiet else typer.echo
+    say = say_nothing if quiet else echo
     try:
         done = run_all(
             scene, vary or (), seeds=seeds, measure=measure, design=design, points=points, luck=luck, folder=folder,
@@ -66,15 +67,15 @@ def sweep(
         )  # fmt: skip
     except (KeyboardInterrupt, SystemExit):
         if folder.is_dir():
-            typer.echo(f"{folder}: keeps the points that are done; the same command goes on", err=True)
+            echo(f"{folder}: keeps the points that are done; the same command goes on", err=True)
         raise
     if not quiet:
         for row in done.failed[:SHOWN]:
             at = ", ".join(f"{name} {value}" for name, value in row.parameters.items())
-            typer.echo(f"failed       {at}: {row.error}")
+            echo(f"failed       {at}: {row.error}")
         if len(done.failed) > SHOWN:
-            typer.echo(f"failed       {len(done.failed) - SHOWN} more, see the table")
-        typer.echo(f"written      {folder}: {len(done)} points, {len(done.failed)} of them failed; see report.html")
+            echo(f"failed       {len(done.failed) - SHOWN} more, see the table")
+        echo(f"written      {folder}: {len(done)} points, {len(done.failed)} of them failed; see report.html")
 
 
 @subcommand(*SIMULATION, "fps", "duration", "allow_outside")
@@ -125,9 +126,9 @@ def fit(
             raise SceneError("target", text, "MEASURE=VALUE, like probes.tip.y=-0.12") from None
     found = find(
         scene, vary or (), goal, method=method, misfit=misfit, runs=runs, seeds=seeds, luck=luck, folder=out,
-        workers=workers, scheduler=scheduler, overwrite=overwrite, say=say_nothing if quiet else typer.echo, **given,
+        workers=workers, scheduler=scheduler, overwrite=overwrite, say=say_nothing if quiet else echo, **given,
     )  # fmt: skip
     for line in found.lines():
-        typer.echo(line)
+        echo(line)
     if not found.reached:
         raise typer.Exit(FAILED)

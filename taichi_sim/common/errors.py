@@ -6,6 +6,8 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from taichi_sim.common.printable import printable
+
 __all__ = [
     "BackendError",
     "KeyPath",
@@ -63,7 +65,7 @@ class SceneError(ValueError):
     def __str__(self) -> str:
         at = None if self.file is None else f"{self.file}" + (f", line {self.line}" if self.line else "")
         sentence = self.says if self.value is ... else f"{short(self.value)} {self.says}"
-        return ": ".join(part for part in (at, key_name(self.path), sentence) if part)
+        return printable(": ".join(part for part in (at, key_name(self.path), sentence) if part))
 
 
 class BackendError(RuntimeError):
@@ -108,8 +110,9 @@ def path_of(place: str | Sequence[str | int]) -> KeyPath:
 
 
 def key_name(path: Sequence[str | int]) -> str:
-    """The reverse."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).lstrip(".")
+    """The reverse; a key that holds lines or control sequences as Python writes it."""
+    names = (part if isinstance(part, int) or part.isprintable() else repr(part) for part in path)
+    return "".join(f"[{name}]" if isinstance(name, int) else f".{name}" for name in names).lstrip(".")
 
 
 def short(value: object) -> str:

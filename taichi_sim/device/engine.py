@@ -5,15 +5,19 @@ programs. What is private to one of them, or named otherwise, is asked of it her
 """
 
 import os
+import sys
 from copy import copy
 from types import ModuleType
 from typing import Any
 
+from taichi_sim.common.environment import restored_environment
 from taichi_sim.common.errors import BackendError
+from taichi_sim.device.kernel_cache import settle_home
 
 __all__ = [
     "ENGINE",
     "IS_KNOWN",
+    "PREFIX",
     "QUADRANTS_ARCHES",
     "VERSION",
     "CompilationError",
@@ -28,11 +32,14 @@ __all__ = [
 ENGINES = ("taichi", "quadrants")
 QUADRANTS_ARCHES = ("cpu", "cuda")  # with Vulkan it cannot bind these kernels' fields (1.3.3, on SwiftShader)
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
+PREFIX = "TI_" if ENGINE == "taichi" else "QD_"  # of its environment variables
 
 
 def _taichi() -> ModuleType:
     try:
-        import taichi
+        with restored_environment():
+            os.environ.pop("TI_LOG_LEVEL", None)  # an unknown one cannot be imported with; `start` sets it
+            import taichi
     except (ImportError, OSError) as error:  # on Linux, its library is linked against libX11 even without a window
         hint = (
             " Install it: `apt install libx11-6` (Debian, Ubuntu), `dnf install libX11` (Fedora), `apk`-based systems lack glibc."
@@ -54,6 +61,7 @@ def _quadrants() -> ModuleType:
 
 if ENGINE not in ENGINES:
     raise BackendError(f"TAICHI_SIM_ENGINE: {ENGINE!r} is not allowed; it must be one of {', '.join(ENGINES)}")
+settle_home()
 ti: Any = _taichi() if ENGINE == "taichi" else _quadrants()
 VERSION = ".".join(map(str, ti.__version__))
 
@@ -71,6 +79,19 @@ def another(part: Any) -> Any:
 
 # whether the engine is that whose private names are touched, see compile_speedup, compiling and shared_kernels
 IS_KNOWN = (ENGINE, VERSION) == ("taichi", "1.7.4")
+
+
+def _inside_class(level_of_class_stackframe: int) -> bool:
+    """Tell whether a decorator stands in a class body, by the names of its frame.
+
+    Taichi reads the line of source for that, which takes a fifth of the time of importing this package.
+    """
+    names = sys._getframe(level_of_class_stackframe - 1).f_locals  # the body's; the level counts to the frame around it
+    return "__qualname__" in names and "__module__" in names
+
+
+if IS_KNOWN:
+    ti.lang.kernel_impl._inside_class = _inside_class
 
 
 def program() -> Any:

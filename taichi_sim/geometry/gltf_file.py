@@ -11,6 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.ply_file import unrolled
 from taichi_sim.geometry.polygons import Polygons
@@ -56,6 +57,7 @@ def outer_files(file: Path, header: Mapping[str, Any]) -> dict[int, Path]:
             found[number] = (folder / name).resolve()
             if not found[number].is_relative_to(folder):
                 raise SceneError("mesh", file, says=f"names {name!r}, which lies outside its folder")
+            require_file(found[number])
     return found
 
 

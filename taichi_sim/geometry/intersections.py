@@ -5,7 +5,6 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from taichi_sim.geometry.mesh import unique_edges
 
@@ -53,6 +52,8 @@ def _near(segments: NDArray, triangles: NDArray) -> Iterator[tuple[NDArray[np.in
     bottom, top = triangles.min(axis=1), triangles.max(axis=1)
     size = (top - bottom).max(axis=1)
     power = np.frexp(np.maximum(size, np.median(size)))[1] // 2
+    from scipy.spatial import cKDTree  # slow to import, and few runs ask for crossings
+
     rounding = 4.0 * np.spacing(np.abs(triangles).max())
     for one in np.unique(power):
         alike = np.flatnonzero(power == one)

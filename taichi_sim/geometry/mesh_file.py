@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.memory import available
 from taichi_sim.geometry import gltf_file, obj_file, ply_file, stl_file
@@ -22,6 +23,7 @@ def load(file: Path) -> Polygons:
     """Return the polygons of a mesh file. Raises SceneError about `mesh`."""
     kind = file.suffix[1:].lower()
     try:
+        require_file(file)
         _affordable(file, READ_BYTES * file.stat().st_size)
         data = _without_mark(file.read_bytes(), kind)
         if kind in ("glb", "gltf"):

@@ -7,6 +7,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
+from taichi_sim.common.atomic_file import kind_of
 from taichi_sim.outputs.base import Output, film_rate
 from taichi_sim.outputs.export import Summary, export
 
@@ -39,7 +40,8 @@ def open_output(
 ) -> Output:
     """The output for a name: x.mp4 or x.webm a video, x.gif or x.webp an animation, x.npz arrays, x.usdc or x.usda a USD scene,
     x.pvd files for ParaView, x.gsd a trajectory, x.csv a table of energies and probes, x.ply or x.obj a mesh for each frame, a
-    name without an ending PNG frames. fps [1/s]: at which a film, x.npz and a USD scene are shown; that of `export` by default.
+    name without an ending PNG frames. Where x.csv is a pipe (a FIFO) its rows are written into it. fps [1/s]: at which a film,
+    x.npz and a USD scene are shown; that of `export` by default.
 
     It is opened at once: ValueError for another ending or where a package that it needs is missing, OSError where it cannot be
     written. overwrite is for a folder of frames that is not empty; a file is replaced when the new one is complete, x.gsd and
@@ -68,6 +70,12 @@ def open_output(
         return PngFolder(name, overwrite=overwrite, resume=resume)
     if suffix not in OTHERS:
         raise ValueError(f"{name}: {suffix!r} is not allowed; {USE}")
+    if suffix == ".csv" and kind_of(path) == "pipe":
+        from taichi_sim.outputs.table import PipedTable
+
+        if resume:
+            raise ValueError(f"{name}: is a pipe, which cannot be resumed")
+        return PipedTable(path)
     module, kind = OTHERS[suffix]
     timed: dict[str, Any] = {"fps": rate} if suffix in (*films, ".npz") else {}
     made: Output = getattr(import_module(f"taichi_sim.outputs.{module}"), kind)(name, resume=resume, **timed)

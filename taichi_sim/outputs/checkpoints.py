@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.atomic_file import naming
 from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs import frames_file
 from taichi_sim.outputs.kept_files import copied, judged
@@ -57,7 +58,8 @@ class Checkpoints:
             for output in self._outputs:
                 waits = undrawn is not None and output.needs_image
                 kinds = ("state", "frames") if waits else ("state",)
-                written = {} if waits else output.hold()
+                with naming(output.path):
+                    written = {} if waits else output.hold()
                 own_files = {kind: files[kind] for kind in kinds}
                 output.log.keep(frame, own_files, {**own, "output": written}, settles=len(self._outputs) == 1)
                 checkpoint = output.log.checkpoint

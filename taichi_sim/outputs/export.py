@@ -238,7 +238,8 @@ def export(
 
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
     and `checkpoint` may be others): ValueError otherwise. Where all have the same checkpoint the simulation is closed, and
-    another goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again.
+    another goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again. An output that is
+    complete already is left as it is.
 
     Where a camera is to show all of the run (see `CameraPath.fit`), it is simulated to its end before the first picture is drawn;
     outputs that need no pictures get their frames meanwhile.
@@ -251,13 +252,17 @@ def export(
     fps, duration = validation.number("fps", fps, positive=True), validation.number("duration", duration, low=0)
     if checkpoint not in ("auto", None):
         checkpoint = validation.number("checkpoint", checkpoint, positive=True)
+    count = round(fps * duration)
+    for one in (finished := [one for one in outputs if isinstance(one, Resumable) and one.is_finished(count)]):
+        one.discard()
+    outputs = [one for one in outputs if one not in finished]
     summary = Summary()
     clock = _Clock(summary)
     style = style or {}
     with ExitStack() as stack:
         writers = [_Writer(one, stack) for one in outputs]
         require_alpha(outputs, style)
-        count, is_drawn = round(fps * duration), any(one.needs_image for one in outputs)
+        is_drawn = any(one.needs_image for one in outputs)
         expected = compiling.Expected.of(simulation, is_drawn)
         bar = stack.enter_context(_bar(max(1, count), progress))
         first = simulation.frame()

@@ -57,6 +57,9 @@ class Geometry(Resumable):
     def has(self, checkpoint: Checkpoint) -> bool:
         return all(self._file(index).is_file() for index in range(checkpoint.frame))
 
+    def holds(self, count: int) -> bool:
+        return all(map(Path.is_file, map(self._file, range(count)))) and not self._file(count).exists()
+
     def go_on(self, checkpoint: Checkpoint) -> None:
         self.frames = self._next = checkpoint.frame
 

@@ -75,7 +75,8 @@ class Gif(Recorded):
         with replacing(self.path) as file:
             if self._starts:
                 first, *rest = (
-                    Pictures.open(io.BytesIO(picture)) for picture in islice(self._records, len(self._starts))
+                    Pictures.open(io.BytesIO(picture), formats=("PNG",))
+                    for picture in islice(self._records, len(self._starts))
                 )
                 ends = [*self._starts[1:], max(self._end, self._starts[-1] + 1)]
                 shown = [1000 // self.ticks * (end - start) for start, end in zip(self._starts, ends)]  # ms

@@ -1,6 +1,7 @@
 """MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from fractions import Fraction
 from itertools import islice
 from os import PathLike
@@ -77,6 +78,13 @@ class Video(Recorded):
 
     def options(self) -> Mapping[str, Any]:
         return {"codec": self.codec.encoder, "quality": self.crf}
+
+    def holds(self, count: int) -> bool:
+        import av
+
+        with suppress(OSError, av.FFmpegError, IndexError), av.open(str(self.path)) as file:
+            return file.streams.video[0].frames in (count, 0)  # WebM does not say it
+        return False
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Encode one picture."""

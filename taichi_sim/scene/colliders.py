@@ -207,7 +207,8 @@ class Mesh(_Placed):
         mesh: an OBJ, PLY, STL or GLB file, or (vertices (v, 3) [m], triangles (t, 3)).
         position: (3,) where its origin goes [m]; scale: its size in relation to the file's [1].
         up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY files, which do not tell.
-        resolution: cells along the longest side of the grid on which distances are kept: edges are round to about a cell.
+        resolution: cells along the longest side of the grid on which distances are kept. Where the grid is too coarse, at edges
+            and thin walls, distances are taken from the triangles.
     """
 
     mesh: str | PathLike[str] | tuple[Any, Any]

@@ -233,4 +233,4 @@ def _packed_chunk(task: tuple[Any, ...], begin: int, end: int) -> list[bytes]:
 def _unpacked(data: bytes) -> NDArray[np.uint8]:
     from PIL import Image
 
-    return np.asarray(Image.open(io.BytesIO(data)))
+    return np.asarray(Image.open(io.BytesIO(data), formats=("PNG",)))

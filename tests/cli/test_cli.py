@@ -409,8 +409,11 @@ def test_resume_says_where_nothing_is_kept(folder):
     done = command(folder, "run", "ball.toml", "-o", "x.npz", "--resume", "--quiet")
     assert done.returncode == 0
     assert done.stderr == "x.npz: nothing is kept of it; it begins at the first frame\n"
+    before = (folder / "x.npz").stat().st_ino
     done = command(folder, "run", "ball.toml", "-o", "x.npz", "--resume", "--quiet")
-    assert done.stderr == "x.npz: is complete, or of a run without checkpoints, and is made anew\n"
+    assert done.returncode == 0
+    assert done.stderr == "x.npz: is complete, and is left as it is; without --resume it is made anew\n"
+    assert (folder / "x.npz").stat().st_ino == before
 
 
 def test_cuda_without_a_gpu(folder):

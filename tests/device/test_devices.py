@@ -61,6 +61,15 @@ def test_a_self_test_that_ends_badly_is_told(monkeypatch):
     assert devices.examine("cpu") == ""
 
 
+def test_the_self_test_takes_no_modules_from_the_working_folder(tmp_path, monkeypatch):
+    """It may be that of a scene from elsewhere."""
+    for name in ("runpy", "taichi_sim", "numpy", "taichi", "json"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'w')")
+    monkeypatch.chdir(tmp_path)
+    assert devices.examine("cpu") == ""
+    assert not (tmp_path / "sprung").exists()
+
+
 def test_every_machine_has_a_cpu():
     found = devices.find("cpu")
     assert (found.arch, found.software) == ("cpu", False)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from taichi_sim.geometry import intersections
 from taichi_sim.geometry.intersections import crossings
 from taichi_sim.geometry.mesh import unique_edges
 
@@ -53,7 +52,7 @@ def test_a_large_triangle_does_not_widen_the_search_among_small_ones(monkeypatch
             candidates.extend(len(near) for near in found)
             return found
 
-    monkeypatch.setattr(intersections, "cKDTree", Counting)
+    monkeypatch.setattr("scipy.spatial.cKDTree", Counting)
     n = 30
     across = np.stack(np.meshgrid(np.arange(n), np.arange(n), indexing="ij"), axis=-1).reshape(-1, 2)
     sheet = np.insert(0.01 * across, 1, 0.02 + 1e-3 * np.cos(across[:, 0]), axis=1)

@@ -217,7 +217,8 @@ def test_what_a_killed_run_left_is_swept_and_what_another_writes_is_not(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("name", "part"), [("frames", "frames/.frame_00007.png.1.0.part"), ("x.ply", ".x_00007.ply.1.0.part")]
+    ("name", "part"),
+    [("frames", "frames/.frame_00007.png.0123456789abcdef.part"), ("x.ply", ".x_00007.ply.0123456789abcdef.part")],
 )
 def test_half_frames_of_a_killed_run_are_swept(tmp_path, name, part):
     cut_off(tmp_path, name, 13)

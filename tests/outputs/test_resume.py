@@ -175,3 +175,31 @@ def test_pictures_with_alpha(tmp_path, monkeypatch):
         with pytest.raises(ValueError, match=rf"transparent: .*{name} holds no transparency; write PNG frames"):
             export(FakeSimulation(), open_output(tmp_path / name), duration=0.1, size=SIZE, style=style)
     assert [p.name for p in tmp_path.iterdir()] == ["frames"]
+
+
+@pytest.mark.parametrize("name", ["x.mp4", "x.webm", "x.gif", "x.npz", "x.csv", "x.pvd", "x.ply", "frames/"])
+def test_what_is_complete_is_left_as_it_is(tmp_path, name):
+    make(tmp_path, name)
+    before = {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()}
+    out = open_output(f"{tmp_path}/{name}", resume=True)
+    assert out.is_finished(30)
+    other = open_output(tmp_path / "other.csv", resume=True)  # was not begun
+    assert not other.is_finished(30)
+    summary = export(FakeSimulation(), [out, other], duration=0.5, size=SIZE)
+    assert summary.frames == 30
+    (tmp_path / "other.csv").unlink()
+    assert {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["x.mp4", "x.npz", "x.csv", "x.pvd", "x.ply"])
+def test_what_has_other_frames_is_made_anew(tmp_path, name):
+    make(tmp_path, name)
+    assert not open_output(tmp_path / name, resume=True).is_finished(42)
+    assert make(tmp_path, name, duration=0.7, resume=True).frames == 42
+
+
+@pytest.mark.parametrize("content", [b"", b"mine", b"PK\x05\x06" + bytes(18)])
+@pytest.mark.parametrize("name", ["x.mp4", "x.npz", "x.csv"])
+def test_what_is_something_else_is_made_anew(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    assert not open_output(tmp_path / name, resume=True).is_finished(30)

@@ -312,6 +312,8 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
         text.replace('{"m": NaN}', '{"m": "abc"}'),
         text.replace('{"a": 0}', '{"a": 7}'),
         text.replace('"wall": 0.0', '"wall": "long"'),
+        text.replace('"wall": 0.0', '"wall": 1.0'),
+        text.replace('{"m": NaN}', '{"m": 17.5}'),
     ):
         assert damage != text
         (tmp_path / "s" / "rows.jsonl").write_text(damage)

@@ -1,7 +1,7 @@
 """The report: plan, reference, every method with every step in each precision, statistics where nothing else holds, pages."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,12 +45,12 @@ def main(
     """
     from taichi_sim.reports.speed_error.pages import write_pages
 
-    folder = Folder(out, key_of(scene, plan), overwrite)
-    with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
-        findings = _run_all(Study(scene, plan, workers), folder, say, step_done, meshes)
-    write_pages(findings, folder)
-    if folder.rows:
-        folder.complete(findings.rows)
+    with closing(Folder(out, key_of(scene, plan), overwrite)) as folder:
+        with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
+            findings = _run_all(Study(scene, plan, workers), folder, say, step_done, meshes)
+        write_pages(findings, folder)
+        if folder.rows:
+            folder.complete(findings.rows)
     say("\n".join(findings.lines()))
     say(f"written      {out / 'report.html'}, report.md, rows.csv, error.svg, error.png")
     return findings
