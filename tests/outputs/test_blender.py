@@ -9,6 +9,8 @@ import exchange
 import numpy as np
 import pytest
 
+from taichi_sim.geometry.mesh import given_surface, surface_area, volume
+from taichi_sim.geometry.mesh_file import SUFFIXES
 from taichi_sim.render.palette import to_linear
 
 PYTHON = os.environ.get("BLENDER_PYTHON")
@@ -157,3 +159,17 @@ def test_ply_is_one_mesh_with_colours(seen, k):
     found = np.array(one["colours"])
     for colour in (exchange.RED, exchange.BLUE, exchange.GREEN):
         assert np.abs(found - to_linear(np.array(colour))).max(axis=1).min() < 0.01
+
+
+def test_what_blender_writes_is_read(tmp_path):
+    assert PYTHON is not None
+    command = [str(Path(PYTHON).absolute()), "-W", "ignore", str(VIEW), "--write", str(tmp_path)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    files = sorted(path for path in tmp_path.iterdir() if path.suffix in SUFFIXES)
+    assert len(files) == 7
+    for file in files:
+        surface = given_surface("cloth", str(file), up="z" if file.suffix in (".stl", ".ply") else None)
+        assert surface_area(surface) == pytest.approx(2 * 4 + 10 * 0.5, rel=1e-6), file.name
+        assert volume(surface) == pytest.approx(4 * 0.5, rel=1e-6), file.name
+        assert np.ptp(surface.vertices, axis=0) == pytest.approx([3, 0.5, 2], rel=1e-6), file.name
+        assert surface.vertices.min(axis=0) == pytest.approx([0, 0, -2], abs=1e-6), file.name

@@ -1,4 +1,5 @@
-"""Blender's view of files: run by a Python that has bpy, this writes a JSON of each. python blender_view.py OUT.json FILE ..."""
+"""Blender's view of files: run by a Python that has bpy, this writes a JSON of each. python blender_view.py OUT.json FILE ...;
+or, with --write FOLDER, files of a mesh as Blender exports it."""
 
 import json
 import sys
@@ -107,5 +108,28 @@ def at(one, frame):
     return found
 
 
-if __name__ == "__main__":
+OUTLINE = [(0, 0), (3, 0), (3, 1), (2, 1), (2, 2), (1, 2), (1, 1), (0, 1)]  # m, of a prism 0.5 m high
+
+
+def write(folder):
+    """Files of a prism whose caps are polygons that are not convex, with z up in Blender, as it exports them by default."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    n = len(OUTLINE)
+    mesh = bpy.data.meshes.new("prism")
+    sides = [(k, (k + 1) % n, n + (k + 1) % n, n + k) for k in range(n)]
+    vertices = [(x, y, z) for z in (0.0, 0.5) for x, y in OUTLINE]
+    mesh.from_pydata(vertices, [], [tuple(range(n))[::-1], tuple(range(n, 2 * n)), *sides])
+    mesh.uv_layers.new(name="UVMap")
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("prism", mesh))
+    bpy.ops.wm.obj_export(filepath=f"{folder}/x.obj")
+    for name, as_text in (("x", False), ("text", True)):
+        bpy.ops.wm.ply_export(filepath=f"{folder}/{name}.ply", ascii_format=as_text)
+        bpy.ops.wm.stl_export(filepath=f"{folder}/{name}.stl", ascii_format=as_text)
+    bpy.ops.export_scene.gltf(filepath=f"{folder}/x.glb")
+    bpy.ops.export_scene.gltf(filepath=f"{folder}/x.gltf", export_format="GLTF_SEPARATE")
+
+
+if __name__ == "__main__" and sys.argv[1] == "--write":
+    write(sys.argv[2])
+elif __name__ == "__main__":
     Path(sys.argv[1]).write_text(json.dumps({path: seen(Path(path).resolve()) for path in sys.argv[2:]}))
