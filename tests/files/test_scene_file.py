@@ -192,7 +192,7 @@ def rich_scene(dim: int) -> Scene:
     shapes.jelly(scene, pinned=[0])
     for side in (3, 4):
         shapes.jelly(scene, resolution=(side,) * dim, poisson_ratio=0.45)  # in 2D its cells act together
-    shapes.rope(scene, [0.0] * dim, [1.0] * dim, 5)
+    shapes.rope(scene, [0.0] * dim, [1.0] * dim, 5, EI=1e-3, pinned=[0, 1])
     if dim == 3:
         shapes.cloth(scene, resolution=(3, 3), surface_collision=True)
     return scene

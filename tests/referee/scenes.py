@@ -120,7 +120,8 @@ class _Adding:
             if c.hand < 0:
                 corners = corners[:, [1, 0, *range(2, scene.dim + 1)]]
             volume = scene.rest_volume[on] * c.length**scene.dim
-            to.add_cells(corners, bulk_modulus=scene.bulk_modulus[on] * pressure, rest_volume=volume)
+            moduli = {name: getattr(scene, name)[on] * pressure for name in ("bulk_modulus", "crush_modulus")}
+            to.add_cells(corners, **moduli, rest_volume=volume, together=scene.cells_together[on])
         on = self.whole(scene.bends)
         if on.any():
             to.add_bending(

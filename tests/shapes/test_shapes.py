@@ -201,6 +201,37 @@ def test_rope_wheel_pile():
     assert distance.min() > 0.2  # they do not touch at the start
 
 
+def test_a_rope_of_a_material_is_the_same_at_every_resolution():
+    """Stretched by a strain e it stores EA e^2 L / 2, bent to a radius r EI / (2 r^2) per length, and weighs the same."""
+    length, radius, strain = 1.5, 40.0, 1e-4
+    for n in (9, 40):
+        scene = Scene(dim=2)
+        made = {"mass_per_length": 0.2, "EA": 300.0, "EI": 0.7, "damping": 5.0}
+        rope = shapes.rope(scene, (0, 0), (length, 0), n + 1, **made)
+        x, still = scene.position, np.zeros((n + 1, 2))
+        assert scene.mass.sum() == pytest.approx(0.2 * length)
+        assert scene.mass[[0, 1]] == pytest.approx([0.1 * length / n, 0.2 * length / n])
+        assert energy(scene, x * (1 + strain), still).spring == pytest.approx(150.0 * strain**2 * length, rel=1e-4)
+        rolled = np.stack([radius * np.sin(x[:, 0] / radius), radius * (1 - np.cos(x[:, 0] / radius))], axis=1)
+        bent = energy(scene, rolled, still).spring
+        assert bent == pytest.approx(0.35 / radius**2 * length * (1 - 1 / n), rel=1e-3)  # its ends have no hinge
+        assert scene.damping[rope.springs] * length / n == pytest.approx(5.0)
+
+
+def test_a_rope_of_a_modulus_and_the_default_one():
+    scene = Scene(dim=3)
+    shapes.rope(scene, (0, 0, 0), (2, 0, 0), 5, young_modulus=1e6, radius=0.01)
+    assert scene.stiffness * 0.5 == pytest.approx(1e6 * np.pi * 1e-4)
+    assert scene.bend_stiffness * 0.5**3 == pytest.approx(1e6 * np.pi * 1e-8 / 4)
+    for n in (5, 50):
+        usual = Scene(dim=2)
+        shapes.rope(usual, (0, 0), (2, 0), n, mass=0.3)
+        assert usual.stiffness * 2 / (n - 1) == pytest.approx(1000 * 0.3 * 10)
+        slowest = np.pi / 2 * np.sqrt(3000.0 / 0.15) / 2  # 1/s, of a rod held at one end
+        assert usual.damping * 2 / (n - 1) * slowest / (2 * 3000.0) == pytest.approx(0.01)
+        assert not len(usual.bends)
+
+
 def test_truss():
     for dim, bars in ((2, 4 * 2 + 5 + 4 * 2), (3, 16 + 20 + 4 * 8 + 5 * 2)):
         scene = Scene(dim=dim)
@@ -338,6 +369,15 @@ REFUSED = [
     (2, lambda s: shapes.jelly(s, (1, 1, 1)), r"jelly\.size: .* 2 lengths"),
     (2, lambda s: shapes.rope(s, (0, 0), (0, 0)), r"rope\.end: .*another point"),
     (2, lambda s: shapes.rope(s, (0, 0), (1, 0), 1), r"rope\.n: 1 .*at least 2"),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), EA=1.0, stiffness=1.0), r"rope\.EA: does not go with stiffness"),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), EI=1.0, young_modulus=1.0), r"rope\.young_modulus: .* with EI"),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), young_modulus=1.0), r"rope\.young_modulus: needs the radius"),
+    (
+        2,
+        lambda s: shapes.rope(s, (0, 0), (1, 0), mass=1.0, mass_per_length=1.0),
+        r"rope\.mass_per_length: .* with mass",
+    ),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), EA=0.0), r"rope\.EA: 0"),
     (2, lambda s: shapes.wheel(s, (0, 0), 0.0), r"wheel\.radius: 0"),
     (2, lambda s: shapes.wheel(s, (0, 0), 1.0, 2), r"wheel\.spokes: 2 .*at least 3"),
     (2, lambda s: shapes.pile(s, (3, 0), 1.0), r"pile\.resolution"),

@@ -110,7 +110,7 @@ def mixed():
 
 BALLS = ("position", "velocity", "mass", "radius", "pinned", "body", "gravity")
 SPRINGS = ("pairs", "stiffness", "damping", "rest_length", "triangles")
-ELEMENTS = ("cells", "bulk_modulus", "rest_volume", "bends", "bend_weights", "bend_stiffness")
+ELEMENTS = ("cells", "bulk_modulus", "crush_modulus", "rest_volume", "bends", "bend_weights", "bend_stiffness")
 
 
 def same(a, b):
