@@ -79,17 +79,20 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     for distance in [*reaches, 2, 1]:
         source = copy(closest)
         loops.spread(corner, source, closest, best, frame, distance)
-    once, windings = (collider.vertices - origin)[collider.triangles], given(np.zeros(shape), np.int32)
-    loops.winding(given(once.reshape(-1, 3)), windings, frame)
+    each_once = given((collider.vertices - origin)[collider.triangles].reshape(-1, 3))  # in a tree some are there twice
+    windings = given(np.zeros(shape), np.int32)
+    loops.winding(each_once, windings, frame)
     ti.sync()
     inside, far = _on_host(windings) != 0, np.sqrt(_on_host(best).astype(np.float64))
     value = np.where(inside, -far, far)
-    tree = _facing_out(collider, tree, _on_host(closest), value, start, cell)
+    closest = _on_host(closest)
+    tree = _facing_out(collider, tree, closest, value, start, cell)
     near = given(np.full(shape, -1), np.int32)
     boxes, triangles = tree.boxes - np.tile(origin, 2), tree.triangles.copy()
     triangles[:, :CORNERS] -= np.tile(origin, 3)
-    table = given(boxes.ravel()), given(tree.links.ravel(), np.int32), given(triangles.ravel())
-    loops.find_inexact(given(value), closest, *table, near, frame)
+    tables = given(boxes.ravel()), given(tree.links.ravel(), np.int32), given(triangles.ravel())
+    grids = given(value), given(closest, np.int32)  # kept by name: a device may still read what is passed and forgotten
+    loops.find_inexact(*grids, *tables, near, frame)
     ti.sync()
     return DistanceGrid(value, _on_host(near), start, cell, tree)
 
