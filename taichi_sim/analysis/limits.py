@@ -9,7 +9,14 @@ from taichi_sim.analysis.damping import is_weak
 from taichi_sim.analysis.element_rates import Rates
 from taichi_sim.analysis.spring_bounds import Network, over
 
-__all__ = ["DampedKickLimit", "ExplicitEulerLimit", "ImplicitLimit", "RungeKuttaLimit", "StabilityLimit"]
+__all__ = [
+    "DampedKickLimit",
+    "ExplicitEulerLimit",
+    "ImplicitLimit",
+    "RungeKuttaLimit",
+    "SmallMotionLimit",
+    "StabilityLimit",
+]
 
 
 @dataclass(frozen=True)
@@ -116,3 +123,12 @@ class ImplicitLimit(StabilityLimit):
     """Springs are solved for and do not limit the step; the numbers are those of what stays explicit."""
 
     by_springs = False
+    caution = ": springs give no energy, but the error grows with the step"
+
+
+class SmallMotionLimit(ImplicitLimit):
+    """Of a method whose steps are bounded at any length for small motion alone."""
+
+    caution = (
+        " for small motion, but springs that turn far in a step may gain energy, and the error grows with the step"
+    )

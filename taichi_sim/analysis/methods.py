@@ -14,6 +14,7 @@ from taichi_sim.analysis.limits import (
     ExplicitEulerLimit,
     ImplicitLimit,
     RungeKuttaLimit,
+    SmallMotionLimit,
     StabilityLimit,
 )
 from taichi_sim.scene.scene import Scene
@@ -212,7 +213,7 @@ IMPLICIT_EULER = _BackwardEuler(
     "implicit_euler", 1, ImplicitLimit(undamped=2.0, damped=1.0), solves_gas=True, iterations=5
 )
 # its two stages take explicit forces from old places
-TR_BDF2 = _TRBDF2("tr_bdf2", 2, ImplicitLimit(undamped=1.0, damped=0.5), contact_solves=2)
+TR_BDF2 = _TRBDF2("tr_bdf2", 2, SmallMotionLimit(undamped=1.0, damped=0.5), contact_solves=2)
 
 BUILT_IN_METHODS = {
     method.name: method for method in (EXPLICIT_EULER, SYMPLECTIC_EULER, VERLET, RK4, XPBD, IMPLICIT_EULER, TR_BDF2)

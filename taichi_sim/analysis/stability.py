@@ -64,7 +64,7 @@ def stability(
             pushed, pushed, None, None, "gas: each step leaves the springs of its surface a part of what it pushes"
         )
     if not limit.by_springs and not any(rates):
-        return _unlimited(f"{method} is stable at any step: springs give no energy, but its error grows with the step")
+        return _unlimited(f"{method} is stable at any step{limit.caution}")
     k, c = _whole(scene, torn)
     if not limit.by_springs or not np.any(k + c > 0):
         return _of_elements(method, limit, rates, custom)

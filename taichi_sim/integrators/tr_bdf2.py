@@ -16,7 +16,8 @@ MIDDLE = 1.0 / (GAMMA * (2.0 - GAMMA))  # weight of the state in the middle; tha
 
 @ti.data_oriented
 class TRBDF2(Implicit):
-    """Order 2, bounded at any step; damps what is faster than a step, and much less than implicit Euler what is slower.
+    """Order 2, bounded at any step for small motion; damps what is faster than a step, and much less than implicit Euler what is
+    slower.
 
     The forces of springs at the start of a step are what the last stage of the step before came to, not evaluated anew: what a
     stage left over of a stiff spring would come back multiplied by its stiffness. In the first step they come from a stage of
