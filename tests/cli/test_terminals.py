@@ -94,3 +94,32 @@ def test_streams_that_are_full():
     assert done.returncode == 2
     assert done.stderr.decode().splitlines() == ["taichi-sim: standard output: No space left on device"]
     assert command("-m", "taichi_sim", "check", "nowhere.toml", shell="> /dev/full 2> /dev/full").returncode == 2
+
+
+SPAWNS = """
+import multiprocessing, os, sys
+from taichi_sim.__main__ import main
+sys.argv = ["taichi-sim", "--version"]
+if __name__ == "__main__":
+    try:
+        main()
+    except SystemExit:
+        pass
+    os.chdir(sys.path[0])
+    os.chdir("scene")
+    process = multiprocessing.get_context("spawn").Process(target=print, args=("begun",))
+    process.start()
+    process.join()
+"""
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 always looks there")
+def test_processes_that_are_started_take_no_modules_from_the_working_folder(tmp_path):
+    """It may be that of a scene from elsewhere."""
+    (tmp_path / "scene").mkdir()
+    for name in ("pickle", "socket", "runpy"):
+        (tmp_path / "scene" / f"{name}.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'w')")
+    (tmp_path / "spawns.py").write_text(SPAWNS)
+    done = command(str(tmp_path / "spawns.py"))
+    assert done.stdout.split()[-1:] == [b"begun"], done.stderr
+    assert not (tmp_path / "sprung").exists()
