@@ -8,10 +8,10 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
 PYTHONS ?= python3.10 python3.12 python3.13
 
-.PHONY: help env demo test test-more published test-gpu test-pythons test-quadrants test-long test-all check bench referee kills fuzz docs gallery clean
+.PHONY: help env demo test test-more test-gpu test-pythons test-quadrants test-blender test-long test-all check bench published referee kills fuzz docs gallery clean
 
 help:
-	@echo "make env | demo | test | test-more | test-gpu | test-pythons | test-quadrants | test-long | test-all | check | bench | published | referee | kills | fuzz | docs | gallery | clean"
+	@echo "make env | demo | test | test-more | test-gpu | test-pythons | test-quadrants | test-blender | test-long | test-all | check | bench | published | referee | kills | fuzz | docs | gallery | clean"
 
 env: $(STAMP)
 
@@ -50,6 +50,13 @@ test-pythons:
 	  && TAICHI_SIM_PRECISION=f32 $$folder/bin/python -m pytest -n 2 --dist worksteal -m "not slow" \
 	  && rm -rf $$folder || exit 1; \
 	done
+
+# what Blender sees in the files that are written for it: its package takes 1 GB, and Python 3.11
+BLENDER := .venv-blender
+test-blender: env
+	@test -x $(BLENDER)/bin/python || python3.11 -m venv $(BLENDER)
+	$(BLENDER)/bin/python -m pip install --quiet --disable-pip-version-check bpy==5.0.1
+	BLENDER_PYTHON=$(BLENDER)/bin/python TAICHI_SIM_PRECISION=f32 $(BIN)/python -m pytest tests/outputs/test_blender.py
 
 # the tests of `make test` on the engine Quadrants, with the same bits on the CPU
 test-quadrants: env
@@ -103,5 +110,5 @@ gallery: env
 	$(BIN)/python -m tests.support.gallery
 
 clean:
-	rm -rf $(VENV) build dist out bench_out *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(BLENDER) build dist out bench_out *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -7,18 +7,18 @@ import taichi_sim as ts
 SIDE, NUMBER, MASS = 1.2, 48, 0.3
 
 
-def scene():
+def scene(number=NUMBER, mass=MASS, stiffness=1000.0, bending_stiffness=0.1, damping=0.04):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
     ts.shapes.cloth(
         scene,
         size=(SIDE, SIDE),
-        resolution=(NUMBER, NUMBER),
-        mass=MASS,
-        stiffness=1000,
-        bending_stiffness=5,
-        damping=0.04,
-        pinned=[0, NUMBER * (NUMBER - 1)],
+        resolution=(number, number),
+        mass=mass,
+        stiffness=stiffness,
+        bending_stiffness=bending_stiffness,
+        damping=damping,
+        pinned=[0, number * (number - 1)],
         position=(-SIDE / 2, SIDE, 0),
         rotation=(30, 0, 0),
         colour=(0.2, 0.45, 0.71),

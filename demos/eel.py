@@ -8,17 +8,17 @@ LONG, HIGH, WIDE = 1.0, 0.12, 0.08  # m
 FREQUENCY, WAVE, PART = 1.0, 0.8, 0.25  # 1/s, m, of the muscles' rest length
 
 
-def scene():
+def scene(frequency=FREQUENCY, wave=WAVE, part=PART, young_modulus=2e5):
     scene = ts.Scene(dim=3)  # afloat: no weight
     body = {"size": (LONG, HIGH, WIDE), "resolution": (31, 5, 3), "position": (0, 0, -0.5 * WIDE)}
-    ts.shapes.jelly(scene, **body, density=1000.0, young_modulus=2e5, colour=(0.25, 0.45, 0.4))
+    ts.shapes.jelly(scene, **body, density=1000.0, young_modulus=young_modulus, colour=(0.25, 0.45, 0.4))
     scene.add_wall((0, 1, 0), -0.2)
     scene.add_wind((0, 0, 0), density=1000.0)  # water that stands still
     x, (i, j) = scene.position, scene.pairs.T
     for side, start in ((-1, 0.0), (1, 180.0)):  # one side is short where the other is long
         muscles = np.flatnonzero((side * x[i, 2] > 0.4 * WIDE) & (side * x[j, 2] > 0.4 * WIDE))
         middle = 0.5 * (x[i, 0] + x[j, 0])[muscles]
-        scene.add_motor(muscles, amplitude=PART, frequency=FREQUENCY, phase=start + 360.0 * middle / WAVE)
+        scene.add_motor(muscles, amplitude=part, frequency=frequency, phase=start + 360.0 * middle / wave)
     scene.output = {"duration": 4.0, "fps": 30, "camera": {"azimuth": 0.0, "elevation": 55.0}}
     return scene
 

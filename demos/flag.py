@@ -7,7 +7,7 @@ import taichi_sim as ts
 SIZE, NUMBER = (1.5, 1.0), (61, 41)
 
 
-def scene():
+def scene(wind=10.0, weakest=0.1, strongest=0.3, seed=7):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 6, "size": (1280, 720)}
     flag = ts.shapes.cloth(
@@ -22,13 +22,15 @@ def scene():
         surface_collision=True,
         colour=(0.8, 0.15, 0.2),
     )
-    strength = np.random.default_rng(7).uniform(0.1, 0.3, len(flag.springs))  # cloth is not as strong everywhere
+    strength = np.random.default_rng(seed).uniform(
+        weakest, strongest, len(flag.springs)
+    )  # cloth is not as strong everywhere
     along, down = np.divmod(scene.pairs[flag.springs].max(axis=1), NUMBER[1])
     strength[(along < 6) & (down < 6)] = np.inf  # the upper corner is sewn on
     scene.set_springs(flag.springs, break_strain=strength)
     scene.add_collider(ts.Capsule((-0.06, 0.0, 0), (-0.06, 2.4, 0), 0.025))
     scene.add_wall((0, 1, 0))
-    scene.add_wind((10, 0, 1.5), gust=0.8, gust_length=2.0)
+    scene.add_wind((wind, 0, 0.15 * wind), gust=0.8, gust_length=2.0)
     return scene
 
 

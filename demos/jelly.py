@@ -7,7 +7,7 @@ import taichi_sim as ts
 SIDE, MASS, LOOSE = 0.8, 60.0, 75
 
 
-def scene():
+def scene(mass=MASS, stiffness=1800.0, damping=0.15, loose=LOOSE):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 4.5, "size": (1280, 720), "subdivide": 1}
     scene.add_material("jelly", restitution=0.2, friction=0.3)
@@ -17,17 +17,17 @@ def scene():
         scene,
         size=(SIDE, SIDE, SIDE),
         resolution=(11, 11, 11),
-        mass=MASS,
-        stiffness=1800,
-        damping=0.15,
+        mass=mass,
+        stiffness=stiffness,
+        damping=damping,
         material="jelly",
         position=(-0.2, 0.6, -0.5),
         rotation=(18, 25, 28),
         colour=(0.86, 0.22, 0.32),
     )
-    turn = np.pi * (3 - 5**0.5) * np.arange(LOOSE)  # the golden angle: an even spread over a disc
-    reach = 0.12 * np.sqrt(np.arange(LOOSE) + 0.5)
-    radius = 0.045 + 0.009 * (np.arange(LOOSE) * 7 % 5)
+    turn = np.pi * (3 - 5**0.5) * np.arange(loose)  # the golden angle: an even spread over a disc
+    reach = 0.12 * np.sqrt(np.arange(loose) + 0.5)
+    radius = 0.045 + 0.009 * (np.arange(loose) * 7 % 5)
     place = np.stack([reach * np.cos(turn), radius, reach * np.sin(turn)], axis=1)
     for k, colour in enumerate(((0.95, 0.72, 0.25), (0.2, 0.58, 0.6), (0.93, 0.9, 0.82))):
         own = slice(k, None, 3)

@@ -9,13 +9,13 @@ SPACING = 2.2 * RADIUS
 LONG, WIDE, HIGH = SPACING * LAYER[0], SPACING * LAYER[2], SPACING * LAYER[1]
 
 
-def scene():
+def scene(friction=0.02, layers=4):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     view = {"azimuth": 25, "elevation": 24, "distance": 11, "target": (LONG, 0.1, WIDE / 2)}
     scene.output = {"fps": 60, "duration": 1.5, "size": (1280, 720), "camera": view}
     scene.settings = {"dt": 0.002, "substeps": 2, "contact_iterations": 1, "spin": False}
-    scene.add_material("marble", friction=0.02)
-    for k, colour in enumerate(((0.75, 0.35, 0.25), (0.92, 0.7, 0.35), (0.3, 0.5, 0.55), (0.9, 0.86, 0.78))):
+    scene.add_material("marble", friction=friction)
+    for k, colour in enumerate(((0.75, 0.35, 0.25), (0.92, 0.7, 0.35), (0.3, 0.5, 0.55), (0.9, 0.86, 0.78))[:layers]):
         place = (1.5 * RADIUS, HIGH * k + 1.5 * RADIUS, 1.5 * RADIUS)
         ts.shapes.pile(
             scene, LAYER, RADIUS, mass=0.004, jitter=0.5, seed=k, material="marble", colour=colour, position=place
@@ -30,7 +30,7 @@ def scene():
         damping=0.02,
         radius=0.009,
         material="marble",
-        position=(LONG - 1.1 * side, 4 * HIGH + 3 * RADIUS, (WIDE - side) / 2),
+        position=(LONG - 1.1 * side, layers * HIGH + 3 * RADIUS, (WIDE - side) / 2),
         colour=(0.75, 0.12, 0.2),
     )
     walls = (((0, 1, 0), 0), ((1, 0, 0), 0), ((-1, 0, 0), -2 * LONG), ((0, 0, 1), 0), ((0, 0, -1), -WIDE - RADIUS))

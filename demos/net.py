@@ -7,7 +7,7 @@ import taichi_sim as ts
 SIDE, NUMBER, RADIUS, SLACK = 2.8, 65, 0.035, 1.15
 
 
-def scene():
+def scene(slack=SLACK, stiffness=3000.0, layers=5):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     near = (
         {"time": 0.2, "eye": (4.4, 4.3, 7.2), "target": (0, 1.5, 0)},
@@ -23,10 +23,10 @@ def scene():
     ).reshape(NUMBER, NUMBER)
     cords = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
     pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in cords])
-    length = SLACK * SIDE / (NUMBER - 1)
-    scene.add_springs(pairs, stiffness=3000, damping=0.6, rest_length=length, collides=True)
+    length = slack * SIDE / (NUMBER - 1)
+    scene.add_springs(pairs, stiffness=stiffness, damping=0.6, rest_length=length, collides=True)
     for k, colour in enumerate(
-        ((0.9, 0.3, 0.25), (0.95, 0.72, 0.25), (0.2, 0.55, 0.6), (0.9, 0.88, 0.82), (0.5, 0.35, 0.6))
+        ((0.9, 0.3, 0.25), (0.95, 0.72, 0.25), (0.2, 0.55, 0.6), (0.9, 0.88, 0.82), (0.5, 0.35, 0.6))[:layers]
     ):
         ts.shapes.pile(
             scene, (20, 5, 20), RADIUS, mass=0.01, jitter=0.3, seed=k, spacing=0.075, material="rubber", colour=colour,

@@ -28,16 +28,16 @@ def mould():
     return vertices, np.concatenate([np.stack([corner.ravel() for corner in part], 1) for part in parts])
 
 
-def scene():
+def scene(spacing=SPACING, young_modulus=4.5e4, viscosity=VISCOSITY, shake=SHAKE, rate=RATE):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 3, "size": (1280, 720)}
     scene.add_material("custard", friction=0.9)
     scene.add_wall((0, 1, 0), -0.3, material="custard")
-    custard = {"young_modulus": 4.5e4, "density": 1000, "damping": VISCOSITY * SPACING, "material": "custard"}
+    custard = {"young_modulus": young_modulus, "density": 1000, "damping": viscosity * spacing, "material": "custard"}
     colour = (0.9, 0.62, 0.2)
-    ts.shapes.jelly(scene, mesh=mould(), spacing=SPACING, position=(0, SPACING / 2, 0), colour=colour, **custard)
+    ts.shapes.jelly(scene, mesh=mould(), spacing=spacing, position=(0, spacing / 2, 0), colour=colour, **custard)
     time = np.arange(0.0, 9.0, 0.05)
-    x = SHAKE * np.sin(2 * np.pi * RATE * time) * np.minimum(time / 0.4, 1.0) * (time <= UNTIL)
+    x = shake * np.sin(2 * np.pi * rate * time) * np.minimum(time / 0.4, 1.0) * (time <= UNTIL)
     path = [(t, (shift, 0, 0)) for t, shift in zip(time, x)]
     plate = {"material": "custard", "path": path, "colour": (0.85, 0.87, 0.9)}
     scene.add_collider(ts.Box((0, -0.05, 0), (1.35, 0.08, 1.35), **plate))

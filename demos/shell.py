@@ -20,17 +20,17 @@ def ring():
     return Surface(vertices, np.concatenate([np.stack([c.ravel() for c in three], axis=1) for three in corners]))
 
 
-def scene():
+def scene(mass=MASS, stiffness=6000.0, bending_stiffness=4000.0, restitution=0.5, friction=0.4):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 4, "size": (1280, 720)}
-    scene.add_material("rubber", restitution=0.5, friction=0.4)
+    scene.add_material("rubber", restitution=restitution, friction=friction)
     scene.add_wall((0, 1, 0), material="rubber")
     ts.shapes.cloth(
         scene,
         mesh=ring(),
-        mass=MASS,
-        stiffness=6000,
-        bending_stiffness=4000,
+        mass=mass,
+        stiffness=stiffness,
+        bending_stiffness=bending_stiffness,
         damping=0.05,
         radius=0.02,
         material="rubber",

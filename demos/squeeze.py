@@ -6,7 +6,7 @@ from taichi_sim.demos.shell import LARGE, SMALL, ring
 import taichi_sim as ts
 
 
-def scene():
+def scene(young_modulus=1e5, density=400.0, flat=0.27):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 4, "size": (1280, 720)}
     scene.add_material("rubber", friction=0.5)
@@ -15,8 +15,8 @@ def scene():
         scene,
         mesh=ring(),
         spacing=0.1,
-        young_modulus=1e5,
-        density=400,
+        young_modulus=young_modulus,
+        density=density,
         damping=1.0,
         radius=0.02,
         material="rubber",
@@ -24,7 +24,7 @@ def scene():
         rotation=(90, 0, 0),
         colour=(0.9, 0.3, 0.35),
     )
-    top, flat = 1.2, 0.27
+    top = 1.2
     path = [(0.0, 0.0), (0.2, 0.0), (1.4, flat - top), (1.8, flat - top), (2.2, 0.0), (9.0, 0.0)]
     scene.add_collider(
         ts.Box((0, top, 0), (1.7, 0.2, 1.7), path=[(time, (0, y, 0)) for time, y in path], colour=(0.45, 0.5, 0.55))

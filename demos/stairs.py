@@ -20,10 +20,10 @@ def body(p):
     return -np.log(sum(np.exp(14 - 14 * np.linalg.norm((p - c) / r, axis=-1)) for c, r in map(np.array, parts)))
 
 
-def scene():
+def scene(young_modulus=1e6, poisson_ratio=0.4, friction=0.5, speed=2.6):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 4, "size": (1280, 720)}
-    scene.add_material("jelly", restitution=0.1, friction=0.5)
+    scene.add_material("jelly", restitution=0.1, friction=friction)
     scene.add_wall((0, 1, 0), material="jelly")
     for k in range(STEPS):
         top, first = RISE * (STEPS - k), 0.0 if k else 1.0  # the landing is longer
@@ -33,8 +33,8 @@ def scene():
         scene,
         mesh=level_set(body, (-0.7, -0.2, -0.5), (1.0, 1.3, 0.5), 0.038),
         density=300,
-        young_modulus=1e6,
-        poisson_ratio=0.4,
+        young_modulus=young_modulus,
+        poisson_ratio=poisson_ratio,
         spacing=0.08,
         radius=0.045,
         self_collision=True,
@@ -44,7 +44,7 @@ def scene():
         colour=(0.95, 0.85, 0.8),
     )
     scene.output["camera"] = {"azimuth": 32, "elevation": 20, "distance": 6.5, "follow": cow.balls.tolist()}
-    scene.set_balls(velocity=(2.6, 0, 0.1))
+    scene.set_balls(velocity=(speed, 0, 0.1))
     return scene
 
 

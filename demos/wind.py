@@ -8,7 +8,7 @@ SIZE, NUMBER = (1.6, 1.2), (65, 49)
 WIND = 1.9  # m/s
 
 
-def scene():
+def scene(wind=WIND, gust=0.6, stiffness=400.0):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
     top = np.arange(NUMBER[0]) * NUMBER[1]
@@ -16,7 +16,7 @@ def scene():
         scene,
         size=SIZE,
         resolution=NUMBER,
-        stiffness=400,
+        stiffness=stiffness,
         damping=0.02,
         pinned=top[::4],
         position=(-SIZE[0] / 2, 1.5, 0),
@@ -24,7 +24,7 @@ def scene():
         colour=(0.85, 0.32, 0.22),
     )
     scene.add_wall((0, 1, 0))
-    scene.add_wind((0.3 * WIND, 0, WIND), gust=0.6, gust_length=1.8)
+    scene.add_wind((0.3 * wind, 0, wind), gust=gust, gust_length=1.8)
     return scene
 
 

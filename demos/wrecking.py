@@ -8,7 +8,7 @@ CELL, COLUMNS, ROWS, WALLS = 0.22, 4, 12, 3
 PIVOT, LINKS, LENGTH = (-0.8, 4.6), 16, 2.9
 
 
-def scene():
+def scene(mass=150.0, break_strain=0.03, stiffness=20000.0):
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
     scene.settings = {"spin": False}
@@ -23,11 +23,11 @@ def scene():
         sides = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
         sides += [(index[:-1, :-1], index[1:, 1:]), (index[:-1, 1:], index[1:, :-1])]
         pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in sides])
-        scene.add_springs(balls[pairs], stiffness=20000, damping=5, break_strain=0.03)
+        scene.add_springs(balls[pairs], stiffness=stiffness, damping=5, break_strain=break_strain)
     down = np.array([-0.92, -0.39])  # the chain at the start
     links = np.array(PIVOT) + np.linspace(0, LENGTH, LINKS)[:, None] * down
     chain = scene.add_balls(links, radius=0.04, mass=0.5, pinned=[0], material="steel", body=scene.new_body())
-    ball = scene.add_balls(links[-1] + 0.34 * down, radius=0.3, mass=150.0, material="steel", colour=(0.2, 0.2, 0.22))
+    ball = scene.add_balls(links[-1] + 0.34 * down, radius=0.3, mass=mass, material="steel", colour=(0.2, 0.2, 0.22))
     joined = np.append(chain, ball)
     scene.add_springs(np.stack([joined[:-1], joined[1:]], axis=1), stiffness=200000, damping=60)
     return scene

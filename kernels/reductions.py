@@ -55,10 +55,21 @@ def member(c, k, parts: ti.template()):
 
 @ti.func
 def even_then_odd(count: ti.template(), visit: ti.template(), arguments: ti.template()):
-    """The same for parts of which one writes to itself and the next: those with even numbers, then the others. At the top level
-    of a kernel only an unrolled loop leaves the inner ones parallel."""
+    """visit(part, *arguments) for parts of which one writes to itself and the next: those with even numbers, then the others."""
+    by_parity(count, visit, arguments, (0, 1))
+
+
+@ti.func
+def odd_then_even(count: ti.template(), visit: ti.template(), arguments: ti.template()):
+    """The same in the other order."""
+    by_parity(count, visit, arguments, (1, 0))
+
+
+@ti.func
+def by_parity(count: ti.template(), visit: ti.template(), arguments: ti.template(), parities: ti.template()):
+    """At the top level of a kernel only an unrolled loop leaves the inner ones parallel."""
     grain = ti.static(1 if on_device() else GRAIN)
-    for parity in ti.static(range(2)):
+    for parity in ti.static(parities):
         for k in range((count + 1 - parity) // 2 * grain):
             if k % grain == 0:
                 visit(k // grain * 2 + parity, *arguments)

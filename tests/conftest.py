@@ -50,6 +50,8 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.long)
         if item.get_closest_marker("long") or _is_where(item, "slow_where"):
             item.add_marker(pytest.mark.slow)
+        if PRECISION == "f64" and item.get_closest_marker("slow") and not item.get_closest_marker("long_in"):
+            item.add_marker(pytest.mark.long)  # what takes so long is run in one precision but by `make test-long`
     if os.environ.get("TAICHI_SIM_PRECISION") == "f64" or (of_device and PRECISION == "f64"):  # f32 has its own run
         again = [item for item in items if item.get_closest_marker("once")]
         config.hook.pytest_deselected(items=again)

@@ -68,7 +68,7 @@ def test_the_page_on_python_runs(tmp_path, monkeypatch, capsys):
     assert len(names["scene"].colliders) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
     page = (Path(__file__).parent.parent / "docs" / "sweeps.md").read_text()
     monkeypatch.chdir(tmp_path)

@@ -75,7 +75,7 @@ def test_cloth_over_a_mesh_of_ones_own(capfd):
     assert Path("drape.mp4").stat().st_size > 500
     stage = usd.Stage.Open("drape.usdc")
     assert stage.GetFramesPerSecond() == 24
-    sheet = stage.GetPrimAtPath("/World/dust_sheet/surface")
+    sheet = stage.GetPrimAtPath("/World/dust_sheet/dust_sheet")
     points = np.array([sheet.GetAttribute("points").Get(k) for k in range(18)])
     assert points.shape == (18, 21 * 21, 3)
     assert np.allclose(points[0, :, 1], 1.05)
@@ -133,7 +133,7 @@ def test_an_eel_swims():
     assert abs(speed[2]) < 0.2 * speed[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mesh_that_changes_shape():
     """A plate bulges under a ball, which goes up with it; another slides, and takes its ball along by friction."""
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "scenes.md").read_text(), re.DOTALL)
@@ -171,7 +171,7 @@ def shown(cell: str, names: dict):
     return eval(compile(ast.Expression(last.value), "cell", "eval"), names)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_video_in_a_notebook():
     scene, look, video = blocks(recipe("A video in a notebook"), "python")
     names: dict = {}

@@ -3,7 +3,7 @@
 Within a step a collider moves with constant velocity and angular velocity from its pose, and the ball along a parabola.
 """
 
-from taichi_sim.kernels.contacts.colliders import distance, face_distance, local, surface_velocity, world
+from taichi_sim.kernels.contacts.colliders import carried_back, distance, face_distance, local, surface_velocity, world
 from taichi_sim.kernels.contacts.kinds import BOX, CUSTOM, MESH, RESTING
 from taichi_sim.kernels.contacts.parabola import crossing
 
@@ -21,7 +21,9 @@ SAME_FACE = 0.9  # cosine between normals
 
 
 @ti.func
-def meeting(walls: ti.template(), colliders: ti.template(), i, k, face, x, v, a, since, limit, settled, floor):
+def meeting(
+    walls: ti.template(), colliders: ti.template(), i, k, face, x, v, a, since, limit, begin, settled, floor, place
+):
     """First time within `limit` seconds at which ball i, on a parabola from x that begins `since` seconds into the step, meets
     collider k, or that face of a hollow box around it, where it is not WHOLE: MEETS, MISSES or UNKNOWN beyond that time, and the
     time.
@@ -60,7 +62,7 @@ def meeting(walls: ti.template(), colliders: ti.template(), i, k, face, x, v, a,
                     sunk = ti.max(0.0, -gap)
                 gap += sunk
                 if gap < RESTING_SINK * r:
-                    gap += allowance(walls, i, k, n, settled, floor)
+                    gap += allowance(walls, i, k, n, at - d * n, since + t, begin, settled, floor, place)
                 u = n.dot(v + t * a - surface_velocity(colliders, k, at, since + t))
                 looks += 1
                 if behind:
@@ -153,24 +155,36 @@ def angular_speed(spin, dim: ti.template()):
 
 
 @ti.func
-def allowance(walls: ti.template(), i, k, n, settled, floor):
-    """How far [m] ball i may sink into collider k along n while it moves: a little where it rests on it. settled, floor: the
-    collider on which it came to rest within this step, and its normal there: other faces of it are met as any."""
-    sink = RESTING_SINK * walls.model.radius[i]
-    rests = settled == k and n.dot(floor) > SAME_FACE
-    if ti.static(walls.colliders.rotates):
-        if rests:  # what rotates takes a ball around a bend within the step
-            sink = ROTATING_SINK * walls.model.radius[i]
-    if walls.touching[i] > 0:
-        at = walls.collider_contacts
-        for s in range(at.count):
-            if walls.contact[i * walls.count + walls.planes.count + s].role == RESTING and at.collider(i, s) == k:
-                rests = rests or n.dot(at.normal(i, s)) > SAME_FACE
-    return ti.select(rests, sink, 0.0)
+def allowance(walls: ti.template(), i, k, n, point, after, begin, settled, floor, place):
+    """How far [m] ball i may sink into collider k along n while it moves: a little where it rests on it, or where `point`, at
+    which it would meet it `after` seconds into the step, lies no higher than what it rests on: there it is borne. begin:
+    where the step began. settled, floor, place: the collider on which it came to rest within this step, its normal there, and
+    where; other faces of it are met as any."""
+    r = walls.model.radius[i]
+    sink, depth = RESTING_SINK * r, 0.0 * r
+    at, planes = walls.collider_contacts, walls.planes.count
+    far = walls.colliders.distance_from_origin(k)
+    rests = settled != NOTHING and floor.dot(point - place) + r <= walls.tolerance(point, i, far)
+    if settled == k and n.dot(floor) > SAME_FACE:
+        rests = True
+        if ti.static(walls.colliders.rotates):  # what rotates takes a ball around a bend within the step
+            sink = ROTATING_SINK * r
+    for s in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+        if walls.contact[i * walls.count + s].role == RESTING:
+            m, base, beyond = walls.normal(i, s), point, far
+            if s >= planes:
+                own = at.collider(i, s - planes)
+                rests = rests or (own == k and n.dot(m) > SAME_FACE)
+                base = carried_back(walls.colliders, own, point, after)
+                beyond += walls.colliders.distance_from_origin(own)
+            gap = walls.gap(begin, i, s)
+            if m.dot(base - begin) + r + gap <= walls.tolerance(point, i, beyond):
+                rests, depth = True, ti.max(depth, -gap)
+    return ti.select(rests, sink + depth, 0.0)
 
 
 @ti.func
-def first_collider(walls: ti.template(), i, x, v, a, since, limit, settled, floor):
+def first_collider(walls: ti.template(), i, x, v, a, since, limit, begin, settled, floor, place):
     """Earliest of all colliders that ball i meets: its key (number times `faces`, and the face of a hollow box around the ball),
     NOTHING, or UNKNOWN_WAY; and the time. Each face for itself: that on which a ball rolls is the nearest one
     all the way, and hides the next."""
@@ -187,7 +201,9 @@ def first_collider(walls: ti.template(), i, x, v, a, since, limit, settled, floo
                             several = 1
                 for face in range(ti.select(several == 1, walls.colliders.faces, 1)):
                     which = ti.select(several == 1, face, WHOLE)
-                    found, t = meeting(walls, walls.colliders, i, k, which, x, v, a, since, time, settled, floor)
+                    found, t = meeting(
+                        walls, walls.colliders, i, k, which, x, v, a, since, time, begin, settled, floor, place
+                    )
                     if found != MISSES and t < time:
                         time = t
                         hit = ti.select(found == MEETS, k * walls.colliders.faces + face, UNKNOWN_WAY)

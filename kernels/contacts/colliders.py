@@ -5,6 +5,7 @@ pose at its end. All distances are signed: negative inside the solid.
 """
 
 from taichi_sim.kernels.contacts.kinds import BOX, MESH, ROUND
+from taichi_sim.kernels.contacts.triangle_tree import signed_distance
 from taichi_sim.kernels.trigonometry import sine_cosine
 from taichi_sim.kernels.vectors import lever
 
@@ -14,17 +15,24 @@ from taichi_sim.device.engine import ti
 @ti.func
 def rotated(q, angle):
     """q rotated by an angle (2D) or a rotation vector (3D)."""
-    result = q
+    return q + rotation_chord(q, angle)
+
+
+@ti.func
+def rotation_chord(q, angle):
+    """The way from q to q rotated by an angle (2D) or a rotation vector (3D), in half angles, which cancel no digits."""
+    chord = 0.0 * q
     if ti.static(q.n == 2):
-        s, c = sine_cosine(angle)
-        result = ti.Vector([c * q[0] - s * q[1], s * q[0] + c * q[1]])
+        s, c = sine_cosine(0.5 * angle)
+        chord = 2.0 * s * (c * lever(1.0, q) - s * q)
     else:
         size = angle.norm()
         if size > 0.0:
             n = angle / size
-            s, c = sine_cosine(size)
-            result = c * q + s * n.cross(q) + (1.0 - c) * n.dot(q) * n
-    return result
+            s, c = sine_cosine(0.5 * size)
+            m = n.cross(q)
+            chord = 2.0 * s * (c * m + s * n.cross(m))
+    return chord
 
 
 @ti.func
@@ -59,6 +67,18 @@ def world(colliders: ti.template(), k, n, after):
 
 
 @ti.func
+def carried_back(colliders: ti.template(), k, x, after):
+    """Where the matter of collider k that is at the point x `after` seconds into the step was at its start."""
+    p = x
+    if ti.static(colliders.moves):
+        pose = colliders.pose[k]
+        p = x - after * pose.v
+        if ti.static(colliders.rotates):
+            p = pose.x + rotated(p - pose.x, -after * pose.spin)
+    return p
+
+
+@ti.func
 def surface_velocity(colliders: ti.template(), k, x, after):
     """Velocity of the matter of collider k at the point x, `after` seconds into the step."""
     v = 0.0 * x
@@ -67,6 +87,19 @@ def surface_velocity(colliders: ti.template(), k, x, after):
         v = pose.v
         if ti.static(colliders.rotates):
             v += lever(pose.spin, x - pose.x - after * pose.v)
+    return v
+
+
+@ti.func
+def chord_velocity(colliders: ti.template(), k, x, h):
+    """Velocity that takes the matter of collider k at the point x, at the start of a step, to where it is h seconds later: what
+    moves with it stays at its distance from the axis, where the velocity at the start would lead outward."""
+    v = 0.0 * x
+    if ti.static(colliders.moves):
+        pose = colliders.pose[k]
+        v = pose.v
+        if ti.static(colliders.rotates):
+            v += rotation_chord(x - pose.x, h * pose.spin) / h
     return v
 
 
@@ -116,25 +149,35 @@ def round_distance(p, half, radius):
 
 
 @ti.func
-def cell_value(grid: ti.template(), shape, i, j, k):
-    """Distance kept at a corner of the grid of a mesh."""
-    return grid[shape.first + (k * shape.cells[1] + j) * shape.cells[0] + i]
-
-
-@ti.func
-def mesh_distance(grid: ti.template(), shape, p):
-    """The same for a mesh: linear in each cell of its grid. Outside the grid from the nearest point that its border knows."""
+def mesh_distance(colliders: ti.template(), shape, p):
+    """The same for a mesh: linear in each cell of its grid, but by triangles where that would be too coarse."""
     g = (p - shape.low) * shape.inverse_cell
     top = ti.cast(shape.cells, float) - 1.0
     inner = ti.max(ti.min(g, top), 0.0)
     cell = ti.min(ti.cast(ti.floor(inner), ti.i32), shape.cells - 2)
-    t = inner - ti.cast(cell, float)
-    i, j, k = cell[0], cell[1], cell[2]
-    d = 0.0 * p[0]
-    n = 0.0 * p
+    first = shape.first + (cell[2] * shape.cells[1] + cell[1]) * shape.cells[0] + cell[0]
+    near = colliders.near[first]
+    d, n = 0.0 * p[0], 0.0 * p
+    if near >= 0:
+        d, n, _ = signed_distance(
+            colliders.box, colliders.link, colliders.triangle, shape.first_node, shape.last_node, near, p
+        )
+    else:
+        d, n = interpolated(
+            colliders.grid, shape, first, inner - ti.cast(cell, float), (g - inner) / shape.inverse_cell
+        )
+    return d, n
+
+
+@ti.func
+def interpolated(grid: ti.template(), shape, first, t, out):
+    """The same in the cell whose values begin at `first`, at the parts t of it along the axes; from a point that is `out` [m]
+    away from the grid, that of the nearest point which its border knows."""
+    d = 0.0 * t[0]
+    n = 0.0 * t
     for c in ti.static(range(8)):
         dx, dy, dz = ti.static(c & 1, (c >> 1) & 1, (c >> 2) & 1)
-        value = cell_value(grid, shape, i + dx, j + dy, k + dz)
+        value = grid[first + (dz * shape.cells[1] + dy) * shape.cells[0] + dx]
         wx = t[0] if ti.static(dx == 1) else 1.0 - t[0]
         wy = t[1] if ti.static(dy == 1) else 1.0 - t[1]
         wz = t[2] if ti.static(dz == 1) else 1.0 - t[2]
@@ -145,7 +188,6 @@ def mesh_distance(grid: ti.template(), shape, p):
         n = n / size
     else:
         n[1] = 1.0
-    out = (g - inner) / shape.inverse_cell
     if out.dot(out) > 0.0:
         r = out + d * n
         d = r.norm()
@@ -189,7 +231,7 @@ def distance(colliders: ti.template(), k, p):
             d, n = box_distance(p, shape.half)
     if ti.static(colliders.has_mesh):
         if shape.kind == MESH:
-            d, n = mesh_distance(colliders.grid, shape, p)
+            d, n = mesh_distance(colliders, shape, p)
     if ti.static(colliders.has_custom):
         for number, distance_from in ti.static(colliders.custom):
             if k == number:

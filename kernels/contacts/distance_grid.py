@@ -1,12 +1,14 @@
 """Distances from a closed triangle mesh on a regular grid: exact near the triangles, then handed on from corner to corner.
 
-Real numbers are of the type of the arrays handed in, best in double precision, whatever that of the run is. frame (5,): the
-lowest corner of the grid [m], the width of a cell [m], and by which part of it `winding` shifts its lines.
+Real numbers are of the type of the arrays handed in, best in double precision, whatever that of the run is. frame (7,): the
+lowest corner of the grid [m], the width of a cell [m], by which part of it `winding` shifts its lines, and two lengths, see
+`find_inexact`.
 """
 
-from taichi_sim.device.engine import ti
+from taichi_sim.kernels.contacts.closest_points import on_triangle
+from taichi_sim.kernels.contacts.triangle_tree import signed_distance
 
-LEAST = 1e-37  # in place of a division by 0; also a number in single precision
+from taichi_sim.device.engine import ti
 
 
 @ti.func
@@ -20,36 +22,17 @@ def lowest(frame: ti.template()):
 
 
 @ti.func
-def squared(p, a, b, c):
-    """Squared distance of p from the triangle a b c (Ericson, Real-Time Collision Detection, 5.1.5)."""
-    ab, ac, ap = b - a, c - a, p - a
-    d1, d2 = ab.dot(ap), ac.dot(ap)
-    bp = p - b
-    d3, d4 = ab.dot(bp), ac.dot(bp)
-    cp = p - c
-    d5, d6 = ab.dot(cp), ac.dot(cp)
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    q = a
-    if d1 <= 0.0 and d2 <= 0.0:
-        q = a
-    elif d3 >= 0.0 and d4 <= d3:
-        q = b
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        q = a + ab * (d1 / ti.max(d1 - d3, LEAST))
-    elif d6 >= 0.0 and d5 <= d6:
-        q = c
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        q = a + ac * (d2 / ti.max(d2 - d6, LEAST))
-    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        q = b + (c - b) * ((d4 - d3) / ti.max((d4 - d3) + (d5 - d6), LEAST))
-    else:
-        q = a + (ab * vb + ac * vc) / ti.max(va + vb + vc, LEAST)
-    return (p - q).dot(p - q)
+def to_triangle(corner: ti.template(), p, t):
+    """Squared distance of p from triangle t."""
+    return squared(p, point(corner, 3 * t), point(corner, 3 * t + 1), point(corner, 3 * t + 2))
 
 
 @ti.func
-def to_triangle(corner: ti.template(), p, t):
-    return squared(p, point(corner, 3 * t), point(corner, 3 * t + 1), point(corner, 3 * t + 2))
+def squared(p, a, b, c):
+    """The same from the triangle a b c."""
+    w = on_triangle(p, a, b, c)
+    r = (p - a) - (w[1] * (b - a) + w[2] * (c - a))
+    return r.dot(r)
 
 
 @ti.kernel
@@ -133,3 +116,53 @@ def winding(corner: ti.types.ndarray(ndim=2), windings: ti.types.ndarray(ti.i32,
         for i in range(windings.shape[2]):
             total += windings[k, j, i]
             windings[k, j, i] = total
+
+
+@ti.func
+def corner_value(value: ti.template(), k, j, i, c: ti.template()):
+    """At corner c, 0 to 7, of the cell whose lowest one is i, j, k."""
+    return value[k + ti.static(c >> 2 & 1), j + ti.static(c >> 1 & 1), i + ti.static(c & 1)]
+
+
+@ti.func
+def interpolated(value: ti.template(), k, j, i, part):
+    """Between the corners of a cell, at the parts (3) of it along the axes."""
+    total = 0.0 * part[0]
+    for c in ti.static(range(8)):
+        weight = 1.0 + total * 0.0
+        for a in ti.static(range(3)):
+            weight *= part[a] if ti.static(c >> a & 1) else 1.0 - part[a]
+        total += weight * corner_value(value, k, j, i, c)
+    return total
+
+
+@ti.kernel
+def find_inexact(
+    value: ti.types.ndarray(ndim=3),
+    closest: ti.types.ndarray(ti.i32, 3),
+    box: ti.types.ndarray(ndim=1),
+    link: ti.types.ndarray(ti.i32, 1),
+    triangle: ti.types.ndarray(ndim=1),
+    near: ti.types.ndarray(ti.i32, 3),
+    frame: ti.types.ndarray(ndim=1),
+):
+    """A triangle near each cell (near, at its lowest corner) within frame[5] m of the mesh where the values at its corners would
+    be wrong by more than frame[6] m somewhere between, looked at halfway; else -1."""
+    low, cell = lowest(frame), frame[3]
+    for k, j, i in ti.ndrange(value.shape[0] - 1, value.shape[1] - 1, value.shape[2] - 1):
+        least = frame[5]
+        for c in ti.static(range(8)):
+            least = ti.min(least, ti.abs(corner_value(value, k, j, i, c)))
+        triangle_near, wrong = closest[k, j, i], False
+        place = 0
+        while least < frame[5] and place < 27 and not wrong:
+            number = (place + 13) % 27  # from the middle on
+            part = 0.5 * ti.Vector([number % 3, number // 3 % 3, number // 9])
+            p = low + cell * (part + ti.Vector([i, j, k]))
+            d, _, t = signed_distance(box, link, triangle, 0, link[0], triangle_near, p)
+            if place == 0:
+                triangle_near = t
+            wrong = ti.abs(interpolated(value, k, j, i, part) - d) > frame[6]
+            place += 1
+        if wrong:
+            near[k, j, i] = triangle_near

@@ -166,8 +166,8 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     speed = along - 0.5 * h * pull
     shift = h * along
     touched = False
-    settled = NOTHING  # the collider on which it came to rest within this step, and the normal there
-    floor = 0.0 * v
+    settled = NOTHING  # the collider on which it came to rest within this step (walls: beyond these), the normal there, and where
+    floor, place = 0.0 * v, x
     fast = False  # it may have to stop on its way at another ball (ccd_balls), so that must be straight
     if ti.static(walls.plan.pairs):
         fast = shift.dot(shift) > walls.model.radius[i] ** 2
@@ -177,7 +177,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
             hit, t = first_wall(walls, i, x + start, speed, pull, remaining)
             other = NOTHING
             if ti.static(walls.has_colliders):
-                other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, settled, floor)
+                other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, x, settled, floor, place)
             far = 0.0 * t
             if ti.static(walls.has_colliders):
                 if other >= 0:
@@ -203,6 +203,9 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                     speed, pull, rests = bounce(
                         walls, i, normal, walls.law(i, hit), came, pull, threshold, h, remaining
                     )
+                    if ti.static(walls.has_colliders):
+                        if rests:
+                            settled, floor, place = walls.colliders.count + hit, normal, x + shift
                     if ti.static(walls.probed):
                         body = walls.received.plane[hit]
                 elif ti.static(walls.has_colliders):
@@ -212,8 +215,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                             walls, i, other, x + shift, came, pull, since, threshold, h
                         )
                         if rests:
-                            settled = k
-                            floor = n
+                            settled, floor, place = k, n, x + shift
                         if ti.static(walls.probed):
                             body = walls.received.solid[k]
                     else:  # UNKNOWN_WAY: it waits where it is

@@ -394,6 +394,8 @@ class ColliderShape(Protocol):
     low: Field  # vector, m: corner of that grid
     inverse_cell: float  # 1/m
     cells: Field  # (3) numbers along the axes
+    first_node: int  # of the tree of a mesh
+    last_node: int  # the node after its last
 
 
 class Colliders(Protocol):
@@ -404,6 +406,10 @@ class Colliders(Protocol):
     shape: "ColliderShape"  # (count)
     pose: "ColliderPose"  # (count)
     grid: Field  # m, distances from meshes, one grid behind the other
+    near: Field  # the same: a triangle near the cell that begins there, where distances are taken from triangles, or -1
+    box: Field  # m, (6 nodes) of the trees of meshes, see contacts.triangle_tree
+    link: Field  # (3 nodes)
+    triangle: Field  # (30 triangles)
     custom: list  # number of each that the user defines, and its Taichi function distance(p) [m], p in its own frame
     difference: float  # of an extent: between points whose distances give a direction
     faces: int  # of a hollow box, or 1
@@ -448,7 +454,7 @@ class ColliderSlot(Protocol):
     key: int  # the collider times `faces` plus the face of it, or EMPTY
     gap: float  # m, negative inside
     normal: Field  # unit vector, toward the ball
-    velocity: Field  # vector, m/s, of the surface
+    velocity: Field  # vector, m/s, of the surface, along the chord of the step to come
 
 
 class ColliderContacts(Protocol):
@@ -458,12 +464,10 @@ class ColliderContacts(Protocol):
     slot: "ColliderSlot"  # (n count)
     filled: Field  # (n) number of slots in use
     moves: bool  # whether surfaces have velocities
+    faces: int  # of a hollow box, or 1
 
     def collider(self, i: int, s: int) -> int:
         """The collider in slot s of ball i."""
-
-    def normal(self, i: int, s: int) -> Any:
-        """Direction from it to the ball."""
 
 
 class Received(Protocol):

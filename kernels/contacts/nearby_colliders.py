@@ -10,10 +10,10 @@ EMPTY = -1  # its key
 
 
 @ti.func
-def find(walls: ti.template(), x, i, crowded):
-    """Fill the slots of ball i at x with the colliders in reach: each where it was before, those that are new in a free one;
-    where there are too many, the nearest. Returns how many contacts there are to look at: none of the slots of a ball that is
-    and was far from all colliders, which are not even cleared."""
+def find(walls: ti.template(), x, i, crowded, h):
+    """Fill the slots of ball i at x, for a step of h seconds, with the colliders in reach: each where it was before, those that
+    are new in a free one; where there are too many, the nearest. Returns how many contacts there are to look at: none of the
+    slots of a ball that is and was far from all colliders, which are not even cleared."""
     at = walls.collider_contacts
     first = i * at.count
     ready = at.filled[i] > 0
@@ -32,19 +32,21 @@ def find(walls: ti.template(), x, i, crowded):
                             at.slot[e].gap = FAR_GAP
                             at.slot[e].key = EMPTY
                         ready = True
-                        fill_slot(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n)
+                        fill_slot(walls, i, k, k * walls.colliders.faces + face, d - r, n, x - d * n, h)
     filled = 0
     for e in range(first, ti.select(ready, first + at.count, first)):
         if at.slot[e].gap == FAR_GAP:
             at.slot[e].key = EMPTY
         else:
             filled += 1
+    if filled > 0 and filled + walls.planes.count > 1:
+        filled -= forget_hidden(walls, x, i)
     at.filled[i] = filled
     return ti.select(ready, walls.count, walls.planes.count)
 
 
 @ti.func
-def fill_slot(walls: ti.template(), i, k, key, gap, n, point):
+def fill_slot(walls: ti.template(), i, k, key, gap, n, point, h):
     """Note a contact of ball i with collider k at a point: in the slot of its key, else in a free one, else in that of the widest
     gap."""
     at = walls.collider_contacts
@@ -67,4 +69,57 @@ def fill_slot(walls: ti.template(), i, k, key, gap, n, point):
         at.slot[place].gap = gap
         at.slot[place].normal = n
         if ti.static(at.moves):
-            at.slot[place].velocity = geometry.surface_velocity(walls.colliders, k, point, 0.0)
+            at.slot[place].velocity = geometry.chord_velocity(walls.colliders, k, point, h)
+
+
+@ti.func
+def forget_hidden(walls: ti.template(), x, i):
+    """Empty the slots of ball i at x whose contact is hidden by another one of it: at a seam of surfaces in one plane the edge of
+    the next one, whose direction would throw up what slides there. Returns how many."""
+    at = walls.collider_contacts
+    first = i * at.count
+    hidden, number = 0, 0
+    for s in range(at.count):
+        if at.slot[first + s].key >= 0:
+            for k in range(walls.count):
+                if hidden >> s & 1 == 0 and is_hidden(walls, x, i, s, k):
+                    hidden |= 1 << s
+                    number += 1
+    for s in range(at.count):
+        if hidden >> s & 1 == 1:
+            at.slot[first + s].gap = FAR_GAP
+            at.slot[first + s].key = EMPTY
+            walls.forget(i * walls.count + walls.planes.count + s)
+    return number
+
+
+@ti.func
+def is_hidden(walls: ti.template(), x, i, s, k):
+    """Whether the place where ball i at x meets the collider in its slot s belongs to its surface k too, which is no further
+    away, but not the other way around."""
+    at, planes = walls.collider_contacts, walls.planes.count
+    own = at.slot[i * at.count + s]
+    r, gap, n = walls.model.radius[i], FAR_GAP + 0.0 * own.gap, 0.0 * own.normal
+    far = walls.colliders.distance_from_origin(own.key // at.faces)
+    key = own.key
+    if k < planes:
+        gap, n = walls.planes.gap(x, i, k), walls.planes.wall[k].normal
+    elif k - planes != s:
+        other = at.slot[i * at.count + k - planes]
+        if other.key >= 0 and other.key // at.faces != own.key // at.faces:
+            gap, n, key = other.gap, other.normal, other.key
+            far += walls.colliders.distance_from_origin(key // at.faces)
+    touch = walls.tolerance(x, i, far)
+    yes = gap <= own.gap + touch
+    point, back = x - (own.gap + r) * own.normal, x - (gap + r) * n
+    if k < planes:
+        yes = yes and n.dot(point - back) <= touch
+    for turn in range(ti.select(k < planes, 1, 0), ti.select(yes, 2, 0)):
+        d, _, _ = walls.colliders.distance(
+            ti.select(turn == 0, key, own.key) // at.faces,
+            ti.select(turn == 0, key, own.key) % at.faces,
+            ti.select(turn == 0, point, back),
+            0.0,
+        )
+        yes = yes and ((d <= touch) == (turn == 0))
+    return yes

@@ -4,7 +4,7 @@ Springs are listed with their lower ball (a half edge list), and blocks of balls
 reads what the one before it wrote (Gauss-Seidel).
 """
 
-from taichi_sim.kernels.reductions import even_then_odd
+from taichi_sim.kernels.reductions import even_then_odd, odd_then_even
 
 from taichi_sim.device.engine import ti
 
@@ -53,20 +53,27 @@ def sum_block(b, total: ti.template(), springs: ti.template(), h):
 
 
 @ti.func
-def in_turn(sweep: ti.template(), springs: ti.template(), h):
-    """sweep.change(i, j, e, h) for all springs e, i its lower ball, each seeing what those before it changed: by colours, whose
-    springs share no ball, or by blocks."""
+def there_and_back(sweep: ti.template(), springs: ti.template(), h):
+    """sweep.change(i, j, e, h) for all springs e, i its lower ball, in order and then in the reverse order, each seeing what
+    those before it changed: by colours, whose springs share no ball, or by blocks."""
     if ti.static(springs.order == "colours"):
-        for c in ti.static(range(len(springs.colours) - 1)):
+        last = ti.static(len(springs.colours) - 2)
+        for step in ti.static(range(2 * last + 2)):
+            c = ti.static(min(step, 2 * last + 1 - step))
             for e in range(springs.colours[c], springs.colours[c + 1]):
                 sweep.change(springs.spring[e].one, springs.spring[e].other, e, h)
     else:
-        even_then_odd(springs.blocks, change_block, (sweep, springs, h))
+        even_then_odd(springs.blocks, change_block, (sweep, springs, h, False))
+        odd_then_even(springs.blocks, change_block, (sweep, springs, h, True))
 
 
 @ti.func
-def change_block(b, sweep: ti.template(), springs: ti.template(), h):
-    """The springs whose lower ball lies in block b, in their order."""
-    for i in range(b * springs.block, ti.min((b + 1) * springs.block, springs.n)):
-        for e in range(springs.start[i], springs.start[i + 1]):
+def change_block(b, sweep: ti.template(), springs: ti.template(), h, reverse: ti.template()):
+    """The springs whose lower ball lies in block b, in their order or in the reverse one."""
+    begin, end = b * springs.block, ti.min((b + 1) * springs.block, springs.n)
+    for k in range(end - begin):
+        i = end - 1 - k if ti.static(reverse) else begin + k
+        first, behind = springs.start[i], springs.start[i + 1]
+        for t in range(behind - first):
+            e = behind - 1 - t if ti.static(reverse) else first + t
             sweep.change(i, springs.spring[e].other, e, h)

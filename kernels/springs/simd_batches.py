@@ -13,12 +13,13 @@ READS = {"sweep": BatchSweep}
 
 
 @ti.func
-def in_turn(sweep: ti.template(), springs: ti.template(), h):
-    """For all springs e from ball i to ball j sweep.take(i, j, sweep.give(i, j, e, h)), each seeing what those before it changed;
-    sweep.change(i, j, e, h) is the same for ends that may coincide. For batches see forces.spring_batches."""
+def there_and_back(sweep: ti.template(), springs: ti.template(), h):
+    """For all springs e from ball i to ball j sweep.take(i, j, sweep.give(i, j, e, h)), in order and then in the reverse order,
+    each seeing what those before it changed; sweep.change(i, j, e, h) is the same for ends that may coincide. For batches see
+    forces.spring_batches."""
     ti.loop_config(serialize=True)
-    for batch in range(springs.batches):
-        e = batch * BATCH_WIDTH
+    for step in range(2 * springs.batches):
+        e = ti.min(step, 2 * springs.batches - 1 - step) * BATCH_WIDTH
         f = ti.Matrix.zero(float, BATCH_WIDTH, sweep.dim)
         nearest = ti.cast(1.0, float)
         for q in ti.static(range(BATCH_WIDTH)):

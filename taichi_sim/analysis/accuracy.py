@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis import turning
+from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
 from taichi_sim.scene.colliders import BOX, ROUND, Collider
@@ -34,6 +36,7 @@ LOW_BOUNCE = 0.01  # of the smallest radius: bounces that end below it are not m
 SMALL_ANGLE = 0.05  # rad: directions after impacts that are off by less are not spoken of
 DEEP_OVERLAP = 0.1  # of the radius: overlap at rest that shows
 VISIBLE_LOSS = 0.005  # of the smallest radius: loss of single precision that shows
+WRONG_BEND = 0.003  # of a curvature: loss of single precision that is reported
 SLACK = 0.25  # strain up to which cloth that hangs on something opens
 # of the weight above, the part along each contact with the layer below: two, three contacts at 30, 35 degrees in close packs
 LOAD_SHARE = {2: 0.577, 3: 0.408}
@@ -78,8 +81,20 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
                 else "leave sticks, and surfaces that collide, out of such a scene",
             )
         yield from _cloth(scene)
+    yield from _cells(scene)
+    yield from _turning(scene, setup)
     if setup.precision == "f32" and scene.n_balls:
         yield from _rounding(scene, setup)
+        yield from _bending(scene)
+
+
+def _turning(scene: Scene, setup: Setup) -> Iterator[Finding]:
+    """What the method takes from the body that turns fastest at the start."""
+    method, h = setup.method, setup.h
+    if method.turning_loss(1.0, h) > 0.0:
+        turn = turning.fastest_turn(scene, scene.position, scene.velocity)
+        if turn is not None and turn.rate(method, h) > 0.0:
+            yield Finding("rotation", turning.sentence(turn, method, h), turning.cure(turn, method, h))
 
 
 # Bounces and impacts ---------------------------------------------------------------------------------------------------
@@ -342,9 +357,48 @@ def single_precision(scene: Scene, setup: Setup) -> tuple[str, bool]:
     )
 
 
+def _cells(scene: Scene) -> Iterator[Finding]:
+    """Cells that are inverted at the start, and those that nothing keeps from it."""
+    if turned := inverted(scene, scene.position):
+        yield Finding(
+            "cells",
+            f"{turned} of {len(scene.cells)} are inverted at the start",
+            "check their rest volumes and positions",
+        )
+    idle = (scene.bulk_modulus == 0.0) & (scene.crush_modulus == 0.0)
+    if idle.any():
+        yield Finding(
+            "cells",
+            f"{np.count_nonzero(idle)} of {len(scene.cells)} are only counted where they invert: nothing keeps their volume",
+            "give the jelly a young_modulus in place of a stiffness; its cells then resist being crushed",
+        )
+
+
 def _rounding(scene: Scene, setup: Setup) -> Iterator[Finding]:
     what, shows = single_precision(scene, setup)
     yield Finding("rounding", what, NEARER if shows else "")
+
+
+def bending_error(scene: Scene) -> float:
+    """What single precision makes of a bending element that is bent to a radius as large as the scene: its relative error."""
+    x, balls, w = scene.position, scene.bends, scene.bend_weights
+    twice = 2.0 * w[:, 0] * w[:, 1] * (balls[:, 0] == balls[:, 1])  # a ball that is named twice has one rounding
+    off = np.sqrt((np.sum(w**2, axis=1) + twice) / 12.0) * np.spacing(np.float32(np.abs(x).max()))
+    apart = np.sum((x[balls] - x[balls[:, :1]]) ** 2, axis=2)
+    bent = 0.5 * np.sum(np.abs(w) * apart, axis=1) / max(1e-300, float(np.ptp(x, axis=0).max()))
+    acts = scene.bend_stiffness > 0.0
+    return float(np.divide(off, bent, out=np.zeros_like(off), where=(bent > 0.0) & acts).max(initial=0.0))
+
+
+def _bending(scene: Scene) -> Iterator[Finding]:
+    error = bending_error(scene)
+    if error > WRONG_BEND:
+        yield Finding(
+            "bending",
+            f"elements are so small that single precision is off by {error:.2g} of the curvature of one bent to a radius as"
+            " large as the scene",
+            'use precision "f64", or fewer balls',
+        )
 
 
 NEARER = 'use precision "f64", or build the scene nearer to the origin'

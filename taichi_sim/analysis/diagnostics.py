@@ -11,7 +11,7 @@ from taichi_sim.analysis.frame import Contacts
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.colliders import Collider
-from taichi_sim.scene.elements import cell_volumes
+from taichi_sim.scene.elements import CRUSHED, cell_volumes
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -82,13 +82,16 @@ def _elements(scene: Scene, x: Floats, torn: NDArray) -> float:
         one = np.unique(cells, return_inverse=True)[1]
         volume = np.bincount(one, cell_volumes(x, scene.cells) * whole)
         rest = np.bincount(one, scene.rest_volume * whole)
-        strength = np.bincount(one, scene.bulk_modulus * scene.rest_volume * whole)
-        strain = np.divide(volume, rest, out=np.ones_like(rest), where=rest > 0) - 1.0
-        total += 0.5 * float(np.sum(strength * strain**2))
+        part = np.divide(volume, rest, out=np.ones_like(rest), where=rest > 0)
+        for modulus, strain in (
+            (scene.bulk_modulus, part - 1.0),
+            (scene.crush_modulus, np.minimum(part - CRUSHED, 0.0)),
+        ):
+            total += 0.5 * float(np.sum(np.bincount(one, modulus * scene.rest_volume * whole) * strain**2))
     if len(scene.bends):
         curve = np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends] - x[scene.bends[:, :1]])
         whole = ~cut(scene.bends, torn, scene.n_balls)
-        total += 0.5 * float(np.sum((scene.bend_stiffness * np.sum(curve**2, axis=1))[whole]))
+        total += 0.5 * float(np.sum((scene.held_bending()[0] * np.sum(curve**2, axis=1))[whole]))
     for gas in scene.gases:
         now = enclosed(x, gas.triangles) / gas.volume
         inside = (gas.pressure + gas.outside) * gas.volume

@@ -55,10 +55,13 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
     root = np.where(scene.pinned, 0.0, 1.0 / np.sqrt(scene.mass))
     kinds, press = [], 0.0
     if len(scene.cells):
-        kinds.append(_Kind(scene.cells, _gradients(scene), ROOM * scene.bulk_modulus / scene.rest_volume))
+        kinds.append(
+            _Kind(scene.cells, _gradients(scene), (ROOM * scene.bulk_modulus + scene.crush_modulus) / scene.rest_volume)
+        )
     bends = scene.bend_weights[:, :, None]
+    stiffness, loss = scene.held_bending()
     if len(scene.bends):
-        kinds.append(_Kind(scene.bends, bends, scene.bend_stiffness))
+        kinds.append(_Kind(scene.bends, bends, stiffness))
     for gas in scene.gases if with_gas else ():
         x, t = scene.position, gas.triangles
         area = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) / 6.0
@@ -71,7 +74,7 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
         length = np.bincount(t.ravel(), (edge + np.roll(edge, 1, axis=1)).ravel(), scene.n_balls)
         press += float((gas.pressure * length / 6.0 * root).max()) * float(root.max())
     elastic = _largest(kinds, root, scene.dim) + press
-    damping = _largest([_Kind(scene.bends, bends, scene.bend_damping)], root, scene.dim) if len(scene.bends) else 0.0
+    damping = _largest([_Kind(scene.bends, bends, loss)], root, scene.dim) if len(scene.bends) else 0.0
     drag = _drag(scene)
     return Rates(elastic, damping + drag, drag)
 

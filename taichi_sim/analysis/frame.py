@@ -11,10 +11,16 @@ from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 from taichi_sim.scene.objects import SceneObject
 
-__all__ = ["Contacts", "Frame", "Placed"]
+__all__ = ["Contacts", "Frame", "Placed", "frame_count"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+
+def frame_count(fps: float, duration: float) -> int:
+    """Number of frames of a run, `fps` [1/s] for `duration` [s]: round(fps x duration), and one more, since both the start and
+    the end are among them."""
+    return round(fps * duration) + 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,7 @@ class Method:
     a simulation needs a number as dt. `symplectic`: small motion keeps an energy near the true one, but large motion of
     undamped springs resonates with the step, so that automatic steps are shorter there. `conserves`: it damps nothing of its
     own. `contact_solves`: in a step, each for its part of the load. `solves_gas`: together with springs. `single_pass`: each
-    spring gives once in a step what it would if it were alone.
+    spring gives once in a step, or by halves in two passes, what it would if it were alone.
 
     A method that can say more overrides the functions below:
 
@@ -72,6 +72,10 @@ class Method:
         """The matrix by which a step of h seconds takes on place and velocity, and what else the method remembers, of
         q'' + d q' + omega^2 q = 0; None where it is not known."""
         return None
+
+    def turning_loss(self, speed: float, h: float) -> float:
+        """Part of its angular momentum [1/s] that a free body loses which turns at a speed [rad/s]."""
+        return 0.0
 
     def spring_damping(self, scene: Scene, h: float) -> Floats:
         """(m,) N s/m of springs as steps of h seconds take it."""
@@ -167,6 +171,10 @@ class _BackwardEuler(Method):
         """xpbd: where springs are soft enough for a single pass."""
         return np.asarray(np.linalg.inv(np.eye(2) - h * _linear(omega, d)), dtype=np.float64)
 
+    def turning_loss(self, speed: float, h: float) -> float:
+        """h W^2, see analysis.turning; for long steps as an oscillation of the frequency W loses it."""
+        return float(np.log1p((speed * h) ** 2)) / h
+
     def passes(self, scene: Scene, h: float) -> int:
         return self.iterations if scene.n_springs else 1
 
@@ -197,7 +205,9 @@ VERLET = _Verlet(
     "verlet", 2, DampedKickLimit(undamped=2.0, damped=1.0), symplectic=True, conserves=True, contact_solves=2
 )
 RK4 = _RungeKutta("rk4", 4, RungeKuttaLimit(undamped=2.61, damped=2.61), conserves=True, contact_solves=2)
-XPBD = _BackwardEuler("xpbd", 1, ImplicitLimit(undamped=2.0, damped=1.0), solves_gas=True, single_pass=True)
+XPBD = _BackwardEuler(
+    "xpbd", 1, ImplicitLimit(undamped=2.0, damped=1.0), solves_gas=True, single_pass=True, iterations=2
+)
 IMPLICIT_EULER = _BackwardEuler(
     "implicit_euler", 1, ImplicitLimit(undamped=2.0, damped=1.0), solves_gas=True, iterations=5
 )

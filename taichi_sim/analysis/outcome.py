@@ -7,12 +7,12 @@ import numpy as np
 from taichi_sim.analysis.methods import Method
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_depth", "of_energy", "takes_nothing"]
+__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_cells", "of_depth", "of_energy", "takes_nothing"]
 
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
 MANY = 10.0  # times what is slow
-DRIVEN = "what moves, drives or blows here gives and takes energy, so that this says nothing of the steps"
+DRIVEN = "moving parts, motors or wind add or take energy here, so the energy change is no measure of the step error"
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
 
@@ -63,6 +63,13 @@ def of_approach(left: float, scales: Scales, fastest: float, iterations: int) ->
     return grade if grade == "good" else f"{grade}; {cure_of_depth(False, iterations)}"
 
 
+def of_cells(now: int, most: int) -> str:
+    """Verdict on cells that are inverted at the end, and at most in a frame."""
+    if now:
+        return "wrong; the body is crushed: make it stiffer, give it a larger poisson_ratio, or take shorter steps"
+    return "look at it; the body was crushed for a moment and recovered" if most else "good"
+
+
 def of_energy(start: float, end: float, scales: Scales) -> str:
     """Verdict on the total energy [J]: none where something works on the scene, or nothing moved."""
     if scales.motion <= 0.0:
@@ -75,11 +82,9 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     )
     kept = max(KEPT, scales.swing)
     if part > kept:
-        return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; nothing explains it, take shorter steps"
+        return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; nothing in the scene explains it: take shorter steps"
     if scales.lossless:
         grade = _grade(abs(part), kept, max(LOST, kept))
-        cure = (
-            "" if grade == "good" else "; nothing in the scene takes it, but contacts: take shorter steps, see `check`"
-        )
+        cure = "" if grade == "good" else "; only contacts can have changed it: take shorter steps, see `check`"
         return f"off by {much}: {grade}{cure}"
-    return f"{start - end:.4g} J of it went into restitution, friction and damping, as it may" if part < -kept else ""
+    return f"{start - end:.4g} J of it went into restitution, friction and damping, as expected" if part < -kept else ""

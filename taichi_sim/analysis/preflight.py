@@ -4,14 +4,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from taichi_sim.analysis import turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2
-from taichi_sim.analysis.stability import coarsest_spring, sinking_spring
+from taichi_sim.analysis.stability import coarsest_spring, sinking_spring, sinking_step
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["cautions"]
 
 FASTEST = 4.0  # radii that a pin may move in a substep
+MOST_TURNED = 0.5  # of its angular momentum, that a method may take from a body in a second
 MOST_FLEXED = 0.1  # of a rest length, that a motor may change it by
 
 
@@ -33,15 +35,19 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
         yield from map(through, sieves(scene))
     yield from _of_pins(scene, h)
     yield from _of_motors(scene, h)
+    if method.turning_loss(1.0, h) > 0.0:
+        turn = turning.fastest_turn(scene, scene.position, scene.velocity)
+        if turn is not None and turn.rate(method, h) > MOST_TURNED:
+            yield f"rotation: {turning.sentence(turn, method, h)}; {turning.cure(turn, method, h)}"
     if scene.wind is not None and not len(scene.triangles):
         yield "wind: acts on triangles, and this scene has none"
     sinking = sinking_spring(scene, h) if method.single_pass else None
     if sinking is not None:
-        spring, ball, depth = sinking
+        step = min(h, sinking_step(scene))
         yield (
-            f"{method}: ball {ball}, much heavier than the other end of spring {spring}, sinks by at least {depth:.2g} m for want"
-            f" of passes, and at the end of a chain of light balls by tens of times that; take {IMPLICIT_EULER}, {TR_BDF2}"
-            " or much shorter steps"
+            f"{method}: spring {sinking.spring} carries {sinking.load:.3g} N at ball {sinking.ball} and is left at least"
+            f" {sinking.depth:.2g} m too long by the two passes of a step of {h:.3g} s, and others of its body by up to tens of"
+            f" times that; take {IMPLICIT_EULER}, {TR_BDF2} or steps of {step:.2g} s"
         )
 
 

@@ -39,7 +39,7 @@ class Readings:
         for probe in self.probes:
             values = probe.read(sample)
             if probe.name in self._now[1]:
-                values |= probe.mean(self._growth(probe.name))
+                values |= probe.mean(self._growth(probe.name), self._interval())
             found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(sample.scene.dim)})
         return found
 
@@ -68,6 +68,11 @@ class Readings:
     def _totals(self, sample: ProbeSample) -> dict[str, Floats]:
         totals = {probe.name: probe.total(sample) for probe in self.probes}
         return {name: total for name, total in totals.items() if total is not None}
+
+    def _interval(self) -> float:
+        """Seconds between the last two readings."""
+        assert self._now is not None
+        return float("nan") if self._before is None else self._now[0] - self._before[0]
 
     def _growth(self, name: str) -> Floats:
         assert self._now is not None
@@ -138,7 +143,9 @@ def quantity_of(scene: Any, name: str) -> Quantity:
     if name.endswith("."):
         raise SceneError((), name, says="lacks the name of a number behind the dot")
     if not number and probe.vector:
-        return Quantity(name, tuple(f"{first}.{axis}" for axis in known[:-1]), probe.unit(""), probe.start, False)
+        return Quantity(
+            name, tuple(f"{first}.{axis}" for axis in known if axis in "xyz"), probe.unit(""), probe.start, False
+        )
     if not number and len(known) == 1:
         number = known[0]
     if number not in known:

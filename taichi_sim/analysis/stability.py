@@ -9,11 +9,21 @@ from taichi_sim.analysis.element_rates import NO_RATES, Rates, element_rates, pu
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import Method
 from taichi_sim.analysis.spring_bounds import Network, largest_eigenvalue, present_eigenvalue
+from taichi_sim.geometry.graph import components
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["Stability", "coarsest_spring", "present_limit", "sinking_spring", "stability", "without"]
+__all__ = [
+    "Sinking",
+    "Stability",
+    "coarsest_spring",
+    "present_limit",
+    "sinking_spring",
+    "sinking_step",
+    "stability",
+    "without",
+]
 
-SINKING = 0.05  # of a rest length: what a heavy ball may sink by with xpbd
+SINKING = 0.05  # of a rest length: what xpbd may leave a spring too long by
 HEAVY = 10.0  # times the mass of the other end: such a ball may not
 VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
 
@@ -54,7 +64,7 @@ def stability(
             pushed, pushed, None, None, "gas: each step leaves the springs of its surface a part of what it pushes"
         )
     if not limit.by_springs and not any(rates):
-        return _unlimited(f"{method} is stable at any step; only its error grows")
+        return _unlimited(f"{method} is stable at any step: springs give no energy, but its error grows with the step")
     k, c = _whole(scene, torn)
     if not limit.by_springs or not np.any(k + c > 0):
         return _of_elements(method, limit, rates, custom)
@@ -140,27 +150,67 @@ def _of_elements(method: Method, limit: StabilityLimit, rates: Rates, custom: Ra
     return Stability(h, h, None, None, f"{_explicit_parts(custom)}: {what}")
 
 
-def sinking_spring(scene: Scene, h: float) -> tuple[int, int, float] | None:
-    """The spring whose heavier ball xpbd lets sink the furthest, that ball, and how far [m]; None where that is no more
-    than the spring gives anyway, or less than SINKING of the rest length, the ball being less than HEAVY times the other end.
+class Sinking(NamedTuple):
+    """A spring that xpbd leaves too long: its number, its heavier free ball, its load [N], and by how much [m]."""
 
-    In one pass a spring gives h k s / (1 + h^2 k W), s its stretch, W the inverse masses of both ends: it pulls as one of the
-    compliance 1 / k + h^2 W, however still its lighter end is held by others. Under m g that gives m g h^2 W more,
-    at the least: at the end of a chain of light balls, which pass the load on by one spring in a pass, tens of times as much.
+    spring: int
+    ball: int
+    load: float
+    depth: float
+
+
+def sinking_spring(scene: Scene, h: float) -> Sinking | None:
+    """The spring that steps of xpbd leave too long by most; None where that is no more than the load stretches it anyway, or
+    less than SINKING of the rest length and no ball is HEAVY times the other end.
+
+    A pass gives at most what moves both ends to their place, so two passes hold a load F as a spring of the compliance 1 / k +
+    h^2 W / 2, W the inverse masses of both ends, however still its lighter end is held by others. At the end of a chain of light
+    balls it is tens of times as much.
+    """
+    load, lag = _lags(scene)
+    depth = lag * h**2
+    mass = np.where(scene.pinned, 0.0, scene.mass)[scene.pairs]
+    heavy = (mass.min(axis=1) > 0.0) & (mass.max(axis=1) >= HEAVY * mass.min(axis=1))
+    shows = (depth >= _own_stretch(scene, load)) & (heavy | (depth >= SINKING * scene.rest_length))
+    if not np.any(shows & (depth > 0.0)):
+        return None
+    spring = int(np.argmax(np.where(shows, depth, 0.0)))
+    ball = int(scene.pairs[spring, np.argmax(mass[spring])])
+    return Sinking(spring, ball, float(load[spring]), float(depth[spring]))
+
+
+def sinking_step(scene: Scene) -> float:
+    """The longest step [s] of xpbd that leaves no spring too long by more than its load stretches it, or SINKING of its rest
+    length, whichever is more."""
+    load, lag = _lags(scene)
+    allowed = np.maximum(_own_stretch(scene, load), SINKING * scene.rest_length)
+    return float(np.sqrt(np.min(allowed[lag > 0] / lag[lag > 0], initial=np.inf)))
+
+
+def _lags(scene: Scene) -> tuple[Floats, Floats]:
+    """Load (m,) [N] of springs, and the length [m/s^2] that xpbd leaves too much, over the step squared.
+
+    Between free balls the load is the weight of the heavier one. The springs at the pinned balls of a body share its weight,
+    without that of the balls that hang on these pins themselves.
     """
     g = float(np.linalg.norm(scene.gravity))
-    if g == 0.0 or not scene.n_springs:
-        return None
-    mass = np.where(scene.pinned, 0.0, scene.mass)[scene.pairs]
-    w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)[scene.pairs].sum(axis=1)
-    load = mass.max(axis=1) * g
-    depth = np.where(mass.min(axis=1) > 0, load * h**2 * w, 0.0)  # a pinned end is held by itself
-    own = np.divide(load, scene.stiffness, out=np.full_like(load, np.inf), where=scene.stiffness > 0)
-    little = (depth < SINKING * scene.rest_length) & (mass.max(axis=1) < HEAVY * mass.min(axis=1))
-    depth[(depth < own) | little] = 0.0
-    spring = int(np.argmax(depth))
-    ball = int(scene.pairs[spring, np.argmax(mass[spring])])
-    return (spring, ball, float(depth[spring])) if depth[spring] > 0.0 else None
+    mass, w = np.where(scene.pinned, 0.0, scene.mass), np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+    i, j = scene.pairs.T
+    held = scene.pinned[i] != scene.pinned[j]
+    load = np.where(held, 0.0, np.maximum(mass[i], mass[j]))
+    load[scene.pinned[i] & scene.pinned[j]] = 0.0
+    if held.any():
+        body, n = components(scene.n_balls, scene.pairs), scene.n_balls
+        hanging = np.ones(n, dtype=bool)
+        hanging[scene.pairs[held]] = False
+        weight = np.bincount(body, mass * hanging, n) / np.maximum(np.bincount(body[i[held]], minlength=n), 1)
+        load[held] = weight[body[i[held]]]
+    return g * load, 0.5 * g * load * (w[i] + w[j])
+
+
+def _own_stretch(scene: Scene, load: Floats) -> Floats:
+    """Stretch (m,) [m] of springs by their loads."""
+    return np.divide(load, scene.stiffness, out=np.full_like(load, np.inf), where=scene.stiffness > 0)
 
 
 def coarsest_spring(scene: Scene) -> tuple[int, float, float] | None:

@@ -1,16 +1,20 @@
 """What all commands share: the application, options that several take, a scene with its options, errors of one line."""
 
 import functools
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any
 
 import typer
 
-from taichi_sim.cli.options import pixels, positive, share, step
+from taichi_sim.cli.options import paths_and_values, pixels, positive, share, step
+from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import BackendError, UnstableError
-from taichi_sim.common.signals import INTERRUPTED, TERMINATED, insistent_signals, leave
+from taichi_sim.common.printable import printable
+from taichi_sim.common.progress import log_to
+from taichi_sim.common.signals import ENDED, INTERRUPTED, insistent_signals, leave
 from taichi_sim.common.version import __version__
 
 FAILED, BAD_INPUT, UNSTABLE = 1, 2, 3  # exit status
@@ -48,7 +52,7 @@ Workers = Annotated[int | None, typer.Option(help="Processes; one for each core 
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
 Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
 # with "threads", arguments of a Simulation; those of PROCESS are given to whatever runs in it
-SIMULATION = ("arch", "dt", "tolerance", "integrator", "contacts", "precision")
+SIMULATION = ("arch", "dt", "tolerance", "integrator", "contacts", "precision", "settle")
 PROCESS = ("arch", "precision", "threads")
 
 
@@ -58,7 +62,7 @@ def subcommand(*shared: str, name: str | None = None) -> Callable[[Callable[...,
     def add(function: Callable[..., None]) -> None:
         @functools.wraps(function)
         def command(**given: Any) -> None:
-            with plain_errors():
+            with plain_errors(), log_to(sys.stdout):
                 function(**given)
 
         main.command(name=name)(share(command, shared))
@@ -69,7 +73,8 @@ def subcommand(*shared: str, name: str | None = None) -> Callable[[Callable[...,
 @main.callback(invoke_without_command=True)
 def _options(version: Annotated[bool, flag("version", "Show it.")] = False) -> None:
     if version:
-        typer.echo(f"taichi-sim {__version__}")
+        with plain_errors():
+            echo(f"taichi-sim {__version__}")
         raise typer.Exit
 
 
@@ -90,7 +95,8 @@ class Job:
         asked["size"] = pixels(options.get("size"))  # type: ignore[assignment]
         self.options = {**options, "dt": step(options["dt"])}
         self.file = resolve(name)
-        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]))
+        self.parameters = paths_and_values("--set", options.get("set") or ())
+        self.scene = open_scene(self.file, allow_outside=bool(options["allow_outside"]), parameters=self.parameters)
         self.made = self._made() if self.scene is None else None
         shown: Any = self.scene if self.made is None else self.made.scene
         self.output = output_options(shown, asked)
@@ -103,7 +109,7 @@ class Job:
         return self.made or Simulation(scene, forces=forces, **self._given())
 
     def _given(self) -> dict[str, Any]:
-        return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options[key] is not None}
+        return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options.get(key) is not None}
 
     def _made(self) -> Any:
         """What simulation() of the file returns."""
@@ -116,7 +122,7 @@ class Job:
                 raise ValueError(f"--{key}: {self.file} makes its own simulation(); set it there")
         if given:
             backend.start(**given)
-        made = open_simulation(self.file)
+        made = open_simulation(self.file, self.parameters)
         from taichi_sim.simulation.simulation import Simulation
 
         if not isinstance(made, Simulation):
@@ -128,12 +134,20 @@ class Job:
 
 @contextmanager
 def waiting(what: str, shown: bool) -> Iterator[None]:
-    """On a terminal, say meanwhile what is waited for."""
-    from rich.console import Console
+    """Say meanwhile what is waited for."""
+    from taichi_sim.common.progress import Work, showing
 
-    console = Console(stderr=True)
-    with console.status(what) if shown and console.is_terminal else nullcontext():
+    work = Work()
+    work.words = lambda: what
+    with showing(work, shown):
         yield
+
+
+def echo(text: str, err: bool = False) -> None:
+    """A line on standard output or standard error, without control sequences that names in it may hold. Raises OSError where
+    standard output cannot be written."""
+    with suppress(OSError) if err else naming("standard output"):  # of errors that nobody reads nothing can be said
+        typer.echo(printable(text), err=err)
 
 
 def say_nothing(line: str) -> None:
@@ -144,7 +158,7 @@ def say_nothing(line: str) -> None:
 def plain_errors() -> Iterator[None]:
     """Errors as one line on standard error with the exit status they stand for; warnings as one line, too."""
     showwarning = warnings.showwarning
-    warnings.showwarning = lambda message, category, *_: typer.echo(f"warning: {message}", err=True)
+    warnings.showwarning = lambda message, category, *_: echo(f"warning: {message}", err=True)
     try:
         with insistent_signals():
             yield
@@ -159,11 +173,11 @@ def plain_errors() -> Iterator[None]:
     except MemoryError as error:
         fail(f"not enough memory for this scene: {error}", BAD_INPUT)
     except KeyboardInterrupt:
-        typer.echo("taichi-sim: interrupted", err=True)
+        echo("taichi-sim: interrupted", err=True)
         leave(INTERRUPTED)
     except SystemExit as end:
-        if end.code == TERMINATED:
-            leave(TERMINATED)
+        if end.code in ENDED:
+            leave(int(end.code))
         raise
     finally:
         warnings.showwarning = showwarning
@@ -171,5 +185,5 @@ def plain_errors() -> Iterator[None]:
 
 def fail(message: str, status: int) -> None:
     """End with one line."""
-    typer.echo(f"taichi-sim: {message}", err=True)
+    echo(f"taichi-sim: {message}", err=True)
     raise typer.Exit(status)

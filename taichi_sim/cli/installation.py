@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from taichi_sim.cli.command import FAILED, fail, flag, subcommand
+from taichi_sim.cli.command import FAILED, echo, fail, flag, subcommand
 
 
 @subcommand()
@@ -50,13 +50,13 @@ def verify(**options: Any) -> None:
             said = "runs on a CPU alone"
         else:
             said = f"off by {result.deviation:.1e} of its size or energy, allowed {verification.TOLERANCE:.0e}"
-        typer.echo(f"{'passed' if result.passed else 'WRONG':7} {result.name}: {said}")
+        echo(f"{'passed' if result.passed else 'WRONG':7} {result.name}: {said}")
         off += [] if result.passed else [result.name]
         ran += result.failed != "" or result.deviation is not None
-    typer.echo(verification.installation())
+    echo(verification.installation())
     if off:
         fail(f"{len(off)} of {ran} failed: {'; '.join(off)}", FAILED)
-    typer.echo(f"all {ran} passed")
+    echo(f"all {ran} passed")
 
 
 @subcommand("arch")

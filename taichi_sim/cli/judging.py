@@ -13,24 +13,25 @@ from taichi_sim.cli.command import (
     Precisions,
     Quiet,
     SceneName,
+    echo,
     flag,
     say_nothing,
     scene_argument,
     subcommand,
 )
-from taichi_sim.cli.options import takes_only
+from taichi_sim.cli.options import paths_and_values, takes_only
 
 
-@subcommand(*SIMULATION, "fps", "duration", "threads", "allow_outside")
+@subcommand(*SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
 def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Say which time step is safe for SCENE, and what limits it, before anything runs."""
     from taichi_sim.reports import check as stability_report
 
-    with Job(scene, options).simulation() as sim:
-        typer.echo("\n".join(stability_report.lines(sim)))
+    with Job(scene, {**options, "settle": False}).simulation() as sim:
+        echo("\n".join(stability_report.lines(sim)))
 
 
-@subcommand("quantity", "arch", "threads", "allow_outside")
+@subcommand("quantity", "arch", "threads", "set", "allow_outside")
 def report(
     context: typer.Context,
     scene: Annotated[str | None, scene_argument("[SCENE]")] = None,
@@ -67,17 +68,18 @@ def report(
     from taichi_sim.reports.speed_error import command
 
     options |= {"methods": methods, "dts": dts, "precision": precision, "tolerance": tolerance, "duration": duration}
-    file, made, plan = command.read(scene, limit=limit, resolutions=resolutions, **options)
+    parameters = paths_and_values("--set", options.pop("set") or ())
+    file, made, plan = command.read(scene, limit=limit, resolutions=resolutions, parameters=parameters, **options)
     from taichi_sim.reports.speed_error.report import main as make
     from taichi_sim.reports.speed_error.resolution import finer
 
-    meshes = finer(file) if resolutions else []
+    meshes = finer(file, parameters=parameters) if resolutions else []
     folder = Path(out or f"{file.stem}_report")
-    say = say_nothing if quiet else typer.echo
+    say = say_nothing if quiet else echo
     make(made, plan, folder, meshes=meshes, overwrite=overwrite, progress=not quiet, say=say)
 
 
-@subcommand("quantity", "arch", "threads", "allow_outside")
+@subcommand("quantity", "arch", "threads", "set", "allow_outside")
 def tune(
     scene: SceneName,
     tolerance: Annotated[str, typer.Option(help="The error that you accept, relative to the motion.")] = "1e-2",
@@ -94,12 +96,17 @@ def tune(
     from taichi_sim.reports.speed_error import tune as tuning
 
     options |= {"methods": methods, "precision": precision, "tolerance": tolerance, "duration": duration}
-    file, made, plan = command.read(scene, limit=limit, **options)
+    parameters = paths_and_values("--set", options.pop("set") or ())
+    file, made, plan = command.read(scene, limit=limit, parameters=parameters, **options)
+    if write and parameters:
+        raise ValueError(
+            "--write: the settings would be of a scene that the file does not hold; leave --set or --write out"
+        )
     if write:
         command.require_own_file(scene, file)
-    settings = tuning.main(made, plan, progress=not quiet, say=typer.echo)
+    settings = tuning.main(made, plan, progress=not quiet, say=echo)
     if settings is None:
         raise typer.Exit(FAILED)
     if write:
         tuning.write_settings(file, settings)
-        typer.echo(f"written      {file}")
+        echo(f"written      {file}")

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from taichi_sim.cli.command import Quiet, subcommand
+from taichi_sim.cli.command import Quiet, echo, subcommand
 from taichi_sim.cli.options import takes_only
 
 
@@ -15,7 +15,7 @@ def schema() -> None:
 
     from taichi_sim.files.json_schema import scene_schema
 
-    typer.echo(json.dumps(scene_schema(), indent=1))
+    echo(json.dumps(scene_schema(), indent=1))
 
 
 @subcommand(name="materials")
@@ -28,7 +28,7 @@ def list_materials() -> None:
     for name, preset in PRESETS.items():
         known = {key: value for key, value in asdict(preset).items() if isinstance(value, float)}
         numbers = [f"{key} {value:.3g} {UNITS.get(key, '')}".rstrip() for key, value in known.items()]
-        typer.echo(f"{name}: {', '.join(numbers)}\n    {preset.source}")
+        echo(f"{name}: {', '.join(numbers)}\n    {preset.source}")
 
 
 @subcommand("size", "fps", "duration", name="demos")
@@ -36,10 +36,13 @@ def list_demos(
     context: typer.Context,
     everything: Annotated[bool, typer.Option("--all", help="Make videos of those that have none yet.")] = False,
     out: Annotated[str, typer.Option("--out", "-o", metavar="FOLDER", help="Where to, with --all.")] = "demos_out",
+    copy: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Copy the file of a demo into this folder, to change it.")
+    ] = None,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
-    """List the built-in scenes, one line each, or make videos of them."""
+    """List the built-in scenes, one line each, make videos of them, or copy one."""
     from taichi_sim.files.source import built_in, demos
 
     known = demos()
@@ -47,7 +50,14 @@ def list_demos(
         from taichi_sim.outputs.gallery import render_all
 
         raise typer.Exit(render_all(list(known), out, quiet=quiet, **options))
+    if copy is not None:
+        takes_only(context, ("quiet", "copy"), "demos: --copy takes no other option")
+        from taichi_sim.files.source import copy_demo
+
+        for file in copy_demo(copy):
+            echo(f"written      {file}")
+        return
     takes_only(context, ("quiet",), "demos: options are for --all")
     width = max(map(len, known), default=0)
     for name, file in known.items():
-        typer.echo(f"{name:{width}}  {built_in(file)}".rstrip())
+        echo(f"{name:{width}}  {built_in(file)}".rstrip())

@@ -30,6 +30,21 @@ SHARED: dict[str, Any] = {
         bool | None,
         typer.Option("--allow-outside", help="Let the scene file name arrays and meshes outside its own folder."),
     ],
+    "settle": Annotated[
+        bool | None,
+        typer.Option(
+            "--settle", help="Bring SCENE to rest before its clock starts; the summary gives the net force left."
+        ),
+    ],
+    "set": Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="PATH=VALUE",
+            help="A value of the scene over its own, like materials.rubber.restitution=0.5, cloth[0].stiffness=300, gravity[1]=-5"
+            " or an argument of scene() of a Python file. May be given several times.",
+        ),
+    ],
     "quantity": Annotated[
         str | None, typer.Option(help="What errors are of: a probe's number, like load.tension; positions otherwise.")
     ],
@@ -103,23 +118,15 @@ def pixels(text: str | None) -> tuple[int, int] | None:
 def keys_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
     """Tables of what texts like `camera.azimuth=40` say, values as in TOML, or plain words. Raises SceneError."""
     from taichi_sim.common.errors import SceneError
-    from taichi_sim.files.toml_reader import MOST_NESTED, nested, tomllib
+    from taichi_sim.files.toml_reader import MOST_NESTED
 
     found: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")
         if not equals or not all(key.split(".")):
             raise SceneError(option, text, "KEY=VALUE, like colour=speed or camera.azimuth=40")
-        try:
-            plain = tomllib.loads(f"x = {value}")["x"]
-            deep = nested(plain) is not None
-        except ValueError:
-            plain, deep = value, False
-        except RecursionError:
-            deep = True
         *parents, last = key.split(".")
-        if deep or len(parents) > MOST_NESTED:
-            raise SceneError(option, text, says=f"has lists or tables within each other, more than {MOST_NESTED} deep")
+        plain = _value(option, text, value if len(parents) <= MOST_NESTED else None)
         table = found
         for parent in parents:
             table = table.setdefault(parent, {})
@@ -129,3 +136,37 @@ def keys_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
             raise SceneError(option, text, says=f"is given twice; give {key} once")
         table[last] = plain
     return found
+
+
+def paths_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
+    """Values by their paths of texts like `materials.rubber.restitution=0.5`, values as in TOML, or plain words. Raises
+    SceneError."""
+    from taichi_sim.common.errors import SceneError
+
+    found: dict[str, Any] = {}
+    for text in texts:
+        path, equals, value = text.partition("=")
+        path = path.strip()
+        if not equals or not path:
+            raise SceneError(option, text, "PATH=VALUE, like materials.rubber.restitution=0.5 or gravity[1]=-5")
+        if path in found:
+            raise SceneError(option, text, says=f"is given twice; give {path} once")
+        found[path] = _value(option, text, value.strip())
+    return found
+
+
+def _value(option: str, text: str, value: str | None) -> Any:
+    """A value in TOML, or the words themselves. Raises SceneError for one too deep (None is)."""
+    from taichi_sim.common.errors import SceneError
+    from taichi_sim.files.toml_reader import MOST_NESTED, nested, tomllib
+
+    try:
+        if value is not None:
+            plain = tomllib.loads(f"x = {value}")["x"]
+            if nested(plain) is None:
+                return plain
+    except ValueError:
+        return value
+    except RecursionError:
+        pass
+    raise SceneError(option, text, says=f"has lists or tables within each other, more than {MOST_NESTED} deep")

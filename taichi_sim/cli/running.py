@@ -15,6 +15,7 @@ from taichi_sim.cli.command import (
     Scheduler,
     Transparent,
     Workers,
+    echo,
     flag,
     say_nothing,
     subcommand,
@@ -29,7 +30,7 @@ NAMES = (
 )
 
 
-@subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
 def run(
     scene: SceneName,
     out: Annotated[
@@ -55,12 +56,15 @@ def run(
         int | None, typer.Option(help="Processes that draw, once all is simulated; this one, meanwhile, otherwise.")
     ] = None,
     scheduler: Scheduler = None,
+    error: Annotated[
+        bool,
+        flag("error", "Run SCENE a second time at half the step, and give the results with the error of the step."),
+    ] = False,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
     """Simulate SCENE and write a video, pictures, arrays or files for other programs; without --out show the summary only."""
     from taichi_sim.outputs import export, open_outputs
-    from taichi_sim.outputs.resumable import Resumable
 
     job = Job(scene, options)
     if round(job.output["fps"] * job.output["duration"]) < 1:
@@ -68,39 +72,55 @@ def run(
     if transparent:
         job.output["style"]["transparent"] = True
     every = interval("--checkpoint", checkpoint)
+    if error and resume:
+        raise ValueError("--error: the error of a run that is resumed cannot be estimated; leave --resume out")
     if workers is not None or scheduler is not None:
-        if not out or resume or checkpoint:
-            raise ValueError("--workers and --scheduler need --out, and go neither with --resume nor with --checkpoint")
+        if not out or resume or checkpoint or error:
+            raise ValueError("--workers and --scheduler need --out, and exclude --resume, --checkpoint and --error")
         _drawn_apart(job, out, (scheduler, workers), overwrite, codec, quiet)
         return
     targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-    if resume:
-        for name, target in zip(out or [], targets):
-            if isinstance(target, Resumable) and not target.log.resumes:
-                there = "is complete, or of a run without checkpoints, and is made anew" if Path(name).exists() else ""
-                typer.echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
+    if resume and targets and _tell_resumed(out or [], targets, round(job.output["fps"] * job.output["duration"])):
+        return
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
         with waiting("reading the scene", not quiet):
             sim = job.simulation()
         with sim:
-            summary = export(sim, targets, progress=not quiet, checkpoint=every, **job.output)
+            summary = export(sim, targets, progress=not quiet, checkpoint=every, error=error, **job.output)
     except BaseException as error:
         for name, target in zip(out or [], targets):
             if isinstance(error, UnstableError) and target.frames:
-                typer.echo(f"{name}: holds the {target.frames} frames until then", err=True)
+                echo(f"{name}: holds the {target.frames} frames until then", err=True)
                 continue
             target.discard()
             if target.frames:
-                typer.echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
+                echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
             elif target.simulated:
                 says = f"{target.simulated} frames are simulated, and kept; --resume goes on with them"
-                typer.echo(f"{name}: {says}", err=True)
+                echo(f"{name}: {says}", err=True)
         raise
     if not quiet:
         written = [target.pattern or name for name, target in zip(out or [], targets)]
-        typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
+        echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
+
+
+def _tell_resumed(names: Sequence[str], targets: Sequence[Any], count: int) -> bool:
+    """Say what there is of outputs that are to be resumed; whether all of them are complete, and given up here."""
+    from taichi_sim.outputs.resumable import Resumable
+
+    finished = [isinstance(target, Resumable) and target.is_finished(count) for target in targets]
+    for name, target, is_finished in zip(names, targets, finished):
+        if is_finished:
+            echo(f"{name}: is complete, and is left as it is; without --resume it is made anew", err=True)
+        elif isinstance(target, Resumable) and not target.log.resumes:
+            there = "nothing is kept of the run that wrote it; it is made anew" if Path(name).exists() else ""
+            echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
+    if all(finished):
+        for target in targets:
+            target.discard()
+    return all(finished)
 
 
 def _drawn_apart(
@@ -154,10 +174,10 @@ def _drawn_apart(
             draw(
                 recording, out, size=size, style=style, fps=job.output["fps"], scheduler=where[0], workers=where[1],
                 overwrite=overwrite, codec=codec, precision=precision, progress=not quiet,
-                say=say_nothing if quiet else typer.echo,
+                say=say_nothing if quiet else echo,
             )  # fmt: skip
         except BaseException:
-            typer.echo(f"{recording}: holds the run; `taichi-sim render` draws it", err=True)
+            echo(f"{recording}: holds the run; `taichi-sim render` draws it", err=True)
             raise
         recording.unlink(missing_ok=True)
     if end is not None:
@@ -166,7 +186,7 @@ def _drawn_apart(
     summary.drawing += spent
     summary.wall += spent
     if not quiet:
-        typer.echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
+        echo("\n".join([*summary.lines(), *(f"written      {name}" for name in out)]))
 
 
 @subcommand("size", "fps")
@@ -201,13 +221,13 @@ def render(
     count = draw(
         recording, out, size=pixels(options["size"]), style=chosen, fps=positive("--fps", options["fps"]), workers=workers,
         scheduler=scheduler, overwrite=overwrite, codec=codec, precision=precision, progress=not quiet,
-        say=say_nothing if quiet else typer.echo,
+        say=say_nothing if quiet else echo,
     )  # fmt: skip
     if not quiet:
-        typer.echo("\n".join(f"written      {name}: {count} frames" for name in out))
+        echo("\n".join(f"written      {name}: {count} frames" for name in out))
 
 
-@subcommand("size", *SIMULATION, "fps", "duration", "threads", "allow_outside")
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
 def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
     from taichi_sim.viewer.window import require_display, show
@@ -216,4 +236,4 @@ def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     job = Job(scene, options)
     output = {key: job.output[key] for key in ("fps", "size", "style")}
     output["style"].pop("transparent", None)
-    show(job.simulation, **output, until=options["duration"], say=say_nothing if quiet else typer.echo)
+    show(job.simulation, **output, until=options["duration"], say=say_nothing if quiet else echo)

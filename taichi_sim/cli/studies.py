@@ -11,6 +11,7 @@ from taichi_sim.cli.command import (
     SceneName,
     Scheduler,
     Workers,
+    echo,
     flag,
     given_of,
     say_nothing,
@@ -30,7 +31,7 @@ def sweep(
             " range like 0.1:0.9 for designs that sample. May be given several times."
         ),
     ] = None,
-    seeds: Annotated[int | None, typer.Option(help="How often each point is run, with other chance.")] = None,
+    seeds: Annotated[int | None, typer.Option(help="Runs of each point, each with another seed.")] = None,
     measure: Annotated[
         list[str] | None,
         typer.Option(
@@ -41,7 +42,7 @@ def sweep(
     out: Annotated[str | None, typer.Option("--out", "-o", help="Folder of the table; NAME_sweep otherwise.")] = None,
     design: Annotated[str, typer.Option(help="product, random, latin or sobol.")] = "product",
     points: Annotated[int | None, typer.Option(help="How many, of designs that sample.")] = None,
-    luck: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
+    luck: Annotated[int, typer.Option(help="Random seed of the sample.")] = 0,
     workers: Workers = None,
     scheduler: Scheduler = None,
     overwrite: Annotated[bool, flag("overwrite", "Replace another sweep in that folder.")] = False,
@@ -58,7 +59,7 @@ def sweep(
 
     given = given_of(options)
     folder = Path(out or f"{resolve(scene).stem}_sweep")
-    say = say_nothing if quiet else typer.echo
+    say = say_nothing if quiet else echo
     try:
         done = run_all(
             scene, vary or (), seeds=seeds, measure=measure, design=design, points=points, luck=luck, folder=folder,
@@ -66,15 +67,17 @@ def sweep(
         )  # fmt: skip
     except (KeyboardInterrupt, SystemExit):
         if folder.is_dir():
-            typer.echo(f"{folder}: keeps the points that are done; the same command goes on", err=True)
+            echo(f"{folder}: keeps the points that are done; the same command goes on", err=True)
         raise
     if not quiet:
+        for line in done.lines():
+            echo(line)
         for row in done.failed[:SHOWN]:
             at = ", ".join(f"{name} {value}" for name, value in row.parameters.items())
-            typer.echo(f"failed       {at}: {row.error}")
+            echo(f"failed       {at}: {row.error}")
         if len(done.failed) > SHOWN:
-            typer.echo(f"failed       {len(done.failed) - SHOWN} more, see the table")
-        typer.echo(f"written      {folder}: {len(done)} points, {len(done.failed)} of them failed; see report.html")
+            echo(f"failed       {len(done.failed) - SHOWN} more, see the table")
+        echo(f"written      {folder}: {len(done)} points, {len(done.failed)} of them failed; see report.html")
 
 
 @subcommand(*SIMULATION, "fps", "duration", "allow_outside")
@@ -97,7 +100,7 @@ def fit(
     misfit: Annotated[float, typer.Option(help="How far from the target it may be, relative.")] = 1e-3,
     runs: Annotated[int, typer.Option(help="Points at most.")] = 100,
     seeds: Annotated[
-        int | None, typer.Option(help="How often each point is run, with other chance; the mean counts.")
+        int | None, typer.Option(help="Runs of each point, each with another seed; their mean counts.")
     ] = None,
     luck: Annotated[int, typer.Option(help="Seed of what is chosen by chance.")] = 0,
     out: Annotated[
@@ -125,9 +128,9 @@ def fit(
             raise SceneError("target", text, "MEASURE=VALUE, like probes.tip.y=-0.12") from None
     found = find(
         scene, vary or (), goal, method=method, misfit=misfit, runs=runs, seeds=seeds, luck=luck, folder=out,
-        workers=workers, scheduler=scheduler, overwrite=overwrite, say=say_nothing if quiet else typer.echo, **given,
+        workers=workers, scheduler=scheduler, overwrite=overwrite, say=say_nothing if quiet else echo, **given,
     )  # fmt: skip
     for line in found.lines():
-        typer.echo(line)
+        echo(line)
     if not found.reached:
         raise typer.Exit(FAILED)

@@ -2,11 +2,13 @@
 
 import errno
 import glob
-import itertools
 import os
+import re
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import IO
 
 try:
@@ -14,15 +16,19 @@ try:
 except ImportError:  # Windows, where a file that is open cannot be deleted
     fcntl = None  # type: ignore[assignment]
 
-NUMBERS = itertools.count()  # of those of this process
+PART = re.compile(r"\..+\.[0-9a-f]{16}\.part")  # names of files under construction
+AS_IT_IS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 __all__ = [
+    "PART",
     "PartFile",
+    "kind_of",
     "lock",
     "locked",
     "locking",
     "naming",
     "replacing",
+    "require_file",
     "require_name",
     "require_parent",
     "require_place",
@@ -44,25 +50,35 @@ def require_parent(path: Path) -> None:
 class PartFile:
     """A file under construction: a hidden temporary file in the final folder, so that the last move is atomic.
 
-    It is made at once, so a missing parent folder (which is never created), a folder in its place or a lack of rights
-    is an OSError with one sentence before any work is done. What killed runs into the same name left is deleted, where `swept`
-    does not say that this was done already.
+    It is made at once, so a missing parent folder (which is never created), a folder, pipe or device in its place or a lack of
+    rights is an OSError with one sentence before any work is done. What killed runs into the same name left is deleted, where
+    `swept` does not say that this was done already. Its name is random, and it is never opened where it is there already: other
+    machines and containers that see the folder have processes of the same numbers.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, swept: bool = False) -> None:
         self.path = Path(path)
         require_name(self.path)
-        self.part = self.path.with_name(f".{self.path.name}.{os.getpid()}.{next(NUMBERS)}.part")
         require_parent(self.path)
-        if self.path.is_dir():
+        kind = kind_of(self.path)
+        if kind == "folder":
             raise IsADirectoryError(f"{self.path}: is a folder; give the name of a file")
+        if kind not in ("file", ""):
+            only = "only x.csv can be written into one" if kind == "pipe" else "give the name of a file"
+            raise FileExistsError(f"{self.path}: is a {kind}; {only}")
         if not swept:
             sweep(self.path.parent, glob.escape(self.path.name))
+        self._make()
+        while not (locked(self.file) and self.part.exists()):  # another run swept it before it was locked
+            self.file.close()
+            self._make()
+
+    def _make(self) -> None:
+        self.part = self.path.with_name(f".{self.path.name}.{token_hex(8)}.part")
         try:
-            self.file: IO[bytes] = open(self.part, "w+b")  # noqa: SIM115  # closed by finish or discard
+            self.file: IO[bytes] = open(self.part, "x+b")  # noqa: SIM115  # closed by finish or discard
         except OSError as error:
             raise OSError(f"{self.path}: cannot be written: {error.strerror}") from error
-        locked(self.file)
 
     def finish(self) -> None:
         """Close the file, once it is on the disk, and move it to its final name."""
@@ -95,6 +111,22 @@ def replacing(path: str | os.PathLike[str], *, swept: bool = False) -> Iterator[
         part.discard()
 
 
+def kind_of(path: str | os.PathLike[str]) -> str:
+    """`file`, `folder`, `pipe` or `device` (a socket, too), whatever links lead to it; empty where there is nothing."""
+    try:
+        mode = os.stat(path).st_mode
+    except OSError:  # what cannot be looked at is said by what opens it
+        return ""
+    kinds = {stat.S_IFREG: "file", stat.S_IFDIR: "folder", stat.S_IFIFO: "pipe"}
+    return kinds.get(stat.S_IFMT(mode), "device")
+
+
+def require_file(path: str | os.PathLike[str]) -> None:
+    """Raises ValueError where something else lies there, which may never end, or never begin; nothing where nothing is."""
+    if (kind := kind_of(path)) not in ("file", ""):
+        raise ValueError(f"it is a {kind}, and no file")
+
+
 def require_name(path: Path) -> None:
     """Raises IsADirectoryError for what can only be a folder: `.`, or the root."""
     if not path.name:
@@ -123,18 +155,33 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 def sweep(folder: Path, pattern: str) -> None:
     """Delete what was left of files under construction, whose final names match a pattern, by runs that were killed."""
     for part in folder.glob(f".{pattern}.*.part"):
-        with suppress(OSError), open(part, "r+b") as file:  # gone meanwhile, or not ours to delete
-            if locked(file):  # nobody writes it
-                part.unlink()
+        if PART.fullmatch(part.name):
+            with suppress(OSError), _opened(part, os.O_RDWR) as file:  # gone meanwhile, or not ours to delete
+                if _lock_of(file):  # nobody writes it
+                    part.unlink()
 
 
 def lock(path: Path, refusal: str) -> IO[bytes]:
     """A file that keeps other processes out until it is closed. Raises OSError, which says `refusal`, where another has it."""
-    file = open(path, "ab")  # noqa: SIM115  # closed by the caller
+    file = _opened(path, os.O_RDWR | os.O_CREAT)
     if not locked(file):
         file.close()
         raise OSError(refusal)
     return file
+
+
+def _opened(path: Path, flags: int) -> IO[bytes]:
+    """A file, which is never waited for. Raises OSError where there is a link, a pipe or a device in its place."""
+    try:
+        descriptor = os.open(path, flags | AS_IT_IS, 0o666)
+    except OSError:
+        if path.is_symlink():
+            raise OSError(f"{path}: is a link; remove it, or give another name") from None
+        raise
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(f"{path}: is no file; remove it, or give another name")
+    return open(descriptor, "r+b")
 
 
 @contextmanager
@@ -149,15 +196,21 @@ def locking(path: Path, refusal: str) -> Iterator[None]:
 
 
 def locked(file: IO[bytes]) -> bool:
-    """Whether the file is ours until it is closed, or this process ends; False where another has it."""
+    """Whether the file is ours until it is closed, or this process ends; False where another has it. Where the file system knows
+    no locks all are ours."""
+    return _lock_of(file) is not False
+
+
+def _lock_of(file: IO[bytes]) -> bool | None:
+    """See `locked`; None where the file system knows no locks."""
     if fcntl is None:
         return True
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # a file system without locks
-        return True
+    except OSError:
+        return None
     return True
 
 

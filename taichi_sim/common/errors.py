@@ -6,6 +6,8 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from taichi_sim.common.printable import printable
+
 __all__ = [
     "BackendError",
     "KeyPath",
@@ -26,6 +28,14 @@ RENAMED = {
     "skins": "embedded_surfaces",
     "add_skin": "add_embedded_surface",
     "angular_velocity": "rotation_rate",
+}
+MEANT = {  # words of other programs
+    **dict.fromkeys(("framerate", "frame_rate", "frames_per_second", "rate"), "fps"),
+    **dict.fromkeys(("resolution", "shape", "width", "height"), "size"),
+    **dict.fromkeys(("length", "seconds", "time", "t_end", "end_time"), "duration"),
+    **dict.fromkeys(("timestep", "time_step", "step", "h", "delta_t"), "dt"),
+    **dict.fromkeys(("method", "solver", "scheme"), "integrator"),
+    **dict.fromkeys(("filename", "file", "output"), "path"),
 }
 IN_UNITS = {"angular_velocity": ", in degrees per second"}  # of what was renamed, where these are others
 
@@ -63,7 +73,7 @@ class SceneError(ValueError):
     def __str__(self) -> str:
         at = None if self.file is None else f"{self.file}" + (f", line {self.line}" if self.line else "")
         sentence = self.says if self.value is ... else f"{short(self.value)} {self.says}"
-        return ": ".join(part for part in (at, key_name(self.path), sentence) if part)
+        return printable(": ".join(part for part in (at, key_name(self.path), sentence) if part))
 
 
 class BackendError(RuntimeError):
@@ -108,8 +118,9 @@ def path_of(place: str | Sequence[str | int]) -> KeyPath:
 
 
 def key_name(path: Sequence[str | int]) -> str:
-    """The reverse."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).lstrip(".")
+    """The reverse; a key that holds lines or control sequences as Python writes it."""
+    names = (part if isinstance(part, int) or part.isprintable() else repr(part) for part in path)
+    return "".join(f"[{name}]" if isinstance(name, int) else f".{name}" for name in names).lstrip(".")
 
 
 def short(value: object) -> str:
@@ -125,7 +136,8 @@ def unknown_key(path: str | Sequence[str | int], known: Collection[str], what: s
     key = str(path_of(path)[-1])
     if RENAMED.get(key) in known:
         return SceneError(path, says=f"is now called {RENAMED[key]!r}{IN_UNITS.get(key, '')}")
-    return SceneError(path, says=f"is not {what}; {did_you_mean(key, known)}")
+    meant = MEANT.get(key.lower(), key)
+    return SceneError(path, says=f"is not {what}; {did_you_mean(meant if meant in known else key, known)}")
 
 
 def did_you_mean(word: str, known: Collection[str], otherwise: str = "") -> str:

@@ -1,44 +1,46 @@
-"""Ctrl-C and SIGTERM that are not lost: an exception raised inside a library's import or callback may be swallowed there."""
+"""Ctrl-C, SIGTERM and SIGHUP that are not lost: a library's import or callback may swallow an exception raised inside it."""
 
 import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from typing import Any, NoReturn
 
-__all__ = ["INTERRUPTED", "TERMINATED", "heard", "insistent_signals", "leave", "without_interrupts"]
+__all__ = ["ENDED", "HUNG_UP", "INTERRUPTED", "TERMINATED", "heard", "insistent_signals", "leave", "without_interrupts"]
 
-INTERRUPTED, TERMINATED = 130, 143  # exit status: 128 + SIGINT, 128 + SIGTERM
+HUNG_UP, INTERRUPTED, TERMINATED = 129, 130, 143  # exit status: 128 + the number of the signal
+ENDED = (HUNG_UP, TERMINATED)  # those that a SystemExit carries
 AGAIN = 2.0  # s; long enough for a half-written file to be removed
 TIMES = 10
 
 _held_back = False
-_unheard: type[BaseException] | None = None  # what was asked for, and maybe swallowed
+_unheard: int | None = None  # the exit status of what was asked for, and maybe swallowed
 
 
 @contextmanager
 def insistent_signals() -> Iterator[None]:
-    """Raise KeyboardInterrupt on SIGINT and SystemExit(143) on SIGTERM, again and again until the block is left."""
+    """Raise KeyboardInterrupt on SIGINT, SystemExit(143) on SIGTERM and SystemExit(129) on SIGHUP, which comes when a terminal or
+    an ssh connection is closed, again and again until the block is left. SIGINT and SIGHUP that are ignored, as in a shell's
+    background job or after `nohup`, stay so."""
     global _unheard
-    asked: list[type[BaseException]] = []
+    asked: list[int] = []
     _unheard = None
 
     def insist(number: int, _: Any) -> None:
         global _unheard
-        asked.append(SystemExit if number == signal.SIGTERM else KeyboardInterrupt)
+        asked.append(128 + number)
         if len(asked) > TIMES:  # a library that was cut short holds the process
-            os._exit(TERMINATED if asked[0] is SystemExit else INTERRUPTED)
+            os._exit(asked[0])
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, AGAIN)
         _unheard = asked[0]
         if not _held_back:
             raise _answer(asked[0])
 
-    numbers = [signal.SIGTERM]
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # a shell's background job ignores it, and so do we
-        numbers.append(signal.SIGINT)
+    known = [getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)]
+    numbers = [signal.SIGTERM, *(number for number in known if signal.getsignal(number) is not signal.SIG_IGN)]
     if hasattr(signal, "SIGALRM"):
         numbers.append(signal.SIGALRM)
     before = {number: signal.signal(number, insist) for number in numbers}
@@ -64,8 +66,8 @@ def insistent_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _answer(kind: type[BaseException]) -> BaseException:
-    return SystemExit(TERMINATED) if kind is SystemExit else KeyboardInterrupt()
+def _answer(status: int) -> BaseException:
+    return KeyboardInterrupt() if status == INTERRUPTED else SystemExit(status)
 
 
 def heard() -> None:
@@ -105,6 +107,7 @@ def _come() -> None:
 
 def leave(status: int) -> NoReturn:
     """End the process now. Libraries that were interrupted while they started may wait for ever on the ordinary way out."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # of a terminal that was closed
+            stream.flush()
     os._exit(status)

@@ -5,6 +5,7 @@ from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.kernels.contacts import colliders as geometry
 from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 
 __all__ = ["ColliderContacts"]
@@ -45,7 +46,7 @@ class ColliderContacts:
 
     @ti.func
     def velocity(self, i, s):
-        """Velocity [m/s] of the surface in slot s of ball i, where colliders move."""
+        """Velocity [m/s] of the surface in slot s of ball i along the chord of the step, where colliders move."""
         return self.slot[i * self.count + s].velocity
 
     @ti.func
@@ -67,11 +68,28 @@ class ColliderContacts:
         it: 0 where it is plane. With it a ball on a curved surface moves along chords, which keeps its energy. v, u [m/s]:
         velocity of the ball, and from the surface."""
         slot = self.slot[i * self.count + s]
-        n = slot.normal
+        n, own = slot.normal, slot.key // self.faces
         after = x + h * (v - n.dot(u) * n)
-        d, _, _ = self.colliders.distance(slot.key // self.faces, slot.key % self.faces, after, h)
-        fall = d - self.model.radius[i] - slot.gap
-        rounding = self.rounding * (ti.abs(x).max() + self.colliders.distance_from_origin(slot.key // self.faces))
-        fall = ti.select(ti.abs(fall) > rounding, fall, 0.0)
+        rounding = self.rounding * (ti.abs(x).max() + self.colliders.distance_from_origin(own))
         most = STEEPEST_FALL * self.model.radius[i]
+        fall = 0.0 * slot.gap
+        k, others = own, False
+        while k < self.colliders.count:  # it first; where it ends or falls away, all that may go on in its place
+            if not others or self._goes_on(i, k, after, most):
+                d, _, _ = self.colliders.distance(k, ti.select(others, 0, slot.key % self.faces), after, h)
+                here = d - self.model.radius[i] - slot.gap
+                fall = ti.max(0.0, ti.min(fall, here)) if others else here
+            if others:
+                k += 1
+            elif fall > rounding:
+                k, others = 0, True
+            else:
+                k = self.colliders.count
+        fall = ti.select(ti.abs(fall) > rounding, fall, 0.0)
         return -ti.max(-most, ti.min(most, fall)) / h
+
+    @ti.func
+    def _goes_on(self, i, k, x, reach):
+        """Whether ball i at x may be within `reach` [m] of collider k."""
+        at_it = self.colliders.collides_with(self.model, i, k)
+        return at_it and geometry.near(self.colliders, k, x, self.model.radius[i] + reach)

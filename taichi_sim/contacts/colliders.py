@@ -76,10 +76,20 @@ class Colliders:
             data["first"] = np.cumsum([0, *(g.value.size for g in grids[:-1])])
             data["low"] = np.array([g.low for g in grids])
             data["inverse_cell"] = np.array([1.0 / g.cell for g in grids])
-            columns |= {"first": ti.i32, "low": vector, "inverse_cell": real}
-            self.grid = fields.reals(np.concatenate([g.value.ravel() for g in grids]))
-            columns["cells"] = whole
             data["cells"] = np.array([g.value.shape[::-1] for g in grids])
+            columns |= {"first": ti.i32, "low": vector, "inverse_cell": real, "cells": whole}
+            self.grid = fields.reals(np.concatenate([g.value.ravel() for g in grids]))
+            nodes, triangles = (
+                np.cumsum([0, *(len(part) for part in parts)])
+                for parts in ([g.tree.boxes for g in grids], [g.tree.triangles for g in grids])
+            )
+            data |= {"first_node": nodes[:-1], "last_node": nodes[1:]}
+            columns |= {"first_node": ti.i32, "last_node": ti.i32}
+            near = [g.near.ravel() + np.where(g.near.ravel() < 0, 0, t) for g, t in zip(grids, triangles)]
+            link = [(g.tree.links + np.array([k, t, t])).ravel() for g, k, t in zip(grids, nodes, triangles)]
+            self.near, self.link = fields.integers(np.concatenate(near)), fields.integers(np.concatenate(link))
+            self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))
+            self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))
         self.shape = fields.table(columns, self.count, data)
 
     @ti.func

@@ -1,4 +1,4 @@
-"""Distances from a closed mesh, kept on a grid around it."""
+"""Distances from a closed mesh, kept on a grid around it, and where that is too coarse the triangles themselves."""
 
 from copy import copy
 from typing import Any, NamedTuple
@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.memory import available
+from taichi_sim.contacts.triangle_tree import CORNERS, NO_TREE, TriangleTree, triangle_tree
 from taichi_sim.device.backend import has_wide_numbers
 from taichi_sim.device.engine import ti
+from taichi_sim.geometry.graph import components
+from taichi_sim.geometry.mesh import Surface
 from taichi_sim.kernels.contacts import distance_grid as loops
 from taichi_sim.scene.colliders import MESH, Collider
 from taichi_sim.scene.scene import Scene
@@ -17,17 +20,22 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["DistanceGrid", "distance_grid", "distance_grids"]
 
 MOST_CORNERS = 1 << 24
-CORNER_BYTES = 24  # while a grid is made; what it keeps is half of that
+CORNER_BYTES = 32  # while a grid is made; what it keeps is less than half of that
 BORDER = 2  # cells around what comes near the mesh
+NEAR = 2.0  # cells: beyond, what lies between corners is as good as they are
+INEXACT = 0.02  # of a cell, and of the smallest diameter: the largest error of what lies between corners
 ROW_SHIFT = 1e-5  # of a cell, see `winding`
 
 
 class DistanceGrid(NamedTuple):
-    """value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k)."""
+    """value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k); near (nz, ny, nx): -1 where values
+    interpolate well in the cell that begins there, else the number of a triangle near it, of those of the tree."""
 
     value: NDArray[np.float64]
+    near: NDArray[np.int32]
     low: NDArray[np.float64]
     cell: float
+    tree: TriangleTree
 
 
 def layout(collider: Collider, reach: float) -> tuple[float, NDArray[np.int64]]:
@@ -45,33 +53,67 @@ def layout(collider: Collider, reach: float) -> tuple[float, NDArray[np.int64]]:
         cell *= 1.1
 
 
-def distance_grid(collider: Collider, reach: float) -> DistanceGrid:
-    """The grid of a mesh, see `layout`."""
+def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGrid:
+    """The grid of a mesh, see `layout`. finest [m]: diameter of the smallest ball."""
     cell, size = layout(collider, reach)
     start = 0.5 * (collider.vertices.min(axis=0) + collider.vertices.max(axis=0)) - 0.5 * cell * (size - 1)
     shape = tuple(size[::-1])
     wide = has_wide_numbers()
     real = np.float64 if wide else np.float32
     origin = np.zeros(3) if wide else start  # single precision has digits to spare only near the grid
-    corner: Any = np.ascontiguousarray((collider.vertices - origin)[collider.triangles].reshape(-1, 3), dtype=real)
-    frame: Any = np.array([*(start - origin), cell, ROW_SHIFT], dtype=real)
-    closest: Any = np.full(shape, -1, dtype=np.int32)
-    best: Any = np.full(shape, np.inf, dtype=real)
-    if not wide:  # external arrays are copied at each launch, and with Vulkan some come back with other numbers
-        corner, frame, closest, best = (_on_device(array) for array in (corner, frame, closest, best))
+    tree = triangle_tree(Surface(collider.vertices, collider.triangles))
+    lengths = [cell, ROW_SHIFT, NEAR * cell, INEXACT * min(cell, finest)]
+
+    def given(array: NDArray[Any], kind: Any = real) -> Any:
+        array = np.ascontiguousarray(array, dtype=kind)
+        # external arrays are copied at each launch, and with Vulkan some come back with other numbers
+        return array if wide else _on_device(array)
+
+    corner, frame = (
+        given(tree.triangles[:, :CORNERS].reshape(-1, 3) - origin),
+        given(np.array([*(start - origin), *lengths])),
+    )
+    closest, best = given(np.full(shape, -1), np.int32), given(np.full(shape, np.inf))
     loops.seed(corner, closest, best, frame)
     reaches = [1 << k for k in reversed(range(int(size.max()).bit_length()))]
     for distance in [*reaches, 2, 1]:
         source = copy(closest)
         loops.spread(corner, source, closest, best, frame, distance)
-    windings: Any = np.zeros(shape, dtype=np.int32)
-    if not wide:
-        windings = _on_device(windings)
-    loops.winding(corner, windings, frame)
+    once, windings = (collider.vertices - origin)[collider.triangles], given(np.zeros(shape), np.int32)
+    loops.winding(given(once.reshape(-1, 3)), windings, frame)
     ti.sync()
-    if not wide:
-        windings, best = windings.to_numpy(), best.to_numpy()
-    return DistanceGrid(np.where(windings != 0, -1.0, 1.0) * np.sqrt(best.astype(np.float64)), start, cell)
+    inside, far = _on_host(windings) != 0, np.sqrt(_on_host(best).astype(np.float64))
+    value = np.where(inside, -far, far)
+    tree = _facing_out(collider, tree, _on_host(closest), value, start, cell)
+    near = given(np.full(shape, -1), np.int32)
+    boxes, triangles = tree.boxes - np.tile(origin, 2), tree.triangles.copy()
+    triangles[:, :CORNERS] -= np.tile(origin, 3)
+    table = given(boxes.ravel()), given(tree.links.ravel(), np.int32), given(triangles.ravel())
+    loops.find_inexact(given(value), closest, *table, near, frame)
+    ti.sync()
+    return DistanceGrid(value, _on_host(near), start, cell, tree)
+
+
+def _facing_out(
+    collider: Collider, tree: TriangleTree, closest: NDArray, value: NDArray, low: NDArray, cell: float
+) -> TriangleTree:
+    """The tree with the normals of each connected part of the mesh as the corners next to it tell: a part that faces inward is
+    solid, too, unless it is the inside of another one."""
+    part = components(len(collider.vertices), np.concatenate([collider.triangles[:, :2], collider.triangles[:, 1:]]))
+    part = part[collider.triangles[tree.order, 0]]
+    if np.all(part == part[0]):
+        return tree
+    k, j, i = np.nonzero(np.abs(value) < cell)
+    number = closest[k, j, i]
+    at = tree.triangles[number].reshape(-1, 10, 3)
+    above = np.sum((low + cell * np.stack([i, j, k], axis=1) - at[:, 0]) * at[:, 3], axis=1)
+    wrong = np.bincount(part[number], np.sign(above) * np.sign(value[k, j, i]), minlength=part.max() + 1) < 0
+    normals = np.where(wrong[part][:, None], -1.0, 1.0) * tree.triangles[:, CORNERS:]
+    return tree._replace(triangles=np.concatenate([tree.triangles[:, :CORNERS], normals], axis=1))
+
+
+def _on_host(array: Any) -> NDArray[Any]:
+    return array if isinstance(array, np.ndarray) else array.to_numpy()
 
 
 def _on_device(array: NDArray[Any]) -> Any:
@@ -84,10 +126,11 @@ def _on_device(array: NDArray[Any]) -> Any:
 def distance_grids(scene: Scene) -> list[DistanceGrid]:
     """One for each collider, empty for what is no mesh; to be made before the fields of a simulation are. Raises SceneError where
     they do not fit into memory together."""
-    none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros(3), 1.0)
+    none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros((0, 0, 0), np.int32), np.zeros(3), 1.0, NO_TREE)
     if all(collider.kind != MESH for collider in scene.colliders):
         return [none] * len(scene.colliders)
     reach = 2.0 * float(np.max(scene.radius, initial=0.0))
+    finest = 2.0 * float(np.min(scene.radius, initial=np.inf))
     need, free = 0, available()
     for k, collider in enumerate(scene.colliders):
         if collider.kind == MESH:
@@ -99,4 +142,4 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
                 )
                 with scene.in_file():
                     raise SceneError(f"colliders[{k}].resolution", collider.resolution, says=says)
-    return [distance_grid(c, reach) if c.kind == MESH else none for c in scene.colliders]
+    return [distance_grid(c, reach, finest) if c.kind == MESH else none for c in scene.colliders]

@@ -96,7 +96,7 @@ class Walls(Surfaces):
         clearance = FAR_GAP + 0.0 * self.model.radius[i]
         number = self.count
         if ti.static(self.has_colliders):
-            number = nearby_colliders.find(self, ball[i].x, i, crowded)
+            number = nearby_colliders.find(self, ball[i].x, i, crowded, 1.0 / solver.rate[0])
         for k in range(number):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)

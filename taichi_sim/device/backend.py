@@ -7,18 +7,19 @@ serves one thread, that which started it; in another its kernels fail or compute
 import os
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from taichi_sim.common.environment import restored_environment
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.compiling import count_time
 from taichi_sim.device.devices import find, verdict
-from taichi_sim.device.engine import ENGINE, QUADRANTS_ARCHES, VERSION, finds, program, ti
+from taichi_sim.device.engine import ENGINE, PREFIX, QUADRANTS_ARCHES, VERSION, finds, program, ti
+from taichi_sim.device.kernel_cache import cache_folder
 
 __all__ = ["ARCHES", "PRECISIONS", "Backend", "check_thread", "has_wide_numbers", "running", "start", "stop"]
 
@@ -26,8 +27,10 @@ ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
 AUTOMATIC = ("cuda", "metal", "vulkan", "cpu")  # in the order in which they are tried
 WIDE_ARCHES = ("cpu", "cuda")  # with 64-bit numbers
-LOCK = "ticache.lock"  # Taichi holds it while it reads or writes its list of compiled kernels: for a second at most
-STALE = 600.0  # s; older than that, its owner has been killed
+# of environment variables that the engine reads behind its prefix
+OWN_SETTINGS = ("ARCH", "DEFAULT_FP", "DEFAULT_IP", "CPU_MAX_NUM_THREADS", "OFFLINE_CACHE", "OFFLINE_CACHE_FILE_PATH",
+    "OFFLINE_CACHE_MAX_SIZE_OF_FILES", "LOG_LEVEL", "FAST_MATH", "ADVANCED_OPTIMIZATION")  # fmt: skip
+MOST_THREADS = max(64, 4 * (os.cpu_count() or 1))  # where memory is limited the engine hangs when it cannot start them
 CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
 
 
@@ -108,8 +111,10 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
         )
     if precision is not None and precision not in PRECISIONS:
         raise ValueError(f"precision: {precision!r} is not allowed; it must be f32 or f64")
-    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
-        raise ValueError(f"threads: {threads!r} is not allowed; it must be a whole number of at least 1")
+    if threads is not None and (
+        isinstance(threads, bool) or not isinstance(threads, int) or not 1 <= threads <= MOST_THREADS
+    ):
+        raise ValueError(f"threads: {threads!r} is not allowed; it must be a whole number from 1 to {MOST_THREADS}")
     if precision == "f64" and arch not in (None, "auto", *WIDE_ARCHES):
         raise BackendError(
             f"precision: 'f64' was asked for, which {arch} devices may lack; use 'f32', or arch 'cpu' or 'cuda'"
@@ -162,15 +167,19 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
             " 'auto'"
         )
     real = ti.f64 if precision == "f64" else ti.f32
-    _free_cache(Path(str(ti.lang.impl.default_cfg().offline_cache_file_path)))
+    usual = os.environ.get(f"{PREFIX}OFFLINE_CACHE_FILE_PATH") or str(
+        ti.lang.impl.default_cfg().offline_cache_file_path
+    )
+    cache = cache_folder(Path(usual))
     quicken()
     count_time()
-    with _without_banner():
+    with _without_banner(), _own_settings():
         ti.init(
             arch=getattr(ti, name),
             default_fp=real,
             cpu_max_num_threads=threads,
-            offline_cache=True,
+            offline_cache=cache is not None,
+            offline_cache_file_path=str(cache or os.sep),  # a folder that is there: otherwise it ends the process
             offline_cache_max_size_of_files=CACHE_BYTES,
             log_level=ti.ERROR,
             fast_math=False,
@@ -190,21 +199,23 @@ def _without_banner() -> Iterator[None]:
         del ti.lang.misc.print
 
 
-def _free_cache(folder: Path) -> None:
-    """Remove the lock that a killed process left on the cache of compiled kernels: Taichi keeps and finds nothing while it is
-    there, and says so only in its log."""
-    lock = Path(os.environ.get("TI_OFFLINE_CACHE_FILE_PATH", folder)) / LOCK
-    try:
-        age = time.time() - lock.stat().st_mtime
-        if age < STALE:
-            return
-        lock.unlink()
-        done = "it was removed"
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        done = f"remove it ({error.strerror}): until then everything is compiled anew in each process"
-    warnings.warn(f"{lock}: a killed process has locked the cache of compiled kernels; {done}", stacklevel=5)
+@contextmanager
+def _own_settings() -> Iterator[None]:
+    """Without environment variables that change what `start` sets, as TI_ARCH, of which a wrong one would end the process. Raises
+    BackendError where another one is wrong."""
+    with restored_environment():
+        for name in OWN_SETTINGS:
+            os.environ.pop(PREFIX + name, None)
+        given = ", ".join(sorted(name for name in os.environ if name.startswith(PREFIX)))
+        os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")  # it would ask its makers' server each day
+        try:
+            yield
+        except FileNotFoundError as error:
+            if error.filename is not None:
+                raise
+            raise BackendError("the working folder was deleted; change to another one") from None
+        except ValueError as error:
+            raise BackendError(f"{ENGINE} cannot be started with the environment variables {given}: {error}") from None
 
 
 def _is_trusted(arch: str) -> bool:

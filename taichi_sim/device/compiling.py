@@ -9,7 +9,7 @@ time is counted for one version of Taichi only; in any other it is 0.
 import functools
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,6 +24,7 @@ TABLE, MOST_REMEMBERED = "compile_times", 500  # scenes
 AT_FIRST = {"": 4.0, "pictures": 4.0, "pairs": 9.0}
 AT_FIRST |= dict.fromkeys(("sticks", "colliders", "triangles", "integrator.implicit_euler", "integrator.tr_bdf2"), 4.0)
 
+PACE = "pace"  # entry of the table: how many times AT_FIRST this machine takes, a mean of what it took lately
 LOADING = 0.4  # of the time that compiling took, what loading takes in the next process
 
 _spent = 0.0
@@ -99,6 +100,12 @@ def watched(hear: Callable[[], None]) -> Iterator[None]:
         _hear = before
 
 
+def _pace(known: Mapping[str, Any]) -> float:
+    """How many times AT_FIRST kernels take here, as far as that is known."""
+    pace = known.get(PACE)
+    return float(pace) if isinstance(pace, (int, float)) and 0.1 < pace < 100.0 else 1.0
+
+
 class Expected:
     """How long the kernels of a scene will take, from what they took before.
 
@@ -125,13 +132,17 @@ class Expected:
         if self._again or (self._before is not None and self._before < 1.0):
             return "starting"
         if self._before is None:
-            about = sum(AT_FIRST.get(name, 0.0) for name in ["", *self._names])
+            about = self._about() * _pace(recall(TABLE))
             if waited > about:
                 return f"compiling (first run, longer than the {about:.0f} s expected)"
             return f"compiling (first run, about {about:.0f} s)"
         if waited > self._before:
             return f"loading kernels (longer than last time, {self._before:.0f} s)"
         return f"loading kernels (about {self._before:.0f} s)"
+
+    def _about(self) -> float:
+        """Seconds that it takes at first on the machine that AT_FIRST is of."""
+        return sum(AT_FIRST.get(name, 0.0) for name in ["", *self._names])
 
     def spent(self) -> None:
         """They are all there: remember what they took."""
@@ -142,7 +153,10 @@ class Expected:
         """What they took: at first to compile them, later to load them."""
         known = recall(TABLE)
         known.pop(self._key, None)
+        if self._before is None and spent > 1.0:  # else another process had compiled it
+            pace = spent / self._about()
+            known[PACE] = round((pace * _pace(known)) ** 0.5 if PACE in known else pace, 2)
         known[self._key] = round(spent if self._before is not None else LOADING * spent, 1)
-        for key in list(known)[:-MOST_REMEMBERED]:
+        for key in [key for key in known if key != PACE][:-MOST_REMEMBERED]:
             del known[key]
         remember(TABLE, known)

@@ -21,6 +21,11 @@ DEVICE_LOCAL = 1  # VK_MEMORY_HEAP_DEVICE_LOCAL_BIT
 MOST_VULKAN_DEVICES = 16
 WRONG = "wrong: "  # how the self-test begins to say what is
 SELF_TEST, PATIENCE = "taichi_sim.reports.self_test", 120.0  # a program, and the s that it may take
+# as `python -m` does, but no module is taken from the working folder, which may be that of a scene from elsewhere
+START = (
+    "import sys; sys.path = [place for place in sys.path if place];"
+    " from runpy import run_module; run_module(sys.argv.pop(1), run_name='__main__')"
+)
 
 
 class Device(NamedTuple):
@@ -62,7 +67,8 @@ def verdict(device: Device, version: str, again: bool = False) -> str:
 def examine(arch: str) -> str:
     """What is wrong with a device, or "" where it passed. In a process of its own, which a broken driver may end."""
     try:
-        done = subprocess.run([sys.executable, "-m", SELF_TEST, arch], capture_output=True, text=True, timeout=PATIENCE)
+        command = [sys.executable, "-c", START, SELF_TEST, arch]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     except subprocess.TimeoutExpired:
         return f"the self-test did not end within {PATIENCE:g} s"
     if done.returncode:

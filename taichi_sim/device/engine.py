@@ -10,11 +10,14 @@ from copy import copy
 from types import ModuleType
 from typing import Any
 
+from taichi_sim.common.environment import restored_environment
 from taichi_sim.common.errors import BackendError
+from taichi_sim.device.kernel_cache import settle_home
 
 __all__ = [
     "ENGINE",
     "IS_KNOWN",
+    "PREFIX",
     "QUADRANTS_ARCHES",
     "VERSION",
     "CompilationError",
@@ -29,11 +32,18 @@ __all__ = [
 ENGINES = ("taichi", "quadrants")
 QUADRANTS_ARCHES = ("cpu", "cuda")  # with Vulkan it cannot bind these kernels' fields (1.3.3, on SwiftShader)
 ENGINE = os.environ.get("TAICHI_SIM_ENGINE", "taichi")  # of this process
+PREFIX = "TI_" if ENGINE == "taichi" else "QD_"  # of its environment variables
 
 
 def _taichi() -> ModuleType:
+    if (
+        "ipykernel" in sys.modules
+    ):  # which shows what kernels print; Taichi would say in the cell that it found a notebook
+        os.environ.setdefault("TI_ENABLE_PYBUF", "0")
     try:
-        import taichi
+        with restored_environment():
+            os.environ.pop("TI_LOG_LEVEL", None)  # an unknown one cannot be imported with; `start` sets it
+            import taichi
     except (ImportError, OSError) as error:  # on Linux, its library is linked against libX11 even without a window
         hint = (
             " Install it: `apt install libx11-6` (Debian, Ubuntu), `dnf install libX11` (Fedora), `apk`-based systems lack glibc."
@@ -55,6 +65,7 @@ def _quadrants() -> ModuleType:
 
 if ENGINE not in ENGINES:
     raise BackendError(f"TAICHI_SIM_ENGINE: {ENGINE!r} is not allowed; it must be one of {', '.join(ENGINES)}")
+settle_home()
 ti: Any = _taichi() if ENGINE == "taichi" else _quadrants()
 VERSION = ".".join(map(str, ti.__version__))
 

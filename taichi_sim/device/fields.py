@@ -114,12 +114,13 @@ class Fields:
         return 8 if self.real == ti.f64 else 4
 
     def _cast(self, data: NDArray, what: str = "number") -> NDArray:
-        """A copy in the precision of the run; a number that it cannot hold is refused, with a word for what it is."""
+        """A copy in the precision of the run, where a number may become 0. One that is too large raises SceneError, with a word
+        for what it is."""
         if self.real == ti.f64:
             return np.ascontiguousarray(data, dtype=np.float64)
         with np.errstate(over="ignore"):
             array = np.ascontiguousarray(data, dtype=np.float32)
-        lost = ~np.isfinite(array) | ((array == 0) & (np.asarray(data) != 0))
+        lost = ~np.isfinite(array)
         if lost.any():
             value = np.asarray(data)[lost].flat[0]
             says = f'the {what} {value:.4g} does not fit into single precision; use precision "f64"'

@@ -36,7 +36,8 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
         )
     own = simulation.settings
     settings = {name.name: getattr(own, name.name) for name in fields(own)}
-    settings.update(integrator=own.integrator.method.name, precision=simulation.backend.precision)
+    # what has settled does so once
+    settings.update(integrator=own.integrator.method.name, precision=simulation.backend.precision, settle=None)
     snapshot = simulation.snapshot()
     about, arrays = parts_of(scene)
     about |= {"settings": settings, "time": snapshot.time, "stepping": snapshot.stepping}

@@ -3,9 +3,10 @@
 import ast
 import functools
 import importlib.util
+import shutil
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +17,16 @@ from taichi_sim.common.plain import plain
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["built_in", "checked_output", "demos", "open_scene", "open_simulation", "python_scene", "resolve"]
+__all__ = [
+    "built_in",
+    "checked_output",
+    "copy_demo",
+    "demos",
+    "open_scene",
+    "open_simulation",
+    "python_scene",
+    "resolve",
+]
 
 
 def demos() -> dict[str, Path]:
@@ -49,17 +59,44 @@ def resolve(name: str) -> Path:
     raise FileNotFoundError(f"{name}: is neither a file nor a built-in demo; {hint}")
 
 
-def open_scene(file: Path, *, allow_outside: bool = False) -> Scene | None:
-    """The scene in a file; None for a Python file that makes its own simulation(). allow_outside: see `load_scene`."""
+def copy_demo(name: str) -> list[Path]:
+    """Copy the file of a demo, and arrays beside it, into the present folder; the paths written. Raises OSError for a name that
+    is no demo or a file that is there already."""
+    known = demos()
+    short = {key.rsplit("/", 1)[-1]: file for key, file in reversed(known.items())} | known
+    if name not in short:
+        raise FileNotFoundError(f"{name}: is no demo; {did_you_mean(name, short, '`taichi-sim demos` lists them')}")
+    file = short[name]
+    sources = [file, *sorted(file.parent.glob(f"{file.stem}_*.npz"))]
+    targets = [Path(one.name) for one in sources]
+    for target in targets:
+        if target.exists() or target.is_symlink():
+            raise FileExistsError(f"{target}: exists already; remove it or go to another folder")
+    for one, target in zip(sources, targets):
+        shutil.copyfile(one, target)
+    return targets
+
+
+def open_scene(file: Path, *, allow_outside: bool = False, parameters: Mapping[str, Any] | None = None) -> Scene | None:
+    """The scene in a file; None for a Python file that makes its own simulation(). allow_outside: see `load_scene`. parameters:
+    values by their paths, over those in the file; for scene() of a Python file its arguments, or paths in what it returns."""
+    parameters = parameters or {}
     if file.suffix == ".toml":
+        from taichi_sim.files.parameters import changed_scene
         from taichi_sim.files.toml_reader import load_scene
 
-        return load_scene(file, allow_outside=allow_outside)
+        return (
+            changed_scene(file, parameters, allow_outside)
+            if parameters
+            else load_scene(file, allow_outside=allow_outside)
+        )
     if file.suffix != ".py":
         raise ValueError(f"{file}: {file.suffix!r} is not allowed; a scene is a .toml or a .py file")
     module = _module(file)
     if hasattr(module, "scene"):
-        return python_scene(file)()
+        from taichi_sim.files.parameters import python_scene_with
+
+        return python_scene_with(file, python_scene(file), parameters)
     if hasattr(module, "simulation"):
         return None
     raise SceneError((), says="has neither scene() nor simulation(); define one of them", file=file)
@@ -96,9 +133,9 @@ def checked_output(scene: Scene) -> dict[str, Any]:
     return listed
 
 
-def open_simulation(file: Path) -> Any:
-    """What simulation() of a Python file returns."""
-    return _call(file, _module(file), "simulation")
+def open_simulation(file: Path, parameters: Mapping[str, Any] | None = None) -> Any:
+    """What simulation() of a Python file returns. parameters: its arguments."""
+    return _call(file, _module(file), "simulation", **(parameters or {}))
 
 
 def _module(file: Path) -> ModuleType:

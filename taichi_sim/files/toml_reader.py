@@ -7,6 +7,7 @@ colliders, triangles, objects, embedded_surfaces, probes. Springs that name no g
 
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common import validation
+from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, unknown_key
 from taichi_sim.common.npz import read_npz
 from taichi_sim.files.toml_lines import deepest_line, line_of
@@ -43,6 +45,9 @@ __all__ = ["MOST_NESTED", "Reader", "load_scene", "nested", "parsed"]
 
 
 MOST_NESTED = 16  # lists and tables within each other
+LONG_KEY = re.compile(
+    r"""(?<![\w"'.-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){1000}"""
+)  # which takes seconds to parse
 
 
 def load_scene(
@@ -71,7 +76,9 @@ def load_scene(
 def parsed(file: Path) -> tuple[str, dict[str, Any]]:
     """The text of a file and what it says in TOML. Raises SceneError."""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
+        if LONG_KEY.search(text):
+            raise RecursionError
         document = tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise SceneError((), says=f"is not a text in UTF-8: {error.reason} at byte {error.start}", file=file) from None
@@ -380,6 +387,10 @@ class Reader:
                 " ts.load_scene(..., allow_outside=True)"
             )
             raise SceneError(("table", key), name, says=says)
+        try:
+            require_file(file)
+        except ValueError as error:
+            raise SceneError(("table", key), name, says=f"cannot be read: {error}") from None
         return file
 
     # Errors --------------------------------------------------------------------------------------------------------

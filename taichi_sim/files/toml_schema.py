@@ -113,6 +113,11 @@ class Simulation(Strict):
         "auto", "whether balls turn; auto: loose ones, where a material has friction"
     )
     substeps: PositiveInt | Literal["auto"] = _key("auto", "parts that each step is divided into")
+    settle: bool | Annotated[FiniteFloat, Gt(0), Lt(1)] = _key(
+        False,
+        "bring the scene to rest before its clock starts: true, or the net force that may be left, as a part of the mean weight"
+        " of a ball [1]; true: 0.001",
+    )
     threads: PositiveInt = _key(1, "CPU threads")
 
 

@@ -23,17 +23,22 @@ class Bending(Corners):
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
         bends, weights = scene.bends, scene.bend_weights
-        self.damped = bool(np.any(scene.bend_damping > 0))
+        stiffness, damping = scene.held_bending()
+        self.damped = bool(np.any(damping > 0))
+        rod = bends[:, 0] == bends[:, 1]  # of three balls, the first of which counts twice
+        weights = np.where(rod[:, None], np.stack([weights[:, 0] + weights[:, 1], 0 * rod, *weights.T[2:]], 1), weights)
         rest = [[j for j in range(4) if j != k] for k in range(4)]
+        kept = np.concatenate([~rod if k == 1 else np.ones(len(rod), dtype=bool) for k in range(4)])
         others = np.concatenate([bends[:, r] for r in rest])
         real = fields.real
         columns = {name: real for name in ("stiffness", "own", "wa", "wb", "wc")}
-        data = {"stiffness": np.tile(scene.bend_stiffness, 4), "own": weights.T.ravel()}
+        data = {"stiffness": np.tile(stiffness, 4), "own": weights.T.ravel()}
         data |= {name: np.concatenate([weights[:, r[k]] for r in rest]) for k, name in enumerate(("wa", "wb", "wc"))}
         if self.damped:
             columns["damping"] = real
-            data["damping"] = np.tile(scene.bend_damping, 4)
-        self.gather(model, fields, others, bends.T.ravel(), columns, data)
+            data["damping"] = np.tile(damping, 4)
+        data = {name: values[kept] for name, values in data.items()}
+        self.gather(model, fields, others[kept], bends.T.ravel()[kept], columns, data)
 
     @ti.func
     def _curve(self, ball: ti.template(), i, row):
@@ -57,6 +62,7 @@ class Bending(Corners):
 
     @ti.func
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
-        """A quarter of the element's."""
+        """The element's, in shares as its weights are."""
         bent = self._curve(ball, i, row)
-        return 0.125 * ti.cast(row.stiffness, real) * ti.cast(bent.dot(bent), real)
+        share = abs(row.own) / max(1e-30, abs(row.own) + abs(row.wa) + abs(row.wb) + abs(row.wc))
+        return 0.5 * ti.cast(share * row.stiffness, real) * ti.cast(bent.dot(bent), real)

@@ -6,6 +6,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
+from taichi_sim.scene.elements import CRUSHED
 
 __all__ = ["Cells"]
 
@@ -15,7 +16,8 @@ OTHER_CORNERS = {2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3
 
 @ti.data_oriented
 class Cells(Corners):
-    """Forces -K (V / V0 - 1) dV/dx of the energy K V0 (V / V0 - 1)^2 / 2, V with its sign.
+    """Forces -(K (V / V0 - 1) + C min(V / V0 - CRUSHED, 0)) dV/dx of the energy K V0 (V / V0 - 1)^2 / 2 + C V0 min(V / V0 -
+    CRUSHED, 0)^2 / 2, V with its sign.
 
     Of cells that act together V and V0 are sums, K the mean (mean dilatation, Nagtegaal et al. 1974): `first` and `member`, the
     rows of the first corners of a group's cells, `pressure` [Pa] of each group.
@@ -30,9 +32,10 @@ class Cells(Corners):
         cells, others_of = scene.cells, OTHER_CORNERS[model.dim]
         others = np.concatenate([cells[:, list(rest)] for rest in others_of])
         real = fields.real
-        columns = {"pressure": real, "inverse": real}
+        columns = {"modulus": real, "crush": real, "inverse": real}
         data = {
-            "pressure": np.tile(scene.bulk_modulus, len(others_of)),
+            "modulus": np.tile(scene.bulk_modulus, len(others_of)),
+            "crush": np.tile(scene.crush_modulus, len(others_of)),
             "inverse": np.tile(1.0 / scene.rest_volume, len(others_of)),
         }
         own = cells.T.ravel()
@@ -70,8 +73,13 @@ class Cells(Corners):
 
     @ti.func
     def _together(self, ball: ti.template(), g):
-        """Strain of the volume of group g, and its modulus."""
-        volume, rest, strength = ti.cast(0.0, float), ti.cast(0.0, float), ti.cast(0.0, float)
+        """Volume of group g in parts of that at rest, and its moduli."""
+        volume, rest, strength, crush = (
+            ti.cast(0.0, float),
+            ti.cast(0.0, float),
+            ti.cast(0.0, float),
+            ti.cast(0.0, float),
+        )
         for k in range(self.first[g], self.first[g + 1]):
             member = self.member[k]
             row = self.row[member.row]
@@ -79,26 +87,29 @@ class Cells(Corners):
                 own, _ = self._volume(ball, member.ball, row)
                 volume += own
                 rest += 1.0 / row.inverse
-                strength += row.pressure / row.inverse
-        strain = ti.cast(0.0, float)
+                strength += row.modulus / row.inverse
+                crush += row.crush / row.inverse
+        part = ti.cast(1.0, float)
         if rest > 0.0:
-            strain = (volume - rest) / rest
+            part = volume / rest
             strength /= rest
-        return strain, strength
+            crush /= rest
+        return part, strength, crush
 
     @ti.func
     def prepare(self, ball: ti.template()):
         """Pressures of groups."""
         if ti.static(self.shared):
             for g in range(self.groups):
-                strain, modulus = self._together(ball, g)
-                self.pressure[g] = modulus * strain
+                part, modulus, crush = self._together(ball, g)
+                self.pressure[g] = modulus * (part - 1.0) + crush * min(part - CRUSHED, 0.0)
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
         """By the pressure of the cell or of its group."""
         volume, g = self._volume(ball, i, row)
-        pressure = row.pressure * (volume * row.inverse - 1.0)
+        part = volume * row.inverse
+        pressure = row.modulus * (part - 1.0) + row.crush * min(part - CRUSHED, 0.0)
         if ti.static(self.shared):
             pressure = self.pressure[row.group]
         return -pressure * g
@@ -107,8 +118,9 @@ class Cells(Corners):
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
         """The same part of the cell's for each corner."""
         volume, _ = self._volume(ball, i, row)
-        strain, modulus = volume * row.inverse - 1.0, row.pressure
+        part, modulus, crush = volume * row.inverse, row.modulus, row.crush
         if ti.static(self.shared):
-            strain, modulus = self._together(ball, row.group)
-        part = ti.cast(strain, real)
-        return self.share * 0.5 * ti.cast(modulus / row.inverse, real) * part * part
+            part, modulus, crush = self._together(ball, row.group)
+        strain, crushed = ti.cast(part - 1.0, real), ti.cast(min(part - CRUSHED, 0.0), real)
+        stored = ti.cast(modulus, real) * strain * strain + ti.cast(crush, real) * crushed * crushed
+        return self.share * 0.5 * stored / ti.cast(row.inverse, real)

@@ -86,6 +86,12 @@ class DrivenPins:
             self.state.ball[pin.ball].v = v
 
     @ti.func
+    def look_ahead(self):
+        """Give pins their velocities in the next substep, after `drive`."""
+        for k in range(self.m):
+            self.state.ball[self.pin[k].ball].v = self.ahead(k)
+
+    @ti.func
     def drive(self, forth: ti.template()):
         """Set places and velocities for the present substep; forth: and go on to the next."""
         for k in range(self.m):

@@ -173,7 +173,7 @@ def _elements(model: Model) -> list[Any]:
     """The kinds of force that the scene has besides gravity and springs."""
     scene = model.scene
     wanted = (
-        (Cells, len(scene.cells)),
+        (Cells, scene.cells_act()),
         (Bending, len(scene.bends)),
         (Gases, len(scene.gases)),
         (Wind, scene.wind is not None and len(scene.triangles)),

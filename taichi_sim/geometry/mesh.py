@@ -1,18 +1,26 @@
 """Surface meshes: reading them, and the edges and hinges from which springs are made. Imports no Taichi."""
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
-from taichi_sim.geometry.mesh_file import SUFFIXES, load
+from taichi_sim.common.errors import SceneError, about
+from taichi_sim.geometry.mesh_file import SUFFIXES, load, states_up
+from taichi_sim.geometry.polygons import triangulated, without_repeats
 
 PLACES_NAMED = 3  # in a message
 THINNEST_TRIANGLE = 1e-6  # twice its area over the square of its longest side: a triangle of less has none
+
+
+UPS = ("y", "z")  # axes of a mesh that may point up
+SEAM = 0.01  # of the shortest edge there: vertices at borders that lie so close are one
+NEAR = 0.05  # likewise: so close to a border a vertex was meant to lie on it
 
 
 class Surface(NamedTuple):
@@ -20,59 +28,148 @@ class Surface(NamedTuple):
 
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
+    uv: NDArray[np.float64] | None = None  # (t, 3, 2) places of their corners on a texture, v upward
 
 
 def read_surface(path: str | os.PathLike[str]) -> Surface:
     """Read an OBJ, PLY, STL, GLB or glTF file; larger polygons become triangles.
 
     Vertices at the same place become one (an STL file repeats them for each triangle, an OBJ file at texture seams), in
-    the order of their first appearance; triangles that this leaves without area and vertices without a triangle go.
+    the order of their first appearance, and so do vertices at borders that lie within a hundredth of their shortest edge of
+    each other; triangles that this leaves without area and vertices without a triangle go. It warns of polygons that cross
+    themselves.
 
-    Raises SceneError for a missing or unreadable file, one without faces, one with vertices that are not finite, and
-    where the package for reading meshes is not installed.
+    Raises SceneError for a missing or unreadable file, one without faces, and one with vertices that are not finite.
     """
     file = Path(path)
     if file.suffix.lower() not in SUFFIXES:
         raise SceneError("mesh", file, f"a file that ends in {' '.join(SUFFIXES)}")
     if not file.is_file():
         raise SceneError("mesh", file, says=f"is not there; it must be an existing {file.suffix} file")
-    loaded = load(file)
-    vertices = np.asarray(getattr(loaded, "vertices", ()), dtype=np.float64)
-    faces = np.asarray(getattr(loaded, "faces", ()), dtype=np.int64)
-    if faces.size == 0 or vertices.size == 0:
+    polygons = load(file)
+    vertices, counts = polygons.vertices + 0.0, polygons.counts  # no negative zero
+    if not (counts >= 3).any() or not len(vertices):
         raise SceneError("mesh", file, says="has no faces; a surface needs at least one triangle")
-    wrong = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
+    wrong = (polygons.corners < 0) | (polygons.corners >= len(vertices))
     if wrong.any():
-        bad = int(np.argmax(wrong))
-        says = f"has face {bad} (from 0) of vertices {faces[bad].tolist()}, and there are {len(vertices)}"
+        ends = np.cumsum(counts)
+        bad = int(np.searchsorted(ends, np.argmax(wrong), side="right"))
+        face = polygons.corners[ends[bad] - counts[bad] : ends[bad]].tolist()
+        says = f"has face {bad} (from 0) of vertices {face}, and there are {len(vertices)}"
         raise SceneError("mesh", file, says=says)
-    finite = np.isfinite(vertices).all(axis=1)
+    finite = (np.abs(vertices) <= validation.MOST_MAGNITUDE).all(axis=1)
     if not finite.all():
         bad = int(np.argmin(finite))
-        raise SceneError(
-            "mesh", file, says=f"has vertex {bad} (from 0) at {vertices[bad].tolist()}, which is not finite"
+        why = "too far away" if np.isfinite(vertices[bad]).all() else "not finite"
+        raise SceneError("mesh", file, says=f"has vertex {bad} (from 0) at {vertices[bad].tolist()}, which is {why}")
+    _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    corners = first[same.reshape(-1)][polygons.corners]
+    kept, counts = without_repeats(corners, counts)
+    cut, crossing = triangulated(vertices, corners[kept], counts)
+    if len(crossing):
+        warnings.warn(
+            f"mesh: {os.fspath(file)!r} has {len(crossing)} polygons that cross themselves, the first at"
+            f" {vertices[corners[kept][counts[: crossing[0]].sum()]].tolist()}; mend the mesh, if that matters",
+            stacklevel=2,
         )
-    surface = _weld(vertices, faces)
+    uv = None if polygons.uv is None else np.nan_to_num(polygons.uv[kept][cut])
+    surface = _compact(vertices, corners[kept][cut], uv)
+    surface = _compact(surface.vertices, _sewn(surface), surface.uv)
     if not len(surface.triangles):
         raise SceneError("mesh", file, says="has no face with an area; a surface needs at least one triangle")
     return surface
 
 
-def _weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Surface:
-    vertices = vertices + 0.0  # no negative zero
-    _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    triangles = first[same.reshape(-1)][faces]
-    without_area = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
-    used, compact = np.unique(triangles[~without_area], return_inverse=True)
-    return Surface(vertices[used], compact.reshape(-1, 3).astype(np.int32))
+def _compact(vertices: NDArray, triangles: NDArray, uv: NDArray | None) -> Surface:
+    """Triangles of three vertices, and the vertices that they have, in their order."""
+    whole = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    used, compact = np.unique(triangles[whole], return_inverse=True)
+    return Surface(vertices[used], compact.reshape(-1, 3).astype(np.int32), None if uv is None else uv[whole])
+
+
+def _sewn(surface: Surface) -> NDArray:
+    """The triangles with one vertex in place of several at borders that lie close to each other."""
+    x, triangles = surface.vertices, surface.triangles
+    border, shortest = _border(surface)
+    at = np.unique(border)
+    reach = SEAM * shortest[at]
+    pairs = cKDTree(x[at]).query_pairs(reach.max(), output_type="ndarray") if len(at) else np.zeros((0, 2), dtype=int)
+    apart = np.linalg.norm(x[at[pairs[:, 0]]] - x[at[pairs[:, 1]]], axis=1)
+    pairs = pairs[apart <= reach[pairs].min(axis=1)]
+    one = np.arange(len(x))
+    low, high = np.sort(at[pairs], axis=1).T
+    for _ in range(len(pairs)):  # as a rule two rounds
+        before = one.copy()
+        np.minimum.at(one, high, one[low])
+        np.minimum.at(one, low, one[high])
+        if np.array_equal(before, one):
+            break
+    return one[triangles]
+
+
+def _border(surface: Surface) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """The edges (b, 2) that one triangle has alone, and the shortest edge (n,) at each vertex [m]."""
+    edges = Edges.of(surface.triangles)
+    ends = surface.vertices[edges.ends]
+    shortest = np.full(len(surface.vertices), np.inf)
+    np.minimum.at(shortest, edges.ends.ravel(), np.repeat(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 2))
+    return edges.ends[edges.triangles == 1], shortest
+
+
+def loose_seams(surface: Surface) -> NDArray[np.int64]:
+    """The vertices (k,) at a border that lie at another piece of the border which does not share them: a seam that is open."""
+    x = surface.vertices
+    border, shortest = _border(surface)
+    if not len(border):
+        return np.zeros(0, dtype=np.int64)
+    at = np.unique(border)
+    a, b = x[border[:, 0]], x[border[:, 1]]
+    length = np.linalg.norm(b - a, axis=1)
+    near = cKDTree(x[at]).query_ball_point(0.5 * (a + b), (0.5 + NEAR) * length)
+    edge = np.repeat(np.arange(len(border)), [len(one) for one in near])
+    vertex = at[np.concatenate([np.array(one, dtype=np.int64) for one in near])]
+    other = (vertex[:, None] != border[edge]).all(axis=1)
+    edge, vertex = edge[other], vertex[other]
+    along, to = b[edge] - a[edge], x[vertex] - a[edge]
+    square = np.maximum(np.einsum("ei,ei->e", along, along), 1e-300)
+    share = np.clip(np.einsum("ei,ei->e", along, to) / square, 0.0, 1.0)
+    reach = NEAR * np.minimum(shortest[vertex], length[edge])
+    return np.unique(vertex[np.linalg.norm(to - share[:, None] * along, axis=1) <= reach])
+
+
+def given_surface(where: str, mesh: Any, up: str | None = None) -> Surface:
+    """The surface that an argument `mesh` of `where` names, or is, with y up.
+
+    up: its axis that points up, "y" or "z"; None: y, with a warning for a file that does not tell. Raises SceneError.
+    """
+    if up is not None:
+        validation.one_of(f"{where}.up", up, UPS)
+    if isinstance(mesh, (str, os.PathLike)):
+        with about(f"{where}.mesh"):
+            surface = read_surface(mesh)
+            if up is None and not states_up(Path(mesh)):
+                kind = Path(mesh).suffix[1:].upper()
+                warnings.warn(
+                    f"{where}.mesh: {os.fspath(mesh)!r} is read with y up, but {kind} files do not tell which axis is up, and"
+                    ' many programs write z; give up = "z", or up = "y" if it lies right',
+                    stacklevel=4,
+                )
+    else:
+        surface = by_hand(f"{where}.mesh", mesh)
+        if not len(surface.triangles):
+            raise SceneError(f"{where}.mesh", says="has no triangle")
+    if up == "z":
+        surface = surface._replace(vertices=surface.vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0] + 0.0)
+    return surface
 
 
 def by_hand(where: str, mesh: Any) -> Surface:
     """A mesh that was given as two arrays, checked. Raises SceneError, which begins with `where`."""
-    if not isinstance(mesh, (list, tuple)) or len(mesh) != 2:
+    uv = mesh.uv if isinstance(mesh, Surface) else None
+    if not isinstance(mesh, Surface) and (not isinstance(mesh, (list, tuple)) or len(mesh) != 2):
         raise SceneError(where, mesh, f"a file {' '.join(SUFFIXES)} or (vertices, triangles)")
     vertices = validation.vectors(f"{where}.vertices", mesh[0], None, 3)
-    return Surface(vertices, validation.indices(f"{where}.triangles", mesh[1], len(vertices), 3, "vertex"))
+    return Surface(vertices, validation.indices(f"{where}.triangles", mesh[1], len(vertices), 3, "vertex"), uv)
 
 
 def sides(triangles: NDArray) -> NDArray:
@@ -157,7 +254,15 @@ def flaws(surface: Surface, *, closed: bool = True) -> list[str]:
         (np.isin(np.arange(len(t)), first[times > 1]), _faces, "triangles are there more than once"),
         (thin, _faces, "triangles have next to no area"),
     )
-    return [f"{int(which.sum())} {what} ({where(which)})" for which, where, what in found if which.any()]
+    said = [f"{int(which.sum())} {what} ({where(which)})" for which, where, what in found if which.any()]
+    seams = np.zeros(0, dtype=np.int64) if closed else loose_seams(surface)
+    if len(seams):
+        first_few = ", ".join(f"{k} at {x[k].round(4).tolist()}" for k in seams[:PLACES_NAMED].tolist())
+        more = ", ..." if len(seams) > PLACES_NAMED else ""
+        said.append(
+            f"{len(seams)} vertices touch triangles that do not share them, so it comes apart there ({first_few}{more})"
+        )
+    return said
 
 
 def _faces(which: NDArray) -> str:

@@ -8,10 +8,12 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError, did_you_mean
 
 __all__ = ["FONT_FILES", "Outline", "drawing_outlines", "text_outlines"]
@@ -21,7 +23,10 @@ DEFAULT_FONT = "DejaVu Sans:bold"  # comes with matplotlib, so that a scene look
 LINE = 1.3  # from line to line, in heights of an E and its descender
 MOST_LETTERS = 1_000  # each takes some hundredths of a second
 MOST_COORDINATE = 1e50  # of a drawing, so that squares are finite
-MOST_BYTES = 10_000_000  # of a drawing
+MOST_BYTES = 2_000_000  # of a drawing, each `use` replaced by what it names
+MOST_PATHS, MOST_CORNERS = 2_000, 100_000  # of its filled areas
+MOST_CROSSINGS = 5_000  # of an outline with itself, and four times as many with others: areas are cut there
+MOST_NEAR = 3_000_000  # pairs of edges whose boxes overlap
 CURVE_STEP = 0.002  # of a drawing's height: pieces of its curves
 FONT_FILES = (".ttf", ".otf")
 
@@ -57,7 +62,11 @@ def text_outlines(where: str, text: str, height: float, font: str | None = None)
     from matplotlib.textpath import TextPath
 
     file = _font_file(f"{where}.font", font)
-    face: Any = get_font(file)
+    try:
+        face: Any = get_font(file)
+    except (RuntimeError, OSError, ValueError) as error:  # of a damaged file
+        reason = str(error).partition("\n")[0]
+        raise SceneError(f"{where}.font", file, says=f"cannot be read as a font: {reason}") from None
     for letter in text:
         if not letter.isspace() and face.get_char_index(ord(letter)) == 0:
             missing = f"{letter!r} (U+{ord(letter):04X}), which the font {face.family_name} does not have"
@@ -124,11 +133,11 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
         raise SceneError(where, says='needs one more package: pip install "taichi-sim[text]"') from None
     where = f"{where}.file"
     try:
-        size = os.stat(file).st_size
+        require_file(file)
+        size = max(os.stat(file).st_size, _weight(file))
         if size > MOST_BYTES:
-            raise SceneError(
-                where, file, says=f"has {size / 1e6:.3g} MB; a drawing may have {MOST_BYTES / 1e6:g} MB at most"
-            )
+            says = f"has {size / 1e6:.3g} MB, uses of its parts included; a drawing may have {MOST_BYTES / 1e6:g} MB at most"
+            raise SceneError(where, file, says=says)
         drawing = SVG.parse(os.fspath(file), reify=True)
     except (FileNotFoundError, IsADirectoryError):
         raise SceneError(where, file, says="is not there; it must be an existing .svg file") from None
@@ -136,7 +145,8 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
         raise
     except Exception as error:  # a parser for foreign files may raise anything
         raise SceneError(where, file, says=f"cannot be read as SVG: {error}") from None
-    areas: list[tuple[Any, tuple[float, float, float] | None]] = []
+    found_rings: list[tuple[list[NDArray], bool, tuple[float, float, float]]] = []
+    corners = 0
     box = drawing.bbox()
     if box is None or not math.isfinite(sum(box)) or box[3] <= box[1]:
         raise SceneError(where, file, says="shows nothing that has an area")
@@ -159,16 +169,20 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
                 says = f'has an open outline, {called}{at}; close it, or give it fill="none" if it is a line'
                 raise SceneError(where, file, says=says)
             try:
-                rings.append(_flat(path, step))
+                rings.append(_flat(path, step, MOST_CORNERS - corners))
             except (ValueError, ArithmeticError) as error:  # of numbers that are none
                 called = f"the path {element.id!r}" if element.id else f"path {number} (from 0)"
                 raise SceneError(where, file, says=f"has numbers in {called} that make no outline: {error}") from None
+            corners += len(rings[-1])
         rings = [ring for ring in rings if len(ring) >= 3]
         if rings:
             rule = element.values.get("fill-rule") == "evenodd"
-            colour = (fill.red / 255, fill.green / 255, fill.blue / 255)
-            areas.append((_filled(shapely, rings, even_odd=rule), colour))
-    areas = [(area, colour) for area, colour in areas if not area.is_empty]
+            found_rings.append((rings, rule, (fill.red / 255, fill.green / 255, fill.blue / 255)))
+        if len(found_rings) > MOST_PATHS:
+            raise SceneError(where, file, says=f"has more than {MOST_PATHS} filled paths")
+    _require_simple(shapely, where, file, [ring for rings, _, _ in found_rings for ring in rings])
+    filled = ((_filled(shapely, rings, even_odd=rule), colour) for rings, rule, colour in found_rings)
+    areas = [(area, colour) for area, colour in filled if not area.is_empty]
     if not areas:
         raise SceneError(where, file, says='shows no filled area; lines alone (fill="none") have none')
     left, top, right, bottom = shapely.total_bounds([area for area, _ in areas])
@@ -183,8 +197,53 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
     return found[::-1]
 
 
-def _flat(path: Any, step: float) -> NDArray:
-    """The corners (k, 2) of a path whose curves are divided into pieces about `step` long."""
+def _weight(file: str | os.PathLike[str]) -> int:
+    """Bytes of the texts in a drawing once each `use` is replaced by what it names. Raises ValueError where one names itself."""
+    root = ElementTree.parse(file).getroot()
+    named = {element.get("id"): element for element in root.iter()}
+    known: dict[Any, int | None] = {}
+
+    def weigh(element: Any) -> int:
+        if element not in known:
+            known[element] = None
+            total = sum(len(key) + len(value) for key, value in element.attrib.items()) + len(element.text or "") + 1
+            total += sum(map(weigh, element))
+            if str(element.tag).rpartition("}")[2] == "use":
+                links = (value for key, value in element.attrib.items() if key.rpartition("}")[2] == "href")
+                total += sum(weigh(named[link[1:]]) for link in links if link[1:] in named)
+            known[element] = total
+        weight = known[element]
+        if weight is None:
+            raise ValueError(f"the element {element.get('id')!r} uses itself")
+        return weight
+
+    return weigh(root)
+
+
+def _require_simple(shapely: Any, where: str, file: Any, rings: Sequence[NDArray]) -> None:
+    """Raise SceneError where edges cross each other so often that areas would take minutes."""
+    if not rings:
+        return
+    ends = np.concatenate([np.stack([ring, np.roll(ring, -1, axis=0)], axis=1).reshape(-1, 4) for ring in rings])
+    ends, first = np.unique(ends, axis=0, return_index=True)
+    ring_of = np.repeat(np.arange(len(rings)), [len(ring) for ring in rings])[first]
+    edges = shapely.linestrings(ends.reshape(-1, 2, 2))
+    tree = shapely.STRtree(edges)
+    near = own = others = 0  # each from either edge
+    for begin in range(0, len(edges), 64):
+        some = edges[begin : begin + 64]
+        near += tree.query(some).shape[1]
+        if near <= MOST_NEAR:
+            one, other = tree.query(some, predicate="crosses")
+            same = int(np.count_nonzero(ring_of[begin + one] == ring_of[other]))
+            own, others = own + same, others + len(one) - same
+        if near > MOST_NEAR or own > 2 * MOST_CROSSINGS or others > 8 * MOST_CROSSINGS:
+            raise SceneError(where, file, says="has edges that cross each other too often; unite or simplify its paths")
+
+
+def _flat(path: Any, step: float, most: int) -> NDArray:
+    """The corners (k, 2) of a path whose curves are divided into pieces about `step` long. Raises ValueError where there would be
+    more than `most`."""
     from svgelements import Arc, Close, CubicBezier, Line, Move, QuadraticBezier
 
     points: list[tuple[float, float]] = []
@@ -195,8 +254,12 @@ def _flat(path: Any, step: float) -> NDArray:
             if segment.end is not None:
                 points.append((segment.end.x, segment.end.y))
         elif isinstance(segment, (CubicBezier, QuadraticBezier, Arc)):
-            pieces = int(min(1000, max(4, math.ceil(segment.length(error=1e-3) / step))))
-            points += [tuple(segment.point(k / pieces)) for k in range(1, pieces + 1)]
+            coarse = segment.npoint(np.linspace(0.0, 1.0, 17))
+            length = float(np.linalg.norm(np.diff(coarse, axis=0), axis=1).sum())  # a few thousandths less than it is
+            pieces = int(min(1000, max(4, math.ceil(length / step))))
+            points += map(tuple, segment.npoint(np.arange(1, pieces + 1) / pieces).tolist())
+        if len(points) > most:
+            raise ValueError(f"the drawing has more than {MOST_CORNERS} corners")
     return np.array(points).reshape(-1, 2)
 
 

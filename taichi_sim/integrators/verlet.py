@@ -52,6 +52,7 @@ class Verlet(Integrator):
         """`pull` [m/s^2]: what acted at the end of the step before, where it depends on velocities."""
         self.predicts = self.predicts or (bool(self.forces.extra) and not self.forces.damped)
         self.driven = self.predicts and self.pins is not None
+        self.meets_pins = self.contacts.active and self.pins is not None
         self.splits = self.forces.damped and not self.predicts
         self.delayed = self.splits and bool(self.forces.extra)
         self.kicks_first = not self.splits
@@ -105,7 +106,16 @@ class Verlet(Integrator):
             self._damped(h, time)
         else:
             self._undamped(h, time)
+        self._hold(h)
+
+    @ti.func
+    def _hold(self, h):
+        """The contacts after the second half kick, whose friction brings balls to what driven pins do next."""
+        if ti.static(self.meets_pins):
+            self.pins.look_ahead()
         self.contacts.solve(self.ball, 0.5 * h, 1, False)
+        if ti.static(self.meets_pins):
+            self.pins.set_velocities(False)
 
     @ti.func
     def _damped(self, h, time):
@@ -146,7 +156,7 @@ class Verlet(Integrator):
     @ti.kernel
     def _launch_close(self, h: float):
         self._close(h)
-        self.contacts.solve(self.ball, 0.5 * h, 1, False)
+        self._hold(h)
 
     @ti.func
     def before_move(self, i, h):

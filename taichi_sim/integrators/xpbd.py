@@ -1,4 +1,4 @@
-"""XPBD with small steps: each spring in turn, implicitly, once per substep."""
+"""XPBD with small steps: each spring in turn, implicitly, there and back."""
 
 import numpy as np
 
@@ -16,15 +16,22 @@ __all__ = ["XPBD"]
 
 @ti.data_oriented
 class XPBD(Integrator):
-    """Order 1, bounded at any step; one pass over the springs per substep (Macklin et al. 2019, "Small steps").
+    """Order 1, stable at any step; two passes over the springs per substep (Macklin et al. 2019, "Small steps").
 
-    Each spring asks where its ends would be after the step, and gives the impulse that would be right at the end of it if the
-    spring were alone: J = h (k (d - l) + c u) / (1 + (h^2 k + h c) W), d and u predicted, W the sum of inverse masses. That is
-    XPBD's projection, written for velocities: with v a variable, and not a difference of positions, small steps lose no digits.
-    Springs see what those before them changed (Gauss-Seidel, in a fixed order: blocks, in small scenes SIMD batches, on a GPU and
-    with accumulate="gather" colours, if no ball has more than 32 springs); where sums are atomic, and on a GPU without colours,
-    all act on old values and every ball splits its mass between its springs. Order 1 with a large constant: stiff springs act
-    softer than they are, unless steps are small.
+    Each spring predicts where its ends will be after the step, and gives the impulse that would be right then if the spring were
+    alone: J = h (k (d - l) + c u) / (1 + (h^2 k + h c) W), d and u predicted, W the sum of inverse masses. That is XPBD's
+    projection, written for velocities: with v a variable, and not a difference of positions, small steps lose no digits. Springs
+    see what those before them changed (Gauss-Seidel, in a fixed order: blocks, in small scenes SIMD batches, on a GPU and with
+    accumulate="gather" colours, if no ball has more than 32 springs).
+
+    Two rules make it stable (docs/physics.md). Each substep takes the springs in order and then in the reverse order, each time
+    with half of k and c: one pass alone is not symmetric, and gains energy in a wide cloth. A spring that will be shorter than
+    its rest length pushes along its direction at the start of the step: along the predicted one, ends that pass each other gain
+    energy.
+
+    Where sums are atomic, and on a GPU without colours, all springs act once on old values, which is symmetric, and every ball
+    splits its mass between its springs. Order 1 with a large constant: stiff springs act softer than they are, unless steps are
+    small.
     """
 
     method = methods.XPBD
@@ -51,25 +58,29 @@ class XPBD(Integrator):
             self.spring_count = fields.reals(count.astype(np.float64))  # springs of each ball
 
     @ti.func
-    def _impulse(self, i, j, e, h, n, d, split: ti.template()):
-        """Impulse on ball i of spring e to ball j, which will lie d metres away along n."""
+    def _impulse(self, i, j, e, h, n, d, part: ti.template(), split: ti.template()):
+        """Impulse along n on ball i of a part of spring e to ball j, which will lie d metres away."""
         spring = self.springs.spring[e]
         wi, wj = self.model.inverse_mass[i], self.model.inverse_mass[j]
         if ti.static(split):
             wi *= self.spring_count[i]
             wj *= self.spring_count[j]
         closing = (self.ball[j].v - self.ball[i].v).dot(n)
-        pull = law.tension(spring, 1.0, d, 1.0, closing, self.springs.damped)
-        rate = h * spring.stiffness
+        pull = law.tension(spring, part, d, 1.0, closing, self.springs.damped)
+        rate = part * h * spring.stiffness
         if ti.static(self.springs.damped):
-            rate += spring.damping
+            rate += part * spring.damping
         return h * pull / (1.0 + h * rate * (wi + wj)) * n
 
     @ti.func
-    def _ahead(self, i, j, h):
-        """From ball i to ball j after the step."""
+    def _direction(self, i, j, e, h):
+        """Unit vector of spring e from ball i to ball j, and its length after the step: the vector of the start of the step where
+        the spring will be compressed."""
         a, b = self.ball[i], self.ball[j]
-        return (b.x - a.x) + h * (b.v - a.v)
+        n, d = unit((b.x - a.x) + h * (b.v - a.v), i, j)
+        if d < self.springs.spring[e].rest_length:
+            n, _ = unit(b.x - a.x, i, j)
+        return n, d
 
     @ti.func
     def own(self, i):
@@ -78,23 +89,29 @@ class XPBD(Integrator):
 
     @ti.func
     def term(self, i, j, e, h):
-        """What spring e gives its lower ball i, each ball's mass split between its springs."""
-        n, d = unit(self._ahead(i, j, h), i, j)
-        return self._impulse(i, j, e, h, n, d, True)
+        """Impulse of spring e on its lower ball i, each ball's mass split between its springs."""
+        n, d = self._direction(i, j, e, h)
+        return self._impulse(i, j, e, h, n, d, 1.0, True)
 
     @ti.func
     def change(self, i, j, e, h):
-        """Apply spring e at both ends."""
-        n, d = unit(self._ahead(i, j, h), i, j)
-        self.take(i, j, self._impulse(i, j, e, h, n, d, False))
+        """Apply half of spring e at both ends."""
+        n, d = self._direction(i, j, e, h)
+        self.take(i, j, self._impulse(i, j, e, h, n, d, 0.5, False))
 
     @ti.func
     def give(self, i, j, e, h):
-        """The impulse of spring e on ball i where its ends do not meet, without a branch; the square of their distance."""
-        r = self._ahead(i, j, h)
-        square = r.dot(r)
+        """The impulse of half of spring e on ball i where its ends do not meet, without a branch, and the square of the smaller
+        of their distances before and after the step."""
+        a, b = self.ball[i], self.ball[j]
+        start = b.x - a.x
+        r = start + h * (b.v - a.v)
+        square, before = r.dot(r), start.dot(start)
         inverse = ti.rsqrt(ti.max(square, padded_blocks.COINCIDENT))
-        return self._impulse(i, j, e, h, r * inverse, square * inverse, False), square
+        inverse_before = ti.rsqrt(ti.max(before, padded_blocks.COINCIDENT))
+        d = square * inverse
+        n = ti.select(d < self.springs.spring[e].rest_length, start * inverse_before, r * inverse)
+        return self._impulse(i, j, e, h, n, d, 0.5, False), ti.min(square, before)
 
     @ti.func
     def take(self, i, j, p):
@@ -120,15 +137,15 @@ class XPBD(Integrator):
 
     @ti.func
     def _kick_by_springs(self, h):
-        """Each once: all at once, by batches or by blocks."""
+        """All at once, or there and back by batches, colours or blocks."""
         if ti.static(self.at_once):
             edge_blocks.sums(self, self.springs, h)
             for i in range(self.model.n):
                 self.state.kick(i, self.model.inverse_mass[i] * self.sum[i])
         elif ti.static(self.in_batches):
-            simd_batches.in_turn(self, self.springs, h)
+            simd_batches.there_and_back(self, self.springs, h)
         else:
-            edge_blocks.in_turn(self, self.springs, h)
+            edge_blocks.there_and_back(self, self.springs, h)
 
     @ti.func
     def load(self, i, h):

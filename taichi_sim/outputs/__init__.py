@@ -7,8 +7,8 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-from taichi_sim.common import validation
-from taichi_sim.outputs.base import Output
+from taichi_sim.common.atomic_file import kind_of
+from taichi_sim.outputs.base import Output, film_rate
 from taichi_sim.outputs.export import Summary, export
 
 __all__ = ["Output", "Summary", "export", "open_output", "open_outputs"]
@@ -27,21 +27,21 @@ OTHERS = {  # the module and the class of each ending
     ".ply": ("geometry", "Geometry"),
     ".obj": ("geometry", "Geometry"),
 }
-LEAST_FPS, MOST_FPS = 1e-4, 1e9  # that films can have, whose rates are fractions of whole numbers
 USE = f"use {', '.join(f'x{ending}' for ending in (*CODECS, *OTHERS))} or folder/ for PNG frames"
 
 
 def open_output(
     path: str | PathLike[str],
     *,
-    fps: float = 60.0,
+    fps: float | None = None,
     overwrite: bool = False,
     resume: bool = False,
     codec: str | None = None,
 ) -> Output:
     """The output for a name: x.mp4 or x.webm a video, x.gif or x.webp an animation, x.npz arrays, x.usdc or x.usda a USD scene,
     x.pvd files for ParaView, x.gsd a trajectory, x.csv a table of energies and probes, x.ply or x.obj a mesh for each frame, a
-    name without an ending PNG frames.
+    name without an ending PNG frames. Where x.csv is a pipe (a FIFO) its rows are written into it. fps [1/s]: at which a film,
+    x.npz and a USD scene are shown; that of `export` by default.
 
     It is opened at once: ValueError for another ending or where a package that it needs is missing, OSError where it cannot be
     written. overwrite is for a folder of frames that is not empty; a file is replaced when the new one is complete, x.gsd and
@@ -58,21 +58,26 @@ def open_output(
     if codec is not None and codec not in codecs:
         allowed = ", ".join(f"{', '.join(known)} for x{ending}" for ending, known in CODECS.items())
         raise ValueError(f"codec: {codec!r} is not allowed for {name}; there are {allowed}")
+    films = *CODECS, ".gif", ".webp", ".usdc", ".usda"
+    rate = film_rate(fps) if fps is not None and suffix in films else fps
     if codecs:
         from taichi_sim.outputs.video import Video
 
-        fps = validation.number("fps", fps, low=LEAST_FPS, high=MOST_FPS)
-        return Video(name, fps, codec=codec or codecs[0], resume=resume)
+        return Video(name, rate, codec=codec or codecs[0], resume=resume)
     if suffix == "":
         from taichi_sim.outputs.png import PngFolder
 
         return PngFolder(name, overwrite=overwrite, resume=resume)
     if suffix not in OTHERS:
         raise ValueError(f"{name}: {suffix!r} is not allowed; {USE}")
+    if suffix == ".csv" and kind_of(path) == "pipe":
+        from taichi_sim.outputs.table import PipedTable
+
+        if resume:
+            raise ValueError(f"{name}: is a pipe, which cannot be resumed")
+        return PipedTable(path)
     module, kind = OTHERS[suffix]
-    if suffix in (".gif", ".webp", ".usdc", ".usda"):
-        fps = validation.number("fps", fps, low=LEAST_FPS, high=MOST_FPS)
-    timed: dict[str, Any] = {"fps": fps} if suffix in (".gif", ".webp", ".npz", ".usdc", ".usda") else {}
+    timed: dict[str, Any] = {"fps": rate} if suffix in (*films, ".npz") else {}
     made: Output = getattr(import_module(f"taichi_sim.outputs.{module}"), kind)(name, resume=resume, **timed)
     return made
 

@@ -18,7 +18,7 @@ from taichi_sim.analysis.lazy_frame import Moment
 from taichi_sim.common.atomic_file import naming, replacing, require_place, synced
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.checkpoint import parts_of, text_of
-from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.base import USUAL_FPS, Image
 from taichi_sim.outputs.kept_files import checksum
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import Checkpoint
@@ -111,10 +111,10 @@ class Arrays(Resumable):
 
     needs_image = False
 
-    def __init__(self, path: str | PathLike[str], resume: bool = False, fps: float = 60.0) -> None:
+    def __init__(self, path: str | PathLike[str], resume: bool = False, fps: float | None = None) -> None:
         super().__init__(path, resume=resume)
         require_place(path)
-        self._fps = fps
+        self.fps = fps
         self._columns: dict[str, _Column] = {}
         self._first: Frame | None = None
 
@@ -128,6 +128,13 @@ class Arrays(Resumable):
             if not file.is_file() or file.stat().st_size < size or checksum(file, size) != crc32:
                 return False
         return True
+
+    def holds(self, count: int) -> bool:
+        damage = (OSError, ValueError, KeyError, zipfile.BadZipFile)
+        with suppress(*damage), zipfile.ZipFile(self.path) as archive, archive.open("time.npy") as file:
+            np.lib.format.read_magic(file)
+            return bool(np.lib.format.read_array_header_2_0(file)[0] == (count,))
+        return False
 
     def go_on(self, checkpoint: Checkpoint) -> None:
         self.frames = checkpoint.frame
@@ -168,7 +175,7 @@ class Arrays(Resumable):
             for name, column in self._columns.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     column.copy_to(member)
-            for name, array in {"fps": np.array([float(self._fps)]), **constants_of(self._first)}.items():
+            for name, array in {"fps": np.array([float(self.fps or USUAL_FPS)]), **constants_of(self._first)}.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, array, allow_pickle=False)
         for column in self._columns.values():

@@ -22,11 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import require_parent
 from taichi_sim.common.errors import UnstableError
 
 # (height, width, 3) sRGB, row 0 at the top; with alpha (height, width, 4), colours not multiplied by it
 Image = NDArray[np.uint8]
+USUAL_FPS = 60.0  # of frames from elsewhere
+LEAST_FPS, MOST_FPS = 1e-4, 1e9  # of films
 
 
 def require_folder_place(path: Path) -> None:
@@ -44,6 +47,11 @@ def require_alpha(outputs: Sequence["Output"], style: Mapping[str, Any]) -> None
             raise ValueError(f"transparent: {name} holds no transparency; write PNG frames, to a folder/")
 
 
+def film_rate(fps: float) -> float:
+    """Frames per second of a film, whose rate is a fraction of whole numbers. Raises SceneError, a ValueError, for others."""
+    return validation.number("fps", fps, low=LEAST_FPS, high=MOST_FPS)
+
+
 class Output:
     """Takes frames in order of time. As a context manager it is finished on leaving the block.
 
@@ -54,8 +62,10 @@ class Output:
 
     needs_image = True  # False: write is called with image None
     apart = False  # True: write may be called in a thread of its own, while the simulation goes on and `wants` is asked
+    is_film = False  # whether fps has the bounds that films have
     alpha = False  # whether it takes pictures with alpha
     resumable = False  # whether a run that was cut off can be resumed; see taichi_sim.outputs.resumable
+    fps: float | None = None  # at which what it writes is shown [1/s]; None: `export` sets that of its frames
     pattern = ""  # of the names that it writes, where they are not the one it was given
     frames = 0  # how many it holds so far; `export` counts
     simulated = 0  # how many are kept to be drawn by a run that resumes it, where it was given up

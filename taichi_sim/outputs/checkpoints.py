@@ -10,7 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from taichi_sim.analysis.frame import Frame
+from taichi_sim.analysis.frame import Frame, frame_count
+from taichi_sim.common.atomic_file import naming
 from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs import frames_file
 from taichi_sim.outputs.kept_files import copied, judged
@@ -57,7 +58,8 @@ class Checkpoints:
             for output in self._outputs:
                 waits = undrawn is not None and output.needs_image
                 kinds = ("state", "frames") if waits else ("state",)
-                written = {} if waits else output.hold()
+                with naming(output.path):
+                    written = {} if waits else output.hold()
                 own_files = {kind: files[kind] for kind in kinds}
                 output.log.keep(frame, own_files, {**own, "output": written}, settles=len(self._outputs) == 1)
                 checkpoint = output.log.checkpoint
@@ -140,6 +142,6 @@ def restored(simulation: Any, checkpoint: Checkpoint) -> Iterator[Any]:
 
 def frames_from(first: int, simulation: Any, fps: float, duration: float) -> Iterator[Frame]:
     """What `Simulation.frames` gives, from frame `first` on, of a simulation that is at the one before."""
-    for k in range(first, round(fps * duration)):
+    for k in range(first, frame_count(fps, duration)):
         simulation.step(round(k / fps / simulation.dt) - round((k - 1) / fps / simulation.dt))
         yield simulation.frame()

@@ -3,7 +3,7 @@
 import time
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from datetime import timedelta
 from html import escape
@@ -12,21 +12,28 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taichi_sim.analysis.frame import Contacts, Frame
-from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
+from taichi_sim.analysis import turning
+from taichi_sim.analysis.diagnostics import inverted
+from taichi_sim.analysis.frame import Contacts, Frame, frame_count
+from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, UnstableError
+from taichi_sim.common.progress import Work, showing
+from taichi_sim.common.quantities import measured, measures, plain_number
 from taichi_sim.device import compiling
 from taichi_sim.outputs import frames_file, whole_run
 from taichi_sim.outputs.background_writer import Behind
-from taichi_sim.outputs.base import Image, Output, require_alpha
+from taichi_sim.outputs.base import Image, Output, film_rate, require_alpha
 from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
+from taichi_sim.outputs.companion import Companion, StepError
 from taichi_sim.outputs.kept_files import judged
 from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import CHECKPOINT, Checkpoint
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
+STEP = "step"  # the source of an uncertainty
+WATCHED_CELLS = 200_000  # in each frame; more are counted at the end alone
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
 
@@ -57,9 +64,13 @@ class Summary:
     probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
     units: dict[str, str] = field(default_factory=dict)  # of probes
     torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
+    inverted: tuple[int, int] = (0, 0)  # cells at the end, and the most at a frame
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
+    step_error: StepError | None = None  # estimated by a second run, see Companion
+    rotation: str = ""  # angular momentum that the method took, where that shows
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
+    settled: str = ""  # how well the scene was at rest at the start, where that was asked for
     device: str = ""  # what computed it, in words
     checkpoints: int = 0
     checkpointing: float = 0.0
@@ -74,6 +85,7 @@ class Summary:
         one.contacts = None if one.contacts is None else Contacts(*one.contacts)
         one.energy_start = tuple(one.energy_start)
         one.torn = None if one.torn is None else tuple(one.torn)  # type: ignore[assignment]
+        one.inverted = tuple(one.inverted)  # type: ignore[assignment]
         one.probes = {name: (last, least, most) for name, (last, least, most) in one.probes.items()}
         return one
 
@@ -89,11 +101,14 @@ class Summary:
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""
         lines = [f"frames       {self.frames}, {self.duration:.4g} s simulated"]
+        if self.settled:
+            lines.append(f"settled      {self.settled}")
         if self.energy_start:
             kinetic, spring, gravity, total = self.energy_end
+            off = None if self.step_error is None else self.step_error.energy
             lines.append(
-                f"energy       {self.energy_start[3]:.6g} J at the start, {total:.6g} J at the end"
-                f" (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
+                f"energy       {self.energy_start[3]:.6g} J at the start,"
+                f" {_at_the_end(total, off)} at the end (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
             )
             if self.scales is not None and (said := of_energy(self.energy_start[3], total, self._seen(self.scales))):
                 lines.append(f"             {said}")
@@ -106,20 +121,22 @@ class Summary:
             )
             depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes, now.iterations)
             lines.append(
-                f"penetration  {self.penetration:.3g} m at most ({self.relative_penetration:.2g} of a radius),"
-                f" mean {now.mean_penetration:.3g} m at the end: {depth}"
+                f"penetration  largest {self.penetration:.3g} m ({self.relative_penetration:.2g} of a radius),"
+                f" mean at the end {now.mean_penetration:.3g} m: {depth}"
             )
             if scales is not None:
                 left = float(np.median(self.unsolved))
                 lines.append(
-                    f"residual     iterations leave {left:.3g} m/s of approach in most frames, {max(self.unsolved):.3g} at most:"
-                    f" {of_approach(left, scales, self.largest_speed, now.iterations)}"
+                    f"residual     approach speed left by the contact solver: {left:.3g} m/s typical,"
+                    f" {max(self.unsolved):.3g} m/s worst: {of_approach(left, scales, self.largest_speed, now.iterations)}"
                 )
+        if self.inverted[1]:
+            lines.append(
+                f"cells        {self.inverted[0]} inverted at the end, {self.inverted[1]} at most: {of_cells(*self.inverted)}"
+            )
         if self.torn is not None:
             lines.append(f"torn         {self.torn[0]} of the {self.torn[1]} springs that may tear")
-        for name, (last, least, most) in self.probes.items():
-            unit = f" {self.units.get(name, '')}".rstrip()
-            lines.append(f"{name:12} {last:.5g}{unit} in the last frame, {least:.5g} to {most:.5g}{unit} in all")
+        lines += self._readings()
         if self.error is not None:
             e = self.error
             lines.append(
@@ -129,13 +146,15 @@ class Summary:
                 + (f"; no promise from t = {e.unsure:.4g} s on, many contacts at once" if e.unsure is not None else "")
                 + (f"; not kept from t = {e.lost:.4g} s on" if e.lost is not None else "")
             )
+        if self.rotation:
+            lines.append(f"rotation     {self.rotation}")
         if self.solver is not None:
             s = self.solver
             lines.append(
                 f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
-        simulated = self.duration * self.steady / max(1, self.frames)
+        simulated = self.duration * self.steady / max(1, self.frames - 1)
         rate = (self.wall - self.compiling - self.starting) / simulated if simulated else 0.0
         per = f": {rate:.3g} s per simulated second without compiling and starting" if simulated else ""
         parts = (
@@ -157,6 +176,25 @@ class Summary:
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
         return lines
 
+    def _readings(self) -> Iterator[str]:
+        """What probes read, and how well that is known."""
+        found = self.step_error
+        off = {} if found is None else found.probes
+        source = f" ({STEP})" if off else ""
+        for name, values in self.probes.items():
+            last, least, most = measures(values, off.get(name, (None,) * 3), self.units.get(name, ""))
+            yield f"{name:12} {last} in the last frame; least {least}, peak {most} of all frames{source}"
+        if found is None:
+            if self.probes and self.error is None:
+                yield f"{'uncertainty':12} not estimated; --error (in Python error=True) adds a second run at half the step"
+            return
+        by = f"a second run at a step of {plain_number(found.step)} s"
+        if found.why:
+            yield f"{'uncertainty':12} not known: {by} failed: {found.why}"
+            return
+        rms, largest = measures([found.rms, found.largest], [None, None], "m")
+        yield f"{'uncertainty':12} of the step, from {by}: positions at the end +- {rms} rms, +- {largest} at most"
+
 
 def _shown(video: Path) -> str:
     """A video or an animated picture as HTML that holds all of it; nothing where it is none, has gone or is large."""
@@ -172,6 +210,12 @@ def _check_output(output: Any) -> None:
         raise SceneError("output", output, "a ts.Output, as ts.open_output(path) gives for a file, or None")
     if type(output).write is Output.write:
         raise SceneError("output", says=f"{type(output).__name__} has no function write(index, frame, image)")
+
+
+def _at_the_end(energy: float, off: float | None) -> str:
+    """An energy [J]; off: the uncertainty by the step, where it is known."""
+    known = off is not None and not np.isnan(off)
+    return measured(energy, off, "J", STEP) if known else f"{energy:.6g} J"
 
 
 class _Writer:
@@ -224,21 +268,24 @@ def export(
     progress: bool = False,
     style: Mapping[str, Any] | None = None,
     checkpoint: float | Literal["auto"] | None = "auto",
+    error: bool = False,
 ) -> Summary:
     """Run a simulation and give its frames to an output, to each of several, or to none for the summary alone.
 
     Args:
-        simulation: a `Simulation`; round(fps x duration) frames are made of it, from where it is on. It is left at
-            the last of them, one frame short of `duration` [s].
+        simulation: a `Simulation`; round(fps x duration) + 1 frames are made of it, the first where it is, the last `duration`
+            [s] later, where it is left.
         size: of the pictures, (width, height) px. style: further arguments of `Renderer`.
         progress: a bar on standard error with the time left and the speed against real time.
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
             where they would take over a fiftieth of it. "auto": 60 s, from the second minute on. None: none.
+        error: run the scene a second time at half the step, and give what is read with the error of the step that follows.
     Outputs are finished here, also when the simulation becomes unstable, and discarded on any other error.
 
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
     and `checkpoint` may be others): ValueError otherwise. Where all have the same checkpoint the simulation is closed, and
-    another goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again.
+    another goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again. An output that is
+    complete already is left as it is.
 
     Where a camera is to show all of the run (see `CameraPath.fit`), it is simulated to its end before the first picture is drawn;
     outputs that need no pictures get their frames meanwhile.
@@ -251,16 +298,24 @@ def export(
     fps, duration = validation.number("fps", fps, positive=True), validation.number("duration", duration, low=0)
     if checkpoint not in ("auto", None):
         checkpoint = validation.number("checkpoint", checkpoint, positive=True)
+    count = frame_count(fps, duration)
+    for one in (finished := [one for one in outputs if isinstance(one, Resumable) and one.is_finished(count)]):
+        one.discard()
+    outputs = [one for one in outputs if one not in finished]
     summary = Summary()
     clock = _Clock(summary)
     style = style or {}
     with ExitStack() as stack:
         writers = [_Writer(one, stack) for one in outputs]
         require_alpha(outputs, style)
-        count, is_drawn = round(fps * duration), any(one.needs_image for one in outputs)
+        is_drawn = any(one.needs_image for one in outputs)
         expected = compiling.Expected.of(simulation, is_drawn)
-        bar = stack.enter_context(_bar(max(1, count), progress))
+        bar = _Frames(count)
+        stack.enter_context(showing(bar, progress))
         first = simulation.frame()
+        for one in outputs:
+            if one.fps is None:
+                one.fps = film_rate(fps) if one.is_film else fps
         drawn_last = is_drawn and whole_run.is_drawn_last(simulation.scene, count, style)
         for one in outputs:
             one.prepare(first, size, style)
@@ -270,7 +325,10 @@ def export(
             last = shared_checkpoint(resumable, about, count, drawn_last)
             log = Checkpoints(resumable, checkpoint)
         if last is not None:
+            if error:
+                raise SceneError("error", says="cannot be estimated in a run that is resumed; begin it anew")
             simulation = stack.enter_context(restored(simulation, last))
+        companion = Companion(simulation) if error else None
         renderer: Any = None
         if is_drawn:
             renderer = stack.enter_context(_renderer(first, size, style))
@@ -279,8 +337,8 @@ def export(
             begin, frames = last.frame, frames_from(last.frame, simulation, fps, duration)
             summary = clock.summary = _recall(last, renderer)
         frame, since = None, simulation.time
-        frames = _observed(simulation, frames, summary, clock)
-        bar.phase(expected.words, "frames simulated," if drawn_last else "frames,")
+        frames = _observed(simulation, frames, summary, clock, companion)
+        bar.phase(expected.words, "frames simulated" if drawn_last else "frames")
 
         def write(index: int, frame: Frame, image: Image | None, wanting: Sequence[_Writer]) -> None:
             for writer in wanting:
@@ -318,7 +376,7 @@ def export(
             renderer.fit(kept)
             clock.charge("drawing")
             clock.starts = True  # until the first picture is there
-            bar.phase(lambda _: "drawing", "frames drawn,")
+            bar.phase(lambda _: "drawing", "frames drawn")
         for index, frame in enumerate(frames, begin):
             wanting = [one for one in drawing if one.output.wants(index)]
             image = None
@@ -334,18 +392,39 @@ def export(
             if log is not None and log.due and index + 1 < count:
                 keep(index, None)
         summary.duration, summary.units = duration, units_of(simulation.scene)
+        summary.settled = str(getattr(simulation, "settled", None) or summary.settled)
         summary.device, summary.decisions = str(simulation.backend), simulation.decisions()
         torn = simulation.torn
         if torn is not None:
             summary.torn = int(np.count_nonzero(torn)), int(np.isfinite(simulation.scene.break_strain).sum())
+        if len(simulation.scene.cells):
+            _count_inverted(summary, simulation.inverted())
         if frame is None and last is not None:
             frame = simulation.frame()
         if frame is not None and frame.energy is not None:
             summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()
+        summary.rotation = _rotation(simulation, frame)
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
+        if companion is not None:
+            bar.phase(lambda _: "compiling", "frames of the second run, at half the step")
+            summary.step_error = companion.compare(simulation, bar.advance)
+            clock.charge("simulating")
     clock.charge("writing")
     return summary
+
+
+def _rotation(simulation: Any, frame: Frame | None) -> str:
+    """Loss of angular momentum by the method, at the start or at the end, whichever is more; empty where it does not show."""
+    method, scene, h = simulation.settings.integrator.method, simulation.scene, simulation.dt / simulation.substeps
+    if method.turning_loss(1.0, h) == 0.0:
+        return ""
+    states = [(scene.position, scene.velocity)] + ([] if frame is None else [(frame.position, frame.velocity)])
+    turns = [turn for state in states if (turn := turning.fastest_turn(scene, *state)) is not None]
+    turn = max(turns, key=lambda one: one.speed, default=None)
+    if turn is None or not turn.shows(method, h):
+        return ""
+    return f"{turning.sentence(turn, method, h, simulation.time or 1.0)}; {turning.cure(turn, method, h)}"
 
 
 def _own(summary: Summary, renderer: Any) -> dict[str, Any]:
@@ -365,14 +444,24 @@ def _recall(last: Checkpoint, renderer: Any) -> Summary:
     return summary
 
 
-def _observed(simulation: Any, frames: Iterator[Frame], summary: Summary, clock: _Clock) -> Iterator[Frame]:
+def _observed(
+    simulation: Any, frames: Iterator[Frame], summary: Summary, clock: _Clock, companion: Companion | None
+) -> Iterator[Frame]:
     """Frames with what the simulation says of contacts and probes at each, which the summary takes note of."""
     for frame in frames:
         clock.charge("simulating")
         summary.steady += not clock.starts
         frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
+        if len(simulation.scene.cells) <= WATCHED_CELLS:
+            _count_inverted(summary, inverted(simulation.scene, frame.position))
         _observe(summary, frame)
+        if companion is not None:
+            companion.note(frame)
         yield frame
+
+
+def _count_inverted(summary: Summary, now: int) -> None:
+    summary.inverted = now, max(summary.inverted[1], now)
 
 
 def _observe(summary: Summary, frame: Frame) -> None:
@@ -399,61 +488,29 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
     return Renderer(frame, size=size, **style)
 
 
-class _Bar:
-    """The frames that are done, in one phase or two."""
-
-    def __init__(self, progress: Any, total: int) -> None:
-        self._progress, self._total = progress, total
-        self._task = progress.add_task("", total=total, what="", words=str)
+class _Frames(Work):
+    """Frames that are done, in one phase or two."""
 
     def phase(self, waiting: Callable[[float], str], what: str) -> None:
         """Begin to count what it names; what `waiting` makes of the seconds since then is said until the second frame."""
-        self._first: tuple[int, float, float] | None = None  # frames, simulated and wall time after the first frame
-        begin = time.perf_counter()
-        self._progress.reset(self._task, what=what, words=lambda: waiting(time.perf_counter() - begin))
+        self.done = 0
+        self.begin(what)
+        self._first_frame: tuple[int, float, float] | None = (
+            None  # frames, simulated and wall time after the first frame
+        )
+        self.words = lambda: waiting(self.elapsed)
 
     def advance(self, done: int, simulated: float) -> None:
         """So many frames are done, and so many seconds simulated since the beginning."""
-        now = time.perf_counter()
-        if self._first is None:
-            self._first = (done, simulated, now)
-            self._progress.update(self._task, completed=done)
+        now, self.done = time.perf_counter(), done
+        if self._first_frame is None:
+            self._first_frame = (done, simulated, now)
             return
-        frames, before, then = self._first
-        each = (now - then) / (done - frames)
-        speed = (simulated - before) / max(1e-9, now - then)
-        words = f"{timedelta(seconds=round(each * (self._total - done)))} left, {speed:.3g} x real time"
-        self._progress.update(self._task, completed=done, words=lambda: words)
-
-
-@contextmanager
-def _bar(total: int, shown: bool) -> Iterator[_Bar]:
-    """A progress bar on standard error."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        ProgressColumn,
-        Task,
-        TextColumn,
-        TimeElapsedColumn,
-    )
-    from rich.text import Text
-
-    class Words(ProgressColumn):
-        """What they are whenever it is drawn."""
-
-        def render(self, task: Task) -> Text:
-            return Text(task.fields["words"]())
-
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[what]}"),
-        TimeElapsedColumn(),
-        Words(),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        yield _Bar(progress, total)
+        frames, before, then = self._first_frame
+        passed = max(1e-9, now - then)
+        left = timedelta(seconds=round(passed / (done - frames) * ((self.total or done) - done)))
+        words = (
+            f"{left} left, {(simulated - before) / passed:.3g} x real time, t = {simulated:.4g} s,"
+            f" {(done - frames) / passed:.3g} frames/s"
+        )
+        self.words = lambda: words

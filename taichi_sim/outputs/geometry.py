@@ -11,7 +11,8 @@ import numpy as np
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing, require_place, sweep
 from taichi_sim.outputs.base import Image
-from taichi_sim.outputs.parts import Parts, Together
+from taichi_sim.outputs.obj import Obj
+from taichi_sim.outputs.parts import Parts, Textures, Together, textures_of
 from taichi_sim.outputs.resumable import Resumable, require_there
 from taichi_sim.outputs.run_log import Checkpoint
 
@@ -19,9 +20,10 @@ from taichi_sim.outputs.run_log import Checkpoint
 class Geometry(Resumable):
     """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
 
-    Each holds all parts of the frame, see `Parts`: surfaces in place of what they cover, loose balls as points (in PLY with their
-    radius), springs between these as edges, colliders; with normals, colours, and texture coordinates where there are some. An
-    OBJ has objects with names; in a PLY each vertex has the number of its object, and comments their names. A file that is there
+    Each holds all parts of the frame, see `Parts`: surfaces in place of what they cover, loose balls (in PLY as points with their
+    radius, in OBJ as spheres), springs between these as edges, colliders; with normals, colours, and texture coordinates where
+    there are some. An OBJ has objects with names, and materials in name_frames.mtl, that of all frames; a PLY is one mesh, in
+    which each vertex has the number of its object, and comments their names. A file that is there
     is replaced when the new one is complete; what was written before an error or Ctrl-C stays. resume: go on from the last
     checkpoint of a run into the same name.
     """
@@ -38,12 +40,25 @@ class Geometry(Resumable):
         self.pattern = str(self.path.with_name(f"{self.path.stem}_*{self.suffix}"))
         self._next = 0  # frame
         self._parts: Parts | None = None
+        self._obj: Obj | None = None
+        self._textures: Textures = {}
 
     def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
+        self._textures = textures_of(style, self.path.parent)
+        self._know(first)
+
+    def _know(self, first: Frame) -> None:
+        """Know what all frames have in common, by the first of the run."""
         self._parts = Parts(first)
+        if self.suffix == ".obj":
+            library = self.path.with_name(f"{self.path.stem}_frames.mtl")
+            self._obj = Obj(Together.of(self._parts, first), library, self._textures)
 
     def has(self, checkpoint: Checkpoint) -> bool:
         return all(self._file(index).is_file() for index in range(checkpoint.frame))
+
+    def holds(self, count: int) -> bool:
+        return all(map(Path.is_file, map(self._file, range(count)))) and not self._file(count).exists()
 
     def go_on(self, checkpoint: Checkpoint) -> None:
         self.frames = self._next = checkpoint.frame
@@ -57,14 +72,19 @@ class Geometry(Resumable):
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         self.log.open()
         if self._parts is None:
-            self._parts = Parts(frame)
+            self._know(frame)
+        assert self._parts is not None
         with replacing(self._file(index), swept=True) as file:
             self.fill(file, Together.of(self._parts, frame))
         self._next = index + 1
 
     def fill(self, file: IO[bytes], parts: Together) -> None:
         """Write a frame to its file."""
-        (_write_ply if self.suffix == ".ply" else _write_obj)(file, parts)
+        if self.suffix == ".ply":
+            _write_ply(file, parts)
+            return
+        assert self._obj is not None
+        self._obj.write(file, parts)
 
     def finish(self) -> None:
         """Raises OSError where a file was removed meanwhile."""
@@ -88,6 +108,7 @@ def _write_ply(file: IO[bytes], parts: Together) -> None:
     kinds += [("red", "u1"), ("green", "u1"), ("blue", "u1"), ("object", "<i4")]
     words = {"<f4": "float", "u1": "uchar", "<i4": "int"}
     head = ["ply", "format binary_little_endian 1.0"]
+    head.append("comment up y")
     head += [f"comment object {k} {' '.join(name.split())}" for k, name in enumerate(parts.names)]
     head += [f"element vertex {len(parts.points)}", *(f"property {words[kind]} {name}" for name, kind in kinds)]
     head += [f"element face {len(parts.triangles)}", "property list uchar int vertex_indices"]
@@ -102,18 +123,3 @@ def _write_ply(file: IO[bytes], parts: Together) -> None:
     rows["n"], rows["corners"] = 3, parts.triangles
     file.write(rows.tobytes())
     file.write(parts.springs.astype("<i4").tobytes())
-
-
-def _write_obj(file: IO[bytes], parts: Together) -> None:
-    mapped = bool(np.isfinite(parts.uv).any())
-    np.savetxt(file, np.column_stack([parts.points, parts.colour]), fmt="v %.9g %.9g %.9g %.4g %.4g %.4g")
-    np.savetxt(file, parts.normals, fmt="vn %.6g %.6g %.6g")
-    if mapped:
-        np.savetxt(file, np.nan_to_num(parts.uv), fmt="vt %.6g %.6g")
-    corner, times = (" %d/%d/%d", 3) if mapped else (" %d//%d", 2)
-    corners = {"f": np.repeat(parts.triangles, times, axis=1), "p": parts.loose[:, None], "l": parts.springs}
-    words = {"f": "f" + 3 * corner, "p": "p %d", "l": "l %d %d"}
-    for k, name in enumerate(parts.names):
-        file.write(f"o {'_'.join(name.split())}\n".encode())
-        for kind, ends in corners.items():
-            np.savetxt(file, ends[parts.number[ends[:, 0]] == k] + 1, fmt=words[kind])

@@ -8,7 +8,7 @@ from typing import Any
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import naming, replacing, require_place
-from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.base import USUAL_FPS, Image
 from taichi_sim.outputs.resumable import Recorded
 from taichi_sim.outputs.run_log import Checkpoint
 
@@ -23,10 +23,11 @@ class Gif(Recorded):
     was cut off.
     """
 
+    is_film = True
     ticks = 100  # a second
     shortest = 2  # ticks; shorter ones are played at a tenth of the speed
 
-    def __init__(self, path: str | PathLike[str], fps: float = 25.0, resume: bool = False) -> None:
+    def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
         super().__init__(path, "pictures", resume=resume)  # as PNG: small enough to wait for the end
         self.fps = fps
         require_place(path)
@@ -74,7 +75,8 @@ class Gif(Recorded):
         with replacing(self.path) as file:
             if self._starts:
                 first, *rest = (
-                    Pictures.open(io.BytesIO(picture)) for picture in islice(self._records, len(self._starts))
+                    Pictures.open(io.BytesIO(picture), formats=("PNG",))
+                    for picture in islice(self._records, len(self._starts))
                 )
                 ends = [*self._starts[1:], max(self._end, self._starts[-1] + 1)]
                 shown = [1000 // self.ticks * (end - start) for start, end in zip(self._starts, ends)]  # ms
@@ -98,7 +100,7 @@ class Gif(Recorded):
         first.save(file, "GIF", save_all=True, append_images=rest, duration=shown, loop=0)
 
     def _at(self, index: int) -> int:
-        return round(self.ticks * index / self.fps)
+        return round(self.ticks * index / (self.fps or USUAL_FPS))
 
 
 class Webp(Gif):

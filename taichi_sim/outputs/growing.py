@@ -46,6 +46,9 @@ class Growing(Resumable):
     def has(self, checkpoint: Checkpoint) -> bool:
         return self.path.is_file() and self.length() >= checkpoint.frame
 
+    def holds(self, count: int) -> bool:
+        return self.path.is_file() and self.length() == count
+
     def go_on(self, checkpoint: Checkpoint) -> None:
         self.frames = checkpoint.frame
         self._replace(lambda part: self.cut(part, checkpoint.frame))

@@ -42,6 +42,9 @@ class ParaView(Geometry):
     def has(self, checkpoint: Checkpoint) -> bool:
         return super().has(checkpoint) and self.path.is_file() and len(self._entries()) >= checkpoint.frame
 
+    def holds(self, count: int) -> bool:
+        return super().holds(count) and self.path.is_file() and len(self._entries()) == count
+
     def go_on(self, checkpoint: Checkpoint) -> None:
         super().go_on(checkpoint)
         self._begin("".join(self._entries()[: checkpoint.frame]))

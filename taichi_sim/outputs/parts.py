@@ -1,7 +1,9 @@
 """Parts: what files for other programs hold of a frame, object by object: surfaces, loose balls, springs, colliders."""
 
-from collections.abc import Collection, Sequence
+import os
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +16,24 @@ from taichi_sim.render.palette import body_colours
 from taichi_sim.scene.colliders import BOX, ROUND, Collider
 from taichi_sim.scene.objects import named
 
-__all__ = ["Body", "Parts", "Surface", "Together", "in_3d", "normals_of", "placed"]
+__all__ = [
+    "Body",
+    "Parts",
+    "Surface",
+    "Texture",
+    "Textures",
+    "Together",
+    "few_colours",
+    "in_3d",
+    "normals_of",
+    "placed",
+    "textures_of",
+]
 
 Floats = NDArray[np.float64]
+Texture = tuple[str, float]  # an image file, and how often it repeats along each side of 0..1
+Textures = Mapping[str, Texture]  # by the names of shapes
+MOST_COLOURS = 128  # of loose balls of one object, in files that give each colour a material
 ROUND_FACES = 48  # of a round collider about its axis
 
 
@@ -30,13 +47,18 @@ class Surface:
     weights: Floats  # (v, k)
     embedded: NDArray[np.int32] | None  # (t, 3) its own triangles; None: those of the frame between its vertices
     colour: Floats  # (v, 3) sRGB
-    uv: Floats | None  # (v, 2) in 0..1
+    uv: Floats | None  # (v, 2) in 0..1; where a texture has a seam, a vertex on each side of it
+    smooth: NDArray[np.int64]  # (v,) the first vertex of each ball, for normals across seams
 
     def points(self, x: Floats) -> Floats:
         """Its vertices (v, 3) for balls at x (n, 3)."""
         if self.corners.shape[1] == 1:
             return x[self.corners[:, 0]]
         return np.einsum("vk,vki->vi", self.weights, x[self.corners])
+
+    def normals(self, points: Floats, triangles: NDArray) -> Floats:
+        """Unit normals (v, 3) of its vertices at `points`."""
+        return normals_of(points, self.smooth[triangles])[self.smooth]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,28 +102,59 @@ class Parts:
         self.hidden = hidden
         self.loose = np.flatnonzero(~hidden)
         uv = np.full((n, 2), np.nan)
+        mapped = dict[int, tuple[NDArray, NDArray]]()  # triangles and places of their corners, by object
+        known = getattr(first, "scene", first).triangles.reshape(-1, 3)  # those, too, that have torn
         for thing in first.objects:
-            if thing.uv is not None:
+            if thing.is_sheet:
                 uv[thing.balls] = thing.uv
+            elif thing.uv is not None and len(thing.balls):
+                whole = known[np.isin(known, thing.balls).all(axis=1)]
+                if len(whole) == len(thing.uv):
+                    mapped[int(self.number[thing.balls[0]])] = whole, thing.uv
         self.surfaces: list[Surface] = []
         self._vertex = np.full(n, -1, dtype=np.int64)  # which of its surface's vertices a ball is
+        self._split = dict[int, dict[bytes, NDArray]]()  # of surfaces with seams: the vertices of each triangle
         for k, name in enumerate(self.names):
-            balls = np.unique(own[self.number[own[:, 0]] == k])
-            if len(balls):
+            mine = own[self.number[own[:, 0]] == k]
+            if len(mine) and k in mapped:
+                self.surfaces.append(self._mapped(k, name, *mapped[k]))
+            elif len(mine):
+                balls = np.unique(mine)
                 self._vertex[balls] = np.arange(len(balls))
                 self.surfaces.append(self._plain(k, name, balls, uv[balls]))
         for one in first.embedded_surfaces:
             k = int(self.number[one.corners[0, 0]])
             tint = np.einsum("vk,vki->vi", one.weights, self.colour[one.corners])
             tint = np.clip(tint if one.colour is None else np.tile(one.colour, (len(tint), 1)), 0.0, 1.0)
-            self.surfaces.append(Surface(k, self.names[k], one.corners, one.weights, one.triangles, tint, None))
+            all_ = np.arange(len(one.corners))
+            self.surfaces.append(Surface(k, self.names[k], one.corners, one.weights, one.triangles, tint, None, all_))
         self.bodies = _bodies(first, self.names)
         self._faces: tuple[Any, list[NDArray]] = (None, [])
 
     def _plain(self, k: int, name: str, balls: NDArray, uv: Floats) -> Surface:
         corners = balls[:, None].astype(np.int32)
         whole = None if np.isnan(uv).any() else uv
-        return Surface(k, name, corners, np.ones(corners.shape), None, self.colour[balls], whole)
+        return Surface(k, name, corners, np.ones(corners.shape), None, self.colour[balls], whole, np.arange(len(balls)))
+
+    def _mapped(self, k: int, name: str, triangles: NDArray, uv: Floats) -> Surface:
+        """One whose triangles have places at their corners, (t, 3, 2): a vertex for each place of each ball."""
+        rows = np.column_stack([triangles.ravel(), uv.reshape(-1, 2)])
+        made, vertex = np.unique(rows, axis=0, return_inverse=True)
+        balls = made[:, 0].astype(np.int64)
+        faces = vertex.reshape(-1, 3)
+        self._split[k] = {row.tobytes(): corners for row, corners in zip(triangles.astype(np.int64), faces)}
+        _, first, same = np.unique(balls, return_index=True, return_inverse=True)
+        corners = balls[:, None].astype(np.int32)
+        return Surface(
+            k, name, corners, np.ones(corners.shape), None, self.colour[balls], made[:, 1:], first[same.reshape(-1)]
+        )
+
+    def _vertices(self, k: int, triangles: NDArray) -> NDArray[np.int32]:
+        """The vertices (t, 3) of triangles of balls, on the surface of an object."""
+        if k not in self._split:
+            return self._vertex[triangles].astype(np.int32)
+        known = [self._split[k][row.tobytes()] for row in triangles.astype(np.int64)]
+        return np.reshape(known, (-1, 3)).astype(np.int32)
 
     def triangles(self, frame: Frame) -> list[NDArray[np.int32]]:
         """Of each surface (t, 3), its vertices, counter-clockwise from outside; fewer where springs have torn."""
@@ -110,7 +163,7 @@ class Parts:
             own = own[self._shown[own].all(axis=1)]
             owner = self.number[own[:, 0]]
             faces = [
-                self._vertex[own[owner == one.object]].astype(np.int32) if one.embedded is None else one.embedded
+                self._vertices(one.object, own[owner == one.object]) if one.embedded is None else one.embedded
                 for one in self.surfaces
             ]
             self._faces = (frame.triangles, faces)
@@ -136,6 +189,30 @@ def normals_of(points: Floats, triangles: NDArray) -> Floats:
         sums[:, axis] = np.bincount(triangles.ravel(), np.repeat(normal[:, axis], 3), minlength=len(points))
     length = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.divide(sums, length, out=sums, where=length > 0)
+
+
+def few_colours(colour: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Return at most MOST_COLOURS colours (m, 3) and which of them (n,) each of n colours is, or comes closest to."""
+    for bits in range(8, 0, -1):
+        level = np.minimum(np.rint(colour * 255).astype(np.int64) >> (8 - bits), 255)
+        _, kind = np.unique(level, axis=0, return_inverse=True)
+        kind = kind.reshape(-1)
+        if kind.max(initial=0) < MOST_COLOURS:
+            break
+    count = np.maximum(np.bincount(kind), 1)[:, None]
+    means = np.stack([np.bincount(kind, colour[:, k]) for k in range(3)], axis=1) / count
+    return means, kind
+
+
+def textures_of(style: Mapping[str, Any], folder: Path) -> Textures:
+    """The image files of the looks in the arguments of `Renderer`, as seen from a folder, and how often each repeats, by the
+    names of shapes."""
+    found = {}
+    for look in style.get("looks") or ():
+        if look.get("texture") is not None:
+            name = os.path.relpath(look["texture"], folder).replace(os.sep, "/")
+            found[look["of"]] = name, float(look.get("repeat") or 1.0)
+    return found
 
 
 def placed(frame: Frame) -> list[tuple[Floats, Floats]]:
@@ -231,7 +308,7 @@ class Together:
         first = 0
         for one, faces in zip(parts.surfaces, parts.triangles(frame)):
             points = one.points(x)
-            row: dict[str, Any] = {"points": points, "velocity": one.points(v), "normals": normals_of(points, faces)}
+            row: dict[str, Any] = {"points": points, "velocity": one.points(v), "normals": one.normals(points, faces)}
             row |= {"colour": one.colour, "number": one.object, "uv": np.nan if one.uv is None else one.uv}
             rows.append(row | {"ball": one.corners[:, 0] if one.embedded is None else -1})
             triangles.append(first + faces)

@@ -36,11 +36,6 @@ class PngFolder(Resumable):
         if entries and not (overwrite or resume):
             raise FileExistsError(f"{self.path}: the folder is not empty; use --overwrite, --resume or another name")
         frames = [entry for entry in entries if _FRAME.fullmatch(entry.name)]
-        if frames and resume and not self.log.resumes:
-            raise FileExistsError(
-                f"{self.path}: nothing says which run its frames are of, and so it cannot be resumed; use --overwrite or another"
-                " name"
-            )
         self._make_writable()
         self._stale = frames if overwrite else []  # deleted at the first write, when nothing can be wrong any more
         self._there = {entry.name for entry in frames} if resume else set()
@@ -54,6 +49,19 @@ class PngFolder(Resumable):
             sweep(self.path, "frame_*.png")
         except OSError as error:
             raise OSError(f"{self.path}: cannot be written: {error.strerror or error}") from error
+
+    def is_finished(self, count: int) -> bool:
+        """Raises FileExistsError where there are frames of nobody knows which run."""
+        is_finished = super().is_finished(count)
+        if self._there and not self.log.resumes and not is_finished:
+            raise FileExistsError(
+                f"{self.path}: nothing says which run its frames are of, and so it cannot be resumed; use --overwrite or another"
+                " name"
+            )
+        return is_finished
+
+    def holds(self, count: int) -> bool:
+        return self._there == set(map(self._name, range(count)))
 
     def has(self, checkpoint: Checkpoint) -> bool:
         return self._there.issuperset(map(self._name, range(checkpoint.frame)))
@@ -76,9 +84,9 @@ class PngFolder(Resumable):
         from PIL import Image as Pictures
 
         assert image is not None
+        self.log.open()  # refused where another run writes there
         while self._stale:
             self._stale.pop().unlink(missing_ok=True)
-        self.log.open()
         with replacing(self.path / self._name(index), swept=True) as file:
             Pictures.fromarray(image).save(file, "PNG", compress_level=1)
 

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
+from inspect import signature
 from os import PathLike
 from typing import Any
 
+from taichi_sim.common.errors import unknown_key
 from taichi_sim.outputs import open_output
 from taichi_sim.outputs.export import Summary, export
 from taichi_sim.scene.scene import Scene
@@ -34,6 +36,7 @@ def video(
     overwrite: bool = False,
     codec: str | None = None,
     style: dict[str, Any] | None = None,
+    error: bool = False,
     **settings: Any,
 ) -> Summary:
     """Simulate and write what is seen: `ts.video(scene, "x.mp4", duration=3)`. Any ending that `ts.open_output` knows will do.
@@ -42,18 +45,19 @@ def video(
         what: a Scene, or a Simulation, which goes on from where it is and stays open.
         duration [s], fps [1/s], size (width, height) [px], style (arguments of `Renderer`): what is left out is taken from
             `scene.output`, then 5 s, 60 frames a second, 1280 x 720.
-        progress: a bar on standard error. overwrite, codec: see `ts.open_output`.
+        progress: a bar on standard error. overwrite, codec: see `ts.open_output`. error: see `ts.export`.
         settings: arguments of Simulation, where a Scene is given: dt, integrator, ...
 
     Returns what the run did; `print("\\n".join(summary.lines()))` says it in words, and a notebook shows it with the
     video. Raises what Simulation, `ts.open_output` and `ts.export` raise.
     """
+    _require_known(settings)
     scene, context = _simulation(what, settings)
     options = output_options(scene, {"duration": duration, "fps": fps, "size": size})
     options["style"] |= style or {}
     with context() as simulation:
         output = open_output(path, fps=options["fps"], overwrite=overwrite, codec=codec)
-        summary = export(simulation, output, progress=progress, **options)
+        summary = export(simulation, output, progress=progress, error=error, **options)
     summary.video = str(path)
     return summary
 
@@ -77,6 +81,16 @@ def picture(what: Any, *, size: tuple[int, int] = (640, 360), **style: Any) -> A
             return Image.fromarray(renderer.render(frame))
         finally:
             renderer.close()
+
+
+def _require_known(settings: Mapping[str, Any]) -> None:
+    """Raise SceneError for a word that is no argument of `video`, nor of Simulation."""
+    from taichi_sim.simulation.settings import DEFAULTS as SETTINGS
+
+    own = [name for name in signature(video).parameters if name not in ("what", "settings")]
+    for name in settings:
+        if name not in SETTINGS and name != "forces":
+            raise unknown_key(name, [*own, *SETTINGS, "forces"], "an argument of video")
 
 
 def _simulation(what: Any, settings: dict[str, Any]) -> tuple[Scene, Callable[[], Any]]:

@@ -19,7 +19,7 @@ class Resumable(Output):
     resumable = True
 
     def __init__(self, path: str | PathLike[str], *, resume: bool, within: bool = False) -> None:
-        self.path = Path(path)
+        self.path, self._resume = Path(path), resume
         self.log = RunLog(self.path, resume=resume, within=within)
 
     def begin(self, about: Mapping[str, Mapping[str, Any]], count: int, waits: bool) -> list[Checkpoint]:
@@ -31,6 +31,14 @@ class Resumable(Output):
         fitting = [one for one in found if one.frame <= count and waits == (one.frames is not None)]
         with judged(self.log.folder / CHECKPOINT):
             return [one for one in fitting if waits or self.has(one)]
+
+    def is_finished(self, count: int) -> bool:
+        """Whether it was opened to be resumed, but is complete already, with `count` frames: then it is left as it is."""
+        return self._resume and not self.log.resumes and self.holds(count)
+
+    def holds(self, count: int) -> bool:
+        """Whether what lies under its name has so many frames, as far as that can be told without reading all of it."""
+        return self.path.is_file()
 
     def options(self) -> Mapping[str, Any]:
         """Plain values that decide what its file looks like."""

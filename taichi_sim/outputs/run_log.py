@@ -4,7 +4,6 @@ moment the one before it, too, until all outputs of the run have the new one."""
 import itertools
 import json
 import re
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,11 +14,14 @@ from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import lock, sweep
 from taichi_sim.common.differences import differences, named
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.own_folder import LOCK, emptied, require_own
 from taichi_sim.outputs.kept_files import checksum, judged, read_kept, write_kept
 
-ABOUT, CHECKPOINT, LOCK = "run.json", "checkpoint.json", "lock"
+ABOUT, CHECKPOINT = "run.json", "checkpoint.json"
 MOST_FRAMES = 10**9
 FILE = re.compile(r"(state|frames)_\d+(_\d+)?\.npz")  # of a checkpoint
+# all that outputs and their log write into it
+OURS = re.compile(rf"{FILE.pattern}|(run|checkpoint)\.json|column_\d{{3,}}|pictures|frames|stage\.usd[ac]")
 WHY = {"duration": ": the camera is fitted to the whole run"}  # what differs is no matter of course
 
 
@@ -38,9 +40,9 @@ class RunLog:
     """The folder `.NAME.resume` beside an output, or `.resume` within one that is a folder. It is there from the first frame
     until the output is complete; one run at a time has it.
 
-    resume: go on with what is there. Raises OSError where another run is writing it. checkpoint: the last one that was made, once
-    it is begun, or that which the run goes on from; damaged: whether it could not be begun, for what is there is not what was
-    written.
+    resume: go on with what is there. Raises OSError where another run is writing it, or what lies there is not ours. checkpoint:
+    the last one that was made, once it is begun, or that which the run goes on from; damaged: whether it could not be begun, for
+    what is there is not what was written.
     """
 
     def __init__(self, output: Path, *, resume: bool, within: bool = False) -> None:
@@ -51,6 +53,7 @@ class RunLog:
         self._kept: list[dict[str, Any]] = []  # checkpoints as plain values, the last one first
         self.damaged = False
         self._lock: IO[bytes] | None = None
+        require_own(self.folder, ABOUT)
         self.resumes = resume and (self.folder / ABOUT).is_file()
         if self.resumes:
             self._take()
@@ -121,7 +124,7 @@ class RunLog:
         if not isinstance(own, dict) or not isinstance(own.get("output"), dict):
             raise ValueError("own is no table")
         files = {kind: self.folder / name for kind, (name, _) in kept["files"].items()}
-        if "state" not in files or not all(FILE.fullmatch(file.name) for file in files.values()):
+        if "state" not in files or not all(FILE.fullmatch(name) for name, _ in kept["files"].values()):
             raise ValueError("files are not those of a checkpoint")
         sums = {self.folder / name: int(check) for name, check in kept["files"].values()}
         return Checkpoint(frame, files["state"], own, files.get("frames")), sums
@@ -135,13 +138,13 @@ class RunLog:
         """The folder, made where it is not there; what another run left in it is dropped. Raises OSError."""
         if not self.resumes:
             self.folder.mkdir(exist_ok=True)
+            require_own(self.folder, ABOUT)
             self._take()
             try:
                 self._empty()
                 write_kept(self.folder / ABOUT, self._about)
             except BaseException:  # as on a full disk: nothing is kept, so nothing is left
-                self.close()
-                shutil.rmtree(self.folder, ignore_errors=True)
+                self._remove()
                 raise
             self.resumes = True
         return self.folder
@@ -182,13 +185,16 @@ class RunLog:
             self._lock = lock(self.folder / LOCK, says)
 
     def _empty(self) -> None:
-        """Remove what is in the folder: what points to others before these, and last what says whose it is."""
-        last = {LOCK: 2, ABOUT: 1, CHECKPOINT: -1}
-        for entry in sorted(self.folder.iterdir(), key=lambda entry: last.get(entry.name, 0)):
-            if entry.is_dir() and not entry.is_symlink():  # none of ours
-                shutil.rmtree(entry)
-            elif entry.name != LOCK:
-                entry.unlink(missing_ok=True)
+        """Remove what is ours in the folder: what points to others before these, and last what says whose it is."""
+        emptied(self.folder, OURS, {ABOUT: 1, CHECKPOINT: -1})
+
+    def _remove(self) -> None:
+        """The folder goes, with what is ours in it; with what others put into it, it stays."""
+        with suppress(OSError):
+            self._empty()
+            (self.folder / LOCK).unlink(missing_ok=True)
+            self.folder.rmdir()
+        self.close()
 
     def close(self) -> None:
         """Leave it for another run."""
@@ -199,11 +205,8 @@ class RunLog:
     def delete(self) -> None:
         """The output is complete, or nothing of it is worth keeping."""
         if self.resumes:
-            with suppress(FileNotFoundError):
-                self._empty()
-            self.close()
+            self._remove()
             self.resumes = False
-            shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:

@@ -1,13 +1,17 @@
 """A table of energies, contacts and probes over time, as CSV."""
 
 import csv
+from contextlib import suppress
 from itertools import islice
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.printable import no_formula
+from taichi_sim.outputs.base import Image, Output
 from taichi_sim.outputs.growing import Growing
 
 CONTACTS = ("number", "penetration", "mean_penetration", "residual", "largest_speed")
@@ -20,7 +24,7 @@ class Table(Growing):
 
     def begun(self, part: Path, frame: Frame) -> None:
         with open(part, "w", newline="", encoding="utf-8") as file:
-            self._write(file, row_of(0, frame), names=True)
+            write_row(file, row_of(0, frame), names=True)
 
     def cut(self, part: Path, frames: int) -> None:
         with open(self.path, "rb") as old, open(part, "wb") as new:
@@ -34,15 +38,44 @@ class Table(Growing):
         return open(self.path, "a", newline="", encoding="utf-8")
 
     def more(self, index: int, frame: Frame) -> None:
-        self._write(self._file, row_of(index, frame))
+        write_row(self._file, row_of(index, frame))
         self._file.flush()
 
-    @staticmethod
-    def _write(file: Any, row: dict[str, Any], names: bool = False) -> None:
-        writer = csv.writer(file, lineterminator="\n")
-        if names:
-            writer.writerow(row)
-        writer.writerow([repr(value) for value in row.values()])
+
+class PipedTable(Output):
+    """The same rows into a pipe that another program reads, from the first one on; the run waits for that program."""
+
+    needs_image = False
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self.path = Path(path)
+        self._file: Any = None
+
+    def write(self, index: int, frame: Frame, image: Image | None) -> None:
+        """Raises OSError where nobody reads it any more."""
+        try:
+            if self._file is None:
+                self._file = open(self.path, "w", newline="", encoding="utf-8")  # noqa: SIM115  # closed by finish
+            write_row(self._file, row_of(index, frame), names=index == 0)
+            self._file.flush()
+        except BrokenPipeError:
+            raise OSError(f"{self.path}: whoever read it has gone") from None
+
+    def finish(self) -> None:
+        if self._file is not None:
+            with suppress(OSError):  # what nobody read
+                self._file.close()
+
+    def discard(self) -> None:
+        self.finish()
+
+
+def write_row(file: Any, row: dict[str, Any], names: bool = False) -> None:
+    """A line of the table, and before it the names of its columns."""
+    writer = csv.writer(file, lineterminator="\n")
+    if names:
+        writer.writerow(map(no_formula, row))
+    writer.writerow([repr(value) for value in row.values()])
 
 
 def row_of(index: int, frame: Frame) -> dict[str, Any]:

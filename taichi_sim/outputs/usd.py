@@ -5,7 +5,6 @@ import json
 import os
 from collections.abc import Mapping
 from fractions import Fraction
-from math import radians, tan
 from os import PathLike
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,53 +15,49 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame, Placed
 from taichi_sim.common.atomic_file import naming, require_place
-from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.base import USUAL_FPS, Image
 from taichi_sim.outputs.extras import needed
-from taichi_sim.outputs.parts import Parts, in_3d, normals_of, placed
+from taichi_sim.outputs.parts import Textures, placed, textures_of
 from taichi_sim.outputs.resumable import Recorded
-from taichi_sim.render.camera import Camera, robust_bounds
-from taichi_sim.render.palette import to_linear
+from taichi_sim.outputs.usd_stage import Stage
+from taichi_sim.render.camera import Camera
 from taichi_sim.render.renderer import evenly
 from taichi_sim.render.tracker import Tracker
 
-APERTURE = 24.0  # mm, height of the camera's film: only its ratio to the focal length means something
-APERTURE_UNIT = 0.1  # m of the scene for each unit of the aperture of an orthographic camera
-ROD = 0.28  # radius of a spring, of that of its thinner ball, as in pictures
-FLOOR = 4.0  # sides of the square that stands for a wall, of the size of the scene
-LEVEL = 0.7  # cosine of the angle to the vertical up to which a wall is a floor, and shown
-MARGIN = 1.1  # of a flat scene in its camera
-MATERIALS = "/World/materials"
-UNSAVED = 1 << 26  # bytes that wait in memory
-
 
 class Usd(Recorded):
-    """/World holds an Xform for each object, with its name, and in it a Mesh `surface` (points and normals over time, st where
-    the object has a grid), Points `balls` (widths: diameters) of those that no surface covers, and BasisCurves `springs`; a Mesh
-    for each collider, which a transform moves; a square for each wall, in the purpose `guide` where it is no floor; `camera`.
-    Metres, y up, frame k at time code k, `fps` of which are a second. Colours are linear, as displayColor and as materials.
+    """/World holds an Xform for each object, with its name, and in it a Mesh (points and normals over time, st where the object
+    has places on a texture), a PointInstancer of spheres (scales: radii) for balls that no surface covers, and one of rods
+    for springs. The only one of these is called as its object is; of several each ends with _surface, _balls, _springs.
+    A Mesh for each collider, which a transform moves; a square for each wall, in the purpose `guide` where it is no floor;
+    `camera`. Metres, y up, frame k at time code k, `fps` of which are a second. Colours are linear, as displayColor and as
+    materials; a texture of a look is the material of a mesh with st.
 
     Frames wait on disk beside the file until it is complete. resume: go on where a run into the same name was cut off.
     """
 
     needs_image = False
     apart = True
+    is_film = True
 
-    def __init__(self, path: str | PathLike[str], fps: float = 60.0, resume: bool = False) -> None:
+    def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
         needed("pxr", "usd", Path(path))
         super().__init__(path, "frames", resume=resume)
         require_place(path)
-        self.fps = float(Fraction(fps).limit_denominator(100_000))
+        self.fps = fps
         self._first: Frame | None = None
         self._tracker: Tracker | None = None
         self._aspect = 16 / 9
+        self._textures: Textures = {}
 
     def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
         self._first, self._aspect = first, size[0] / size[1]
+        self._textures = textures_of(style, self.path.parent)
         if first.dim == 3:
             self._tracker = Tracker(first, style.get("camera"), self._aspect)
 
     def options(self) -> Mapping[str, Any]:
-        return {"aspect": self._aspect}
+        return {"aspect": self._aspect, "textures": dict(self._textures)}
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Keep what changes."""
@@ -100,7 +95,8 @@ class Usd(Recorded):
         part = self.log.open() / f"stage{self.path.suffix.lower()}"
         part.unlink(missing_ok=True)
         with naming(self.path):
-            stage = _Stage(part, self._first, self.fps, self._aspect)
+            fps = float(Fraction(self.fps or USUAL_FPS).limit_denominator(100_000))
+            stage = Stage(part, self._first, fps, self._aspect, self._textures)
             shows_all = self._fit()
             for index, data in enumerate(self._records):
                 if index < self.frames:
@@ -153,275 +149,3 @@ def _as_row(camera: Camera) -> NDArray[np.float64]:
 def _read(data: bytes) -> dict[str, NDArray]:
     with np.load(io.BytesIO(data), allow_pickle=False) as file:
         return dict(file)
-
-
-class _Stage:
-    """A USD file under construction, of the scene that a frame is the first of."""
-
-    def __init__(self, path: Path, first: Frame | None, fps: float, aspect: float) -> None:
-        from pxr import Usd, UsdGeom
-
-        self._stage = Usd.Stage.CreateNew(str(path))
-        self._binary, self._unsaved = path.suffix == ".usdc", 0
-        UsdGeom.SetStageUpAxis(self._stage, UsdGeom.Tokens.y)
-        UsdGeom.SetStageMetersPerUnit(self._stage, 1.0)
-        self._stage.SetTimeCodesPerSecond(fps)
-        self._stage.SetFramesPerSecond(fps)
-        world = UsdGeom.Xform.Define(self._stage, "/World").GetPrim()
-        self._stage.SetDefaultPrim(world)
-        Usd.ModelAPI(world).SetKind("assembly")
-        UsdGeom.Scope.Define(self._stage, MATERIALS)
-        self._first, self._aspect = first, aspect
-        self._last: dict[Any, NDArray] = {}  # what each attribute holds that seldom changes
-        if first is not None:
-            self._parts = Parts(first)
-            self._build(first)
-
-    def _build(self, first: Frame) -> None:
-        from pxr import Usd, UsdGeom
-
-        parts, self._objects = self._parts, list[str]()
-        for name in parts.names:
-            prim = self._define(UsdGeom.Xform, "/World", name).GetPrim()
-            Usd.ModelAPI(prim).SetKind("component")
-            self._objects.append(str(prim.GetPath()))
-        self._meshes = [self._surface(one) for one in parts.surfaces]
-        loose = parts.number[parts.loose]
-        self._points = [
-            (balls, self._balls(self._objects[k], balls))
-            for k in range(len(parts.names))
-            if len(balls := parts.loose[loose == k])
-        ]
-        pairs, owner = parts.springs(first)
-        self._curves = [
-            (k, self._springs(self._objects[k], pairs[owner == k], first.radius)) for k in np.unique(owner).tolist()
-        ]
-        self._bodies = [self._body(one) for one in parts.bodies]
-        bounds, _ = robust_bounds(in_3d(first.position), first.radius)
-        self._walls(first, bounds)
-        self._camera = self._define(UsdGeom.Camera, "/World", "camera")
-        self._camera_place = self._camera.AddTransformOp()
-        if first.dim == 2:
-            self._look_at_plane(bounds)
-
-    def _define(self, kind: Any, parent: str, name: str) -> Any:
-        """A prim with this name, or one like it where that is no identifier or taken, and then the name to be shown."""
-        from pxr import Tf
-
-        valid = word = Tf.MakeValidIdentifier(name)
-        number = 1
-        while self._stage.GetPrimAtPath(f"{parent}/{word}"):
-            word, number = f"{valid}_{number}", number + 1
-        made = kind.Define(self._stage, f"{parent}/{word}")
-        if word != name:
-            made.GetPrim().SetDisplayName(name)
-        return made
-
-    def _surface(self, one: Any) -> Any:
-        from pxr import Sdf, UsdGeom, Vt
-
-        mesh = self._mesh(self._objects[one.object], "surface", one.colour)
-        if one.uv is not None:
-            place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
-                "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
-            )
-            place.Set(Vt.Vec2fArray.FromNumpy(_f32(one.uv)))
-        return mesh
-
-    def _mesh(self, parent: str, name: str, colour: Any) -> Any:
-        from pxr import UsdGeom
-
-        mesh = self._define(UsdGeom.Mesh, parent, name)
-        mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-        mesh.CreateDoubleSidedAttr(True)
-        mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
-        self._paint(mesh, colour)
-        return mesh
-
-    def _balls(self, parent: str, balls: NDArray) -> Any:
-        from pxr import UsdGeom, Vt
-
-        points = self._define(UsdGeom.Points, parent, "balls")
-        points.CreateIdsAttr(Vt.Int64Array.FromNumpy(balls.astype(np.int64)))
-        points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(_f32(2.0 * self._parts.radius[balls])))
-        points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
-        self._paint(points, self._parts.colour[balls])
-        return points
-
-    def _springs(self, parent: str, pairs: NDArray, radius: NDArray) -> Any:
-        from pxr import UsdGeom, Vt
-
-        curves = self._define(UsdGeom.BasisCurves, parent, "springs")
-        curves.CreateTypeAttr(UsdGeom.Tokens.linear)
-        thin = float(radius[pairs].min())
-        curves.CreateWidthsAttr(Vt.FloatArray([2.0 * ROD * thin]))
-        curves.SetWidthsInterpolation(UsdGeom.Tokens.constant)
-        self._paint(curves, self._parts.colour[pairs[:1, 0]])
-        return curves
-
-    def _body(self, one: Any) -> Any:
-        mesh = self._mesh("/World", one.name, one.colour)
-        self._faces(mesh, one.triangles, None)
-        mesh.CreatePointsAttr(_vectors(one.vertices))
-        mesh.CreateNormalsAttr(_vectors(one.normals))
-        mesh.CreateExtentAttr(_vectors(_box(one.vertices)))
-        return mesh.AddTransformOp()
-
-    def _walls(self, first: Frame, bounds: Any) -> None:
-        from pxr import UsdGeom
-
-        middle, reach = 0.5 * (bounds.low + bounds.high), 0.5 * FLOOR * max(float(bounds.size), 1e-6)
-        for k, plane in enumerate(first.walls if first.walls.size else ()):
-            normal, offset = in_3d(plane[None, :-1])[0], plane[-1]
-            along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-            along /= np.linalg.norm(along)
-            across = np.cross(normal, along)
-            foot = middle + (offset - middle @ normal) * normal
-            corners = foot + reach * np.array([-along - across, along - across, along + across, across - along])
-            mesh = self._mesh("/World", f"wall_{k}", (0.8, 0.8, 0.8))
-            self._faces(mesh, np.array([[0, 1, 2], [0, 2, 3]]), None)
-            mesh.CreatePointsAttr(_vectors(corners))
-            mesh.CreateNormalsAttr(_vectors(np.tile(normal, (4, 1))))
-            mesh.CreateExtentAttr(_vectors(_box(corners)))
-            if normal[1] < LEVEL or first.dim == 2:
-                mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
-
-    def _paint(self, prim: Any, colour: Any) -> None:
-        """Show it in sRGB colours, one, or one for each vertex, by displayColor and by a material that reads it."""
-        from pxr import Sdf, UsdGeom, UsdShade
-
-        colour = _f32(to_linear(np.asarray(colour).reshape(-1, 3)))
-        one = bool(np.all(colour == colour[:1]))
-        shown = prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant if one else UsdGeom.Tokens.vertex)
-        shown.Set(_vectors(colour[:1] if one else colour))
-        place = prim.GetPrim().GetPath().MakeRelativePath("/World").pathString.replace("/", "_")
-        material = self._define(UsdShade.Material, MATERIALS, place)
-        path = material.GetPrim().GetPath().pathString
-        shader = UsdShade.Shader.Define(self._stage, f"{path}/shader")
-        shader.CreateIdAttr("UsdPreviewSurface")
-        shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.6)
-        diffuse = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
-        if one:
-            diffuse.Set(tuple(colour[0].tolist()))
-        else:
-            reader = UsdShade.Shader.Define(self._stage, f"{path}/reader")
-            reader.CreateIdAttr("UsdPrimvarReader_float3")
-            reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
-            diffuse.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
-        material.CreateSurfaceOutput().ConnectToSource(shader.CreateOutput("surface", Sdf.ValueTypeNames.Token))
-        UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
-
-    def add(self, index: int, now: Mapping[str, NDArray]) -> None:
-        """A frame."""
-        assert self._first is not None
-        parts, x = self._parts, in_3d(now["position"].astype(np.float64))
-        frame: Any = SimpleNamespace(
-            **{name: now.get(name, getattr(self._first, name)) for name in ("springs", "triangles")}
-        )
-        for one, mesh, faces in zip(parts.surfaces, self._meshes, parts.triangles(frame)):
-            points = one.points(x)
-            self._faces(mesh, faces, index)
-            self._move(mesh, points, index)
-            self._set(mesh.GetNormalsAttr() or mesh.CreateNormalsAttr(), _vectors(normals_of(points, faces)), index)
-        for balls, prim in self._points:
-            self._move(prim, x[balls], index, parts.radius[balls].max())
-        pairs, owner = parts.springs(frame)
-        for k, curves in self._curves:
-            ends = pairs[owner == k]
-            self._seldom(curves.GetCurveVertexCountsAttr(), np.full(len(ends), 2), index)
-            self._move(curves, x[ends.ravel()], index, 0.5 * curves.GetWidthsAttr().Get()[0])
-        for k, place in enumerate(self._bodies):
-            self._seldom(place, _matrix(now["rotations"][k].T, now["centres"][k]), index)
-        if "camera" in now:
-            self._look(now["camera"], index)
-        if self._binary and self._unsaved > UNSAVED:
-            self._stage.GetRootLayer().Save()
-            self._unsaved = 0
-
-    def _faces(self, mesh: Any, faces: NDArray, index: int | None) -> None:
-        self._seldom(mesh.GetFaceVertexCountsAttr(), np.full(len(faces), 3), index)
-        self._seldom(mesh.GetFaceVertexIndicesAttr(), faces.ravel(), index)
-
-    def _seldom(self, target: Any, value: NDArray, index: int | None) -> None:
-        """Set what seldom changes: one value, and others from the frame before it changes on."""
-        from pxr import Gf, Vt
-
-        key = str(target.GetPath() if hasattr(target, "GetPath") else target.GetAttr().GetPath())
-        last = self._last.get(key)
-        if last is not None and np.array_equal(last, value):
-            return
-        self._last[key] = value
-        made = Gf.Matrix4d(value) if value.ndim == 2 else Vt.IntArray.FromNumpy(value.astype(np.int32))
-        if index is None or last is None:
-            target.Set(made)
-            return
-        if not target.GetNumTimeSamples():
-            target.Set(target.Get(), 0)
-        if value.ndim == 2 and index - 1 not in target.GetTimeSamples()[-1:]:  # it stood still until now
-            target.Set(Gf.Matrix4d(last), index - 1)
-        target.Set(made, index)
-
-    def _move(self, prim: Any, points: NDArray, index: int, reach: float = 0.0) -> None:
-        """Put a prim's points somewhere, which reach so far about them [m]."""
-        self._set(prim.GetPointsAttr(), _vectors(points), index)
-        if len(points):
-            box = _box(points) + reach * np.array([[-1.0], [1.0]])
-            self._set(prim.GetExtentAttr() or prim.CreateExtentAttr(), _vectors(box), index)
-
-    def _set(self, attribute: Any, value: Any, index: int) -> None:
-        attribute.Set(value, index)
-        self._unsaved += 12 * len(value)
-
-    def _look(self, now: NDArray, index: int) -> None:
-        from pxr import Gf
-
-        camera = Camera(tuple(now[:3]), tuple(now[3:6]), tuple(now[6:9]), float(now[9]))
-        right, up, forward = camera.axes()
-        self._seldom(self._camera_place, _matrix(np.stack([right, up, -forward]), now[:3]), index)
-        if "camera" not in self._last or self._last["camera"][9] != now[9]:
-            self._camera.GetFocalLengthAttr().Set(0.5 * APERTURE / tan(radians(0.5 * camera.fov)), index)
-        if "camera" not in self._last:
-            self._camera.CreateVerticalApertureAttr(APERTURE)
-            self._camera.CreateHorizontalApertureAttr(APERTURE * self._aspect)
-            away = float(np.linalg.norm(now[3:6] - now[:3]))
-            self._camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * away, 100.0 * away))
-            self._camera.CreateFocusDistanceAttr(away)
-        self._last["camera"] = now
-
-    def _look_at_plane(self, bounds: Any) -> None:
-        from pxr import Gf, UsdGeom
-
-        middle, (width, height, _) = 0.5 * (bounds.low + bounds.high), MARGIN * (bounds.high - bounds.low)
-        height = max(height, width / self._aspect)
-        self._camera.CreateProjectionAttr(UsdGeom.Tokens.orthographic)
-        self._camera.CreateVerticalApertureAttr(height / APERTURE_UNIT)
-        self._camera.CreateHorizontalApertureAttr(height * self._aspect / APERTURE_UNIT)
-        self._camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * height, 100.0 * height))
-        self._camera_place.Set(Gf.Matrix4d(_matrix(np.eye(3), middle + np.array([0.0, 0.0, 10.0 * height]))))
-
-    def save(self, frames: int) -> None:
-        """Complete the file."""
-        self._stage.SetStartTimeCode(0)
-        self._stage.SetEndTimeCode(max(0, frames - 1))
-        self._stage.GetRootLayer().Save()
-
-
-def _f32(values: NDArray) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
-
-
-def _vectors(values: NDArray) -> Any:
-    from pxr import Vt
-
-    return Vt.Vec3fArray.FromNumpy(_f32(values).reshape(-1, 3))
-
-
-def _box(points: NDArray) -> NDArray:
-    return np.stack([points.min(axis=0), points.max(axis=0)])
-
-
-def _matrix(rows: NDArray, place: NDArray) -> NDArray[np.float64]:
-    """What moves row vectors: (4, 4), from the images of the axes, one to a row, and of the origin."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[3, :3] = rows, place
-    return matrix

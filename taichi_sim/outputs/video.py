@@ -1,6 +1,7 @@
 """MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from fractions import Fraction
 from itertools import islice
 from os import PathLike
@@ -10,7 +11,7 @@ import numpy as np
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import PartFile, naming
-from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.base import USUAL_FPS, Image
 from taichi_sim.outputs.resumable import Recorded
 
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
@@ -51,26 +52,39 @@ class Video(Recorded):
     """
 
     apart = True
+    is_film = True
 
     def __init__(
         self,
         path: str | PathLike[str],
-        fps: float = 60.0,
+        fps: float | None = None,
         crf: int | None = None,
         codec: str = "h264",
         resume: bool = False,
     ) -> None:
         super().__init__(path, "pictures", resume=resume)  # without loss
         self.codec = CODECS[codec]
-        self.rate = Fraction(fps).limit_denominator(100_000)
+        self.fps = fps
         self.crf = self.codec.crf if crf is None else crf
         self._part = PartFile(path)
         self._keeper: Any = None  # encodes them
         self._container: Any = None
         self._stream: Any = None
 
+    @property
+    def rate(self) -> Fraction:
+        """Frames per second."""
+        return Fraction(self.fps or USUAL_FPS).limit_denominator(100_000)
+
     def options(self) -> Mapping[str, Any]:
         return {"codec": self.codec.encoder, "quality": self.crf}
+
+    def holds(self, count: int) -> bool:
+        import av
+
+        with suppress(OSError, av.FFmpegError, IndexError), av.open(str(self.path)) as file:
+            return file.streams.video[0].frames in (count, 0)  # WebM does not say it
+        return False
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Encode one picture."""

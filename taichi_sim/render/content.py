@@ -132,7 +132,7 @@ def _smoothing(
     """Of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp edges."""
     flat = np.zeros(len(x) + len(binding), dtype=bool)
     for one in frame.objects:
-        flat[one.balls] = one.uv is not None
+        flat[one.balls] = one.is_sheet
     flat[len(x) :] = binding.apply(flat[: len(x)]) > 0.5
     points = np.concatenate([x, binding.apply(x)])
     own = Smoothing.of(points, triangles, crease, flat[triangles].all(axis=1))

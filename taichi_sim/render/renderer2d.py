@@ -119,8 +119,10 @@ class Renderer2D:
         """See `Renderer`."""
         path, follower, half = self._path, self._follower, np.array(self.size) / 2
         low, scale = _view(frames, self.size)
-        middle = low + half / scale if follower is None else follower.begin
+        shown = low + half / scale
+        middle = shown if follower is None else follower.begin
         middle = middle if path.centre is None else np.array(path.centre)
+        scale = float(np.min(half / (half / scale + np.abs(middle - shown))))  # all is shown from there, too
         scale = scale if path.width is None else self.size[0] / path.width
         self._begin = middle - half / scale
         self.camera = Flat((float(self._begin[0]), float(self._begin[1])), scale)

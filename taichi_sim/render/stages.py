@@ -89,7 +89,7 @@ BLUEPRINT = Stage(
     pool=0.0,
     fog=0.16,
     gloss=0.0,
-    wash=0.78,
+    wash=0.4,
     outline=0.8,
 )
 STAGES = {"day": DAY, "studio": STUDIO, "blueprint": BLUEPRINT}

@@ -56,9 +56,7 @@ class Styles(NamedTuple):
         for thing in frame.objects:
             if thing.name in named and len(thing.balls):
                 number[thing.balls] = named[thing.name]
-                place[thing.balls] = (
-                    _within(rest[thing.balls]) if thing.uv is None else _flat(thing, frame.triangles, n)
-                )
+                place[thing.balls] = _flat(thing, frame.triangles, n) if thing.is_sheet else _within(rest[thing.balls])
         first = binding.weights.indices[binding.weights.indptr[:-1]]
         number = np.concatenate([number, number[first]])
         bodies_number = np.array([named.get(p.collider.label, 0) for p in frame.colliders], dtype=np.int64)

@@ -121,9 +121,9 @@ def _placed(path: CameraPath, frames: Sequence[Frame], aspect: float, follower: 
     azimuth = AZIMUTH if path.azimuth is None else path.azimuth
     elevation = ELEVATION if path.elevation is None else path.elevation
     fov = FOV if path.fov is None else path.fov
-    fit = Camera.fit(frames, aspect, azimuth, elevation, fov, path.target, path.orbit)
-    target = np.array(fit.target) if follower is None else follower.begin
-    target = target if path.target is None else np.array(path.target)
+    middle = path.target if follower is None or path.target is not None else triple(follower.begin)
+    fit = Camera.fit(frames, aspect, azimuth, elevation, fov, middle, path.orbit)
+    target = np.array(fit.target)
     back = np.subtract(fit.eye, fit.target)
     if path.distance is not None:
         back *= path.distance / np.linalg.norm(back)

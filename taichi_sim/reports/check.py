@@ -34,7 +34,7 @@ WRONG_IN_A_CYCLE = 0.01  # of a cycle's motion, likewise, where springs damp les
 def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64]) -> Iterator[str]:
     """What steps of h seconds make of the decay of the slowest motions, and the cure where it is wrong."""
     if method.single_pass and (sinking := sinking_spring(scene, h)) is not None:
-        yield f"damping               not known: ball {sinking[1]} is too heavy for its springs at this step of {method}"
+        yield f"damping               not known: ball {sinking.ball} is too heavy for its springs at this step of {method}"
         return
     if method.amplification(scene, 0.0, 0.0, h) is None:
         yield f"damping               not known: {method} declares no amplification"
@@ -95,12 +95,12 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
     stiff = ", ".join(map(str, STIFF))
     if elements:
-        yield f"{stiff}: no spring limits them, but cells and bending do, and gas all but {IMPLICIT_EULER}"
+        yield f"{stiff}: springs do not limit the step; cells and bending do, and gas does except with {IMPLICIT_EULER}"
     else:
-        yield f"{stiff}: any step is stable, its error is another matter"
+        yield f"{stiff}: any step is stable, but the error grows with it: springs are damped, and {XPBD} makes them too soft"
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
-        yield f"user-defined forces act explicitly in all of them; what step {names} needs is not known, see stiffness_rate"
+        yield f"All methods treat user-defined forces explicitly. The step that {names} needs is unknown; declare stiffness_rate"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
 

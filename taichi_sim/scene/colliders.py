@@ -12,14 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, dataclass, field, fields, replace
 from os import PathLike
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError, about, unknown_key
-from taichi_sim.geometry.mesh import Surface, area_distance, by_hand, holes, mesh_distance, read_surface, volume
+from taichi_sim.common.errors import SceneError, unknown_key
+from taichi_sim.geometry.mesh import Surface, area_distance, given_surface, holes, mesh_distance, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 from taichi_sim.scene.keyframes import Keyframe, Motion, plain_keyframe, turn_matrix
 
@@ -206,13 +206,16 @@ class Mesh(_Placed):
     Args:
         mesh: an OBJ, PLY, STL or GLB file, or (vertices (v, 3) [m], triangles (t, 3)).
         position: (3,) where its origin goes [m]; scale: its size in relation to the file's [1].
-        resolution: cells along the longest side of the grid on which distances are kept: edges are round to about a cell.
+        up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY files, which do not tell.
+        resolution: cells along the longest side of the grid on which distances are kept. Where the grid is too coarse, at edges
+            and thin walls, distances are taken from the triangles.
     """
 
     mesh: str | PathLike[str] | tuple[Any, Any]
     position: Any = None
     scale: float = 1.0
     resolution: int = 64
+    up: Literal["y", "z"] | None = None
 
 
 @dataclass(frozen=True)
@@ -286,7 +289,7 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
         if shape.position is not None:
             centre = validation.vector(f"{where}.position", shape.position, 3)
         given["mesh"] = surface  # scaled already
-        given["scale"] = 1.0
+        given |= {"scale": 1.0, "up": None}
     elif isinstance(shape, ColliderShape):
         kind, surface = CUSTOM, _drawn(shape, dim, where)
     else:
@@ -315,7 +318,7 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     if len(motion.times) > 1:
         given["path"] = [plain_keyframe(key) for key in shape.path]
     plain = {"shape": name} | {key: _plain(value) for key, value in given.items() if not _left_out(shape, key, value)}
-    collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface, plain)
+    collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface[:2], plain)
     return replace(collider, label=shape.name or "", shape=shape if kind == CUSTOM else None)
 
 
@@ -340,13 +343,8 @@ def _surface(shape: Mesh, dim: int, where: str) -> Surface:
     if dim != 3:
         raise SceneError(where, says="a mesh needs a scene in 3D")
     scale = validation.number(f"{where}.scale", shape.scale, positive=True)
-    if isinstance(shape.mesh, (str, PathLike)):
-        name = repr(str(shape.mesh))
-        with about(f"{where}.mesh"):
-            surface = read_surface(shape.mesh)
-    else:
-        surface = by_hand(f"{where}.mesh", shape.mesh)
-        name = "the mesh"
+    name = repr(str(shape.mesh)) if isinstance(shape.mesh, (str, PathLike)) else "the mesh"
+    surface = given_surface(where, shape.mesh, shape.up)
     surface = _closed(surface, f"{where}.mesh", name)
     return Surface(surface.vertices * scale, surface.triangles)
 

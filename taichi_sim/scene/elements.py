@@ -25,6 +25,7 @@ __all__ = ["Elements", "Gas", "MovingPins", "Wind", "cell_volumes"]
 AIR = 1.2  # kg/m^3
 PLATE = 1.28  # drag of a flat plate across the flow
 SKIN_FRICTION = 0.05  # the same along it
+CRUSHED = 0.5  # of its rest volume: a cell that has less resists with its crush modulus, too
 FLAT_CELL = 1e-9  # of the cube of its longest edge: a cell of less volume is flat
 
 
@@ -67,11 +68,16 @@ class Elements(Probed, Objects, Motorised):
         self._cells = Table(
             corners=np.zeros((0, dim + 1), dtype=whole),
             bulk_modulus=np.zeros(0),
+            crush_modulus=np.zeros(0),
             rest_volume=np.zeros(0),
             together=np.zeros(0, dtype=whole),
         )
         self._bends = Table(
-            corners=np.zeros((0, 4), dtype=whole), weights=np.zeros((0, 4)), stiffness=np.zeros(0), damping=np.zeros(0)
+            corners=np.zeros((0, 4), dtype=whole),
+            weights=np.zeros((0, 4)),
+            stiffness=np.zeros(0),
+            damping=np.zeros(0),
+            hinge=np.zeros(0, dtype=bool),
         )
         self.wind: Wind | None = None
         self.gases: list[Gas] = []
@@ -83,16 +89,27 @@ class Elements(Probed, Objects, Motorised):
 
     cells = property(lambda self: self._cells["corners"], doc="(c, dim + 1) balls of each cell")
     bulk_modulus = property(lambda self: self._cells["bulk_modulus"], doc="(c,) Pa, in 2D N/m")
+    crush_modulus = property(
+        lambda self: self._cells["crush_modulus"],
+        doc="(c,) Pa, in 2D N/m, of cells of less than half of their rest volume",
+    )
     rest_volume = property(lambda self: self._cells["rest_volume"], doc="(c,) m^3, in 2D m^2; positive")
     cells_together = property(lambda self: self._cells["together"], doc="(c,) a number that cells in one have, or -1")
     bends = property(lambda self: self._bends["corners"], doc="(b, 4) balls of each bending element")
     bend_weights = property(lambda self: self._bends["weights"], doc="(b, 4) sum 0 for each")
     bend_stiffness = property(lambda self: self._bends["stiffness"], doc="(b,) N/m")
     bend_damping = property(lambda self: self._bends["damping"], doc="(b,) N s/m")
+    bend_hinge = property(
+        lambda self: self._bends["hinge"], doc="(b,) bool; True: of two sides, one of which may be held"
+    )
 
     def has_elements(self) -> bool:
         """Whether forces besides gravity, springs and contacts act."""
-        return bool(self._cells.rows or self._bends.rows or self.wind is not None or self.gases)
+        return bool(self.cells_act() or self._bends.rows or self.wind is not None or self.gases)
+
+    def cells_act(self) -> bool:
+        """Whether any cell exerts a force; others are only watched, see `Simulation.inverted`."""
+        return bool(self.bulk_modulus.any() or self.crush_modulus.any())
 
     def joined(self: Any) -> NDArray[np.bool_]:
         """Which balls (n,) belong to a spring, a cell, a bending element or the skin of a gas."""
@@ -106,17 +123,21 @@ class Elements(Probed, Objects, Motorised):
         corners: ArrayLike,
         *,
         bulk_modulus: ArrayLike,
+        crush_modulus: ArrayLike = 0.0,
         rest_volume: ArrayLike | None = None,
         together: ArrayLike | None = None,
     ) -> NDArray[np.int32]:
         """Add c cells that resist a change of volume and return their indices, shape (c,).
 
         A cell, a tetrahedron in 3D and a triangle in 2D, stores bulk_modulus V0 (V / V0 - 1)^2 / 2, V with its sign: one that
-        is turned inside out is driven back through flatness.
+        is turned inside out is driven back through flatness. Below half of its rest volume it stores besides crush_modulus V0
+        (V / V0 - 1/2)^2 / 2.
 
         Args:
             corners: (c, dim + 1) balls, or one cell, in any order.
             bulk_modulus: one or one per cell, >= 0 [Pa, in 2D N/m].
+            crush_modulus: one or one per cell, >= 0 [Pa, in 2D N/m]: keeps cells from being crushed, and does not change how they
+                respond to small strains.
             rest_volume: V0, one or one per cell, > 0 [m^3, in 2D m^2]; None: the present volume, whose orientation then counts as
                 positive.
             together: (c,) whole numbers: cells with the same one, from 0 on, resist a change of their volumes' sum alone, as one
@@ -130,6 +151,7 @@ class Elements(Probed, Objects, Motorised):
             k = int(np.argmax(twice))
             raise SceneError(f"cells.corners[{k}]", ij[k], says=f"names a ball twice; give {self.dim + 1} different")
         modulus = validation.per_item("cells.bulk_modulus", bulk_modulus, c, low=0)
+        crush = validation.per_item("cells.crush_modulus", crush_modulus, c, low=0)
         present = cell_volumes(self.position, ij)
         if rest_volume is None:
             edge = np.abs(self.position[ij] - self.position[ij[:, :1]]).max(axis=(1, 2), initial=0.0)
@@ -150,20 +172,32 @@ class Elements(Probed, Objects, Motorised):
         before = int(self.cells_together.max(initial=-1)) + 1
         shared = np.where(shared < 0, -1, shared + before).astype(np.int32)
         first = self._cells.rows
-        self._cells.append(c, corners=ij, bulk_modulus=modulus, rest_volume=rest, together=shared)
+        columns = {"bulk_modulus": modulus, "crush_modulus": crush, "rest_volume": rest, "together": shared}
+        self._cells.append(c, corners=ij, **columns)
         return np.arange(first, first + c, dtype=np.int32)
 
     def add_bending(
-        self: Any, corners: ArrayLike, *, weights: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+        self: Any,
+        corners: ArrayLike,
+        *,
+        weights: ArrayLike,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        hinge: bool | Sequence[bool] | NDArray = False,
     ) -> None:
         """Add b bending elements: forces -w_i sum_j w_j (stiffness x_j + damping v_j) on four balls each.
 
         The energy is stiffness |sum w_j x_j|^2 / 2, 0 where the element is flat; quadratic, so its force is linear (Bergou et
-        al. 2006, "A quadratic bending model for inextensible surfaces").
+        al. 2006, "A quadratic bending model for inextensible surfaces"). An element of a rod through balls a, b, c has the
+        corners (b, b, a, c) and the weights (-1, -1, 1, 1).
 
         Args:
             corners: (b, 4) balls; weights: (b, 4) of them [1], the sum of each row 0.
             stiffness: one or one per element, >= 0 [N/m]; damping: one or one per element, >= 0 [N s/m].
+            hinge: one or one per element: corners 0 and 1 are the hinge between two sides of a rod or sheet, corners 2 and 3
+                their far ends. A side whose balls are all pinned cannot bend. The other one then bears the whole change of
+                angle over its own length, so stiffness and damping rise to those of that side: twice, for equal sides. A rod
+                or sheet is thus clamped exactly at its last pinned balls.
         """
         ij = validation.indices("bending.corners", validation.many(corners, 1), self.n_balls, width=4)
         w = validation.vectors("bending.weights", validation.many(weights, 1), None, 4)
@@ -176,7 +210,22 @@ class Elements(Probed, Objects, Motorised):
             raise SceneError(f"bending.weights[{k}]", w[k], "four numbers whose sum is 0")
         strength = validation.per_item("bending.stiffness", stiffness, len(ij), low=0)
         loss = validation.per_item("bending.damping", damping, len(ij), low=0)
-        self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss)
+        sides = validation.flags("bending.hinge", hinge, len(ij))
+        ends = w[:, 2:][sides]
+        if np.any(ends[:, 0] * ends[:, 1] <= 0.0):
+            k = int(np.flatnonzero(sides)[np.argmax(ends[:, 0] * ends[:, 1] <= 0.0)])
+            raise SceneError(f"bending.weights[{k}]", w[k], "of a hinge: the last two of one sign, and not 0")
+        self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss, hinge=sides)
+
+    def held_bending(self: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Stiffness (b,) [N/m] and damping (b,) [N s/m] of the bending elements as they act with the present pins, see
+        `add_bending`. The two sides of a hinge are as long as the inverse weights of their far ends."""
+        held = self.pinned[self.bends]
+        held[:, 2:] &= held[:, :1] & held[:, 1:2] & self.bend_hinge[:, None]
+        size = np.abs(self.bend_weights[:, [3, 2]])  # of side 2 and 3, as 1 / w2 : 1 / w3
+        free = np.where(held[:, 2:], 0.0, size).sum(axis=1)
+        rise = np.divide(size.sum(axis=1), free, out=np.ones(len(free)), where=free > 0.0)
+        return self.bend_stiffness * rise, self.bend_damping * rise
 
     def set_bending(self: Any, *, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
         """Change all b bending elements: stiffness [N/m], damping [N s/m], one or one per element; what is left None stays."""

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from os import PathLike
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common import validation
+from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError, unknown_key
 
 __all__ = ["PATTERNS", "Look"]
 
 MOST_PIXELS, KEPT_PIXELS = 8192, 1024  # along a side of a texture: of a file, and of what is drawn
+FORMATS = ("PNG", "JPEG", "WEBP", "GIF", "BMP", "TIFF")  # none of them starts a program, as PostScript does
 PATTERNS = ("plain", "stripes", "checks")
 
 
@@ -27,7 +30,8 @@ class Look:
         of: name of the shape or of the collider.
         pattern: plain, stripes or checks, which stay with the surface: as they lie on a rectangular cloth, and in a body.
         pattern_colour: sRGB in 0..1 of every other stripe or field [1].
-        texture: an image file, in place of a pattern; it lies upright on a body, as if shone through it from the front.
+        texture: an image file (PNG, JPEG, WebP, GIF, BMP or TIFF), in place of a pattern; it lies upright on a body, as if shone
+            through it from the front.
         repeat: how often the pattern repeats, along each side of a cloth, or along the longest side of a body [1]; 8 by default,
             once for a texture.
         gloss: of highlights, from 0, matt, to 1 [1].
@@ -94,18 +98,22 @@ class Look:
         the one before; none without one. Raises SceneError where it cannot be read."""
         if self.texture is None:
             return []
-        from PIL import Image
+        from PIL import Image, UnidentifiedImageError
 
         try:
-            with Image.open(self.texture) as file:
+            require_file(self.texture)
+            with Image.open(self.texture, formats=FORMATS) as file:
                 if max(file.size) > MOST_PIXELS:
                     raise ValueError(
                         f"it has {file.size[0]} x {file.size[1]} pixels, more than {MOST_PIXELS} along a side"
                     )
                 image = file.convert("RGB")
         except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-            says = f"is not an image that can be read: {getattr(error, 'strerror', None) or error}"
-            raise SceneError(f"{where}.texture", str(self.texture), says=says) from None
+            reason = getattr(error, "strerror", None) or error
+            if isinstance(error, UnidentifiedImageError):
+                reason = f"it is none of {', '.join(FORMATS)}"
+            says = f"is not an image that can be read: {reason}"
+            raise SceneError(f"{where}.texture", Path(self.texture), says=says) from None
         image.thumbnail((KEPT_PIXELS, KEPT_PIXELS))
         sizes = [np.asarray(image)]
         while max(image.size) > 1:

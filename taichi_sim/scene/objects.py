@@ -23,8 +23,15 @@ class SceneObject:
 
     name: str
     balls: NDArray[np.int32]  # (k,)
-    uv: NDArray[np.float64] | None = None  # (k, 2) places on a sheet, in 0..1
+    # (k, 2) places of the balls of a sheet on a texture, in 0..1; or (t, 3, 2) those of the corners of its triangles, as a mesh
+    # with seams has them
+    uv: NDArray[np.float64] | None = None
     kind: str = ""  # the shape that made it, where its name is this and a number, cloth_0
+
+    @property
+    def is_sheet(self) -> bool:
+        """True where each of its balls has one place on a texture, as on a rectangular cloth."""
+        return self.uv is not None and self.uv.ndim == 2
 
 
 class Objects:
@@ -42,12 +49,13 @@ class Objects:
 
         Args:
             balls: (k,) of the scene; name: what they are called together.
-            uv: (k, 2) places of the balls on a texture, in 0..1 [1]; None: those that it has, as a rectangular cloth does.
+            uv: (k, 2) places of the balls on a texture, in 0..1 [1], or (t, 3, 2) of the corners of its t triangles; None: those
+                that it has, as a rectangular cloth does, and a mesh with places.
         """
         if not isinstance(name, str) or not name:
             raise SceneError("objects.name", name, "a text")
         index = validation.indices("objects.balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
-        places = None if uv is None else validation.vectors("objects.uv", uv, len(index), 2)
+        places = None if uv is None else self._places(index, uv)
         self._look_up()
         same = self._firsts.get(int(index[0])) if len(index) else None
         if same is not None and not np.array_equal(self.objects[same].balls, index):
@@ -61,6 +69,17 @@ class Objects:
         if places is None and same is not None:
             places = self.objects[same].uv
         self._put(len(self.objects) if same is None else same, SceneObject(name, index, places))
+
+    def _places(self: Any, index: NDArray[np.int32], uv: ArrayLike) -> NDArray[np.float64]:
+        given = validation.as_array(uv)
+        if given.ndim != 3:
+            return validation.vectors("objects.uv", uv, len(index), 2)
+        own = int(np.isin(self.triangles, index).all(axis=1).sum())
+        if given.shape != (own, 3, 2):
+            raise SceneError(
+                "objects.uv", given.shape, f"of shape ({own}, 3, 2): two numbers for each corner of its triangles"
+            )
+        return validation.vectors("objects.uv", given.reshape(-1, 2), 3 * own, 2).reshape(own, 3, 2)
 
     def new_object(self, kind: str, balls: NDArray[np.int32], uv: NDArray[np.float64] | None = None) -> None:
         """Balls (k,) that a shape of this kind has added are one object, called by it and a number. uv: as for `set_name`."""

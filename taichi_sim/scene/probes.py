@@ -79,8 +79,8 @@ class Probe:
         """What has grown since the start, where the probe gives means of its growth."""
         return None
 
-    def mean(self, growth: Floats) -> dict[str, float]:
-        """The numbers that are means: from the growth of `total` per second."""
+    def mean(self, growth: Floats, interval: float) -> dict[str, float]:
+        """The numbers that are means: from the growth of `total` per second, over an interval [s]."""
         return {}
 
 
@@ -207,9 +207,16 @@ class Impulse(Probe):
 
 
 class Force(Impulse):
-    """The mean force of that since the last reading."""
+    """The mean force of that since the last reading, and the interval of that mean: their product is the impulse. Frames are an
+    interval of whole steps apart, so that 1 / fps is not it."""
 
     kind, units = "force", {"": "N"}
+
+    def numbers(self, dim: int) -> tuple[str, ...]:
+        return (*Impulse.numbers(self, dim), "interval")
+
+    def unit(self, number: str) -> str:
+        return "s" if number == "interval" else "N"
 
     def read(self, sample: ProbeSample) -> dict[str, float]:
         return {}
@@ -217,8 +224,8 @@ class Force(Impulse):
     def total(self, sample: ProbeSample) -> Floats:
         return sample.impulses[bodies_of(sample.scene).index(self.body)]
 
-    def mean(self, growth: Floats) -> dict[str, float]:
-        return _vector(growth)
+    def mean(self, growth: Floats, interval: float) -> dict[str, float]:
+        return {**_vector(growth), "interval": interval}
 
 
 class Flux(Probe):
@@ -256,7 +263,7 @@ class Flux(Probe):
     def read(self, sample: ProbeSample) -> dict[str, float]:
         return dict(zip(("count", "mass"), self.total(sample).tolist()))
 
-    def mean(self, growth: Floats) -> dict[str, float]:
+    def mean(self, growth: Floats, interval: float) -> dict[str, float]:
         return dict(zip(("count_rate", "mass_rate"), growth.tolist()))
 
 

@@ -34,6 +34,7 @@ __all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
 
 # what a scene holds in lists
 LISTS = ("materials", "walls", "colliders", "embedded_surfaces", "gases", "moving_pins", "motors", "probes", "objects")
+UNSIMULATED = ("materials", "embedded_surfaces", "objects")  # of them, what no simulation depends on by itself
 
 
 class Scene(Stored, Elements):
@@ -522,6 +523,14 @@ class Scene(Stored, Elements):
             if name.startswith(("add_", "set_", "new_")):
                 setattr(held, name, partial(refuse, name))
         return held
+
+    def grown_since(self, held: Scene) -> str:
+        """What this scene has more of than `held`, a frozen copy of it, in words; "" where nothing was added."""
+        rows = {name: (table.rows, held._tables()[name].rows) for name, table in self._tables().items()}
+        rows |= {
+            name: (len(getattr(self, name)), len(getattr(held, name))) for name in LISTS if name not in UNSIMULATED
+        }
+        return ", ".join(name for name, (now, then) in rows.items() if now > then)
 
     def _may_change(self, name: str) -> None:
         if isinstance(getattr(self, "walls", None), tuple):

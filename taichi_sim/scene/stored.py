@@ -22,6 +22,8 @@ NEWER = {
     "break_strain": np.inf,
     "collides": False,
     "together": np.int32(-1),
+    "hinge": False,
+    "crush_modulus": 0.0,
 }  # columns that files of older versions may lack
 
 

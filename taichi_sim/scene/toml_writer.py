@@ -190,12 +190,16 @@ def _elements(scene: Any, store: _Arrays) -> dict[str, Any]:
     tables: dict[str, Any] = {} if about["wind"] is None else {"wind": {k: _plain(v) for k, v in about["wind"].items()}}
     if len(scene.cells):
         columns = {"corners": scene.cells, "rest_volume": scene.rest_volume, "bulk_modulus": _one(scene.bulk_modulus)}
+        if scene.crush_modulus.any():
+            columns["crush_modulus"] = _one(scene.crush_modulus)
         if np.any(scene.cells_together >= 0):
             columns["together"] = scene.cells_together
         tables["cells"] = [store.table("cells_", columns)]
     if len(scene.bends):
         columns = {"corners": scene.bends, "weights": scene.bend_weights}
         columns |= {"stiffness": _one(scene.bend_stiffness), "damping": _one(scene.bend_damping)}
+        if scene.bend_hinge.any():
+            columns["hinge"] = _one(scene.bend_hinge)
         tables["bending"] = [store.table("bending_", columns)]
     tables["gases"] = [
         store.table(f"gases_{k}_", {"triangles": gas.triangles}, pressure=gas.pressure, outside=gas.outside)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry.mesh import Surface, surface_area
+from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
 from taichi_sim.shapes.base import Part, Pins, Shape, Springs, affordable, at_least_0, build, or_default
@@ -72,7 +72,7 @@ def balloon(
             inner,
             f"at most {MOST_STRETCH * holds:.4g} Pa, where its skin is twice as long as at rest; give a larger stretch_stiffness",
         )
-    surface = _sphere(cuts)
+    surface = icosphere(cuts)
     surface = Surface(surface.vertices * reach, surface.triangles)
     total = or_default("balloon.mass", mass, RUBBER_DENSITY * surface_area(surface))
     parts = cloth_material.of_mesh(surface, cloth_material.Fabric(total / surface_area(surface), stretch, 0.0, 0.0))
@@ -96,28 +96,3 @@ def balloon(
     )
     scene.add_gas(shape.triangles, pressure=inner)
     return shape
-
-
-def _sphere(cuts: int) -> Surface:
-    """A unit icosphere, counter-clockwise from outside."""
-    golden = 0.5 * (1 + 5**0.5)
-    x = np.array([(s, t * golden, 0.0) for s in (-1, 1) for t in (-1, 1)])
-    vertices: NDArray = np.concatenate([np.roll(x, k, axis=1) for k in range(3)])
-    apart = np.linalg.norm(vertices[:, None] - vertices, axis=2)
-    near = np.isclose(apart, 2.0)
-    triangles = np.array(
-        [(i, j, k) for i in range(12) for j in range(i) for k in range(j) if near[i, j] and near[j, k] and near[k, i]]
-    )
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    inward = np.einsum("ti,ti->t", a, np.cross(b, c)) < 0
-    triangles[inward] = triangles[inward][:, ::-1]
-    vertices = vertices / np.linalg.norm(vertices[0])
-    for _ in range(cuts):
-        sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-        edges, middle = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True)
-        ab, bc, ca = len(vertices) + middle.reshape(3, -1)
-        between = vertices[edges].sum(axis=1)
-        vertices = np.concatenate([vertices, between / np.linalg.norm(between, axis=1, keepdims=True)])
-        a, b, c = triangles.T
-        triangles = np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
-    return Surface(vertices, triangles.astype(np.int32))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,22 +12,23 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.memory import available
-from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.presets import SLAB
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
+    "Bends",
+    "Cells",
     "Part",
     "Pins",
     "Shape",
     "Springs",
     "affordable",
     "at_least_0",
+    "bends_along",
     "build",
     "counts",
     "exclusive",
-    "given_surface",
     "lattice_pairs",
     "lengths",
     "moved",
@@ -74,8 +74,38 @@ class Springs:
     """Springs of one kind within a shape: pairs (m, 2) of its balls, and their stiffness relative to the shape's."""
 
     pairs: NDArray
-    weight: float
+    weight: float | NDArray  # one or one per spring
     stiffness: float | NDArray | None = None  # N/m, one or one per spring; in place of weight times the shape's
+
+
+class Bends(NamedTuple):
+    """Bending elements within a shape, as `Scene.add_bending` takes them."""
+
+    corners: NDArray[np.int64]  # (b, 4) of its balls
+    weights: NDArray[np.float64]  # (b, 4)
+    stiffness: NDArray[np.float64]  # (b,) N/m
+    hinge: bool | NDArray[np.bool_] = True  # one or (b,)
+
+    def plus(self, other: Bends) -> Bends:
+        """Both, one behind the other."""
+        hinge = [np.broadcast_to(one.hinge, len(one.corners)) for one in (self, other)]
+        pairs = zip(self[:3], other[:3])
+        corners, weights, stiffness = (np.concatenate(pair) for pair in pairs)
+        return Bends(corners, weights, stiffness, np.concatenate(hinge))
+
+    def times(self, factor: float) -> Bends:
+        """Those that are so many times as stiff."""
+        return self._replace(stiffness=factor * self.stiffness)
+
+
+class Cells(NamedTuple):
+    """Cells within a shape, as `Scene.add_cells` takes them."""
+
+    corners: NDArray[np.int64]  # (c, dim + 1) of its balls
+    bulk_modulus: NDArray[np.float64]  # (c,) Pa, in 2D N/m
+    crush_modulus: NDArray[np.float64]  # (c,) the same
+    rest_volume: NDArray[np.float64]  # (c,) m^dim
+    together: NDArray[np.int64] | None = None  # (c,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,17 +164,6 @@ def exclusive(shape: str, one: dict[str, Any], other: dict[str, Any]) -> None:
         raise SceneError(f"{shape}.{first[0]}", says=f"does not go with {second[0]}; give one or the other")
 
 
-def given_surface(shape: str, mesh: Any) -> meshes.Surface:
-    """The surface that an argument `mesh` names, or is. Raises SceneError."""
-    if isinstance(mesh, (str, PathLike)):
-        with about(f"{shape}.mesh"):
-            return meshes.read_surface(mesh)
-    surface = meshes.by_hand(f"{shape}.mesh", mesh)
-    if not len(surface.triangles):
-        raise SceneError(f"{shape}.mesh", says="has no triangle")
-    return surface
-
-
 def with_preset(
     scene: Scene, material: str, given: dict[str, float | None], but: Sequence[str] = ()
 ) -> dict[str, float | None]:
@@ -191,6 +210,16 @@ def lattice_pairs(resolution: tuple[int, ...], *offsets: tuple[int, ...]) -> NDA
     return np.concatenate(pairs)
 
 
+def bends_along(index: NDArray, stiffness: float | NDArray) -> Bends:
+    """Bending elements of each three neighbours along the first axis of an array of balls; stiffness [N/m]: one, or one per ball
+    of a line across, whose force is that on the middle ball for each metre by which it lies off, times 4."""
+    first, middle, last = index[:-2], index[1:-1], index[2:]
+    corners = np.stack([middle, middle, first, last], axis=-1).reshape(-1, 4)
+    return Bends(
+        corners, np.tile([-1.0, -1.0, 1.0, 1.0], (len(corners), 1)), np.broadcast_to(stiffness, middle.shape).ravel()
+    )
+
+
 def moved(shape: str, points: NDArray, position: Any, rotation: Any, scale: Any) -> NDArray[np.float64]:
     """Points (n, dim), scaled, then turned about the x, the y and the z axis in this order, then shifted.
 
@@ -221,19 +250,25 @@ def _turn(where: str, rotation: Any, dim: int) -> NDArray[np.float64]:
     return turn
 
 
-def stable_stiffness(kinds: Sequence[Springs], n: int, mass: float) -> float:
-    """The stiffness k [N/m] of weight 1 that is stable at SAFE_STEP with a margin, for n balls of total mass [kg].
+def stable_stiffness(kinds: Sequence[Springs], n: int, mass: float, bends: Bends | None = None) -> float:
+    """The stiffness k [N/m] of weight 1 that is stable at SAFE_STEP with a margin, for n balls of total mass [kg]; bends: with
+    stiffness in parts of k.
 
     The bound that holds for every shape (physics section 5) is h^2 max (S_i / m_i + S_j / m_j) < 4 over the springs,
     S_i the sum of the stiffness at ball i. With S_i = k R_i and all masses mass / n, k = 4 mass / (margin n h^2
-    max(R_i + R_j)).
+    max(R_i + R_j)). Bending adds the largest of its rows, twice where one side of an element is held.
     """
     ends = np.concatenate([kind.pairs for kind in kinds])
     if not len(ends):
         return 1.0
-    weight = np.repeat([kind.weight for kind in kinds], [len(kind.pairs) for kind in kinds])
+    weight: NDArray = np.concatenate([np.broadcast_to(kind.weight, len(kind.pairs)) for kind in kinds])
     row = np.bincount(ends.ravel(), np.repeat(weight, 2), minlength=n)
-    return float(4 * mass / (SAFE_MARGIN * n * SAFE_STEP**2 * row[ends].sum(axis=1).max()))
+    most = float(row[ends].sum(axis=1).max())
+    if bends is not None and len(bends.corners):
+        size = np.abs(bends.weights)
+        each = bends.stiffness[:, None] * size * size.sum(axis=1, keepdims=True)
+        most += 2 * float(np.bincount(bends.corners.ravel(), each.ravel()).max())
+    return 4 * mass / (SAFE_MARGIN * n * SAFE_STEP**2 * most)
 
 
 def build(
@@ -247,16 +282,15 @@ def build(
     damping: float | NDArray | None,
     *,
     stretched: NDArray | None = None,
-    bends: tuple[NDArray, NDArray, NDArray] | None = None,
-    cells: tuple[NDArray, NDArray, NDArray, NDArray | None] | None = None,
+    bends: Bends | None = None,
+    cells: Cells | None = None,
     break_strain: float | None = None,
     uv: NDArray | None = None,
 ) -> Shape:
     """Add one shape to the scene: points (n, dim) m, before they are moved; triangles (t, 3) and springs' pairs index its balls.
 
-    stretched: strain (m,) of the springs at the start. bends: corners (b, 4), weights (b, 4) and stiffness (b,) [N/m]; cells:
-    corners (c, dim + 1), bulk modulus (c,) [Pa], volume at rest (c,), and which act together, see `Scene.add_cells`. uv: (n, 2),
-    places on a sheet in 0..1.
+    stretched: strain (m,) of the springs at the start. uv: (n, 2), places on a sheet in 0..1, or (t, 3, 2) of the corners of its
+    triangles.
     """
     n, own = len(points), points
     points = moved(shape, own, part.position, part.rotation, part.scale)
@@ -304,13 +338,9 @@ def build(
         )
         faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
         scene.add_triangles(faces, collides=part.surface_collision)
-        if bends is not None and len(bends[0]):
-            scene.add_bending(balls[bends[0]], weights=bends[1], stiffness=bends[2])
-        if cells is None or not len(cells[0]):
+        if bends is not None and bends.stiffness.any():
+            scene.add_bending(balls[bends.corners], weights=bends.weights, stiffness=bends.stiffness, hinge=bends.hinge)
+        if cells is None or not len(cells.corners):
             return Shape(balls, springs, faces)
-        return Shape(
-            balls,
-            springs,
-            faces,
-            scene.add_cells(balls[cells[0]], bulk_modulus=cells[1], rest_volume=cells[2], together=cells[3]),
-        )
+        more = cells._asdict()
+        return Shape(balls, springs, faces, scene.add_cells(balls[more.pop("corners")], **more))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,16 +17,17 @@ from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
 from taichi_sim.shapes.base import (
+    Bends,
     Part,
     Pins,
     Shape,
     Springs,
     affordable,
     at_least_0,
+    bends_along,
     build,
     counts,
     exclusive,
-    given_surface,
     lattice_pairs,
     lengths,
     or_default,
@@ -39,10 +40,10 @@ __all__ = ["cloth"]
 
 CLOTH_DENSITY = 0.2  # kg/m^2, a cotton sheet
 SHEAR_SHARE = 0.25  # of a cloth's stiffness, in its diagonals
-BENDING_SHARE = 0.05  # of a cloth's stiffness, between balls two apart or across an edge
 STRETCH_STIFFNESS = 100.0  # N/m: 2 % at the top of a cotton sheet that hangs 1 m
 SHEAR_PART = 0.2  # of the stretch stiffness
 BENDING_RIGIDITY = 1e-5  # N m, cotton
+BENDING_SHARE = 0.002  # of a stiffness that is stable at 1 ms: the default bending is no more, and stable at 16 ms
 
 
 @takes_color
@@ -71,23 +72,25 @@ def cloth(
     self_collision: bool = False,
     surface_collision: bool = False,
     break_strain: float | None = None,
+    up: Literal["y", "z"] | None = None,
 ) -> Shape:
     """A sheet of cloth, or a shell from a surface mesh, in 3D.
 
     The sheet lies in the x-z plane from the origin toward +x and +z; ball (i, j) along x and z has index
-    i * resolution[1] + j. It has springs to the next balls, along the diagonals (a quarter as stiff) and between
-    balls two apart (bending). A mesh keeps its coordinates: vertices are balls, edges springs, and bending springs
-    join the two vertices that face each other across an edge.
+    i * resolution[1] + j. It has springs to the next balls and along the diagonals (a quarter as stiff), and a bending element
+    (see `Scene.add_bending`) for each three balls in a row. A mesh keeps its coordinates: vertices are balls, edges springs. An
+    edge where it is flat has a bending element, and where it is folded a spring between the two vertices that face each other.
 
     With any of mass_per_area, stretch_stiffness, shear_stiffness and bending_rigidity it is made of a material and the same at
-    every resolution: balls weigh what the area around them does, springs at the border count half, and bending elements (see
-    `Scene.add_bending`) take the place of bending springs wherever it is flat.
+    every resolution: balls weigh what the area around them does, and springs and elements at the border count half.
 
     Args:
         size: along x and z [m], (1, 1) by default; resolution: balls along x and z, at least 2, (32, 32) by default.
         mesh: an OBJ, PLY, STL or GLB file, or (vertices (v, 3) [m], triangles (t, 3)), in place of size and resolution.
         mass: of all of it [kg], shared out equally (by area in a material); 0.2 kg per m^2 of the sheet by default.
-        stiffness: of each spring [N/m]; bending_stiffness: of those that resist bending [N/m], a twentieth of it by default.
+        stiffness: of each spring [N/m].
+        bending_stiffness: of each three balls in a row [N/m]: the bending rigidity of a grid over the square of its spacing. By
+            default that of 1e-5 N m, or less where that would not be stable at 16 ms.
         mass_per_area: in place of mass [kg/m^2]; 0.2.
         stretch_stiffness: force per width and strain along the threads [N/m]; 100.
         shear_stiffness: the same across them [N/m]; a fifth of it by default. A mesh has none of its own: a third of it.
@@ -96,6 +99,7 @@ def cloth(
         radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
         break_strain: of all springs, at which each tears for good [1], see Scene.add_springs; never by default.
         surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
+        up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY, which do not tell.
     """
     if scene.dim != 3:
         raise SceneError("cloth", says="a cloth needs a scene with dim = 3; in 2D use rope or jelly")
@@ -113,31 +117,37 @@ def cloth(
     factor = validation.number("cloth.scale", scale, positive=True)
     grid: Any
     if mesh is None:
-        grid = _grid(size, resolution, any(value is not None for value in woven.values()))
-        surface, spacing, area = grid[0], 0.45 * float(grid[2].min()), float(grid[3].prod())
+        if up is not None:
+            raise SceneError("cloth.up", says="is for a mesh; give position and rotation instead")
+        grid = _grid(size, resolution)
+        surface, spacing, area = grid[0], float(grid[2].min()), float(grid[3].prod())
     elif size is not None or resolution is not None:
         raise SceneError("cloth.mesh", says="takes the place of size and resolution; give one or the other")
     else:
-        grid, surface = None, given_surface("cloth", mesh)
+        grid, surface = None, meshes.given_surface("cloth", mesh, up)
         if wrong := meshes.flaws(surface, closed=False):
             warnings.warn(
                 f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters",
                 stacklevel=3,
             )
-        spacing, area = 0.4 * _mean_edge(surface), meshes.surface_area(surface)
+        spacing, area = _mean_edge(surface), meshes.surface_area(surface)
     area = area * factor**2
     total = or_default("cloth.mass", mass, CLOTH_DENSITY * area)
     thinner = surface_part("cloth", surface_collision)
-    ball_radius = or_default("cloth.radius", radius, thinner * spacing * factor)
+    spacing *= factor
+    ball_radius = or_default("cloth.radius", radius, (0.45 if grid is not None else 0.4) * thinner * spacing)
     drag = at_least_0("cloth.damping", damping)
-    strength, bends = 0.0, None
+    strength = 0.0
     masses: float | NDArray = total
     if all(value is None for value in woven.values()):
-        kinds = _shell(surface) if grid is None else _threads(grid[1])
-        strength = at_least_0("cloth.stiffness", stiffness, stable_stiffness(kinds, len(surface.vertices), total))
-        bending = at_least_0("cloth.bending_stiffness", bending_stiffness)
-        if bending is not None:
-            kinds[-1] = Springs(kinds[-1].pairs, 0.0, bending)
+        kinds, across, bends = _springs(surface, grid)
+        usual = [*kinds, Springs(across.pairs, np.minimum(BENDING_SHARE * across.weight, 1.0))]
+        stable = stable_stiffness(usual, len(surface.vertices), total, bends.times(BENDING_SHARE))
+        strength = at_least_0("cloth.stiffness", stiffness, stable)
+        soft = min(BENDING_RIGIDITY / spacing**2, BENDING_SHARE * stable)
+        bending = at_least_0("cloth.bending_stiffness", bending_stiffness, soft)
+        kinds.append(Springs(across.pairs, 0.0, np.minimum(bending * across.weight, strength)))
+        bends = bends.times(bending)
     else:
         cotton = _fabric(woven, total / area, grid is None)
         if grid is None:
@@ -150,7 +160,7 @@ def cloth(
             drag = drag / cotton.stretch * np.concatenate([k for _, k in parts.springs])
     placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation, "scale": factor}
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
-    more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": None if grid is None else grid[4]}
+    more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": surface.uv if grid is None else grid[4]}
     return build(scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, **more)
 
 
@@ -168,12 +178,12 @@ def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) 
     )
 
 
-def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None, bends: bool) -> tuple:
+def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None) -> tuple:
     """The surface of a flat sheet, its balls along x and z, their spacing, its size (2,) [m] and places on it (n, 2)."""
     extent = lengths("cloth.size", (1.0, 1.0) if size is None else size, 2)
     number = counts("cloth.resolution", (32, 32) if resolution is None else resolution, 2, 2)
     balls = number[0] * number[1]
-    affordable("cloth.resolution", resolution, balls, (4 if bends else 6) * balls, bends=3 * balls * bends)
+    affordable("cloth.resolution", resolution, balls, 4 * balls, bends=3 * balls)
     i, j = np.meshgrid(*map(np.arange, number), indexing="ij")
     spacing = extent / (np.array(number) - 1)
     points = np.stack([i * spacing[0], np.zeros(i.shape), j * spacing[1]], axis=-1).reshape(-1, 3)
@@ -185,18 +195,20 @@ def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None, bends:
     return meshes.Surface(points, triangles), number, spacing, extent, uv
 
 
-def _threads(number: tuple[int, int]) -> list[Springs]:
-    return [
-        Springs(lattice_pairs(number, (1, 0), (0, 1)), 1.0),
-        Springs(lattice_pairs(number, (1, 1), (1, -1)), SHEAR_SHARE),
-        Springs(lattice_pairs(number, (2, 0), (0, 2)), BENDING_SHARE),
-    ]
-
-
-def _shell(surface: meshes.Surface) -> list[Springs]:
-    edges, hinges = meshes.unique_edges(surface.triangles), meshes.hinge_pairs(surface.triangles)
-    joined = np.isin(_key(hinges), _key(edges))  # in a tetrahedron the facing vertices share an edge
-    return [Springs(edges, 1.0), Springs(hinges[~joined], BENDING_SHARE)]
+def _springs(surface: meshes.Surface, grid: Any) -> tuple[list[Springs], Springs, Bends]:
+    """Springs of a sheet or shell of equal balls; springs across folded edges, and bending elements, both for a bending stiffness
+    of 1 N/m."""
+    if grid is None:
+        edges = meshes.unique_edges(surface.triangles)
+        bends, pairs, strength = cloth_material.mesh_bends(surface)
+        free = ~np.isin(_key(np.sort(pairs, axis=1)), _key(edges))  # in a tetrahedron the facing vertices share an edge
+        return [Springs(edges, 1.0)], Springs(pairs[free], strength[free]), bends
+    number = grid[1]
+    index = np.arange(number[0] * number[1]).reshape(number)
+    sides = Springs(lattice_pairs(number, (1, 0), (0, 1)), 1.0)
+    diagonals = Springs(lattice_pairs(number, (1, 1), (1, -1)), SHEAR_SHARE)
+    bends = bends_along(index, 1.0).plus(bends_along(index.T, 1.0))
+    return [sides, diagonals], Springs(np.zeros((0, 2), dtype=np.int64), 0.0), bends
 
 
 def _mean_edge(surface: meshes.Surface) -> float:

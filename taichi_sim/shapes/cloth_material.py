@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface, hinges, unique_edges
+from taichi_sim.shapes.base import Bends, bends_along
 
-__all__ = ["Bends", "Fabric", "Parts", "of_mesh", "of_sheet", "tension_shares"]
+__all__ = ["Fabric", "Parts", "mesh_bends", "of_mesh", "of_sheet", "tension_shares"]
 
 FLAT_HINGE = 1e-4  # rad: a hinge folded less is flat
 
@@ -26,14 +27,6 @@ class Fabric(NamedTuple):
     stretch: float  # N/m
     shear: float  # N/m
     rigidity: float  # N m
-
-
-class Bends(NamedTuple):
-    """Bending elements within a shape, as `Scene.add_bending` takes them."""
-
-    corners: NDArray[np.int64]  # (b, 4) of its balls
-    weights: NDArray[np.float64]  # (b, 4)
-    stiffness: NDArray[np.float64]  # (b,) N/m
 
 
 class Parts(NamedTuple):
@@ -58,8 +51,9 @@ def of_mesh(surface: Surface, fabric: Fabric) -> Parts:
     area = _areas(surface)
     third = np.repeat(area / 3, 3)
     mass = fabric.mass_per_area * np.bincount(surface.triangles.ravel(), third, minlength=len(surface.vertices))
-    bends, across, strength = _mesh_bends(surface, fabric)
-    return Parts(mass, [_mesh_springs(surface, area, fabric), (across, strength)], bends)
+    bends, across, strength = mesh_bends(surface, fabric.rigidity)  # a spring across is never stiffer than the sheet
+    springs = [_mesh_springs(surface, area, fabric), (across, np.minimum(strength, fabric.stretch))]
+    return Parts(mass, springs, bends)
 
 
 def _borders(number: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -110,40 +104,33 @@ def _sheet_springs(number: tuple[int, int], spacing: NDArray, fabric: Fabric) ->
 def _sheet_bends(number: tuple[int, int], spacing: NDArray, rigidity: float) -> Bends:
     """A plate with Poisson's ratio 0, energy rigidity / 2 (w_xx^2 + w_zz^2 + 2 w_xz^2) per area.
 
-    Each three balls in a row have the second difference, each four of a mesh the twist; a row at the border counts half. The
-    fourth ball of a second difference, in the next row, has the weight 0.
+    Each three balls in a row have the second difference, each four of a mesh the twist; a row at the border counts half.
     """
     index = np.arange(number[0] * number[1]).reshape(number)
     a, b = spacing
-    corners, weights, stiffness = [], [], []
-    for axis, along, across in ((0, a, b), (1, b, a)):
-        grid, part = (index, _borders(number)[1]) if axis == 0 else (index.T, _borders(number)[0])
-        beside = np.concatenate([grid[:, 1:2], grid[:, :-1]], axis=1)
-        four = np.stack([grid[:-2], grid[1:-1], grid[2:], beside[1:-1]], axis=-1).reshape(-1, 4)
-        corners.append(four)
-        weights.append(np.tile([1.0, -2.0, 1.0, 0.0], (len(four), 1)))
-        stiffness.append(
-            np.broadcast_to(rigidity * across / along**3 * part, (max(0, len(grid) - 2), len(part))).ravel()
-        )
+    beside_x, beside_z = _borders(number)
+    along_x = bends_along(index, rigidity * b / a**3 * beside_z)
+    along_z = bends_along(index.T, rigidity * a / b**3 * beside_x)
     four = np.stack([index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]], axis=-1).reshape(-1, 4)
-    corners.append(four)
-    weights.append(np.tile([1.0, -1.0, -1.0, 1.0], (len(four), 1)))
-    stiffness.append(np.full(len(four), 2 * rigidity / (a * b)))
-    return Bends(np.concatenate(corners), np.concatenate(weights), np.concatenate(stiffness))
+    weights = np.tile([1.0, -1.0, -1.0, 1.0], (len(four), 1))
+    twist = Bends(four, weights, np.full(len(four), 2 * rigidity / (a * b)), hinge=False)
+    return along_x.plus(along_z).plus(twist)
 
 
 def _areas(surface: Surface) -> NDArray[np.float64]:
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
-    normal = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    longest = np.maximum(
-        np.maximum(np.sum((b - a) ** 2, axis=1), np.sum((c - b) ** 2, axis=1)), np.sum((a - c) ** 2, axis=1)
-    )
-    thin = np.flatnonzero(normal <= 1e-6 * longest)
+    thin = np.flatnonzero(_thin(a, b, c))
     if len(thin):
         names = ", ".join(str(t) for t in thin[:3]) + (f" and {len(thin) - 3} more" if len(thin) > 3 else "")
         says = f"triangles {names} (from 0) have no area; take them out, or merge their corners"
         raise SceneError("cloth.mesh", says=says)
-    return 0.5 * normal
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def _thin(a: NDArray, b: NDArray, c: NDArray) -> NDArray[np.bool_]:
+    """Triangles (t,) without area, of corners (t, 3) each."""
+    longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0, initial=0.0)
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 1e-6 * longest)
 
 
 def _mesh_springs(surface: Surface, area: NDArray, fabric: Fabric) -> tuple[NDArray, NDArray]:
@@ -176,15 +163,20 @@ def _cotangent(at: NDArray, one: NDArray, other: NDArray) -> NDArray[np.float64]
     return np.einsum("hi,hi->h", u, v) / np.linalg.norm(np.cross(u, v), axis=1)
 
 
-def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArray]:
+def mesh_bends(surface: Surface, rigidity: float | None = None) -> tuple[Bends, NDArray, NDArray]:
     """Bending of a mesh: elements where it is flat at rest, and springs (m, 2), (m,) [N/m] across the edges where it is folded.
 
-    Elements: rigidity / (A0 + A1) |K . x|^2 / 2 with K of cotangents (Bergou et al. 2006; the factor is what a cylinder stores).
-    A spring across an edge of length e stores the same, rigidity e^2 / (A0 + A1) times half the square of a small change of the
-    angle; it is never stiffer than the sheet.
+    Elements: rigidity [N m] / (A0 + A1) |K . x|^2 / 2 with K of cotangents (Bergou et al. 2006; the factor is what a cylinder
+    stores). A spring across an edge of length e stores the same, rigidity e^2 / (A0 + A1) times half the square of a small change
+    of the angle. Without a rigidity each edge resists as three balls in a row do whose element has a stiffness of 1 N/m, the ends
+    as far apart as the two vertices that face each other across the edge. Beside a triangle without area nothing bends.
     """
     edge, opposite = hinges(surface.triangles)
     x = surface.vertices
+    wide = np.ones(len(edge), dtype=bool)
+    for k in range(2):
+        wide &= ~_thin(x[edge[:, 0]], x[edge[:, 1]], x[opposite[:, k]])
+    edge, opposite = edge[wide], opposite[wide]
     x0, x1, x2, x3 = x[edge[:, 0]], x[edge[:, 1]], x[opposite[:, 0]], x[opposite[:, 1]]
     at_0 = _cotangent(x0, x1, x2), _cotangent(x0, x1, x3)
     at_1 = _cotangent(x1, x0, x2), _cotangent(x1, x0, x3)
@@ -193,7 +185,8 @@ def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArr
     length = np.linalg.norm(along, axis=1)
     normals = np.cross(along, x2 - x0), np.cross(x3 - x0, along)
     double = np.linalg.norm(normals[0], axis=1), np.linalg.norm(normals[1], axis=1)
-    strength = 2 * fabric.rigidity / (double[0] + double[1])
+    apart = np.sum((x3 - x2) ** 2, axis=1)
+    strength = apart / (2 * length) ** 2 if rigidity is None else 2 * rigidity / (double[0] + double[1])
     sine = np.linalg.norm(np.cross(*normals), axis=1) / (double[0] * double[1])
     flat = (sine < FLAT_HINGE) & (np.einsum("hi,hi->h", *normals) > 0)
     corners = np.concatenate([edge, opposite], axis=1)
@@ -201,5 +194,5 @@ def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArr
     reach = double[0] * double[1] / length**2 * sine  # of the distance across, times that, for each radian
     folded = ~flat
     change = np.maximum(reach[folded] ** 2, 1e-300)
-    k = strength[folded] * length[folded] ** 2 * np.sum((x3 - x2)[folded] ** 2, axis=1) / change
-    return bends, opposite[folded], np.minimum(k, fabric.stretch)
+    k = strength[folded] * length[folded] ** 2 * apart[folded] / change
+    return bends, opposite[folded], k

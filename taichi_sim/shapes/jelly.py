@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,7 @@ from taichi_sim.shapes import jelly_material
 from taichi_sim.shapes.base import (
     SAFE_MARGIN,
     SAFE_STEP,
+    Cells,
     Part,
     Pins,
     Shape,
@@ -29,7 +30,6 @@ from taichi_sim.shapes.base import (
     build,
     counts,
     exclusive,
-    given_surface,
     lattice_pairs,
     lengths,
     or_default,
@@ -46,6 +46,7 @@ MESH_RATIO = 0.4  # Poisson's, of a filled mesh
 FLAT_MESH = 1e-6  # of its longest side: a mesh that is thinner is no body
 DEFAULT_BOXES = 16  # along the longest side of a mesh
 FILLS = ("voxels", "tetrahedra")
+CRUSH = 3.0  # times the shear modulus: the crush modulus of its cells
 BALL_SHARE = 0.25  # radius of a filled mesh's balls, of its spacing
 
 
@@ -74,6 +75,7 @@ def jelly(
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
     surface_collision: bool = False,
+    up: Literal["y", "z"] | None = None,
 ) -> Shape:
     """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D; or a filled mesh.
 
@@ -102,6 +104,7 @@ def jelly(
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
         radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
+        up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY, which do not tell.
     """
     elastic = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
     if stiffness is None:
@@ -120,14 +123,18 @@ def jelly(
     if mesh is None:
         if spacing is not None:
             raise SceneError("jelly.spacing", says="is for a mesh; a block has a resolution")
+        if up is not None:
+            raise SceneError("jelly.up", says="is for a mesh; give position and rotation instead")
         block = _block(scene.dim, size, resolution)
         if all(value is None for value in elastic.values()):
-            points, kinds, soft, triangles, finest = _springs(block, factor, mass)
+            points, kinds, soft, triangles, finest, cells = _springs(block, factor, mass)
             total = or_default("jelly.mass", mass, JELLY_DENSITY[scene.dim] * float(np.prod(block[0] * factor)))
             strength = at_least_0("jelly.stiffness", stiffness, soft)
             ball_radius = or_default("jelly.radius", radius, thinner * finest)
             part = Part(total, ball_radius, *looks, **placed | {"scale": factor})
-            return build(scene, "jelly", points, kinds, triangles, part, strength, drag)
+            guarded = strength if stiffness is None else 0.0
+            cells = cells._replace(crush_modulus=guarded * cells.crush_modulus)
+            return build(scene, "jelly", points, kinds, triangles, part, strength, drag, cells=cells)
         body, extent, default_radius = _solid_block(block, factor)
         volume, skin = float(np.prod(extent)), None
         default_radius *= thinner
@@ -137,7 +144,7 @@ def jelly(
         for name, value in (("size", size), ("resolution", resolution), ("stiffness", stiffness)):
             if value is not None:
                 raise SceneError(f"jelly.{name}", says="is for a block; a mesh takes spacing, scale and young_modulus")
-        surface = given_surface("jelly", mesh)
+        surface = meshes.given_surface("jelly", mesh, up)
         surface = meshes.Surface(surface.vertices * factor, surface.triangles)
         extent = np.ptp(surface.vertices, axis=0)
         step = or_default("jelly.spacing", spacing, float(extent.max()) / DEFAULT_BOXES)
@@ -206,9 +213,8 @@ def of_body(
     unit = jelly_material.moduli(shape, scene.dim, 1.0, ratio)
     modulus = or_default(f"{shape}.young_modulus", young_modulus, _wobbly(body, masses, height, unit, bounded))
     mu, bulk = modulus * unit[0], modulus * unit[1]
-    cells = None
-    if bulk > 0:
-        cells = (body.cells, np.full(len(body.cells), bulk * body.cell_share), body.cell_volume, body.together)
+    share = np.full(len(body.cells), body.cell_share)
+    cells = Cells(body.cells, bulk * share, CRUSH * mu * share, body.cell_volume, body.together)
     ball_radius = or_default(f"{shape}.radius", radius, default_radius)
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
     kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
@@ -229,7 +235,8 @@ def _block(dim: int, size: Any, resolution: Any) -> tuple[NDArray[np.float64], t
 
 
 def _springs(block: tuple, factor: float, mass: float | None) -> tuple:
-    """Points, springs, the default stiffness, surface and ball radius of a block of equal balls."""
+    """Points, springs, the default stiffness, surface, ball radius and cells of a block of equal balls; the cells' moduli for a
+    stiffness of 1 N/m."""
     extent, number = block
     dim = len(number)
     spacing = extent / (np.array(number) - 1)
@@ -242,7 +249,12 @@ def _springs(block: tuple, factor: float, mass: float | None) -> tuple:
     if dim == 3:
         triangles = jelly_material.box_surface(np.ones([n - 1 for n in number], dtype=bool))
     finest = 0.45 * float(spacing.min()) * factor
-    return points, kinds, min(soft, stable_stiffness(kinds, len(points), total)), triangles, finest
+    corners, volume, share, together = jelly_material.box_cells(
+        np.ones([n - 1 for n in number], dtype=bool), spacing * factor
+    )
+    mu = 0.5 if dim == 2 else 0.8 / cell**0.5  # C44, see `_lattice`
+    cells = Cells(corners, 0.0 * volume, np.full(len(corners), CRUSH * share * mu), volume, together)
+    return points, kinds, min(soft, stable_stiffness(kinds, len(points), total)), triangles, finest, cells
 
 
 def _lattice(number: tuple[int, ...]) -> tuple[list[Springs], float]:

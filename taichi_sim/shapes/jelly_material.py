@@ -23,6 +23,7 @@ from taichi_sim.scene.elements import cell_volumes
 
 __all__ = [
     "Solid",
+    "box_cells",
     "box_surface",
     "connected",
     "inside",
@@ -110,21 +111,33 @@ def lattice(where: str, filled: NDArray[np.bool_], spacing: NDArray[np.float64])
     used = np.flatnonzero(part.ravel() > 0)
     new = np.zeros(index.size, dtype=np.int64)
     new[used] = np.arange(len(used))
-    box = float(np.prod(a))
-    first = np.argwhere(filled)
-    shapes = CROSSING[dim]
-    cells = np.concatenate([np.stack([index[tuple((first + c).T)] for c in corners], axis=1) for corners in shapes])
+    cells, volume, cell_share, together = box_cells(filled, a)
     return Solid(
         np.stack(np.unravel_index(used, number), axis=1) * a,
-        part.ravel()[used] * box,
+        part.ravel()[used] * float(np.prod(a)),
         new[np.concatenate(pairs)],
         np.concatenate(stiffness),
         new[cells],
-        np.full(len(cells), box / (3 if dim == 3 else 2)),
-        1.5 if dim == 3 else 0.5,
+        volume,
+        cell_share,
         new[box_surface(filled)] if dim == 3 else np.zeros((0, 3), dtype=np.int64),
-        None if dim == 3 else np.tile(np.arange(len(first)), len(shapes)),
+        together,
     )
+
+
+def box_cells(
+    filled: NDArray[np.bool_], spacing: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], float, NDArray[np.int64] | None]:
+    """Cells of the boxes of a lattice that are filled, as a `Solid` has them, of points that count along the last axis fastest:
+    corners (c, dim + 1), volumes (c,) [m^dim], the share of a modulus in each, and which act together."""
+    dim, first = filled.ndim, np.argwhere(filled)
+    number = tuple(n + 1 for n in filled.shape)
+    places = [[np.ravel_multi_index(tuple((first + c).T), number) for c in corners] for corners in CROSSING[dim]]
+    cells = np.concatenate([np.stack(four, axis=1) for four in places])
+    volume = np.full(len(cells), float(np.prod(spacing)) / (3 if dim == 3 else 2))
+    if dim == 3:
+        return cells, volume, 1.5, None
+    return cells, volume, 0.5, np.tile(np.arange(len(first)), len(CROSSING[2]))
 
 
 def _averaged(values: NDArray, axis: int) -> NDArray:

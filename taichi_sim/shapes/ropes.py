@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
@@ -17,7 +18,9 @@ from taichi_sim.shapes.base import (
     Springs,
     affordable,
     at_least_0,
+    bends_along,
     build,
+    exclusive,
     lattice_pairs,
     or_default,
     stable_stiffness,
@@ -26,6 +29,10 @@ from taichi_sim.shapes.base import (
 __all__ = ["rope", "wheel"]
 
 ROPE_DENSITY = 0.1  # kg/m
+FIRMNESS = (
+    1000 * 10.0
+)  # m/s^2, stretch stiffness for each kg: a rope that hangs straight down is a thousandth longer at its top
+STRETCH_DAMPING = 0.01  # of critical, for the slowest motion along a rope that is held at one end
 
 
 @takes_color
@@ -36,8 +43,12 @@ def rope(
     n: int = 32,
     *,
     mass: float | None = None,
+    mass_per_length: float | None = None,
+    EA: float | None = None,
+    EI: float | None = None,
+    young_modulus: float | None = None,
     stiffness: float | None = None,
-    bending_stiffness: float = 0.0,
+    bending_stiffness: float | None = None,
     damping: float | None = None,
     radius: float | None = None,
     velocity: Sequence[float] | None = None,
@@ -47,40 +58,80 @@ def rope(
     colour: Sequence[float] | None = None,
     self_collision: bool = False,
 ) -> Shape:
-    """A rope of n balls from start to end, in 2D or 3D; ball 0 lies at the start.
+    """A rope or rod of n balls from start to end, in 2D or 3D; ball 0 lies at the start.
+
+    It is made of a material and the same at every n: it stretches, bends, swings and is damped alike. With stiffness or
+    bending_stiffness it is a chain of equal balls and springs instead, whose material depends on n. It does not resist twisting.
 
     Args:
         start, end: (dim,) of its first and its last ball [m]; n: how many balls, at least 2.
-        mass: of all of it [kg], shared out equally; 0.1 kg per m by default.
-        stiffness: of each piece [N/m]; bending_stiffness: between balls two apart [N/m], none by default.
+        mass: of all of it [kg]; mass_per_length: in place of mass [kg/m]; 0.1.
+        EA: stretch stiffness, force per strain [N]; by default 1000 times the weight of the rope, at 10 m/s^2.
+        EI: bending stiffness, moment per curvature [N m^2]; 0 by default: a rope that is perfectly flexible.
+        young_modulus: in place of EA and EI [Pa], those of a solid round rod of this radius, which then has to be given.
+        stiffness: of each piece [N/m], in place of EA.
+        bending_stiffness: of each three neighbouring balls [N/m], EI over the cube of their distance, in place of EI.
+        damping: force per rate of strain [N s]; by default that which damps the slowest motion along a rope held at one end
+            by 0.01 of critical. With stiffness or bending_stiffness of each piece, along it [N s/m]; a tenth of critical.
         radius: of each ball [m]; 0.45 of their distance by default.
     """
     a = validation.vectors("rope.start", start, 1, scene.dim)[0]
     b = validation.vectors("rope.end", end, 1, scene.dim)[0]
-    number = (validation.whole("rope.n", n, 2),)
-    affordable("rope.n", n, number[0], 2 * number[0])
+    number = validation.whole("rope.n", n, 2)
+    affordable("rope.n", n, number, number, bends=number)
     length = float(np.linalg.norm(b - a))
     if length == 0:
         raise SceneError("rope.end", b, "another point than start")
-    points = a + np.linspace(0.0, 1.0, number[0])[:, None] * (b - a)
-    bend = validation.number("rope.bending_stiffness", bending_stiffness, low=0)
-    kinds = [Springs(lattice_pairs(number, (1,)), 1.0)]
-    total = or_default("rope.mass", mass, ROPE_DENSITY * length)
-    strength = at_least_0("rope.stiffness", stiffness, stable_stiffness(kinds, len(points), total))
-    if bend > 0:
-        kinds.append(Springs(lattice_pairs(number, (2,)), 0.0, bend))
+    chain = {"stiffness": stiffness, "bending_stiffness": bending_stiffness}
+    elastic = {"EA": EA, "EI": EI, "young_modulus": young_modulus}
+    exclusive("rope", elastic | {"mass_per_length": mass_per_length}, chain)
+    exclusive("rope", {"mass_per_length": mass_per_length}, {"mass": mass})
+    exclusive("rope", {"young_modulus": young_modulus}, {"EA": EA, "EI": EI})
+    points = a + np.linspace(0.0, 1.0, number)[:, None] * (b - a)
+    total = or_default("rope.mass", mass, or_default("rope.mass_per_length", mass_per_length, ROPE_DENSITY) * length)
+    spacing = length / (number - 1)
+    drag = at_least_0("rope.damping", damping)
+    masses: float | NDArray = total
+    pairs = lattice_pairs((number,), (1,))
+    if all(value is None for value in chain.values()):
+        stretch, bend = _moduli(elastic, radius, FIRMNESS * total)
+        if drag is None:  # 2 zeta / omega times EA, omega = pi / (2 L) sqrt(EA L / m)
+            drag = STRETCH_DAMPING * 4 / np.pi * float(np.sqrt(stretch * total * length))
+        strength, bend, drag = stretch / spacing, bend / spacing**3, drag / spacing
+        masses = np.full(number, total / (number - 1))
+        masses[[0, -1]] /= 2
+    else:
+        strength = at_least_0("rope.stiffness", stiffness, stable_stiffness([Springs(pairs, 1.0)], number, total))
+        bend = at_least_0("rope.bending_stiffness", bending_stiffness, 0.0)
     part = Part(
-        total,
-        or_default("rope.radius", radius, 0.45 * length / (number[0] - 1)),
+        masses,
+        or_default("rope.radius", radius, 0.45 * spacing),
         pinned,
         material,
         colour,
         self_collision,
         velocity=velocity,
         position=position,
-        border=np.isin(np.arange(number[0]), [0, number[0] - 1]),
+        border=np.isin(np.arange(number), [0, number - 1]),
     )
-    return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, at_least_0("rope.damping", damping))
+    bends = bends_along(np.arange(number), bend) if bend > 0 else None
+    kinds = [Springs(pairs, 1.0)]
+    return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, drag, bends=bends)
+
+
+def _moduli(elastic: dict[str, float | None], radius: float | None, default: float) -> tuple[float, float]:
+    """Stretch stiffness EA [N] and bending stiffness EI [N m^2] of a rope; default: EA where nothing tells it."""
+    modulus = elastic["young_modulus"]
+    if modulus is None:
+        return or_default("rope.EA", elastic["EA"], default), at_least_0("rope.EI", elastic["EI"], 0.0)
+    if radius is None:
+        raise SceneError(
+            "rope.young_modulus", says="needs the radius of the rope; give radius, or EA and EI in its place"
+        )
+    thick = validation.number("rope.radius", radius, positive=True)
+    area = np.pi * thick**2
+    stiffness = validation.number("rope.young_modulus", modulus, positive=True) * area
+    return stiffness, stiffness * thick**2 / 4
 
 
 @takes_color

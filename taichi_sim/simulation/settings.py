@@ -9,11 +9,12 @@ import numpy as np
 from taichi_sim.analysis.accuracy import layers
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import VERLET, Method
-from taichi_sim.analysis.stability import Stability
+from taichi_sim.analysis.stability import Stability, sinking_step
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
 from taichi_sim.device import backend
 from taichi_sim.scene.scene import Scene, max_restitution
+from taichi_sim.simulation.settling import require_tolerance
 
 __all__ = ["Settings", "part_of_bound"]
 
@@ -30,6 +31,7 @@ DEFAULTS: dict[str, Any] = {
     "accumulate": "auto",
     "driver": "auto",
     "spin": "auto",
+    "settle": None,
 }
 WORDS: dict[str, tuple[Any, ...]] = {
     "accumulate": ("auto", "ordered", "gather", "atomic"),
@@ -49,6 +51,7 @@ SAFETY = 0.9  # of the stability bound
 UNDAMPED = 0.4
 SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
 MOST_SUBSTEPS = 8
+CLOSING = 1.0  # of the thickness of surfaces that collide: how far they may close in a substep
 MANY_BALLS = 1000  # fewer can afford two iterations
 SURFACE_ITERATIONS = (
     10  # folds lie in layers, each ball in many contacts; finding these takes far longer than an iteration
@@ -72,6 +75,7 @@ class Settings:
     accumulate: str
     driver: str
     spin: Any
+    settle: float | None
 
     @classmethod
     def resolve(cls, scene: Scene, given: dict[str, Any]) -> "Settings":
@@ -94,6 +98,7 @@ class Settings:
         for name in ("contact_iterations", "substeps"):
             if not _auto(values[name]):
                 values[name] = validation.whole(name, values[name], 1, MOST_PARTS_GIVEN)
+        values["settle"] = require_tolerance(values["settle"])
         if not _auto(values["dt"]):
             values["dt"] = validation.number("dt", values["dt"], high=math.inf)
             if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
@@ -150,16 +155,39 @@ class Settings:
         return dt, self._substeps(scene, dt)
 
     def _substeps(self, scene: Scene, dt: float) -> int:
-        """ "auto": as many as loose balls need to lie on each other firmly, should they pile up as wide as they start."""
+        """ "auto": as many as loose balls need to lie on each other firmly, and, down to LONGEST_STEP, as surfaces that collide
+        and the passes of xpbd need."""
         if self.substeps != "auto":
             return int(self.substeps)
-        loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
-        g = float(np.linalg.norm(scene.gravity))
-        if self.contacts == "off" or np.count_nonzero(loose) < 2 or g == 0.0:
-            return 1
-        radius = float(np.median(scene.radius[loose]))
-        longest = np.sqrt(SINKING[scene.dim] * radius / (g * layers(scene, loose)))
-        return int(np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS))
+        piled = np.clip(np.ceil(dt / _pile_step(scene, self.contacts) * (1.0 - 1e-9)), 1, MOST_SUBSTEPS)
+        longest = _surface_step(scene, self.contacts)
+        if self.integrator.method.single_pass:
+            longest = min(longest, sinking_step(scene))
+        needed = np.clip(np.ceil(dt / max(LONGEST_STEP, longest) * (1.0 - 1e-9)), 1, MOST_PARTS)
+        return int(max(piled, needed))
+
+
+def _pile_step(scene: Scene, contacts: Any) -> float:
+    """The longest substep [s] with which loose balls lie on each other firmly, should they pile up as wide as they start."""
+    loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
+    g = float(np.linalg.norm(scene.gravity))
+    if contacts == "off" or np.count_nonzero(loose) < 2 or g == 0.0:
+        return math.inf
+    radius = float(np.median(scene.radius[loose]))
+    return float(np.sqrt(SINKING[scene.dim] * radius / (g * layers(scene, loose))))
+
+
+def _surface_step(scene: Scene, contacts: Any) -> float:
+    """The longest substep [s] in which folds of surfaces that collide close by at most CLOSING of their thickness: they fall by
+    the length of the largest body of them before they meet."""
+    if contacts == "off" or not scene.solid.any():
+        return math.inf
+    balls = np.unique(scene.triangles[scene.solid])
+    g = float(np.linalg.norm(scene.gravity))
+    longest = float(np.ptp(scene.position[balls], axis=0).max())
+    start = float(np.linalg.norm(scene.velocity[balls] - scene.velocity[balls].mean(axis=0), axis=1).max())
+    speed = math.sqrt(start**2 + 2.0 * g * longest)
+    return CLOSING * 2.0 * float(scene.radius[balls].min()) / speed if speed > 0.0 else math.inf
 
 
 def part_of_bound(scene: Scene, method: Method) -> float:

@@ -10,6 +10,7 @@ from importlib import import_module
 from io import BytesIO
 from os import PathLike
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,7 @@ from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.analysis.collider_checks import check_colliders
 from taichi_sim.analysis.element_rates import declared_rates, undeclared
-from taichi_sim.analysis.frame import Contacts, Frame
+from taichi_sim.analysis.frame import Contacts, Frame, frame_count
 from taichi_sim.analysis.lazy_frame import MomentsOf
 from taichi_sim.analysis.outcome import Scales
 from taichi_sim.analysis.preflight import cautions
@@ -40,6 +41,7 @@ from taichi_sim.simulation import structure
 from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import NO_CAPACITY_KNOWN, Assembly, OtherStructureError, compensates
 from taichi_sim.simulation.settings import Settings
+from taichi_sim.simulation.settling import Settled, settle, still
 from taichi_sim.simulation.stepper import Stepper
 
 __all__ = ["Simulation"]
@@ -68,6 +70,7 @@ class Simulation(Reader):
         accumulate: "auto", "ordered", "gather", "atomic": in which order impulses are added, see docs/physics.md ("auto").
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
+        settle: bring the scene to rest first: True, or the tolerance of `settle` (False).
         forces: your own force objects.
         threads: CPU threads.
 
@@ -83,6 +86,7 @@ class Simulation(Reader):
         if not isinstance(scene, Scene):
             says = "is no Scene; ts.load_scene reads one from a file"
             raise SceneError("scene", scene, says=says)
+        self._source = ref(scene)
         self.scene = scene = scene.frozen()
         self._given = settings
         with scene.in_file(settings):
@@ -120,7 +124,10 @@ class Simulation(Reader):
         self._closed = False
         self._still = scene.n_balls == 0
         self._moments = MomentsOf(scene)
+        self.settled: Settled | None = None
         self._begin_readings()
+        if s.settle is not None:
+            self.settle(s.settle)
 
     def _check_tolerance(self, tolerance: float, substeps: int) -> None:
         """Raise SceneError where it cannot be kept."""
@@ -167,22 +174,33 @@ class Simulation(Reader):
         """Advance by n steps of dt. step(0) only compiles; on several threads the step itself compiles with the first. Raises
         UnstableError, leaving the last good state."""
         steps = validation.whole("step", n, 0)
+        self._require_unchanged()
         if self._still:
             self._stepper.steps += steps
         elif self._state is not None:  # not closed
             self._stepper.step(steps)
+
+    def _require_unchanged(self) -> None:
+        """Raise SceneError where the scene that it was made of has got more since, which would have no effect."""
+        source = self._source()
+        if source is not None and (changed := source.grown_since(self.scene)):
+            says = (
+                f"got more {changed} after this simulation was made of it; make a new Simulation, or call reset(scene)"
+            )
+            raise SceneError("scene", says=says)
 
     def run(self, duration: float) -> None:
         """Advance by round(duration / dt) steps; duration in seconds."""
         self.step(round(validation.number("duration", duration, low=0) / self.dt))
 
     def frames(self, fps: float = 60.0, duration: float = 5.0) -> Iterator[Frame]:
-        """round(fps x duration) frames, the first the present state, each at the step nearest to its time.
+        """round(fps x duration) + 1 frames, the first the present state, the last at the end, each at the step nearest to its
+        time.
 
         Steps made between two frames count towards the next one.
         """
         rate = validation.number("fps", fps, positive=True)
-        count = round(min(rate * validation.number("duration", duration, low=0), 2.0 * MOST_FRAMES))
+        count = frame_count(1.0, min(rate * validation.number("duration", duration, low=0), 2.0 * MOST_FRAMES))
         if count > MOST_FRAMES:
             raise ValueError(
                 f"frames: {rate:g} a second for {duration:g} s are more than {MOST_FRAMES}, the most allowed"
@@ -195,6 +213,42 @@ class Simulation(Reader):
         for k in range(count):
             self.step(max(0, start + round(k / rate / self.dt) - self._stepper.steps))
             yield self.frame()
+
+    def settle(self, tolerance: float = 1e-3, longest: float = 120.0) -> Settled:
+        """Bring the scene to rest without moving the clock, see `taichi_sim.simulation.settling`. Velocities are 0 then.
+
+        What is driven stands still meanwhile, as it does at the start, and wind has no gusts; that needs the clock to be at 0.
+
+        Args: tolerance: the largest net force that may be left on a ball, as a part of the mean weight of a ball (without
+            gravity, of the largest net force at the start). longest: simulated seconds on the way; then it warns and stops.
+
+        Returns what is left, which `settled` keeps. Raises UnstableError, and SceneError where something is driven after the
+        start.
+        """
+        tolerance = validation.number("tolerance", tolerance, positive=True)
+        longest = validation.number("longest", longest, positive=True)
+        time, held = self.time, still(self.scene)
+        if held is self.scene and self.settings.tolerance is None:
+            position, self.settled = settle(self, tolerance, longest)
+            self._stepper.set_time(time)
+        else:
+            if time != 0.0 and held is not self.scene:
+                raise SceneError(
+                    "settle", says="needs the clock at 0 where something is driven; call it before the first step"
+                )
+            given = {**self._given, "settle": None}
+            if self.settings.tolerance is not None:
+                given |= {"tolerance": None, "dt": "auto", "substeps": "auto"}
+            with type(self)(held, forces=self._forces, **given) as other:
+                other.resume(Snapshot(self.position, np.zeros_like(self.position)))
+                position, self.settled = settle(other, tolerance, longest)
+        if not self._still:
+            self._state.write_spin(np.zeros_like(self._state.surface_speed))
+            if (walls := self.parts.contacts.walls) is not None and walls.probed:
+                walls.received.set(np.zeros_like(walls.received.total))
+        self._write(position, np.zeros_like(position))
+        self._begin_readings()
+        return self.settled
 
     # Looking at it -------------------------------------------------------------------------------------------------
 
@@ -266,8 +320,7 @@ class Simulation(Reader):
         return None if self._still else self.parts.torn
 
     def inverted(self) -> int:
-        """How many cells are flat or turned inside out. Jelly of springs alone (without `poisson_ratio`) has no cells: 0 says
-        nothing of it."""
+        """Number of cells that are flat or turned inside out. Every jelly has cells."""
         return diagnostics.inverted(self.scene, self.position)
 
     def error(self) -> ErrorEstimate | None:
@@ -348,6 +401,14 @@ class Simulation(Reader):
         self.settings, self.dt = settings, seconds
         self._stepper = Stepper(self.scene, settings, parts, seconds, substeps, self._stability, self.has_custom_parts)
         self._stepper.set_time(time)
+
+    def at_half_step(self) -> Simulation:
+        """A new Simulation of this scene with the same arguments and half the step, at its start, where it does not
+        settle."""
+        if self.settings.tolerance is not None:
+            raise SceneError("dt", says="is chosen by the tolerance of this simulation and cannot be halved")
+        halved = {**self._given, "dt": self.dt / 2.0, "substeps": self.substeps, "settle": None}
+        return type(self)(self.scene, forces=self._forces, **halved)
 
     def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:
         """Add an impulse (dim,) or (k, dim) [N s] to the balls (k,). Pinned ones do not move."""

@@ -37,6 +37,7 @@ THERE: dict[str, Callable[[Scene], Any]] = {
     "gusts": lambda scene: scene.wind is not None and scene.wind.gust > 0,
     "springs that tear": lambda scene: np.isfinite(scene.break_strain).any(),
     "collision groups": lambda scene: scene.has_groups(),
+    "cells that act": lambda scene: scene.cells_act(),
     "damping": lambda scene: np.any(scene.damping > 0),
     "damping of bends": lambda scene: np.any(scene.bend_damping > 0),
 }

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, closing, contextmanager, suppress
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from urllib.request import ProxyHandler, build_opener
@@ -173,7 +174,9 @@ def connected(scheduler: str | None, workers: int | None, say: Callable[[str], N
                         n_workers=number,
                         threads_per_worker=1,
                         processes=True,
-                        dashboard_address=":0",  # without Bokeh a page that says so
+                        # others on this machine could send it programs otherwise
+                        security=find_spec("cryptography") is not None or None,
+                        dashboard_address="127.0.0.1:0",  # on all interfaces otherwise; without Bokeh a page that says so
                         silence_logs=logging.CRITICAL,
                     )
                     client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))

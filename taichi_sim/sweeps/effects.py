@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.common.quantities import measured
 from taichi_sim.sweeps.design import Design
 from taichi_sim.sweeps.points import Point, Row
 
-__all__ = ["Effect", "Group", "grouped", "half_width", "main_effects", "sobol"]
+__all__ = ["Effect", "Group", "grouped", "half_width", "main_effects", "parameters_in_words", "sobol"]
 
 CONFIDENCE = 0.95
 LARGEST_VALUE = 1e100  # of a measure: beyond it sums of squares overflow; such a value is counted as failed
@@ -30,6 +31,13 @@ class Group(NamedTuple):
         """nan where there is none."""
         return float(self.values.mean()) if len(self.values) else float("nan")
 
+    def in_words(self, unit: str = "") -> str:
+        """The mean with its 95 % interval: `3.20 +- 0.04 N (mean of 8 seeds, 95 %)`; of one run the value alone."""
+        number = len(self.values)
+        if number < 2:
+            return measured(self.mean, unit=unit)
+        return measured(self.mean, half_width(self.values), unit, f"mean of {number} seeds, {CONFIDENCE:.0%} interval")
+
 
 def grouped(rows: Sequence[Row], measure: str) -> list[Group]:
     """Rows by their parameters, in the order in which these come first."""
@@ -39,6 +47,11 @@ def grouped(rows: Sequence[Row], measure: str) -> list[Group]:
         value = row.measures.get(measure, float("nan"))
         (values if abs(value) <= LARGEST_VALUE else failed).append(value)  # type: ignore[arg-type]
     return [Group(parameters, np.array(values), len(failed)) for parameters, values, failed in found.values()]
+
+
+def parameters_in_words(parameters: Mapping[str, Any]) -> list[str]:
+    """Values of parameters as texts."""
+    return [f"{value:.6g}" if isinstance(value, float) else str(value) for value in parameters.values()]
 
 
 def half_width(values: Floats) -> float:

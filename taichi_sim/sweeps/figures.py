@@ -1,11 +1,11 @@
 """Pictures of a sweep: a curve for one parameter, a map for two, parallel coordinates for more, a histogram for seeds alone."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from taichi_sim.reports.speed_error.plot import INK
+from taichi_sim.reports.speed_error.plot import INK, literal, styled
 from taichi_sim.sweeps.design import Axis
 from taichi_sim.sweeps.effects import Group, half_width
 
@@ -19,6 +19,7 @@ MAP = "viridis"
 MOST_TICKS = 9  # one at each value
 
 
+@styled
 def draw(groups: Sequence[Group], axes: Sequence[Axis], measure: str) -> Any:
     """The figure of a measure, or None where nothing is known of it. Axes with one value are left out."""
     from matplotlib.figure import Figure
@@ -27,6 +28,7 @@ def draw(groups: Sequence[Group], axes: Sequence[Axis], measure: str) -> Any:
     varied = [axis for axis in axes if len({repr(group.parameters[axis.path]) for group in known}) > 1]
     if not known or (not varied and len(known[0].values) < 2):
         return None
+    measure = literal(measure)
     figure = Figure(figsize=(7.4 if len(varied) < 3 else 1.9 * len(varied) + 3.2, 4.2), layout="constrained")
     axis = figure.subplots()
     if not varied:
@@ -59,7 +61,7 @@ def _histogram(axis: Any, group: Group, measure: str) -> None:
     axis.axvspan(group.mean - half, group.mean + half, color=INK, alpha=0.15, lw=0)
     axis.set_xlabel(measure, color=INK)
     axis.set_ylabel("seeds", color=INK)
-    axis.set_title(f"{len(values)} seeds: mean {group.mean:.5g} ± {half:.2g} (95 %)", color=INK, fontsize=11)
+    axis.set_title(f"{group.in_words()}", color=INK, fontsize=11)
     _dress(axis)
 
 
@@ -88,7 +90,7 @@ def _curve(axis: Any, groups: Sequence[Group], along: Axis, measure: str) -> Non
         if len(group.values) > 1:
             axis.plot(np.full(len(group.values), place), group.values, color=INK, lw=0, marker=".", ms=2.5, alpha=0.5)
     _ticks(axis, along, words, x)
-    axis.set_xlabel(along.path, color=INK)
+    axis.set_xlabel(literal(along.path), color=INK)
     axis.set_ylabel(measure, color=INK)
     if len(axis.collections):
         for text in axis.legend(frameon=False, fontsize=9).get_texts():
@@ -109,7 +111,7 @@ def is_logarithmic(along: Axis, x: np.ndarray) -> bool:
 def _ticks(axis: Any, along: Axis, words: list[Any] | None, x: np.ndarray, side: str = "x") -> None:
     """Words, or a logarithmic scale, where values need them."""
     if words is not None:
-        getattr(axis, f"set_{side}ticks")(range(len(words)), words)
+        getattr(axis, f"set_{side}ticks")(range(len(words)), [literal(str(word)) for word in words])
     elif is_logarithmic(along, x):
         from matplotlib.ticker import LogFormatter
 
@@ -134,8 +136,8 @@ def _map(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Axis], 
         shown = axis.scatter(x, y, c=means, cmap=MAP, s=28, lw=0)
     _ticks(axis, axes[0], x_words, x)
     _ticks(axis, axes[1], y_words, y, "y")
-    axis.set_xlabel(axes[0].path, color=INK)
-    axis.set_ylabel(axes[1].path, color=INK)
+    axis.set_xlabel(literal(axes[0].path), color=INK)
+    axis.set_ylabel(literal(axes[1].path), color=INK)
     _dress(axis, grid=False)
     _bar(figure, axis, shown, measure)
 
@@ -164,10 +166,12 @@ def _parallel(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Ax
             heights.append(np.log(x / x.min()) / np.log(x.max() / x.min()))
         else:
             heights.append((x - x.min()) / max(np.ptp(x), 1e-300))
-        ends.append((words[0], words[-1]) if words else (f"{x.min():.4g}", f"{x.max():.4g}"))
+        ends.append(
+            (literal(str(words[0])), literal(str(words[-1]))) if words else (f"{x.min():.4g}", f"{x.max():.4g}")
+        )
     heights.append((means - means.min()) / max(np.ptp(means), 1e-300))
     ends.append((f"{means.min():.4g}", f"{means.max():.4g}"))
-    names = [f"{one.path} (log)" if log else one.path for one, log in zip(axes, logs)] + [measure]
+    names = [f"{literal(one.path)} (log)" if log else literal(one.path) for one, log in zip(axes, logs)] + [measure]
     for line, mean in zip(np.array(heights).T, means):
         axis.plot(range(len(names)), line, color=scale.to_rgba(mean), lw=0.9, alpha=0.7)
     for k, (low, high) in enumerate(ends):
@@ -182,8 +186,3 @@ def _parallel(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Ax
     _dress(axis, grid=False)
     for spine in axis.spines.values():
         spine.set_visible(False)
-
-
-def parameters_in_words(parameters: Mapping[str, Any]) -> list[str]:
-    """Cells of a table."""
-    return [f"{value:.6g}" if isinstance(value, float) else str(value) for value in parameters.values()]

@@ -5,19 +5,23 @@ import hashlib
 import io
 import json
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from taichi_sim.common.atomic_file import lock, replacing, sweep
+from taichi_sim.common.atomic_file import lock, replacing
 from taichi_sim.common.differences import differences, named
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.own_folder import LOCK, emptied, is_fresh, require_own
+from taichi_sim.common.printable import no_formula
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.sweeps.points import Point, Row, lines_of, rows_of
 
 __all__ = ["Folder", "columns_of"]
 
-MARK, LOCK, ROWS, BATCHES = "sweep.json", "lock", "rows.jsonl", "batches"
+MARK, ROWS, BATCHES = "sweep.json", "rows.jsonl", "batches"
+BATCH_FILE = r"[0-9a-f]{16}_\d+\.jsonl"  # behind the mark of its sweep
 TABLE = "table.csv"
 OURS = (ROWS, TABLE, "table.parquet", "report.html")
 AGAIN = "use --overwrite or another folder"
@@ -37,9 +41,10 @@ class Folder:
         require_folder_place(path)
         self._lock: Any = None
         self._overwrite, self._is_ours = overwrite, False
-        if path.is_dir() and any(path.iterdir()):
+        if path.is_dir() and not is_fresh(path):
             if not (path / MARK).is_file():
                 raise FileExistsError(f"{path}: the folder is not empty and holds no sweep; use another name")
+            require_own(self.batches)
             if not overwrite:
                 self._require_same()
                 self._load()
@@ -59,10 +64,8 @@ class Folder:
         if self._overwrite:
             self._empty()
         self.batches.mkdir(exist_ok=True)
-        sweep(self.batches, "*")
-        for one in self.batches.glob("*.jsonl"):
-            if not one.name.startswith(self.mark):
-                one.unlink(missing_ok=True)
+        require_own(self.batches)
+        emptied(self.batches, re.compile(rf"(?!{self.mark})[0-9a-f]{{12}}_{BATCH_FILE}"))
         with replacing(self.path / MARK) as file:
             file.write(json.dumps(self.about, indent=1).encode())
         self._is_ours = True
@@ -105,8 +108,8 @@ class Folder:
                 one.unlink(missing_ok=True)
 
     def _empty(self) -> None:
-        for one in self.batches.glob("*") if self.batches.is_dir() else ():
-            one.unlink(missing_ok=True)
+        if self.batches.is_dir():
+            emptied(self.batches, re.compile(rf"[0-9a-f]{{12}}_{BATCH_FILE}"))
         for name in (*OURS, MARK):
             (self.path / name).unlink(missing_ok=True)
 
@@ -124,8 +127,8 @@ class Folder:
         columns = columns_of(rows)
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values()))
+        writer.writerow(map(no_formula, columns))
+        writer.writerows(map(no_formula, row) for row in zip(*columns.values()))
         with replacing(self.path / TABLE) as file:
             file.write(text.getvalue().encode(errors="backslashreplace"))
         try:

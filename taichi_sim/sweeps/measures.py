@@ -60,9 +60,13 @@ class Measures:
         """Of the numbers; functions may give several of their own."""
         return [number.name for number in self.numbers]
 
+    def unit(self, name: str) -> str:
+        """The unit of a measure; numbers of the user's functions have none."""
+        return next((number.unit for number in self.numbers if number.name == name), "")
+
     def with_unit(self, name: str) -> str:
-        """`probes.load.y [N]`; numbers of the user's functions have none."""
-        unit = next((number.unit for number in self.numbers if number.name == name), "")
+        """`probes.load.y [N]`."""
+        unit = self.unit(name)
         return f"{name} [{unit}]" if unit else name
 
     def identity(self) -> list[str]:
@@ -108,7 +112,12 @@ def measures_of(given: Any, scene: Scene) -> Measures:
     returns a number, or a mapping of names to numbers. Raises SceneError, which says what there is.
     """
     if given is None:
-        given = [f"probes.{one.name}.{number}" for one in scene.probes for number in one.numbers(scene.dim)]
+        given = [
+            f"probes.{one.name}.{number}"
+            for one in scene.probes
+            for number in one.numbers(scene.dim)
+            if number != "interval"  # of a mean force: as long as frames are apart
+        ]
         given = given or ["energy.total"]
     if isinstance(given, str) or not isinstance(given, Sequence):
         given = [given]

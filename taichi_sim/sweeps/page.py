@@ -9,12 +9,13 @@ from statistics import median
 from typing import Any
 
 from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.quantities import measured
 from taichi_sim.common.version import __version__
 from taichi_sim.reports.machine import processor
 from taichi_sim.reports.speed_error.pages import HTML, Table, html_table
 from taichi_sim.reports.speed_error.plot import svg
 from taichi_sim.sweeps import figures
-from taichi_sim.sweeps.effects import Group, grouped, half_width, main_effects, sobol
+from taichi_sim.sweeps.effects import Group, grouped, half_width, main_effects, parameters_in_words, sobol
 
 __all__ = ["write_page"]
 
@@ -24,7 +25,7 @@ and to their interplay. First: the part of the variance that goes when a paramet
 it is unknown (Sobol; Saltelli's estimator): of few points it is off by so much that it may leave 0 to 1."""
 
 SPREAD = (
-    "± (95 %): the mean over many more seeds lies within this of the mean shown, in 95 of 100 sweeps (Student's t)."
+    "95 % interval: the mean over many more seeds lies within +- of the mean shown, in 95 of 100 sweeps (Student's t)."
 )
 
 
@@ -113,20 +114,19 @@ def _effects(groups: list[Group], paths: list[str], indices: dict[str, tuple[flo
 
 def _means(groups: list[Group], paths: list[str]) -> Table:
     """Mean, interval and spread of each combination."""
-    head = [*paths, "seeds", "failed", "mean", "± (95 %)", "standard deviation", "least", "largest"]
+    head = [*paths, "seeds", "failed", "mean, 95 % interval", "standard deviation", "least", "largest"]
     cells = []
     for group in groups[:MOST_ROWS]:
         values = group.values
-        numbers = ["", "", "", "", ""]
+        numbers = ["", "", "", ""]
         if len(values):
             spread = f"{values.std(ddof=1):.3g}" if len(values) > 1 else ""
             numbers = [
-                f"{group.mean:.6g}",
-                f"{half_width(values):.2g}",
+                measured(group.mean, half_width(values)),
                 spread,
                 f"{values.min():.5g}",
                 f"{values.max():.5g}",
             ]
-        words = figures.parameters_in_words(group.parameters)
+        words = parameters_in_words(group.parameters)
         cells.append([*words, str(len(values)), str(group.failed), *numbers])
     return head, cells, [""] * len(cells)

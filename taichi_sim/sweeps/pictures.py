@@ -109,7 +109,7 @@ def _drawn(
             engine = stack.enter_context(connected(*where, say))
             images = _images(engine, (str(frames.path.resolve()), size, dict(style), precision), len(frames))
             stack.callback(images.close)
-        advance = stack.enter_context(bar(0, len(frames), progress))
+        advance = stack.enter_context(bar(0, len(frames), progress, "frames drawn"))
         for index, frame in enumerate(frames):
             image = next(images) if images is not None else None
             for one in [one for one in outputs if one.wants(index)]:
@@ -233,4 +233,4 @@ def _packed_chunk(task: tuple[Any, ...], begin: int, end: int) -> list[bytes]:
 def _unpacked(data: bytes) -> NDArray[np.uint8]:
     from PIL import Image
 
-    return np.asarray(Image.open(io.BytesIO(data)))
+    return np.asarray(Image.open(io.BytesIO(data), formats=("PNG",)))

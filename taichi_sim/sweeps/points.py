@@ -5,6 +5,7 @@ import json
 import time
 import uuid
 import warnings
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +26,7 @@ KINDS: dict[str, Any] = {  # of what a row holds
     "key": str, "parameters": dict, "seed": int | None, "measures": dict, "error": str, "warning": str, "version": str,
     "wall": int | float, "compiled": bool,
 }  # fmt: skip
+CHECK = "crc32"  # beside what a row holds
 MOST_SAID = 300  # characters of a warning or an error
 RELEASE_BYTES = 1 << 30  # of memory in use by a worker, from which on it begins anew
 
@@ -192,13 +194,24 @@ def keep_batch(folder: Path, rows: Sequence[Row], mark: str) -> None:
 
 def lines_of(rows: Iterable[Row]) -> bytes:
     """A line of JSON for each row."""
-    return "".join(json.dumps(vars(row)) + "\n" for row in rows).encode()
+    return "".join(json.dumps({**vars(row), CHECK: _check(vars(row))}) + "\n" for row in rows).encode()
+
+
+def _check(values: Mapping[str, Any]) -> int:
+    return zlib.crc32(json.dumps(values).encode())
 
 
 def rows_of(data: bytes) -> list[Row]:
     """The reverse. Raises ValueError, TypeError or RecursionError for what is damaged."""
-    rows = [Row(**json.loads(line)) for line in data.decode().splitlines()]
-    for row in rows:
+    rows = []
+    for line in data.decode().splitlines():
+        values = json.loads(line)
+        if not isinstance(values, dict):
+            raise ValueError("a line is no table")
+        check = values.pop(CHECK, None)
+        rows.append(row := Row(**values))
+        if check != _check(values):
+            raise ValueError(f"the checksum of the point {row.key} does not fit")
         for name, kind in KINDS.items():
             if not isinstance(getattr(row, name), kind):
                 raise ValueError(f"{name} is {getattr(row, name)!r}")

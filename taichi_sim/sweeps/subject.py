@@ -15,17 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from taichi_sim.common.errors import SceneError, did_you_mean, key_name, path_of
+from taichi_sim.common.errors import SceneError, did_you_mean
+from taichi_sim.files.parameters import put
 from taichi_sim.files.source import python_scene, resolve
 from taichi_sim.files.toml_reader import Reader, parsed
-from taichi_sim.files.toml_schema import Document
 from taichi_sim.scene.contents import contents_of
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["FileSubject", "FunctionSubject", "Subject", "described", "lasting", "subject_of"]
 
 JITTER = 1e-3  # of its radius: how far at most a loose ball is from its place, where nothing else makes use of a seed
-SINGLE = ("simulation", "output", "wind")  # tables that a file has once, or not at all
 
 
 class Subject:
@@ -209,52 +208,6 @@ def sources_of(file: Path) -> str:
     for one in sorted(met):
         digest.update(hashlib.sha256(one.read_bytes()).digest())
     return digest.hexdigest()
-
-
-def put(document: dict[str, Any], path: str, value: Any) -> None:
-    """Set a value in what a scene file says. Raises SceneError, which says what there is, for a path that leads nowhere."""
-    parts = path_of(path)
-    if len(parts) == 1 and parts[0] not in Document.model_fields:
-        raise SceneError(parts, says=f"is not a known key; {did_you_mean(str(parts[0]), list(Document.model_fields))}")
-    node: Any = document
-    for depth, part in enumerate(parts[:-1]):
-        node = _step(node, parts, depth, part)
-    last = parts[-1]
-    fits = isinstance(node, dict) and isinstance(last, str)
-    if not fits and not (isinstance(node, list) and isinstance(last, int) and last < len(node)):
-        raise _nowhere(node, parts, len(parts) - 1)
-    node[last] = value
-
-
-def _step(node: Any, parts: tuple[str | int, ...], depth: int, part: str | int) -> Any:
-    if isinstance(node, dict) and part in node:
-        return node[part]
-    if isinstance(node, dict) and depth == 0 and part in SINGLE:
-        return node.setdefault(part, {})
-    if isinstance(node, list) and isinstance(part, int) and part < len(node):
-        return node[part]
-    if isinstance(node, list) and isinstance(part, str):
-        for entry in node:
-            if isinstance(entry, dict) and entry.get("name") == part:
-                return entry
-    raise _nowhere(node, parts, depth)
-
-
-def _nowhere(node: Any, parts: tuple[str | int, ...], depth: int) -> SceneError:
-    here = key_name(parts[:depth]) or "the file"
-    if isinstance(node, dict):
-        for table, entries in node.items() if depth == 0 else ():
-            if isinstance(entries, list) and any(isinstance(e, dict) and e.get("name") == parts[0] for e in entries):
-                rest = [part for part in parts[1:] if part != 0]
-                meant = key_name([table, *parts[:1], *rest])
-                return SceneError(parts, says=f"is no table of this scene, but a {table} has that name: {meant}")
-        return SceneError(parts, says=f"is not in this scene; {did_you_mean(str(parts[depth]), list(node))}")
-    if isinstance(node, list):
-        names = [str(one["name"]) for one in node if isinstance(one, dict) and "name" in one]
-        what = f"{here}[0] to [{len(node) - 1}]" if len(node) > 1 else f"{here}[0]"
-        named = f"; or, by name, {', '.join(names)}" if names else ""
-        return SceneError(parts, says=f"is not in this scene; there is {what}{named}")
-    return SceneError(parts, says=f"is not in this scene; {here} is {node!r}, which has no parts")
 
 
 def _jitter(scene: Scene, seed: int) -> None:

@@ -11,7 +11,9 @@ import numpy as np
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.progress import Work, showing
 from taichi_sim.sweeps.design import MOST_POINTS, Axis, Design, axes_of
+from taichi_sim.sweeps.effects import grouped, parameters_in_words
 from taichi_sim.sweeps.folder import columns_of
 from taichi_sim.sweeps.measures import Measures
 from taichi_sim.sweeps.points import Point, Row
@@ -70,6 +72,19 @@ class Sweep:
             else np.array(values)
             for name, values in columns_of(self.rows).items()
         }
+
+    def lines(self, most: int = 20) -> Iterator[str]:
+        """What was measured, a line for each combination of parameters and each measure: the mean over seeds with the interval
+        in which it lies with 95 % confidence, or the value of one run. most: combinations that are shown."""
+        for measure in self.measures:
+            groups = [group for group in grouped(self.rows, measure) if len(group.values)]
+            for group in groups[:most]:
+                at = ", ".join(
+                    f"{name} {words}" for name, words in zip(group.parameters, parameters_in_words(group.parameters))
+                )
+                yield f"{measure:12} {group.in_words(self._measures.unit(measure))}{f' at {at}' if at else ''}"
+            if len(groups) > most:
+                yield f"{measure:12} and {len(groups) - most} combinations more, see the table"
 
     def scene(self, row: int | Row) -> Any:
         """The Scene of a point."""
@@ -181,27 +196,19 @@ def seeds_of(seeds: int | Sequence[int] | None) -> list[int | None]:
     return list(dict.fromkeys(found))
 
 
-LINE_AFTER = 30.0  # s, between lines where there is no terminal for a bar
-
-
 @contextmanager
-def bar(done: int, total: int, shown: bool) -> Iterator[Callable[[int, int], None]]:
-    """Counts points that are done, and that failed."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+def bar(done: int, total: int, shown: bool, what: str = "points") -> Iterator[Callable[[int, int], None]]:
+    """Show how many points, or what else is counted, are done, and how many of them failed."""
+    work, failed = Work(total, what, done), 0
 
-    console = Console(stderr=True)
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[failed]} failed"), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        task = progress.add_task("", total=total, completed=done, failed=0)
-        failed, said = 0, time.monotonic()
+    def words() -> str:
+        return ", ".join(part for part in (f"{failed} failed" if failed else "", work.remaining) if part)
 
-        def advance(more: int, wrong: int) -> None:
-            nonlocal done, failed, said
-            done, failed = done + more, failed + wrong
-            progress.update(task, advance=more, failed=failed)
-            if shown and not console.is_terminal and time.monotonic() - said > LINE_AFTER:  # in a log
-                said = time.monotonic()
-                console.print(f"{done} of {total} done, {failed} failed")
+    work.words = words
 
+    def advance(more: int, wrong: int) -> None:
+        nonlocal failed
+        work.done, failed = work.done + more, failed + wrong
+
+    with showing(work, shown):
         yield advance

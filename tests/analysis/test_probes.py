@@ -7,6 +7,7 @@ from physics_support import PRECISION
 import taichi_sim as ts
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.quantities import measures, plain_number
 from taichi_sim.outputs import export, open_output
 from taichi_sim.scene.probes import KINDS, ProbeSample
 
@@ -88,7 +89,37 @@ def test_arrays_and_the_summary_hold_them(sim, tmp_path):
     assert kept["tip.y"] == pytest.approx(x, abs=DIGITS)
     last, least, most = (f(kept["load.tension"]) for f in (lambda a: a[-1], np.min, np.max))
     assert summary.probes["load.tension"] == (last, least, most)
-    assert f"load.tension {last:.5g} N in the last frame, {least:.5g} to {most:.5g} N in all" in summary.lines()
+    said = measures([last, least, most], [None] * 3, "N")
+    line = "load.tension {} in the last frame; least {}, peak {} of all frames"
+    assert line.format(*said) in summary.lines()
+    assert any(line.startswith("uncertainty  not estimated; --error") for line in summary.lines())
+
+
+@pytest.mark.parametrize("dt", [4e-3, 1e-3])
+def test_a_second_run_at_half_the_step_tells_the_error_of_the_step(dt):
+    """The weight's way is known: s = s_e + exp(-d t) (A cos w t + B sin w t)."""
+    scene = hanging()
+    rest, d = 0.9 + MASS * G / STIFFNESS, DAMPING / (2.0 * MASS)
+    w = np.sqrt(STIFFNESS / MASS - d**2)
+    a = 1.0 - rest
+    b = (SPEED + d * a) / w
+    with ts.Simulation(scene, dt=dt, contacts="off") as sim:
+        summary = export(sim, None, fps=50, duration=0.2, error=True)
+        t = sim.time
+        exact = rest + np.exp(-d * t) * (a * np.cos(w * t) + b * np.sin(w * t))
+        off = abs(summary.probes["rope.length"][0] - exact)
+    estimate = summary.step_error.probes["rope.length"][0]
+    assert 0.7 * off < estimate + DIGITS
+    assert estimate < 1.5 * off + DIGITS
+    assert summary.step_error.largest >= summary.step_error.rms >= 0.0
+    text = "\n".join(summary.lines())
+    assert " +- " in next(line for line in summary.lines() if line.startswith("rope.length"))
+    assert f"a second run at a step of {plain_number(dt / 2)} s" in text
+
+
+def test_the_error_is_not_estimated_twice():
+    with ts.Simulation(hanging(), tolerance=1e-2, contacts="off") as sim, pytest.raises(SceneError, match="already"):
+        export(sim, None, duration=0.1, error=True)
 
 
 def test_a_torn_spring_carries_nothing():
@@ -342,3 +373,19 @@ def test_numbers_are_named_once():
     ):
         with pytest.raises(SceneError, match=words):
             scene.add_probe("p", kind, **given)
+
+
+@pytest.mark.parametrize("fps", [120, 70])
+def test_a_mean_force_comes_with_the_interval_of_its_mean(fps):
+    """Frames are whole steps apart, 8 or 9 ms at 120 a second: the impulse is force times that, not over fps."""
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    scene.add_balls([[0, 0.04], [0.5, 0.06]], radius=0.05, mass=MASS)
+    scene.add_wall((0, 1))
+    scene.add_probe("floor", "force", wall=0)
+    scene.add_probe("given", "impulse", wall=0)
+    with ts.Simulation(scene, dt=1e-3) as sim:
+        seen = [sim.probes() for _ in sim.frames(fps=fps, duration=0.1)]
+        assert seen[1]["floor.interval"] in (pytest.approx(0.008), pytest.approx(0.014))
+        impulse = sum(one["floor.y"] * one["floor.interval"] for one in seen[1:])
+        assert impulse == pytest.approx(seen[-1]["given.y"] - seen[0]["given.y"], rel=1e-6)
+        assert sim.probe("floor") == pytest.approx([seen[-1]["floor.x"], seen[-1]["floor.y"]])

@@ -55,3 +55,16 @@ def test_single_precision_far_from_the_origin_is_warned_of():
         scene.set_balls(position=[[far, R]])
         setup = accuracy.Setup(VERLET, 1e-3, "f32", "gauss_seidel")
         assert accuracy.single_precision(scene, setup)[1] == warned
+
+
+def test_fine_bending_is_reported_in_single_precision():
+    """A stencil of 1, -2, 1 over pieces of L / n at 1 m: the rounding of its balls, sqrt(6 / 12) ulp, over L / n^2."""
+    for n, reported in ((60, False), (400, True)):
+        scene = ts.Scene(dim=2)
+        ts.shapes.rope(scene, (0.5, 0.0), (1.25, 0.0), n + 1, EI=1.0)
+        found = accuracy.bending_error(scene)
+        assert found == pytest.approx(np.sqrt(0.5) * np.spacing(np.float32(1.25)) * n**2 / 0.75, rel=1e-6)
+        for precision in ("f32", "f64"):
+            setup = accuracy.Setup(VERLET, 1e-3, precision)
+            subjects = [finding.subject for finding in accuracy.findings(scene, setup)]
+            assert ("bending" in subjects) == (reported and precision == "f32")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -135,14 +136,14 @@ runpy.run_module("taichi_sim", run_name="__main__")
 def test_run_writes_arrays_and_a_summary(folder):
     done = command(folder, "run", "ball.toml", "-o", "ball.npz", "-o", "ball.csv")
     assert (done.returncode, done.stderr) == (0, "")
-    for word in ("frames       10", "energy", "momentum", "per simulated second", "ball.npz", "ball.csv"):
+    for word in ("frames       11", "energy", "momentum", "per simulated second", "ball.npz", "ball.csv"):
         assert word in done.stdout
     assert "penetration" not in done.stdout  # one ball alone has no contacts
     with np.load(folder / "ball.npz") as data:
         t = data["time"]
-        assert t == pytest.approx(np.arange(10) / 20)
+        assert t == pytest.approx(np.arange(11) / 20)
         assert data["position"][:, 0, 1] == pytest.approx(1 - 5 * t**2, abs=1e-9)
-        assert data["energy"][:, 3] == pytest.approx(np.full(10, 10.0))
+        assert data["energy"][:, 3] == pytest.approx(np.full(11, 10.0))
         table = np.genfromtxt(folder / "ball.csv", delimiter=",", names=True)
         assert np.array_equal(table["total"], data["energy"][:, 3])
     assert names(folder) == ["ball.csv", "ball.npz", "ball.toml", "stiff.toml"]
@@ -161,7 +162,7 @@ def test_options_go_over_the_file_and_quiet_is_quiet(folder):
         folder, "run", "ball.toml", "-o", "x.npz", "--fps", "10", "--duration", "1", "--quiet", "--dt", "auto"
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    assert np.load(folder / "x.npz")["time"] == pytest.approx(np.arange(10) / 10)
+    assert np.load(folder / "x.npz")["time"] == pytest.approx(np.arange(11) / 10)
 
 
 def test_run_draws_a_video_without_a_display(folder):
@@ -171,7 +172,7 @@ def test_run_draws_a_video_without_a_display(folder):
     assert done.returncode == 0, done.stderr
     with av.open(str(folder / "ball.mp4")) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    assert len(frames) == 10
+    assert len(frames) == 11
     assert frames[0].shape == (120, 160, 3)
     assert np.abs(frames[0].astype(int) - frames[-1]).max() > 50
 
@@ -209,10 +210,10 @@ def test_a_python_simulation_is_shown_as_its_scene_says(folder):
     )
     assert command(folder, "run", "s.py", "-o", "a.npz").returncode == 0
     with np.load(folder / "a.npz") as arrays:
-        assert arrays["time"].tolist() == pytest.approx([0.0, 0.2, 0.4])
+        assert arrays["time"].tolist() == pytest.approx([0.0, 0.2, 0.4, 0.6])
     assert command(folder, "run", "s.py", "-o", "a.npz", "--fps", "10").returncode == 0
     with np.load(folder / "a.npz") as arrays:
-        assert len(arrays["time"]) == 6
+        assert len(arrays["time"]) == 7
 
 
 def test_check_says_what_is_safe(folder):
@@ -396,7 +397,7 @@ def test_bad_input_ends_with_one_message_and_writes_nothing(folder):
     for (arguments, message), (status, out, err) in zip(cases, results):
         assert status == 2, (arguments, out, err)
         assert message in err, (arguments, err)
-        assert out == "", arguments
+        assert not re.sub(r"(?m)^\d+:\d\d:\d\d  .*\n", "", out), arguments  # but for what a slow machine waits for
         assert "Traceback" not in err
         if not err.startswith("Usage"):
             assert err.startswith("taichi-sim: ")
@@ -409,8 +410,11 @@ def test_resume_says_where_nothing_is_kept(folder):
     done = command(folder, "run", "ball.toml", "-o", "x.npz", "--resume", "--quiet")
     assert done.returncode == 0
     assert done.stderr == "x.npz: nothing is kept of it; it begins at the first frame\n"
+    before = (folder / "x.npz").stat().st_ino
     done = command(folder, "run", "ball.toml", "-o", "x.npz", "--resume", "--quiet")
-    assert done.stderr == "x.npz: is complete, or of a run without checkpoints, and is made anew\n"
+    assert done.returncode == 0
+    assert done.stderr == "x.npz: is complete, and is left as it is; without --resume it is made anew\n"
+    assert (folder / "x.npz").stat().st_ino == before
 
 
 def test_cuda_without_a_gpu(folder):

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 import pytest
 
-from taichi_sim.common.signals import TERMINATED, heard, insistent_signals, without_interrupts
+from taichi_sim.common.signals import HUNG_UP, TERMINATED, heard, insistent_signals, without_interrupts
 
 pytestmark = pytest.mark.once
 
@@ -38,8 +38,15 @@ def test_what_comes_while_it_is_held_back_comes_at_the_end():
     assert done == [1]
 
 
-@pytest.mark.parametrize(("number", "comes"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
-def test_what_was_swallowed_comes_before_something_is_started(number, comes):
+@pytest.mark.parametrize(
+    ("number", "comes", "status"),
+    [
+        (signal.SIGINT, KeyboardInterrupt, None),
+        (signal.SIGTERM, SystemExit, TERMINATED),
+        (signal.SIGHUP, SystemExit, HUNG_UP),
+    ],
+)
+def test_what_was_swallowed_comes_before_something_is_started(number, comes, status):
     started = []
 
     def work():
@@ -52,7 +59,17 @@ def test_what_was_swallowed_comes_before_something_is_started(number, comes):
     with pytest.raises(comes) as end:
         work()
     assert not started
-    assert comes is KeyboardInterrupt or end.value.code == TERMINATED
+    assert getattr(end.value, "code", None) == status
+
+
+def test_a_hangup_that_is_ignored_stays_so():
+    """As after `nohup`."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with insistent_signals():
+            interrupt(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_what_was_heard_does_not_come_again():

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from physics_colliders import ROOM, SHOTS, SPEED, G, H, Laboratory, R, block, ring
+from physics_colliders import ROOM, SHOTS, SPEED, TURNTABLE, G, H, Laboratory, R, block, ring
 from physics_support import DIMS, EPS, F64, METHODS, simulate, vector
 
 import taichi_sim as ts
@@ -119,6 +119,20 @@ def test_a_dropped_ball_comes_to_rest(laboratory):
     assert abs(x[-1, 1] - R) < (2e-5 * R if F64 else 0.02 * R)
 
 
+def test_a_mesh_thinner_than_the_cells_of_its_grid_holds_what_falls_on_it(laboratory):
+    """A plate whose corners are turned, not its collider, so that its grid lies askew to it."""
+    if laboratory.lab.dim == 2:
+        return
+    plate = next(c for c in laboratory.lab.scene.colliders if c.resolution == 16)
+    for k in range(3):
+        ball = laboratory.lab.ball[f"dropped on a thin plate {k}"]
+        x, v = laboratory.x[:, ball], laboratory.v[:, ball]
+        gap = plate.distance(x[::20], 0.0) - R
+        assert np.abs(gap[-10:]).max() < (2e-4 if F64 else 2e-3) * R, k
+        assert gap.min() > -2e-3 * R, k
+        assert np.abs(v[-1]).max() < 2 * G * H
+
+
 def test_walls_and_colliders_hold_a_ball_together(laboratory):
     x, v = path(laboratory, "rolls into a corner")
     assert np.abs(v[-1]).max() < (1e-12 if F64 else 1e-6)
@@ -182,6 +196,18 @@ def test_a_lift_carries_a_ball_up_and_lets_it_fly_when_it_stops(laboratory):
     assert y.max() == pytest.approx(0.5 + 1 / (2 * G), abs=2e-3)
     assert y[-1] == pytest.approx(0.5, abs=1e-3)
     assert np.abs(v[-1]).max() < 2 * G * H
+
+
+def test_what_friction_holds_on_a_turntable_goes_round_in_a_circle(laboratory):
+    """It is carried along chords of the circle; along tangents it would creep out by exp(W^2 h t / 2) - 1, half a hundredth."""
+    if laboratory.lab.dim == 2:
+        return
+    x, _ = path(laboratory, "held on a turntable")
+    out = np.hypot(x[2:, 0], x[2:, 2])
+    angle = np.unwrap(np.arctan2(-x[2:, 2], x[2:, 0]))
+    far = 200 * EPS * ROOM * laboratory.lab.next  # places are rounded far from the origin
+    assert np.abs(out - out[0]).max() < far
+    assert np.abs(angle - angle[0] - TURNTABLE * H * np.arange(len(out))).max() < far
 
 
 def test_pinned_balls_ignore_colliders(laboratory):

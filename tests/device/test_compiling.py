@@ -50,6 +50,16 @@ def test_an_estimate_that_has_passed_says_so():
     assert expected("a").words(20.1) == "loading kernels (longer than last time, 20 s)"
 
 
+def test_estimates_learn_how_fast_the_machine_is():
+    """Kernels that took twice as long as they do elsewhere; the next scene's are expected to do so, too."""
+    expected("a").remember(8.0)
+    assert expected("b").words() == "compiling (first run, about 8 s)"
+    expected("b").remember(4.5)  # between the last two, in the logarithm
+    assert expected("c").words() == "compiling (first run, about 6 s)"
+    expected("c").remember(0.3)  # another process had compiled it
+    assert expected("d").words() == "compiling (first run, about 6 s)"
+
+
 def test_a_second_scene_of_its_kind_in_a_process_tells_nothing_of_the_next_process(monkeypatch):
     monkeypatch.setattr(compiling, "_met", set())
     monkeypatch.setattr(compiling, "_spent", 100.0)

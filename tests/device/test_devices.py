@@ -1,12 +1,15 @@
 """Which devices are taken without being asked for: those that are no software and have passed the self-test once."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 
 import taichi_sim as ts
 from taichi_sim.common import remembered
 from taichi_sim.device import backend, devices
+from taichi_sim.device.engine import ENGINE
 
 pytestmark = pytest.mark.once
 
@@ -61,6 +64,15 @@ def test_a_self_test_that_ends_badly_is_told(monkeypatch):
     assert devices.examine("cpu") == ""
 
 
+def test_the_self_test_takes_no_modules_from_the_working_folder(tmp_path, monkeypatch):
+    """It may be that of a scene from elsewhere."""
+    for name in ("runpy", "taichi_sim", "numpy", "taichi", "json"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'sprung')!r}, 'w')")
+    monkeypatch.chdir(tmp_path)
+    assert devices.examine("cpu") == ""
+    assert not (tmp_path / "sprung").exists()
+
+
 def test_every_machine_has_a_cpu():
     found = devices.find("cpu")
     assert (found.arch, found.software) == ("cpu", False)
@@ -83,3 +95,19 @@ def test_what_runs_is_named_as_the_list_of_devices_names_it(monkeypatch, known):
     name = "vulkan Some GPU (Vulkan 1.3, driver 0x1), f32, " if known else "vulkan, f32, "
     assert str(backend._init("vulkan", "f32", 2)).startswith(name)
     assert str(backend._init("cpu", "f32", 2)).startswith("cpu, 2 threads, f32, ")
+
+
+NOTEBOOK = """
+import io, sys, types
+sys.modules["ipykernel"] = types.ModuleType("ipykernel")
+sys.stdout = io.StringIO()  # as a notebook's
+from taichi_sim.device.engine import ti
+sys.__stdout__.write(sys.stdout.getvalue())
+"""
+
+
+@pytest.mark.once
+@pytest.mark.skipif(ENGINE != "taichi", reason="only Taichi says so")
+def test_nothing_is_said_in_a_notebook_of_what_shell_it_is():
+    said = subprocess.run([sys.executable, "-c", NOTEBOOK], capture_output=True, text=True, check=True)
+    assert "Graphical" not in said.stdout + said.stderr

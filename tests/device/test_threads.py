@@ -13,6 +13,7 @@ import taichi_sim as ts
 from taichi_sim.device import backend
 from taichi_sim.device.engine import ENGINE
 from taichi_sim.device.fields import Fields
+from taichi_sim.device.kernel_cache import cache_folder
 from taichi_sim.render.renderer import Renderer
 
 pytestmark = pytest.mark.once
@@ -94,16 +95,15 @@ def test_a_start_says_nothing_and_loses_nothing_of_other_threads():
 
 @pytest.mark.skipif(ENGINE != "taichi", reason="the lock of Taichi")
 def test_a_stale_lock_of_the_cache_is_removed_and_said(tmp_path, monkeypatch):
-    monkeypatch.setenv("TI_OFFLINE_CACHE_FILE_PATH", str(tmp_path))
     lock = tmp_path / "ticache.lock"
-    backend._free_cache(tmp_path / "other")  # none: nothing is said
+    assert cache_folder(tmp_path) == tmp_path  # none: nothing is said
     lock.touch()
-    backend._free_cache(tmp_path / "other")
+    assert cache_folder(tmp_path) == tmp_path
     assert lock.exists()  # somebody may hold it
     long_ago = time.time() - 3600.0
     os.utime(lock, (long_ago, long_ago))
     with pytest.warns(UserWarning, match=r"ticache\.lock: a killed process .* removed"):
-        backend._free_cache(tmp_path / "other")
+        assert cache_folder(tmp_path) == tmp_path
     assert not lock.exists()
 
 
@@ -167,3 +167,10 @@ def test_threads_of_a_gpu_are_refused():
 def test_a_stopped_engine_starts_again_in_any_precision():
     done = subprocess.run([sys.executable, "-c", BEGIN + STOPS], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("threads", [0, -1, True, 2.0, backend.MOST_THREADS + 1, 4096 * 4096])
+def test_the_number_of_threads_is_bounded(threads):
+    """Where memory is limited the engine would wait for those that it cannot start."""
+    with pytest.raises(ValueError, match=f"threads: {threads} is not allowed; it must be a whole number from 1 to"):
+        backend.start("cpu", threads=threads)

@@ -234,7 +234,7 @@ def test_another_step_keeps_the_clock(tmp_path):
         assert again.time == pytest.approx(0.307, rel=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_numbers_of_numpy_in_the_output_are_plain_everywhere(tmp_path):
     """What Python computes a camera by is of NumPy, and so are flags, sizes and paths."""
     scene = small_scene()

@@ -63,10 +63,12 @@ def square() -> ts.Scene:
 
 
 def joined() -> ts.Scene:
-    """The same, and two more cells, of the other diagonal; three of the four act together."""
+    """The same, and two more cells, of the other diagonal; three of the four act together. All have less than half of their rest
+    volumes, and resist being crushed."""
     scene = square()
     scene.add_cells([[0, 1, 3], [1, 2, 3]], bulk_modulus=[25.0, 15.0], rest_volume=[0.4, 0.6])
-    scene._cells.replace(slice(None), together=[0, -1, 0, 0])
+    crushed = {"rest_volume": 2.5 * scene.rest_volume, "crush_modulus": np.array([40.0, 30.0, 10.0, 60.0])}
+    scene._cells.replace(slice(None), together=[0, -1, 0, 0], **crushed)
     return scene
 
 

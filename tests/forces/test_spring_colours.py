@@ -27,7 +27,7 @@ def check(pairs, found):
         assert 0 < len(balls) == len(np.unique(balls))
 
 
-@pytest.mark.parametrize(("build", "number"), [(cloth, 12), (jelly, 26)])
+@pytest.mark.parametrize(("build", "number"), [(cloth, 8), (jelly, 26)])
 def test_lattices_need_as_many_as_a_ball_has_springs(build, number):
     scene = build()
     found = colours(scene.pairs, scene.n_balls)

@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from taichi_sim.geometry.mesh import read_surface
+from tests.support import mesh_zoo
 
 from .documents import changed, damaged, mostly
 
@@ -75,6 +76,7 @@ WHOLE = {
     "b.stl": _stl(),
     "a.glb": glb(GLTF),
 }
+WHOLE |= {case.name: case.data for case in mesh_zoo.cases()[::9] if not case.beside}
 cases = st.sampled_from(sorted(WHOLE)).flatmap(lambda name: st.tuples(st.just(name), damaged(WHOLE[name])))
 cases = mostly(cases, st.tuples(st.just("a.glb"), changed([GLTF]).map(glb)), 3)
 

@@ -1,6 +1,5 @@
 """Surface meshes: what is read, what is refused, and the edges and hinges."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -97,12 +96,9 @@ def test_bad_files(tmp_path, name, text, message):
     assert "\n" not in str(caught.value)
 
 
-def test_missing_file_and_missing_package(tmp_path, monkeypatch):
+def test_missing_file(tmp_path):
     with pytest.raises(SceneError, match="is not there"):
         read_surface(tmp_path / "cow.obj")
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(SceneError, match=r'pip install "taichi-sim\[mesh\]"'):
-        read_surface(square(tmp_path, "obj"))
 
 
 def test_a_real_mesh():

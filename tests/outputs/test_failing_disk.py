@@ -120,7 +120,7 @@ def test_frames_that_were_removed_meanwhile_are_missed(tmp_path, name):
         run(tmp_path, name, kind=Removed, checkpoint=None)
     assert "_00003." in said.value.filename
     run(tmp_path, name, resume=True)
-    assert len([file for file in files(tmp_path) if "resume" not in file]) == 30
+    assert len([file for file in files(tmp_path) if "resume" not in file and "_frames.mtl" not in file]) == 30
 
 
 def test_a_part_that_was_removed_is_said(tmp_path):
@@ -141,7 +141,7 @@ def test_frames_are_kept_only_where_they_are(tmp_path):
 
     output = open_output(tmp_path / "x.gif")
     with pytest.raises(KeyboardInterrupt):
-        export(Removed(), output, duration=0.5, checkpoint=None)
+        export(Removed(), output, duration=29 / 60, checkpoint=None)
     assert output.frames == 0
     assert not list(tmp_path.iterdir())
 
@@ -217,7 +217,8 @@ def test_what_a_killed_run_left_is_swept_and_what_another_writes_is_not(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("name", "part"), [("frames", "frames/.frame_00007.png.1.0.part"), ("x.ply", ".x_00007.ply.1.0.part")]
+    ("name", "part"),
+    [("frames", "frames/.frame_00007.png.0123456789abcdef.part"), ("x.ply", ".x_00007.ply.0123456789abcdef.part")],
 )
 def test_half_frames_of_a_killed_run_are_swept(tmp_path, name, part):
     cut_off(tmp_path, name, 13)

@@ -57,7 +57,7 @@ class Kept(ts.Output):
 def test_it_says_which_frames_it_wants_and_is_finished():
     output = Kept()
     with ts.Simulation(falling(), dt=1e-3, arch="cpu") as simulation:
-        summary = ts.export(simulation, output, fps=50, duration=0.1)
+        summary = ts.export(simulation, output, fps=50, duration=0.08)
     assert summary.frames == 5
     assert output.calls == [(0, None), (2, None), (4, None), "finish"]
     assert output.frames == 3

@@ -27,7 +27,7 @@ def cut_off(folder, name="x.mp4", at=13, error=None, **options):
         export(
             FakeSimulation(at, error or KeyboardInterrupt()),
             open_output(folder / name, **options),
-            duration=0.5,
+            duration=29 / 60,
             size=SIZE,
         )
 
@@ -60,7 +60,7 @@ def test_a_killed_run_is_resumed(tmp_path):
                 if getattr(self, "asked", 0) == 20:
                     os.kill(os.getpid(), signal.SIGKILL)
                 return super().contacts()
-        export(Killed(), open_output({str(tmp_path / "x.mp4")!r}), duration=0.5, size=t.SIZE)
+        export(Killed(), open_output({str(tmp_path / "x.mp4")!r}), duration=29 / 60, size=t.SIZE)
     """
     ended = subprocess.run([sys.executable, "-c", code], check=False)
     assert ended.returncode == -signal.SIGKILL
@@ -97,7 +97,7 @@ def test_resuming_when_all_frames_are_there(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        export(Full(), open_output(tmp_path / "x.mp4"), duration=0.5, size=SIZE)
+        export(Full(), open_output(tmp_path / "x.mp4"), duration=29 / 60, size=SIZE)
     make(tmp_path, "x.mp4", resume=True)
     assert FakeRenderer.last.drawn == []
     assert len(pictures(tmp_path / "x.mp4")) == 30
@@ -114,7 +114,7 @@ def test_a_run_that_is_cut_off_again_keeps_all_frames(tmp_path):
     cut_off(tmp_path)
     out = open_output(tmp_path / "x.mp4", resume=True)
     with pytest.raises(KeyboardInterrupt):
-        export(FakeSimulation(5, KeyboardInterrupt()), out, duration=0.5, size=SIZE)
+        export(FakeSimulation(5, KeyboardInterrupt()), out, duration=29 / 60, size=SIZE)
     assert out.frames == 13
     assert open_output(tmp_path / "x.mp4", resume=True)._kept == 13
 
@@ -148,7 +148,7 @@ def test_a_resumed_run_that_becomes_unstable_keeps_all_frames(tmp_path):
     cut_off(tmp_path, at=9)
     out: Output = open_output(tmp_path / "x.mp4", resume=True)
     with pytest.raises(UnstableError):
-        export(FakeSimulation(9, unstable()), out, duration=0.5, size=SIZE)
+        export(FakeSimulation(9, unstable()), out, duration=29 / 60, size=SIZE)
     assert len(pictures(tmp_path / "x.mp4")) == 9
 
 
@@ -167,11 +167,39 @@ def test_pictures_with_alpha(tmp_path, monkeypatch):
 
     draw_with(monkeypatch, Clear)
     style = {"transparent": True}
-    export(FakeSimulation(), open_output(tmp_path / "frames"), duration=0.1, size=SIZE, style=style)
+    export(FakeSimulation(), open_output(tmp_path / "frames"), duration=5 / 60, size=SIZE, style=style)
     with Image.open(tmp_path / "frames" / "frame_00003.png") as image:
         assert image.mode == "RGBA"
         assert np.asarray(image)[24, [2, 60]].tolist() == [[255, 0, 0, 255], [0, 0, 255, 0]]
     for name in ("x.mp4", "x.gif"):
         with pytest.raises(ValueError, match=rf"transparent: .*{name} holds no transparency; write PNG frames"):
-            export(FakeSimulation(), open_output(tmp_path / name), duration=0.1, size=SIZE, style=style)
+            export(FakeSimulation(), open_output(tmp_path / name), duration=5 / 60, size=SIZE, style=style)
     assert [p.name for p in tmp_path.iterdir()] == ["frames"]
+
+
+@pytest.mark.parametrize("name", ["x.mp4", "x.webm", "x.gif", "x.npz", "x.csv", "x.pvd", "x.ply", "frames/"])
+def test_what_is_complete_is_left_as_it_is(tmp_path, name):
+    make(tmp_path, name)
+    before = {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()}
+    out = open_output(f"{tmp_path}/{name}", resume=True)
+    assert out.is_finished(30)
+    other = open_output(tmp_path / "other.csv", resume=True)  # was not begun
+    assert not other.is_finished(30)
+    summary = export(FakeSimulation(), [out, other], duration=0.5, size=SIZE)
+    assert summary.frames == 30
+    (tmp_path / "other.csv").unlink()
+    assert {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["x.mp4", "x.npz", "x.csv", "x.pvd", "x.ply"])
+def test_what_has_other_frames_is_made_anew(tmp_path, name):
+    make(tmp_path, name)
+    assert not open_output(tmp_path / name, resume=True).is_finished(42)
+    assert make(tmp_path, name, duration=0.7, resume=True).frames == 42
+
+
+@pytest.mark.parametrize("content", [b"", b"mine", b"PK\x05\x06" + bytes(18)])
+@pytest.mark.parametrize("name", ["x.mp4", "x.npz", "x.csv"])
+def test_what_is_something_else_is_made_anew(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    assert not open_output(tmp_path / name, resume=True).is_finished(30)

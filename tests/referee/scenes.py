@@ -128,6 +128,7 @@ class _Adding:
                 weights=scene.bend_weights[on],
                 stiffness=scene.bend_stiffness[on] * (c.mass / c.time**2),
                 damping=scene.bend_damping[on] * (c.mass / c.time),
+                hinge=scene.bend_hinge[on],
             )
         on = self.whole(scene.triangles)
         if on.any():

@@ -216,6 +216,27 @@ def test_flat_pictures_follow_too():
     assert not np.any(last[..., 0] > 1.5 * last[..., 1])
 
 
+@pytest.mark.parametrize("followed", [0, 2, 4])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_what_is_followed_at_one_end_leaves_the_other_end_in_the_picture(dim, followed):
+    """Five letters in a row, of which one is followed: at the start all are shown."""
+    points = np.zeros((5, dim))
+    points[:, 0] = np.linspace(-4, 4, 5)
+    frame = frame_at(0.0, points, dim=dim) if dim == 2 else frame_at(0.0, points)
+    if dim == 3:
+        camera = Tracker(frame, {"follow": followed}, ASPECT).at(frame)
+        local = (points - camera.eye) @ camera.axes().T
+        tall = np.tan(np.radians(camera.fov) / 2)
+        assert np.all(np.abs(local[:, 0]) < ASPECT * tall * np.abs(local[:, 2]))
+        assert camera.target == pytest.approx(points[followed])
+        return
+    with Renderer(frame, size=(120, 80), camera={"follow": followed}) as renderer:
+        flat = renderer._painter.camera
+        place = (points - flat.low) * flat.scale
+        assert np.all((place > 0) & (place < [120, 80]))
+        assert place[followed] == pytest.approx([60, 40], abs=0.5)
+
+
 BAD = [
     ({"eyes": (0, 0, 1)}, r"camera\.eyes: is not a key of a camera in 3D; did you mean 'eye'\?"),
     ({"eye": (0, 1)}, r"camera\.eye: shape \(2,\)"),

@@ -166,7 +166,7 @@ def post(sections, around=40):
     return vertices, np.concatenate([np.stack([corner.ravel() for corner in part], axis=1) for part in parts])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_slim_triangles_are_shaded_as_those_they_are_cut_into():
     """The shadow of a slab on a post: the point that a pixel shows does not slide along a triangle whose side it lies beside."""
     slab = placed(Box((-0.95, 1.35, 0.6), (1.4, 0.2, 1.4), rotation=(0, 30, 0), colour=RED), 3)
@@ -289,7 +289,7 @@ def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
         picture(upright(), looks=[{"of": "flag", "gloss": 0.5}, {"of": "flag"}])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_see_through_collider_shows_what_is_behind_it():
     """Half of a green ball through a red box; in a picture with alpha half of nothing. It casts no shadow, and gloss shines."""
     box = placed(Box((0, 0, 0), (2, 2, 2), colour=RED, name="glass"), 3)

@@ -53,10 +53,10 @@ def test_a_report_is_of_the_quantity(tmp_path, monkeypatch):
     largest = STIFFNESS * 0.1 * np.abs(np.sin(np.arange(1, PARTS + 1))).max()
     assert row.relative_error == pytest.approx(STIFFNESS * (row.step * RATE) ** 2 / largest, rel=1e-2)
     page = (tmp_path / "r" / "report.md").read_text()
-    assert "Errors are of load.tension, as a part of the largest value of load.tension: 9.894 N." in page
+    assert "Errors are of load.tension, as a part of the peak of load.tension: 9.894 N." in page
     assert "rms error [N]" in page
     assert re.search(
-        r"load.tension with verlet at .* s, the scene's own settings, at most until 0.4 s: [\d.]+ N, of which step",
+        r"load.tension with verlet at .* s, the scene's own settings, at most until 0.4 s: [\d.]+ \+- [\d.]+ N \(step\)",
         page,
     )
 
@@ -85,7 +85,11 @@ def test_tune_finds_the_tension_to_one_percent(tmp_path):
     )
     said = []
     settings = tune.main(scene, chosen, progress=False, say=said.append)
-    assert said[0].startswith("cheapest for an error of 0.01 of the largest value of load.tension (0.0951 N) over the")
+    assert said[0].startswith("cheapest settings with an error of load.tension below 1.0 % in the first 0.4 s:")
+    lines = "\n".join(said).splitlines()
+    assert any(re.match(r"value +peak of load.tension: 9\.5\d* \+- 0\.0\d+ N \(step\)", line) for line in lines)
+    assert any(line.startswith("allowed      95.1 mN, 1.0 % of it") for line in lines)
+    assert any(re.match(r"found +[\d.]+ mN, 0?[\d.]+ % of it, the largest error at 8 times", line) for line in lines)
     with ts.Simulation(scene, **{**settings, "precision": None}) as sim:
         off = []
         for _ in range(round(0.4 / sim.dt)):
@@ -230,7 +234,8 @@ def test_a_report_has_the_error_of_the_mesh(tmp_path, monkeypatch):
     findings = report.main(scene, plan(resolutions=True), tmp_path / "r", meshes=finer, progress=False, say=said.append)
     assert findings.budget.mesh == pytest.approx(0.04, rel=1e-3)
     assert findings.budget.order == pytest.approx(2.0, abs=1e-2)
-    assert "mesh 40, single precision not known" in said[0]
+    assert "+- 40 mm (mesh), +- " in said[0]
+    assert "single precision not known" in said[0]
     assert "falls with the order 2.00 of the spacing" in (tmp_path / "r" / "report.html").read_text()
     again = report.main(scene, plan(resolutions=True), tmp_path / "r", meshes=finer, **NONE)
     assert again.budget == findings.budget

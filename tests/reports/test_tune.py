@@ -94,9 +94,7 @@ def test_the_longest_safe_step_is_tried_first_and_an_unstable_one_is_not_the_las
 def test_nothing_meets_it(monkeypatch):
     said = []
     assert tuned(monkeypatch, 1e-2, said, most=1e-3) is None
-    assert said[-1].startswith(
-        "no method and step within --limit 0.001 s meets an error of 0.01 of the rms displacement"
-    )
+    assert said[-1].startswith("no method and step within --limit 0.001 s keeps the error of positions below")
 
 
 def test_what_cannot_be_tuned_says_why(monkeypatch):

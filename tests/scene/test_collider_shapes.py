@@ -64,11 +64,58 @@ def test_the_grid_of_a_mesh_holds_the_exact_distances():
 
     backend.start(arch="cpu", precision=PRECISION)
     mesh = collider(ts.Mesh(CUBE, resolution=12), 3)
-    grid = distance_grid(mesh, 0.3)
+    grid = distance_grid(mesh, 0.3, 0.1)
     k, j, i = np.meshgrid(*(np.arange(n) for n in grid.value.shape), indexing="ij")
     p = grid.low + grid.cell * np.stack([i, j, k], -1).reshape(-1, 3)
     assert grid.value.ravel() == pytest.approx(box_distance(p, 0.5), abs=1e-12)
     assert p.min() < -0.75
+
+
+def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
+    """A spiky cup whose wall is thin, and apart from it a cube with a cubic hole, of which the surface of either part is given
+    the wrong way around or not: solid where its windings say so, as the plain distance has it."""
+    from taichi_sim.kernels.contacts.triangle_tree import signed_distance
+
+    from taichi_sim.contacts.distance_grid import distance_grid
+    from taichi_sim.device import backend
+    from taichi_sim.device.engine import ti
+
+    backend.start(arch="cpu", precision=PRECISION)
+    real = np.float32 if PRECISION == "f32" else np.float64
+
+    @ti.kernel
+    def measure(
+        box: ti.types.ndarray(),
+        link: ti.types.ndarray(ti.i32, 1),
+        triangle: ti.types.ndarray(),
+        p: ti.types.ndarray(),
+        d: ti.types.ndarray(),
+    ):
+        for i in range(p.shape[0]):
+            d[i], _, _ = signed_distance(box, link, triangle, 0, link[0], 0, ti.Vector([p[i, 0], p[i, 1], p[i, 2]]))
+
+    angle = np.arange(14) * 2 * np.pi / 14
+    out = [0.01, 0.01, 0.4, 0.41, 0.44, 0.43], [0.0, 0.02, 0.02, 0.5, 0.5, 0.0]
+    spiky = 1.0 + 0.5 * (np.arange(14) % 2)
+    around = np.stack([spiky * np.cos(angle), 0 * angle, spiky * np.sin(angle)], axis=-1)
+    cup = np.concatenate([r * around + [0, y, 0] for r, y in zip(*out)])
+    k, j = np.arange(14), np.roll(np.arange(14), -1)
+    walls = [np.stack([a + k, b + k, a + j, b + k, b + j, a + j], 1).reshape(-1, 3) for a, b in
+             ((14 * m, 14 * ((m + 1) % 6)) for m in range(6))]  # fmt: skip
+    rng, cube = np.random.default_rng(3), CUBE[0] + [2.0, 0.3, 0.0]
+    hole = 0.5 * CUBE[0] + [2.0, 0.3, 0.0]
+    vertices = np.concatenate([cup, cube, hole])
+    for turned in (slice(None), slice(None, None, -1)):
+        parts = [*walls, CUBE[1][:, turned] + 84, CUBE[1][:, ::-1][:, turned] + 92]
+        mesh = collider(ts.Mesh((vertices, np.concatenate(parts)), resolution=32), 3)
+        tree = distance_grid(mesh, 0.1, 0.1).tree
+        p = rng.uniform([-0.8, -0.2, -0.8], [2.7, 0.9, 0.8], (1500, 3))
+        d = np.zeros(len(p), dtype=real)
+        tables = (np.ascontiguousarray(a.ravel(), t) for a, t in zip(tree[:3], (real, np.int32, real)))
+        measure(*tables, np.ascontiguousarray(p, dtype=real), d)
+        expected = mesh.distance(p, 0.0)
+        assert np.sum(expected < 0) > 100
+        assert d == pytest.approx(expected, abs=1e-12 if PRECISION == "f64" else 1e-6)
 
 
 def test_turns_of_any_size():

@@ -127,13 +127,53 @@ def test_stretch_of_a_mesh():
         )
 
 
-def test_a_strip_bends_as_a_beam():
-    """A strip clamped at one end sags by q L^4 / (8 B): 40 meshes long, from the middle of the first, which is held."""
-    rigidity, mass = 1e-3, 2e-5
-    scene, _ = sheet((1.0, 0.1), (41, 3), bending_rigidity=rigidity, mass_per_area=mass, pinned=list(range(6)))
+@pytest.mark.parametrize("kind", ["grid", "rope", "rope of springs"])
+def test_a_clamp_is_at_the_last_held_balls(kind):
+    """What is clamped at one end by two rows sags by q L^4 / (8 B), L from the second row: 19 meshes."""
+    n, rigidity, mass = 20, 1e-3, 2e-5
+    a = 1 / n
+    held = {"shape": "box", "center": (0, 0, 0), "size": (2.1 * a, 1, 1)}
+    scene = Scene(dim=3, gravity=(0, -10, 0))
+    if kind == "grid":
+        scene, _ = sheet((1.0, 2 * a), (n + 1, 3), bending_rigidity=rigidity, mass_per_area=mass, pinned=held)
+    elif kind == "rope":
+        shapes.rope(scene, (0, 0, 0), (1, 0, 0), n + 1, mass_per_length=mass, EI=rigidity, EA=STRETCH, pinned=held)
+    else:
+        made = {"stiffness": STRETCH / a, "bending_stiffness": rigidity / a**3}
+        shapes.rope(scene, (0, 0, 0), (1, 0, 0), n + 1, mass=mass * (n + 1) / n, pinned=held, **made)
     x, _ = at_rest(scene, most=1e-7)
-    length = 1.0 - 0.5 / 40
-    assert -x[-1, 1] == pytest.approx(mass * 10 * length**4 / (8 * rigidity), rel=0.01)  # 2.4 cm
+    tip = np.isclose(scene.position[:, 0], 1.0)
+    # equal balls: the last one weighs twice its share, a / 2 too much at the end
+    more = 4 * a / (3 * (1 - a)) if kind == "rope of springs" else 0.0
+    assert -x[tip, 1].mean() == pytest.approx(mass * 10 * (1 - a) ** 4 / (8 * rigidity) * (1 + more), rel=0.01)
+
+
+def test_a_mesh_is_clamped_at_its_last_held_vertices():
+    """Its hinges between a held triangle and a free one of the same area are twice as stiff; no others are."""
+    flat = mesh_of((1, 1), 6)
+    scene = Scene(dim=3)
+    held = {"shape": "box", "center": (0, 0, 0), "size": (0.5, 1, 3)}  # two rows of seven
+    shapes.cloth(scene, mesh=flat, pinned=held, stretch_stiffness=STRETCH, bending_rigidity=RIGIDITY)
+    one, other = (scene.pinned[scene.bends[:, [0, 1, k]]].all(axis=1) for k in (2, 3))
+    assert (np.count_nonzero(one & other), np.count_nonzero(one ^ other)) == (11, 6)
+    rise = np.where(one ^ other, 2.0, 1.0)
+    assert scene.held_bending()[0] == pytest.approx(rise * scene.bend_stiffness)
+
+
+def test_a_hinge_counts_by_the_part_that_is_free():
+    """Sides of 1 and 3 m: with the first held the element is 3 of 4 m long, with the second 1, with none or both all of it."""
+    scene = Scene(dim=2)
+    scene.add_balls([[0.0, 0.0], [1.0, 0.0], [4.0, 0.0]], radius=0.1)
+    hinge = {"weights": [-2 / 3, -2 / 3, 1.0, 1 / 3], "stiffness": 6.0, "damping": 3.0}
+    scene.add_bending([[1, 1, 0, 2]], hinge=True, **hinge)
+    scene.add_bending([[1, 1, 0, 2]], **hinge)
+    for pinned, rise in (([], 1), ([0], 1), ([0, 1], 4 / 3), ([1, 2], 4), ([0, 2], 1), ([0, 1, 2], 1)):
+        scene.set_balls(pinned=np.isin(np.arange(3), pinned))
+        stiffness, damping = scene.held_bending()
+        assert stiffness == pytest.approx([6.0 * rise, 6.0])
+        assert damping == pytest.approx([3.0 * rise, 3.0])
+    with pytest.raises(SceneError, match=r"bending\.weights\[0\]: .* of one sign"):
+        scene.add_bending([[0, 1, 1, 2]], weights=[1.0, -1.0, -1.0, 1.0], stiffness=1.0, hinge=True)
 
 
 def hanging(n):

@@ -1,5 +1,6 @@
 """Bad arguments of Simulation, and backends that this process cannot have: one message that names what is allowed."""
 
+import numpy as np
 import pytest
 import taichi as ti
 from physics_support import F64, PRECISION, simulate
@@ -139,7 +140,7 @@ def test_f32_far_from_the_origin_is_warned_of(recwarn):
 
 def test_a_step_longer_than_a_frame_is_warned_of():
     with simulate(falling(), dt=0.5) as sim, pytest.warns(UserWarning, match="longer than a frame"):
-        assert len(list(sim.frames(fps=10, duration=1.0))) == 10
+        assert len(list(sim.frames(fps=10, duration=1.0))) == 11
 
 
 def test_steps_between_frames_count_towards_the_next():
@@ -148,7 +149,7 @@ def test_steps_between_frames_count_towards_the_next():
         for frame in sim.frames(fps=100, duration=0.05):
             times.append(frame.time)
             sim.step(15 if len(times) == 1 else 0)
-    assert times == pytest.approx([0.0, 0.015, 0.02, 0.03, 0.04])
+    assert times == pytest.approx([0.0, 0.015, 0.02, 0.03, 0.04, 0.05])
 
 
 def test_more_frames_than_anyone_can_use():
@@ -196,6 +197,23 @@ if not F64:
             simulate(scene, dt=H)
         with simulate(falling(), dt=H) as sim:
             sim.step(1)
+
+    @pytest.mark.parametrize("small", [2e-39, 7e-50])
+    def test_a_number_too_small_for_single_precision_is_zero_f32(small):
+        """In any column, of the start or set later."""
+        scene = ts.Scene(dim=2, gravity=(small, -9.81))
+        scene.add_material("oil", restitution=small, friction=small, viscous_friction=small)
+        b = scene.add_balls([[small, 1], [1, 1]], radius=[0.1, small], velocity=(small, 1), material="oil")
+        scene.add_springs([b], stiffness=small, damping=small, rest_length=small)
+        scene.add_wall((0, 1), small, material="oil")
+        with simulate(scene, dt=H) as sim:
+            sim.step(2)
+            sim.set_velocity([[0, -small], [small, 0]])
+            sim.set_position([[0, small], [1, small]])
+            sim.apply_impulse([0], [[small, 0]])
+            sim.step(2)
+            assert np.isfinite(sim.position).all()
+            assert np.abs(sim.velocity[:, 0]).max() < 1e-30
 
 
 @ti.data_oriented

@@ -1,4 +1,4 @@
-"""What is done to a scene after a simulation was made of it neither acts on the simulation nor breaks it."""
+"""What is done to a scene after a simulation was made of it does not act on the simulation, and it says so."""
 
 import numpy as np
 import pytest
@@ -25,8 +25,12 @@ def test_later_changes_of_a_scene_do_not_reach_its_simulation(tmp_path):
         sim.save(tmp_path / "state.npz")
         with ts.Simulation.restore(tmp_path / "state.npz") as again:
             assert np.array_equal(again.position, sim.position)
-        sim.step(10)
-        assert np.allclose(sim.velocity[:, 1], -8 * 0.02, rtol=1e-5)
+            again.step(10)
+            assert np.allclose(again.velocity[:, 1], -8 * 0.02, rtol=1e-5)
+        with pytest.raises(
+            ts.SceneError, match=r"^scene: got more balls, springs, walls after this simulation was made"
+        ):
+            sim.step(10)
         with pytest.raises(ts.SceneError, match="belongs to a simulation"):
             sim.scene.set_balls(mass=-1.0)
         with pytest.raises(ValueError, match="read-only"):

@@ -78,23 +78,23 @@ def fall(compiled_fall):
 
 
 @pytest.mark.parametrize(
-    ("fps", "duration", "count"), [(60, 0.5, 30), (30, 0.1, 3), (7, 1.0, 7), (24, 0.0, 0), (10, 0.26, 3)]
+    ("fps", "duration", "count"), [(60, 0.5, 31), (30, 0.1, 4), (7, 1.0, 8), (24, 0.0, 1), (10, 0.26, 4)]
 )
 def test_frames(fall, fps, duration, count):
-    """round(fps x duration) of them, the first the start, each at the step nearest to its time; the end is excluded."""
+    """round(fps x duration) and one more, the first the start, the last the end, each at the step nearest to its time."""
     frames = list(fall.frames(fps=fps, duration=duration))
     assert len(frames) == count
     for k, frame in enumerate(frames):
         assert frame.time == round(k / fps / H) * H
         assert frame.position[0, 1] == pytest.approx(1.0 - 5.0 * frame.time**2, abs=exact(1000))
-    if frames:
-        assert frames[0].position is not frames[-1].position
+    assert frames[-1].time == pytest.approx(duration, abs=0.5 / fps)
+    assert len(frames) == 1 or frames[0].position is not frames[-1].position
 
 
 def test_frames_go_on_from_the_present(fall):
     fall.step(100)
     times = [f.time for f in fall.frames(fps=50, duration=0.06)]
-    np.testing.assert_allclose(times, [0.1, 0.12, 0.14])
+    np.testing.assert_allclose(times, [0.1, 0.12, 0.14, 0.16])
 
 
 def test_substeps_divide_a_step():
@@ -302,7 +302,7 @@ def test_nothing_and_everything_pinned():
             assert sim.time == pytest.approx(10 * H)
             assert sim.position.shape == (0, dim)
             assert sim.energy().total == 0.0
-            assert len(list(sim.frames(fps=10, duration=0.3))) == 3
+            assert len(list(sim.frames(fps=10, duration=0.3))) == 4
         scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -10.0))
         b = scene.add_balls(np.zeros((3, dim)), radius=0.1, pinned=True)
         scene.add_springs([b[:2]], stiffness=10.0, damping=1.0, rest_length=1.0, collides=True)

@@ -103,7 +103,7 @@ def test_it_ends_where_small_steps_end(swinging):
     with simulate(swinging, tolerance=TOLERANCE) as sim:
         frames = list(sim.frames(fps=60, duration=T))
         sim.run(T - sim.time)
-        assert [f.time for f in frames] == pytest.approx([k / 60 for k in range(30)])
+        assert [f.time for f in frames] == pytest.approx([k / 60 for k in range(31)])
         end, found = sim.position, sim.error()
     with simulate(swinging, dt=5e-5) as sim:
         sim.run(T)

@@ -6,10 +6,13 @@ import numpy as np
 from physics_support import vector
 
 import taichi_sim as ts
+from taichi_sim.scene.keyframes import rotation_matrix
 
 H, G, R = 1e-3, 10.0, 0.05
 SHOTS, SPEED = 125, 10 * R / H  # bullets at each shape, of 10 radii a step
 ROOM = 8.0  # m between one experiment and the next
+TURNTABLE = 2.7  # 1/s
+THIN = 0.13  # of a cell of its grid, the thickness of a plate
 LIFT = ((0.0, 0.0), (0.2, 0.0), (0.7, 0.5), (1.2, 0.5))  # s, m: waits, rises at 1 m/s, stands
 
 
@@ -88,6 +91,13 @@ class Laboratory:
             c = self.place("mesh")
             self.scene.add_collider(ts.Mesh(cube(), position=c + half, material="common"))
             self.add("rests on a mesh", c + vector(dim, 0.1, R), "common")
+            c = self.place("thin plate")
+            tilt = rotation_matrix("", (9.0, 24.0, 13.0), 3)
+            plate = cube(2.4)[0] * (1.0, THIN / 16, 1.0) @ tilt.T
+            self.scene.add_collider(ts.Mesh((plate, cube()[1]), position=c, resolution=16, material="rough"))
+            for k, (x, z) in enumerate(((0.03, 0.4), (-0.41, -0.35), (0.62, -0.11))):
+                y = 0.5 * THIN * 2.4 / 16 + R + 0.1 * k
+                self.add(f"dropped on a thin plate {k}", c + tilt @ (x, y, z), "rough")
 
     def _slopes(self):
         for degrees in (20, 40):
@@ -118,6 +128,12 @@ class Laboratory:
 
     def _movers(self):
         dim = self.dim
+        if dim == 3:
+            c = self.place("turntable")
+            arm, turning = np.array((0.9, 0.0, 0.3)), np.array((0.0, TURNTABLE, 0.0))
+            plate = {"rotation_rate": np.degrees(turning), "pivot": c, "material": "rough"}
+            self.scene.add_collider(ts.Box(c + vector(dim, 0.4, -0.5), (4.0, 1.0, 3.0), **plate))
+            self.add("held on a turntable", c + arm + vector(dim, 0.0, R), "rough", velocity=np.cross(turning, arm))
         c = self.place("piston")
         self.scene.add_collider(ts.Box(c - vector(dim, 0.5), np.ones(dim), velocity=vector(dim, 2.0)))
         self.add("pushed by a piston", c + vector(dim, 0.3), "elastic")

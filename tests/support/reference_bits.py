@@ -116,7 +116,12 @@ def cloth_on_sphere():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     _materials(scene)
     ts.shapes.cloth(
-        scene, size=(0.6, 0.6), resolution=(12, 12), position=(-0.3, 0.42, -0.3), bending_stiffness=2, material="rubber"
+        scene,
+        size=(0.6, 0.6),
+        resolution=(12, 12),
+        position=(-0.3, 0.42, -0.3),
+        bending_stiffness=0.02,
+        material="rubber",
     )
     scene.add_collider(ts.Sphere((0, 0.15, 0), 0.25, material="rubber"))
     scene.add_wall((0, 1, 0), 0.0, "rubber")

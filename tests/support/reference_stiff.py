@@ -62,19 +62,22 @@ def tr_bdf2(net: ref.Network, x: Array, v: Array, h: float, steps: int) -> tuple
 
 
 def xpbd(net: ref.Network, x: Array, v: Array, h: float, steps: int) -> tuple[Array, Array]:
-    """Each spring in turn, ordered by its lower ball, then the other one: XPBD with one iteration, in positions.
+    """XPBD in positions: half of each spring in turn, ordered by its lower ball, then the other one, and again in reverse.
 
     Predict y = x + h v; for each spring C = |y_j - y_i| - l, with compliance 1 / k and damping as Macklin et al. (2016, eq. 26)
     have it, beta = c / k^2: lambda = -(C + gamma n.(y_j - x_j - y_i + x_i)) / ((1 + gamma) W + a), a = 1 / (k h^2),
-    gamma = a beta k^2 h ... = c / (k h), and y_i -= w_i lambda n, y_j += w_j lambda n. In the end v = (y - x) / h.
+    gamma = a beta k^2 h ... = c / (k h), and y_i -= w_i lambda n, y_j += w_j lambda n; n along x_j - x_i where C < 0, else along
+    y_j - y_i. In the end v = (y - x) / h.
     """
     order = np.lexsort((net.pairs.max(axis=1), net.pairs.min(axis=1)))
     for _ in range(steps):
         y = x + h * (v + h * net.gravity * (net.w > 0)[:, None])
-        for e in order:
+        for e in (*order, *order[::-1]):
             i, j = net.pairs[e]
             n, d = ref.direction(y, i, j)
-            a, gamma = 1.0 / (net.k[e] * h * h), net.c[e] / (net.k[e] * h)
+            if d < net.rest[e]:
+                n, _ = ref.direction(x, i, j)
+            a, gamma = 2.0 / (net.k[e] * h * h), net.c[e] / (net.k[e] * h)
             moved = n @ ((y[j] - x[j]) - (y[i] - x[i]))
             lam = -(d - net.rest[e] + gamma * moved) / ((1.0 + gamma) * (net.w[i] + net.w[j]) + a)
             y[i] -= net.w[i] * lam * n

@@ -19,8 +19,8 @@ def forces(scene, x):
     matrix = np.zeros((n, dim, n, dim))
     for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
         np.add.at(matrix, (a, slice(None), b), sign * block)
-    for corners, weights, k in zip(scene.bends, scene.bend_weights, scene.bend_stiffness):
-        force[corners] -= k * np.outer(weights, weights @ x[corners])
+    for corners, weights, k in zip(scene.bends, scene.bend_weights, scene.held_bending()[0]):
+        np.add.at(force, corners, -k * np.outer(weights, weights @ x[corners]))
         for a, wa in zip(corners, weights):
             for b, wb in zip(corners, weights):
                 matrix[a, :, b] += k * wa * wb * np.eye(dim)

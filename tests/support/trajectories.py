@@ -91,7 +91,7 @@ def in_calls(sim, start, steps, calls):
 def in_frames(sim, start, steps, fps):
     """As frames of so many a second; steps that are left are made at the end."""
     sim.resume(start)
-    for _ in sim.frames(fps=fps, duration=steps * sim.dt):
+    for _ in sim.frames(fps=fps, duration=steps * sim.dt - 1.0 / fps):  # none beyond the end
         pass
     sim.step(steps - round(sim.time / sim.dt))
     return digest(sim)

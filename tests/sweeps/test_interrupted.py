@@ -90,6 +90,7 @@ def interrupted(folder, moment):
     return rows
 
 
+@pytest.mark.long
 def test_ctrl_c_at_any_moment(tmp_path):
     pytest.importorskip("distributed")
     (tmp_path / "heap.toml").write_text(SCENE)

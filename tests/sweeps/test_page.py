@@ -7,7 +7,10 @@ import pytest
 
 from taichi_sim.sweeps.design import axis_of
 from taichi_sim.sweeps.figures import is_logarithmic
+from taichi_sim.sweeps.measures import Measures, Number
 from taichi_sim.sweeps.page import _about
+from taichi_sim.sweeps.points import Point, Row
+from taichi_sim.sweeps.sweep import Sweep
 
 pytestmark = pytest.mark.once
 
@@ -44,3 +47,19 @@ def test_what_points_take_is_said_without_compiling(rows, says):
     rows = [SimpleNamespace(wall=wall, compiled=compiled, seed=None) for wall, compiled in rows]
     sweep = SimpleNamespace(rows=rows, points=[], failed=[], axes=[], design=SimpleNamespace(kind="grid"))
     assert list(_about(sweep))[-1].startswith(says)
+
+
+def test_a_sweep_says_means_with_their_intervals():
+    """Three seeds of 2, 3 and 4 N: the mean is off by t s / sqrt(3) = 4.303 / sqrt(3) = 2.48 N at most, in 95 of 100 sweeps."""
+    points = [Point({"radius": r}, seed) for r in (0.1, 0.2) for seed in range(3)]
+    values = [2.0, 3.0, 4.0, 7.0, 7.0, 7.0]
+    rows = {p.key: Row.of(p, measures={"probes.load": value}) for p, value in zip(points, values)}
+    measures = Measures([Number("probes.load", "probes.load", "last", "N")], {}, False)
+    done = Sweep(SimpleNamespace(name="s"), (), SimpleNamespace(kind="product"), points, rows, {}, measures, None)
+    assert list(done.lines()) == [
+        "probes.load  3 +- 2 N (mean of 3 seeds, 95% interval) at radius 0.1",
+        "probes.load  7 N, exact to rounding (mean of 3 seeds, 95% interval) at radius 0.2",
+    ]
+    assert next(done.lines(most=0)) == "probes.load  and 2 combinations more, see the table"
+    single = Sweep(SimpleNamespace(name="s"), (), SimpleNamespace(kind="product"), points[:1], rows, {}, measures, None)
+    assert list(single.lines()) == ["probes.load  2.00 N at radius 0.1"]

@@ -34,7 +34,7 @@ def torn_net():
     scene.set_springs(net.springs, break_strain=0.1)
     scene.add_balls([[0.5, 1.2, 0.5]], radius=0.1, mass=2.0, velocity=(0, -3, 0))
     scene.add_collider(ts.Sphere((0.2, 0.3, 0.2), 0.2, velocity=(0.5, 0, 0)))
-    scene.output = {"camera": {"follow": [49]}, "fps": 20.0, "duration": 0.5}
+    scene.output = {"camera": {"follow": [49]}, "fps": 20.0, "duration": 0.45}
     return scene
 
 
@@ -44,7 +44,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     with ts.Simulation(torn_net(), precision=PRECISION) as sim:
         outputs = [ts.open_output(folder / "whole"), ts.open_output(folder / "s.npz", fps=20)]
-        ts.export(sim, outputs, fps=20, duration=0.5, size=SIZE, style={"camera": {"follow": [49]}})
+        ts.export(sim, outputs, fps=20, duration=0.45, size=SIZE, style={"camera": {"follow": [49]}})
         assert sim.torn.any()
     return folder
 
@@ -59,7 +59,7 @@ def test_a_recording_has_the_frames_of_its_run(run):
     frames = Recording(run / "s.npz")
     assert (len(frames), frames.fps) == (10, 20.0)
     with ts.Simulation(torn_net(), precision=PRECISION) as sim:
-        for mine, other in zip(frames, sim.frames(fps=20, duration=0.5), strict=True):
+        for mine, other in zip(frames, sim.frames(fps=20, duration=0.45), strict=True):
             assert mine.time == other.time
             for name in (
                 "position",
@@ -224,7 +224,7 @@ def test_files_of_a_recording_are_those_of_its_run(tmp_path):
     for name in ("run", "again"):
         (tmp_path / name).mkdir()
     with ts.Simulation(scene, precision=PRECISION) as sim:
-        ts.export(sim, [ts.open_output(tmp_path / "run" / name, fps=20) for name in DATA], fps=20, duration=0.3)
+        ts.export(sim, [ts.open_output(tmp_path / "run" / name, fps=20) for name in DATA], fps=20, duration=0.25)
     assert draw(tmp_path / "run" / "x.npz", [tmp_path / "again" / name for name in DATA], workers=0) == 6
     found = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
     assert {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()} == found

@@ -16,11 +16,12 @@ from sweep_scenes import both, heap, hostile, mortal, slow, springs, top
 
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
+from taichi_sim.files.parameters import put
 from taichi_sim.sweeps.cluster import Workers, _answers
 from taichi_sim.sweeps.folder import Folder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
-from taichi_sim.sweeps.subject import FileSubject, put, subject_of
+from taichi_sim.sweeps.subject import FileSubject, subject_of
 
 pytestmark = pytest.mark.once
 HERE = {"workers": 0, "precision": PRECISION}
@@ -312,6 +313,8 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
         text.replace('{"m": NaN}', '{"m": "abc"}'),
         text.replace('{"a": 0}', '{"a": 7}'),
         text.replace('"wall": 0.0', '"wall": "long"'),
+        text.replace('"wall": 0.0', '"wall": 1.0'),
+        text.replace('{"m": NaN}', '{"m": 17.5}'),
     ):
         assert damage != text
         (tmp_path / "s" / "rows.jsonl").write_text(damage)

@@ -2,29 +2,17 @@
 
 import numpy as np
 import pytest
-import taichi as ti
 from physics_support import simulate
+from published import Drag
 from statics import at_rest
 
 from taichi_sim import Box, Scene, shapes
 from taichi_sim.analysis.diagnostics import inverted
-from taichi_sim.shapes.balloon import _sphere
+from taichi_sim.geometry.spheres import icosphere
+from taichi_sim.outputs.export import export
+from taichi_sim.scene.elements import cell_volumes
 
 pytestmark = pytest.mark.long_in("f32")
-
-
-@ti.data_oriented
-class Drag:
-    """Slows every ball at the same rate [1/s]."""
-
-    def __init__(self, rate):
-        self.rate = rate
-
-    @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        for i in range(model.n):
-            if model.inverse_mass[i] > 0:
-                impulse[i] += -h * self.rate / model.inverse_mass[i] * ball[i].v
 
 
 def bar_and_strip():
@@ -65,11 +53,28 @@ def test_bar_and_strip_come_to_rest_where_newton_finds_them(precision):
 
 
 @pytest.mark.slow
+def test_a_jelly_that_falls_on_its_edge_is_not_crushed():
+    """At Poisson's ratio 1/4, of springs: without a crush modulus it ends at 0.52 of its volume, 96 of 432 cells inverted."""
+    scene = Scene(dim=3, gravity=(0, -10, 0))
+    scene.add_wall((0, 1, 0))
+    made = {"young_modulus": 1.5e4, "density": 1000.0, "rotation": (0, 15, 35), "position": (0, 0.6, 0)}
+    shapes.jelly(scene, (0.25, 0.25, 0.25), (7, 7, 7), **made)
+    with simulate(scene, integrator="verlet", dt=1e-3) as sim:
+        summary = export(sim, None, fps=100, duration=2.2)
+        assert sim.inverted() == 0
+        volume = cell_volumes(sim.position, scene.cells).sum() / scene.rest_volume.sum()
+    assert volume == pytest.approx(1.0, abs=0.1)
+    now, most = summary.inverted
+    assert (now, most > 0) == (0, True)
+    assert any(line.startswith(f"cells        0 inverted at the end, {most} at most") for line in summary.lines())
+
+
+@pytest.mark.slow
 def test_a_filled_ball_comes_back_from_being_squeezed_flat():
     """A piston presses it to a hundredth of its height, so that cells turn inside out, and leaves: after 1 s none is."""
     scene = Scene(dim=3)
     scene.add_wall((0, 1, 0))
-    shapes.jelly(scene, mesh=_sphere(2), spacing=0.4, young_modulus=1e5, position=(0, 1.15, 0), radius=0.02)
+    shapes.jelly(scene, mesh=icosphere(2), spacing=0.4, young_modulus=1e5, position=(0, 1.15, 0), radius=0.02)
     path = [(0.0, (0, 0, 0)), (0.2, (0, -2.1, 0)), (0.25, (0, -2.1, 0)), (0.35, (0, 0.8, 0)), (9.0, (0, 0.8, 0))]
     scene.add_collider(Box((0, 3.2, 0), (6, 2, 6), path=path))
     with simulate(scene, integrator="verlet", dt=1e-3) as sim:

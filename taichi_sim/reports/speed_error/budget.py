@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_sim.common.quantities import measured
 from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.plan import PARTS, Step
 from taichi_sim.reports.speed_error.reference import Reference
@@ -15,7 +16,6 @@ from taichi_sim.reports.speed_error.worker import Outcome
 ASSUMED_ORDER = 1.0  # where there is one difference only
 HIDING_MESH = 10.0  # times the error of the step: that of the mesh hides it
 LEAST_ORDER = 0.3  # order below which differences do not add up to an error
-PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
 @dataclass(frozen=True)
@@ -39,22 +39,22 @@ class Budget:
     why: str = ""  # the mesh's error is not known
 
     def lines(self) -> Iterator[str]:
-        """In words: `12.3 mm, of which step 0.1, mesh 0.4, single precision 0.001`."""
-        largest = max(abs(value) for value in (self.value, self.step, self.mesh, self.single) if value is not None)
-        power = 0
-        if self.unit and largest > 0 and self.unit != "kg":
-            power = int(np.clip(3 * math.floor(math.log10(largest) / 3 + 1e-12), min(PREFIXES), max(PREFIXES)))
+        """In words: `12.3 +- 0.4 mm (mesh), +- 0.1 mm (step), +- 1.0 µm (single precision)`."""
         parts = {"step": self.step, "mesh": self.mesh, "single precision": self.single}
-        words = ", ".join(f"{name} {_short(value, power)}" for name, value in parts.items())
-        value = f"{self.value / 10.0**power:.4g} {PREFIXES[power]}{self.unit}".rstrip()
+        known = sorted(((value, name) for name, value in parts.items() if value is not None), reverse=True)
+        words = [
+            measured(self.value, known[0][0], self.unit, known[0][1]) if known else measured(self.value, unit=self.unit)
+        ]
+        words += [f"+- {measured(value, unit=self.unit, source=name)}" for value, name in known[1:]]
+        words += [f"{name} not known" for name, value in parts.items() if value is None]
         yield (
             f"{self.name} with {self.method} at {self.step_length:.3g} s, the scene's own settings, at most until"
-            f" {self.time:.3g} s: {value}, of which {words}."
+            f" {self.time:.3g} s: {', '.join(words)}."
         )
         if self.mesh is not None and self.step is not None and self.mesh > HIDING_MESH * self.step:
             yield (
-                "The mesh is by far the largest part: a finer resolution gains what no step and no method does. The fastest"
-                " settings below are for the motion of this mesh."
+                "The error of the mesh is by far the largest: only a finer resolution reduces it. The fastest settings below"
+                " are for the motion of this mesh."
             )
         if self.why:
             yield f"The error of the mesh: {self.why}."
@@ -62,10 +62,6 @@ class Budget:
             yield f"The error of the mesh falls with the order {self.order:.2f} of the spacing, as observed."
         elif self.mesh is None:
             yield "The error of the mesh was not measured; --resolutions does that."
-
-
-def _short(value: float | None, power: int) -> str:
-    return "not known" if value is None else f"{value / 10.0**power:.2g}"
 
 
 def made(

@@ -1,8 +1,12 @@
 """What the commands `report` and `tune` take: a scene and options, checked before anything runs."""
 
 import math
+from collections.abc import Mapping
+from copy import copy
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common import validation
@@ -27,6 +31,7 @@ def read(
     arch: str | None = None,
     threads: int | None = None,
     allow_outside: bool | None = None,
+    parameters: Mapping[str, Any] | None = None,
 ) -> tuple[Path, Scene, Plan]:
     """The file, its scene, and the plan. Raises ValueError or OSError that names the option and what is allowed."""
     assert name is not None
@@ -42,12 +47,16 @@ def read(
     if duration is not None:
         _positive("--duration", duration)
     file = resolve(name)
-    scene = open_scene(file, allow_outside=bool(allow_outside))
+    scene = open_scene(file, allow_outside=bool(allow_outside), parameters=parameters)
     if scene is None:
         raise SceneError(f"{file}: makes its own simulation(); methods and steps can be compared for a scene() only")
     if not scene.n_balls:
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
     checked_output(scene)
+    if scene.settings.get("settle"):
+        if resolutions:
+            raise SceneError("--resolutions: cannot be combined with `settle`: finer meshes come to rest elsewhere")
+        scene = settled_scene(scene)
     process = {"arch": arch, "threads": threads}
     given = {key: value for key, value in process.items() if value is not None}
     with scene.in_file(given):
@@ -73,6 +82,18 @@ def read(
             " that are compared (--duration)"
         )
     return file, scene, plan
+
+
+def settled_scene(scene: Scene) -> Scene:
+    """The scene as it is where it has come to rest, which every method and step starts from."""
+    from taichi_sim.simulation.simulation import Simulation
+
+    with Simulation(scene, precision=None, arch=None, threads=None) as simulation:
+        position = simulation.position
+    made = copy(scene)
+    made.settings = {key: value for key, value in scene.settings.items() if key != "settle"}
+    made.set_balls(position=position, velocity=np.zeros_like(position))
+    return made
 
 
 def require_own_file(name: str, file: Path) -> None:

@@ -70,4 +70,4 @@ class Compared:
             return "rms displacement"
         if self.quantity.of_energy:
             return "largest kinetic and spring energy"
-        return f"largest {'motion' if self.quantity.from_start else 'value'} of {self.name}"
+        return f"{'largest motion' if self.quantity.from_start else 'peak'} of {self.name}"

@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
+from taichi_sim.common.quantities import EXACT
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
@@ -13,6 +12,7 @@ from taichi_sim.reports.speed_error.rows import (
     CLEAR_OF_REFERENCE,
     ERROR_FALLS,
     LEFT_OUT,
+    SAME_TIME,
     STABLE,
     UNSTABLE,
     Row,
@@ -53,6 +53,16 @@ class Findings:
             if len(errors) > 1 and errors[-1] > ERROR_FALLS * errors[-2]:
                 best.append(min(errors))
         return min(best, default=None)
+
+    @property
+    def exact(self) -> list[Row]:
+        """Stable rows that agree to rounding with a reference that is known to rounding."""
+        most = EXACT * self.reference.motion
+        if not self.reference.parts or self.reference.known > most:
+            return []
+        return [
+            row for row in self.rows if row.verdict == STABLE and row.rms_error is not None and row.rms_error <= most
+        ]
 
     @property
     def dropped(self) -> list[Row]:
@@ -102,10 +112,17 @@ class Findings:
                 yield from self.budget.lines()
         if not any(row.verdict == STABLE for row in self.rows):
             yield "No run was stable and within --limit."
+        elif self.exact:
+            yield (
+                f"{len(self.exact)} runs agree with the reference to rounding, within {EXACT:g} of the motion: their methods are"
+                " exact in this scene."
+            )
         elif reference.parts and not any(tells(row, reference.known) for row in self.rows):
-            yield "The reference has not converged enough to tell any method's error."
+            yield (
+                f"No method's error can be told: all lie within {CLEAR_OF_REFERENCE:g} times the uncertainty of the reference."
+            )
         elif self.dropped and reference.parts:
-            yield f"Stable runs that lie so near to the reference: {len(self.dropped)}."
+            yield f"{len(self.dropped)} stable runs lie so near to the reference that their errors cannot be told."
         methods = stuck(self.rows, reference.known)
         if methods:
             yield f"Errors do not fall with the step of {', '.join(methods)}" + (
@@ -118,7 +135,7 @@ class Findings:
             f"Two runs that start {APART:g} of the size apart part by up to {reference.parting.max():.1g} of {whose}"
         )
         if not reference.chaotic:
-            yield f"{grown}: errors mean something all along."
+            yield f"{grown}, so errors can be compared over the whole duration."
         elif reference.parts:
             horizon = reference.parts * plan.duration / PARTS
             yield (
@@ -139,9 +156,9 @@ class Findings:
         yield from self.about()
         if self.front:
             yield ""
-            yield "Not beaten in both speed and error:"
+            yield f"No other run is both faster and more accurate than these ({self.front[0].clock} per simulated second):"
             head = in_unit("error", self.compared.unit)
-            yield f"{'method':18}{'precision':>10}{'step':>12}{'wall s per s':>14}{head:>12}{'relative':>13}"
+            yield f"{'method':18}{'precision':>10}{'step':>12}{'s per s':>14}{head:>12}{'relative':>13}"
             for row in self.front:
                 yield (
                     f"{row.method:18}{row.precision:>10}{row.step:>10.3g} s{row.seconds:>14.3g}{row.rms_error:>12.2g}"
@@ -150,13 +167,13 @@ class Findings:
         if any(row.rms_error is not None for row in self.rows):
             yield ""
             for tolerance, best in self.fastest((1e-2, 1e-3, 1e-4)):
-                yield f"fastest for {100 * tolerance:g} %: {choice(best)}"
+                yield f"fastest with an error below {100 * tolerance:g} %: {choice(best)}"
         for verdict, words in ((UNSTABLE, "became unstable"), (LEFT_OUT, "left out")):
             some = [row for row in self.rows if row.verdict == verdict]
             if some:
-                yield f"{len(some)} of {len(self.rows)} runs {words}; the pages say which and why"
+                yield f"{len(some)} of {len(self.rows)} runs {words}; the pages name them and the reasons."
         if self.intervals:
-            yield f"statistics over 8 starts for {len(self.intervals)} methods and steps: see the pages"
+            yield f"The pages compare {len(self.intervals)} methods and steps by statistics over 8 starts."
 
 
 def in_unit(word: str, unit: str) -> str:
@@ -169,8 +186,8 @@ def choice(rows: list[Row]) -> str:
     if not rows:
         return "none of these"
     first = rows[0]
-    words = f"{named(first)}, {first.seconds:.3g} s of wall time per simulated second"
-    return words + (f"; as fast, within {equal(rows)}" if len(rows) > 1 else "")
+    words = f"{named(first)}, {first.seconds:.3g} s of {first.clock} per simulated second"
+    return words + (f"; equally fast: {equal(rows)}" if len(rows) > 1 else "")
 
 
 def named(row: Row) -> str:
@@ -179,6 +196,6 @@ def named(row: Row) -> str:
 
 
 def equal(rows: list[Row]) -> str:
-    """The rows after the first, and to what their times can be told apart."""
-    noise = np.hypot(rows[0].noise or 0.0, max(row.noise or 0.0 for row in rows[1:]))
-    return f"the noise of {noise:.1g} s: {', '.join(map(named, rows[1:]))}"
+    """The rows after the first, and how their times compare."""
+    within = f"times within {100.0 * (SAME_TIME - 1.0):.0f} % are taken as equal"
+    return f"{', '.join(map(named, rows[1:]))} ({within})"

@@ -12,11 +12,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.atomic_file import lock, replacing
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.npz import read_npz
+from taichi_sim.common.own_folder import LOCK, is_fresh
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.reports.speed_error.budget import Budget
+from taichi_sim.reports.speed_error.kept_outcomes import KeptOutcomes
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import Row
 
@@ -51,18 +53,36 @@ class Folder:
     def __init__(self, path: Path, key: str, overwrite: bool = False) -> None:
         """Raises OSError or ValueError before anything is written where the folder cannot be used."""
         self.path, self.key = path, key
+        self._lock: Any = None
+        self.outcomes = KeptOutcomes(path, self._read, self.write)
         require_folder_place(path)
-        if path.is_dir() and any(path.iterdir()):
+        if path.is_dir() and not is_fresh(path):
             if not (path / MARK).is_file():
                 raise FileExistsError(f"{path}: the folder is not empty and holds no report; use another name")
             if not overwrite and self._read(MARK, lambda file: str(json.loads(file.read_text("utf-8"))["key"])) != key:
                 raise FileExistsError(
                     f"{path}: holds a report of another scene or with other settings; use --overwrite or another --out"
                 )
+        if path.is_dir():
+            self._take()
         if path.is_dir() and overwrite:
             for name in OURS:
                 (path / name).unlink(missing_ok=True)
+            self.outcomes.forget()
         self.rows = self.table("rows.csv", Row)
+
+    def _take(self) -> None:
+        """Keep other reports out."""
+        if self._lock is None:
+            says = f"{self.path}: another report is writing it; wait for it, or give another --out"
+            self._lock = lock(self.path / LOCK, says)
+
+    def close(self) -> None:
+        """Let others in."""
+        if self._lock is not None:
+            self._lock.close()
+            (self.path / LOCK).unlink(missing_ok=True)
+            self._lock = None
 
     def _read(self, name: str, parse: Callable[[Path], Entry]) -> Entry | None:
         """What a file holds, None where there is none. Raises SceneError for one that is not whole."""
@@ -78,6 +98,7 @@ class Folder:
         """Replace a file, whole; the folder is made once there is something to keep."""
         if name != MARK and not (self.path / MARK).is_file():
             self.path.mkdir(exist_ok=True)
+            self._take()
             self.write(MARK, json.dumps({"key": self.key}).encode())
         with replacing(self.path / name) as file:
             file.write(data)

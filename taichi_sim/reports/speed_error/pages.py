@@ -5,6 +5,7 @@ import platform
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from taichi_sim.common.quantities import measured
 from taichi_sim.common.version import __version__
 from taichi_sim.reports.machine import processor
 from taichi_sim.reports.speed_error import plot
@@ -34,9 +35,9 @@ tr.bad td { color: var(--bad) }
 """
 NOTES = """h / safe: the step as a part of the one that is safe in every shape. Passes: over the forces, per simulated second.
 Errors: of positions, rms over all balls that are not pinned, or of the quantity, at the worst of eight moments.
-Drift: of the total energy from the reference's, as a part of the largest kinetic and spring energy. Times: medians
-of runs repeated for a quarter of a second or more, or of the eighths of a long one, without compiling; noise: to
-what they are known. Bold: on the Pareto front."""
+Drift: of the total energy from the reference's, as a part of the largest kinetic and spring energy. Times: of the
+processor, all threads together (on a GPU: wall time), the least of repeated runs, without compiling; noise: by how much
+a usual run takes longer. Bold: on the Pareto front."""
 
 
 def write_pages(findings: Findings, folder: Folder) -> None:
@@ -61,7 +62,7 @@ def _made(findings: Findings) -> str:
 
 def _advice(findings: Findings) -> Table:
     rows = [[f"{tolerance:g}", choice(rows)] for tolerance, rows in findings.fastest()]
-    return ["error", "fastest"], rows, [""] * len(rows)
+    return ["error below", "fastest"], rows, [""] * len(rows)
 
 
 def _number(value: float | None, digits: int = 3) -> str:
@@ -75,7 +76,7 @@ COLUMNS: dict[str, Callable[[Row], str]] = {
     "h [s]": lambda row: _number(row.step),
     "h / safe": lambda row: _number(row.part_of_safe_step, 2),
     "passes/s": lambda row: _number(row.passes),
-    "wall s per s": lambda row: _number(row.seconds),
+    "s per s": lambda row: _number(row.seconds),
     "noise": lambda row: _number(row.noise, 1),
     "ns per ball-step": lambda row: _number(row.ns_per_ball_step),
     "rms error": lambda row: _number(row.rms_error, 2),
@@ -107,7 +108,7 @@ def _statistics(findings: Findings) -> Table:
         cells = [f"none: {interval.failed}", *[""] * (len(QUANTITIES) - 1)]
         if not interval.failed:
             stars = {name: " *" if name in interval.differs else "" for name in QUANTITIES}
-            cells = [f"{interval.mean[name]:.4g} ± {interval.half[name]:.2g}{star}" for name, star in stars.items()]
+            cells = [f"{measured(interval.mean[name], interval.half[name])}{star}" for name, star in stars.items()]
         rows.append([interval.method, interval.precision, _number(interval.step), *cells])
     return ["method", "precision", "h [s]", *QUANTITIES.values()], rows, [""] * len(rows)
 
@@ -125,7 +126,7 @@ def _content(findings: Findings, picture: str) -> Iterator[tuple[str, Any]]:
     if picture:
         yield "picture", picture
     if any(row.rms_error is not None for row in findings.rows):
-        yield "heading", "Fastest for a relative error"
+        yield "heading", "Fastest with a relative error below a limit"
         yield "table", _advice(findings)
     if findings.rows:
         yield "heading", "All runs"

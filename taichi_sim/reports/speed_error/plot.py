@@ -1,7 +1,9 @@
 """The plot: error against wall time, one curve for each method over its steps, a panel for each precision."""
 
+import functools
 import io
 import re
+from collections.abc import Callable
 from typing import Any
 
 from taichi_sim.reports.speed_error.findings import Findings
@@ -14,6 +16,27 @@ INK = "#010203"  # of words and axes; becomes the page's own colour
 NAMES = {"f64": "double precision (f64)", "f32": "single precision (f32)"}
 
 
+def styled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Let a function draw in matplotlib's own style: a file `matplotlibrc` in the working folder, which may be anybody's, could
+    have it start LaTeX."""
+
+    @functools.wraps(function)
+    def call(*args: Any) -> Any:
+        import matplotlib
+
+        usual = {name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")}
+        with matplotlib.rc_context(usual):
+            return function(*args)
+
+    return call
+
+
+def literal(text: str) -> str:
+    """For a name in a figure: a $ in it begins no formula."""
+    return text.replace("$", r"\$")
+
+
+@styled
 def draw(findings: Findings) -> Any:
     """The figure, or None where no row has an error and a time."""
     from matplotlib.figure import Figure
@@ -39,7 +62,7 @@ def draw(findings: Findings) -> Any:
             axis.axvspan(0.1 * low, CLEAR_OF_REFERENCE * findings.reference.known / motion, color=INK, alpha=0.08, lw=0)
         if precision == "f32" and findings.floor is not None:
             axis.axvline(findings.floor, color=INK, lw=0.9, ls="--", label="floor of f32")
-    axes[0].set_ylabel("wall time per simulated second [s]", color=INK)
+    axes[0].set_ylabel(f"{known[0].clock} per simulated second [s]", color=INK)
     marks = {label: mark for axis in axes for mark, label in zip(*axis.get_legend_handles_labels())}
     order = {name: k for k, name in enumerate(METHODS)}
     labels = sorted(marks, key=lambda label: order.get(label, len(order)))
@@ -55,7 +78,7 @@ def _frame(axis: Any, title: str, name: str) -> None:
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_title(title, color=INK, fontsize=11)
-    axis.set_xlabel(f"relative error of {name}", color=INK)
+    axis.set_xlabel(f"relative error of {literal(name)}", color=INK)
     axis.patch.set_alpha(0.0)
     axis.tick_params(which="both", colors=INK, labelcolor=INK)
     axis.grid(True, which="major", color=INK, alpha=0.13, lw=0.6)
@@ -89,6 +112,7 @@ def _front(axis: Any, findings: Findings, precision: str) -> None:
         axis.plot(*zip(*own), color=INK, lw=0, marker="o", ms=11, mfc="none", mew=0.9, label="Pareto front", zorder=0)
 
 
+@styled
 def svg(figure: Any) -> str:
     """For a page: words and axes in the colour of its text, no background, no header."""
     import matplotlib
@@ -100,6 +124,7 @@ def svg(figure: Any) -> str:
     return re.sub(INK, "currentColor", body[body.index("<svg") :], flags=re.IGNORECASE)
 
 
+@styled
 def png(figure: Any) -> bytes:
     """For Markdown, on white."""
     data = io.BytesIO()

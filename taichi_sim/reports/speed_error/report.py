@@ -1,12 +1,13 @@
 """The report: plan, reference, every method with every step in each precision, statistics where nothing else holds, pages."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from taichi_sim.common.progress import Work, showing
 from taichi_sim.reports.speed_error import budget as budgets
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
@@ -45,12 +46,13 @@ def main(
     """
     from taichi_sim.reports.speed_error.pages import write_pages
 
-    folder = Folder(out, key_of(scene, plan), overwrite)
-    with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
-        findings = _run_all(Study(scene, plan, workers), folder, say, step_done, meshes)
-    write_pages(findings, folder)
-    if folder.rows:
-        folder.complete(findings.rows)
+    with closing(Folder(out, key_of(scene, plan), overwrite)) as folder:
+        with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
+            findings = _run_all(Study(scene, plan, workers, folder.outcomes), folder, say, step_done, meshes)
+        write_pages(findings, folder)
+        if folder.rows:
+            folder.complete(findings.rows)
+        folder.outcomes.forget()
     say("\n".join(findings.lines()))
     say(f"written      {out / 'report.html'}, report.md, rows.csv, error.svg, error.png")
     return findings
@@ -168,12 +170,14 @@ def coarse(scene: Scene, plan: Plan, reference: Reference) -> Iterator[str]:
 
 @contextmanager
 def progress_bar(shown: bool) -> Iterator[Callable[[str], None]]:
-    """A line on standard error with the run in progress and the time it all has taken."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    """Show which run is in progress; the function yielded takes each run in words as it begins."""
+    work = Work(what="runs done")
+    work.words = lambda: "starting"
 
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("run {task.completed:.0f}: {task.description}"))
-    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as progress:
-        task = progress.add_task("starting", total=None)
-        yield lambda what: progress.update(task, advance=1, description=what)
+    def begun(what: str) -> None:
+        work.done += not work.words().startswith("starting")
+        work.begin(work.what)
+        work.words = lambda: f"now {what} for {work.elapsed:.0f} s"
+
+    with showing(work, shown):
+        yield begun

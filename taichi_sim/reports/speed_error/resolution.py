@@ -6,6 +6,7 @@ compared. Balls that the file names go with it; between two that are pinned or l
 
 import copy
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
+from taichi_sim.files.parameters import put
 from taichi_sim.files.toml_reader import Reader
 from taichi_sim.files.toml_schema import SHAPES
 from taichi_sim.scene.pins import is_described
@@ -42,13 +44,16 @@ class Finer:
     balls: Ints
 
 
-def finer(file: Path, levels: int = LEVELS) -> list[Finer]:
-    """The scene of a file with 1/2, 1/4, ... of its spacing. Raises SceneError where nothing, or not all, can be refined."""
+def finer(file: Path, levels: int = LEVELS, parameters: Mapping[str, Any] | None = None) -> list[Finer]:
+    """The scene of a file, with other values by their paths, with 1/2, 1/4, ... of its spacing. Raises SceneError where nothing,
+    or not all, can be refined."""
     if file.suffix != ".toml":
         raise SceneError(
             f"--resolutions: {file} is Python, whose shapes have one resolution; a scene file's can be refined"
         )
-    document = tomllib.loads(file.read_text(encoding="utf-8"))
+    document = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    for path, value in (parameters or {}).items():
+        put(document, path, value)
     for name in BY_HAND:
         if name in document:
             raise SceneError(f"--resolutions: {file}: [[{name}]] names balls by hand, which a finer mesh does not have")

@@ -9,6 +9,7 @@ from taichi_sim.reports.speed_error.plan import METHODS
 
 STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
 LONGER_STEP = 1.9  # times a step must be as long as another for their errors to be compared
+SAME_TIME = 1.2  # times another row's time: up to that they are equally fast
 ERROR_FALLS = 0.7  # of the error at the longer step, above which a shorter step did not lessen it
 CLEAR_OF_REFERENCE = 10.0  # times what the reference is known to: a smaller error says more of it than of the method
 
@@ -27,8 +28,8 @@ class Row:
     step: float  # s
     part_of_safe_step: float | None  # None where nothing limits the step, or no step is safe
     passes: float | None  # over the forces, per simulated second
-    seconds: float | None  # of wall time, per simulated second
-    noise: float | None  # of that: times that differ by less are the same
+    seconds: float | None  # per simulated second, see `clock`; the least of repeated runs
+    noise: float | None  # of that: by how much a usual run takes longer
     ns_per_ball_step: float | None
     rms_error: float | None  # m, or in the quantity's unit: over balls, at the moment where it is largest
     max_error: float | None  # the same of one ball
@@ -42,6 +43,11 @@ class Row:
     def key(self) -> tuple[str, str, float]:
         """What tells rows of one report apart."""
         return self.precision, self.method, self.step
+
+    @property
+    def clock(self) -> str:
+        """What the time is of: all threads of the processor together; on other devices a clock on the wall."""
+        return "processor time" if self.device.startswith("cpu") else "wall time"
 
     def __post_init__(self) -> None:
         if self.verdict not in (STABLE, UNSTABLE, LEFT_OUT) or self.method not in METHODS:
@@ -79,16 +85,19 @@ def stuck(rows: Sequence[Row], known: float) -> list[str]:
 
 
 def as_fast(row: Row, other: Row) -> bool:
-    """Whether one row takes no longer than another, as far as their times can be told apart."""
-    return (row.seconds or 0.0) - (other.seconds or 0.0) <= math.hypot(row.noise or 0.0, other.noise or 0.0)
+    """Whether one row takes no longer than another, as far as times can be told apart. By how much is a fixed part, whatever the
+    noise was: a busy machine must not make more rows equal than an idle one."""
+    return (row.seconds or 0.0) <= SAME_TIME * (other.seconds or 0.0)
 
 
 def pareto(rows: Sequence[Row], known: float) -> list[Row]:
-    """The rows that none beats in both speed and error, the fastest first: none that is as fast has a smaller error."""
-    telling = [row for row in rows if tells(row, known) and row.seconds is not None]
+    """The rows that none beats in both speed and error, the fastest first: none that is as fast has a smaller error. Rows too
+    near to the reference for their error to be told are not among them, but beat those that they are faster than."""
+    stable = [row for row in rows if row.verdict == STABLE and row.rms_error is not None and row.seconds is not None]
+    telling = [row for row in stable if tells(row, known)]
     front: list[Row] = []
     for row in sorted(telling, key=lambda row: (row.seconds, row.rms_error)):
-        better = [other for other in telling if other.rms_error < row.rms_error]  # type: ignore[operator]
+        better = [other for other in stable if other.rms_error < row.rms_error]  # type: ignore[operator]
         same = any(other.rms_error == row.rms_error for other in front)
         if not same and not any(as_fast(other, row) for other in better):
             front.append(row)
@@ -97,9 +106,10 @@ def pareto(rows: Sequence[Row], known: float) -> list[Row]:
 
 def cheapest(rows: Sequence[Row], tolerance: float, motion: float, known: float) -> list[Row]:
     """The rows whose error, and what the reference may be off, are together within the tolerance, a part of the motion, and which
-    none of those beats in speed by more than noise: equally fast, the one of the smallest error first."""
+    none of those beats clearly in speed. Of equally fast ones that which goes through the forces least often comes first, then
+    that of the smallest error: both are counted, not timed."""
     within = [row for row in rows if row.rms_error is not None and row.rms_error + known <= tolerance * motion]
     good = [row for row in within if row.verdict == STABLE and row.seconds is not None]
     fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
     equal = [] if fastest is None else [row for row in good if as_fast(row, fastest)]
-    return sorted(equal, key=lambda row: row.rms_error or 0.0)
+    return sorted(equal, key=lambda row: (round(row.passes or 0.0, 3), row.rms_error or 0.0))

@@ -3,7 +3,6 @@
 import math
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,9 @@ from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.quantities import measured, percent
 from taichi_sim.reports.speed_error import reference as references
+from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.findings import equal
 from taichi_sim.reports.speed_error.measure import measure
 from taichi_sim.reports.speed_error.plan import FRAME, METHODS, Plan, Step, fitting, halved, steps_of
@@ -28,11 +29,13 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings, part_of_bound
 
 MORE_HALVINGS = 6  # than a report makes
-PATIENCE = 30.0  # s, after which no further method is compiled, unless they were named
+MOST_METHODS = (
+    3  # that are compiled in one precision, unless they were named; a count, so that a busy machine finds the same
+)
 WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
 LIKELY_PASSES = 1.5  # times those of the best that may still be as fast: passes are not all alike
 BY_PRECISION = 2.5  # times the time of the best, which another precision might make up for
-SPARE_TIME = 1.2  # times that of the best so far that a run may take, for noise
+SPARE_TIME = 1.25  # times that of the best so far that a run may take, for noise
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -49,35 +52,48 @@ def main(
     """
     with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
         study = Study(scene, plan, workers)
-        until = time.monotonic() + PATIENCE if plan.methods == METHODS else np.inf
         reference = references.make(study, plan.tolerance / WELL_KNOWN)
         _require(study, reference)
         study = replace(study, plan=_without_coarse(scene, plan, reference, say))
-        rows, untried = _find(study, reference, until)
+        rows, untried = _find(study, reference, MOST_METHODS if plan.methods == METHODS else len(METHODS))
     compared = study.compared
-    most = f"{plan.tolerance * reference.motion:.3g} {compared.unit}".rstrip()
-    asked = f"{plan.tolerance:g} of the {compared.size_in_words()} ({most})"
+    allowed = measured(plan.tolerance * reference.motion, unit=compared.unit)
     until = plan.duration * reference.parts / len(reference.parting)
     if not rows:
-        say(f"no method and step within --limit {plan.most:g} s meets an error of {asked} over {until:.3g} s")
+        say(
+            f"no method and step within --limit {plan.most:g} s keeps the error of {compared.name} below {allowed},"
+            f" {percent(plan.tolerance)} of the {compared.size_in_words()}, in the first {until:.3g} s"
+        )
         return None
     row = rows[0]
     settings = settings_of(scene, row)
-    say(f"cheapest for an error of {asked} over the first {until:.3g} s:")
-    say("\n".join(["[simulation]", *(f"{key} = {_toml(value)}" for key, value in settings.items())]))
     say(
-        f"its error is {row.relative_error:.2g} of that at the worst of {reference.parts} moments, and it takes"
-        f" {row.seconds:.3g} s per simulated second"
+        f"cheapest settings with an error of {compared.name} below {percent(plan.tolerance)} in the first {until:.3g} s:"
     )
+    say("\n".join(["[simulation]", *(f"{key} = {_toml(value)}" for key, value in settings.items())]))
+    say("\n".join(_outcome(compared, reference, row, plan.tolerance)))
     if len(rows) > 1:
-        say(f"as fast, within {equal(rows)}")
+        say(f"{'as fast':12} {equal(rows)}")
     if untried:
-        say(f"not tried, for it takes long: {', '.join(untried)}; --methods takes what to choose from")
+        say(f"{'not tried':12} {', '.join(untried)}, which need more passes over the forces; name them by --methods")
     if reference.chaotic:
         say(
-            "beyond that time small differences have grown too far for any step: see the statistics of `taichi-sim report`"
+            f"after {until:.3g} s small differences have grown too far for any step to meet a tolerance; `taichi-sim report`"
+            " compares statistics there"
         )
     return settings
+
+
+def _outcome(compared: Compared, reference: Reference, row: Row, tolerance: float) -> Iterator[str]:
+    """What was allowed, what was found, and the value itself with that error, each on a line of its own."""
+    off, unit = row.rms_error or 0.0, compared.unit
+    value = measured(reference.motion, off, unit, "step")
+    yield f"{'value':12} {compared.size_in_words()}: {value}"
+    yield f"{'allowed':12} {measured(tolerance * reference.motion, unit=unit)}, {percent(tolerance)} of it"
+    found = measured(off, unit=unit)
+    share = percent(row.relative_error or 0.0)
+    yield f"{'found':12} {found}, {share} of it, the largest error at {reference.parts} times"
+    yield f"{'cost':12} {row.seconds:.3g} s of {row.clock}, {row.passes or 0.0:.4g} passes over the forces, per simulated second"
 
 
 def _without_coarse(scene: Scene, plan: Plan, reference: Reference, say: Callable[[str], None]) -> Plan:
@@ -114,8 +130,9 @@ def _require(study: Study, reference: Reference) -> None:
         )
 
 
-def _find(study: Study, reference: Reference, until: float) -> tuple[list[Row], list[str]]:
-    """The cheapest rows that meet the tolerance, see `cheapest`, and the methods that were not tried before `until`.
+def _find(study: Study, reference: Reference, most: int) -> tuple[list[Row], list[str]]:
+    """The cheapest rows that meet the tolerance, see `cheapest`, and the methods that were not tried, once one meets it, because
+    `most` were compiled.
 
     Compiling a method takes longer than most runs, so those come first that promise most, and those that cannot win are passed
     over: where even the longest step goes through the forces too often. What precision changes is a factor of two at most, so
@@ -135,9 +152,10 @@ def _find(study: Study, reference: Reference, until: float) -> tuple[list[Row], 
             if fastest is not None and fastest.passes and method != fastest.method:
                 if _least_passes(study, method) > LIKELY_PASSES * fastest.passes:
                     continue
-            if good and method not in compiled and time.monotonic() > until:
+            if good and method not in compiled and len(compiled) >= most:
                 untried.append(f"{method} in {precision}")
                 continue
+            compiled.add(method)
             first = next((row.step for row in good if row.method == method), np.inf)
             row = _longest(study, reference, precision, method, fastest, first)
             if row is not None:

@@ -26,7 +26,7 @@ from taichi_sim.scene.snapshot import Snapshot
 Floats = NDArray[np.float64]
 SHORT = 0.25  # s; a shorter run is made again until all together take so long
 REPEATS, MOST_REPEATS = 5, 200  # for that
-STEADY, LONGEST = 0.05, 4.0  # part to which a time should be known, and times SHORT that this may take
+LONG = 4.0 * SHORT  # s; a run of less is made twice at least
 UNSTEADY = 0.05  # of a time: a machine's speed varies by that between runs minutes apart, which no repetition shows
 AGAIN = 8  # steps that are timed where one alone promises too much
 PATIENCE = 3.0  # times what a run may take that its first steps may promise
@@ -34,7 +34,7 @@ PATIENCE = 3.0  # times what a run may take that its first steps may promise
 
 class Trial(NamedTuple):
     """A run through the whole duration. start: positions (n, dim) [m] other than the scene's. most: seconds that it may take.
-    contacts: read them, too. timed: repeat a short run for the median."""
+    contacts: read them, too. timed: repeat a short run for the least time."""
 
     method: str
     step: Step
@@ -51,7 +51,7 @@ class Outcome(NamedTuple):
     position: list[Floats]  # (n, dim) m
     energy: list[tuple[float, float, float, float]]  # J: kinetic, spring, gravity, total
     contacts: list[tuple[int, float]]  # number, and the largest overlap in radii
-    seconds: float | None = None  # wall, for the whole duration
+    seconds: float | None = None  # for the whole duration: of the processor, on other devices of wall time
     passes: float | None = None  # over the forces
     unstable: str = ""  # why it ended early
     left_out: str = ""
@@ -150,6 +150,8 @@ class Track:
             given.get("threads") if plan.threads is None else plan.threads,
         )
         self.device = runs.arch if runs.arch != "cpu" else f"cpu, {runs.threads} threads"
+        # time of the processor does not count what other programs do meanwhile
+        self._clock = time.process_time if runs.arch == "cpu" else time.perf_counter
         self.settings: dict[str, Any] = {"arch": runs.arch, "precision": precision, "threads": None, "substeps": 1}
         self.method = ""
         self.quantity = None if plan.quantity is None else quantity_of(scene, plan.quantity)
@@ -229,36 +231,26 @@ class Track:
         return None if self.quantity is None else self.quantity.value(self.sim.probes())
 
     def _timing(self, trial: Trial, times: list[float]) -> tuple[float, float]:
-        """Seconds that the run takes, and to what they are known. Medians of whole runs, part by part, or of the parts of a long
-        one; short runs are repeated until that is known well."""
-        seconds, noise = PARTS * float(np.median(times)), PARTS * _interval(times)
-        if trial.timed and sum(times) < SHORT:
-            runs = [times]
-            while len(runs) < REPEATS or (
-                np.sum(runs) < SHORT or (noise > STEADY * seconds and np.sum(runs) < LONGEST * SHORT)
-            ):
-                self._begin(trial)
-                runs.append([self._time(trial.step.number) for _ in range(PARTS)])
-                if len(runs) == MOST_REPEATS:
-                    break
-                seconds, noise = float(np.sum(np.median(runs, axis=0))), _interval(np.sum(runs, axis=1))
+        """Seconds that the run takes, and to what they are known. The run is repeated, and each part counts with its least time:
+        whatever else the machine does only makes a part take longer."""
+        runs = [times]
+        most = REPEATS if sum(times) < SHORT else 2 if sum(times) < LONG else 1
+        while trial.timed and len(runs) < MOST_REPEATS and (len(runs) < most or (most > 1 and np.sum(runs) < SHORT)):
+            self._begin(trial)
+            runs.append([self._time(trial.step.number) for _ in range(PARTS)])
+        seconds = float(np.sum(np.min(runs, axis=0)))
+        noise = float(np.median(np.sum(runs, axis=1))) - seconds
         return seconds, max(noise, UNSTEADY * seconds)
 
     def _time(self, steps: int) -> float:
-        begin = time.perf_counter()
+        begin = self._clock()
         self.sim.step(steps)  # ends with a search for balls that are not finite, so it is done
-        return time.perf_counter() - begin
+        return self._clock() - begin
 
     def _passes(self) -> float | None:
         """What an implicit method has counted so far."""
         solved = self.sim.solver()
         return None if solved is None else float(solved.passes)
-
-
-def _interval(values: Any) -> float:
-    """Half of the 95 % interval of a median (McGill, Tukey and Larsen, 1978)."""
-    low, high = np.percentile(values, [25, 75])
-    return 1.57 * float(high - low) / float(np.sqrt(len(values)))
 
 
 def _reason(error: UnstableError) -> str:

@@ -1,0 +1,49 @@
+"""Folders that this program makes for itself: no link is followed, and only files of its own names are deleted in them."""
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from taichi_sim.common.atomic_file import PART, kind_of, sweep
+
+__all__ = ["LOCK", "emptied", "is_fresh", "require_own"]
+
+LOCK = "lock"  # the first file that is made in one, and the last that is deleted
+
+
+def require_own(folder: Path, record: str | None = None) -> None:
+    """Raises OSError, with one sentence, where a link or a file lies in place of the folder, where it holds a link, a pipe or a
+    device, and where it is not empty and has no `record`, the file that says what it is of."""
+    does = f"{folder}: {{}}; this program makes such a folder itself: remove it, or give another name"
+    if folder.is_symlink():
+        raise FileExistsError(does.format("is a link"))
+    kind = kind_of(folder)
+    if kind not in ("folder", ""):
+        raise FileExistsError(does.format(f"is a {kind}"))
+    if not kind:
+        return
+    for entry in folder.iterdir():
+        kind = "link" if entry.is_symlink() else kind_of(entry)
+        if kind in ("link", "pipe", "device"):
+            raise FileExistsError(does.format(f"holds {entry.name!r}, which is a {kind}"))
+    if record is not None and not (folder / record).is_file() and not is_fresh(folder):
+        raise FileExistsError(does.format("is a folder that this program did not make"))
+
+
+def is_fresh(folder: Path) -> bool:
+    """Whether a folder holds nothing, or what a run leaves that was killed at its start."""
+    return all(entry.name == LOCK or PART.fullmatch(entry.name) for entry in folder.iterdir())
+
+
+def emptied(folder: Path, names: re.Pattern[str], order: Mapping[str, int] | None = None) -> None:
+    """Delete files of these names, and those that killed runs left under construction, in a folder that `require_own` has passed:
+    those that `order` ranks below 0 first, those above last."""
+    if folder.is_symlink():  # since then
+        return
+    sweep(folder, "*")
+    rank = order or {}
+    for entry in sorted(folder.iterdir(), key=lambda entry: rank.get(entry.name, 0)):
+        if names.fullmatch(entry.name):
+            with suppress(IsADirectoryError, PermissionError):  # macOS says the second of a folder
+                entry.unlink(missing_ok=True)

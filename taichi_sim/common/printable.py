@@ -1,0 +1,47 @@
+"""Text that no terminal takes for a command and no spreadsheet for a formula; standard streams in whatever state."""
+
+import os
+import sys
+from typing import Any
+
+__all__ = ["no_formula", "printable", "settle_streams"]
+
+FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # what they begin with
+LINES = "\n\t"
+
+
+def printable(text: str) -> str:
+    """Text whose control sequences, and characters that hide or turn others, are shown by their codes. Names and values in it may
+    be from a file of anybody's."""
+    if text.isprintable():
+        return text
+    return "".join(
+        one if one.isprintable() or one in LINES or (one.isspace() and one > "\x9f") else _code(one) for one in text
+    )
+
+
+def _code(character: str) -> str:
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def no_formula(value: Any) -> Any:
+    """The cell of a table: a text that a spreadsheet would compute, such as `=1+1`, with a ' before it."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULAS) else value
+
+
+def settle_streams() -> None:
+    """Let standard streams that are closed lead nowhere, so that no file of the run takes their number; what an encoding lacks is
+    shown by its code."""
+    while True:
+        descriptor = os.open(os.devnull, os.O_RDWR)
+        if descriptor > 2:
+            os.close(descriptor)
+            break
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            nowhere = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  # until the process ends
+            setattr(sys, name, nowhere)
+            setattr(sys, f"__{name}__", nowhere)
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")

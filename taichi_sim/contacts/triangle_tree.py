@@ -1,0 +1,102 @@
+"""A closed mesh as a tree of boxes around its triangles, with the normals that tell inside from outside."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.geometry.mesh import Surface
+from taichi_sim.kernels.contacts.triangle_tree import WIDTH
+
+__all__ = ["TriangleTree", "triangle_tree"]
+
+LEAF = 2  # triangles at most
+CORNERS = 9  # the first numbers of a triangle
+
+Floats = NDArray[np.float64]
+
+
+class TriangleTree(NamedTuple):
+    """Boxes (nodes, 6) [m], lower and upper corner, a node before what lies in it; links (nodes, 3): the node that follows all of
+    that, and of a leaf its first triangle and the one after its last; triangles (t, WIDTH): corners [m], then the unit normals of
+    inside, corners, and sides across from them. order (t,): the triangle of the mesh; some are there twice."""
+
+    boxes: Floats
+    links: NDArray[np.int64]
+    triangles: Floats
+    order: NDArray[np.int64]
+
+
+NO_TREE = TriangleTree(np.zeros((0, 6)), np.zeros((0, 3), np.int64), np.zeros((0, WIDTH)), np.zeros(0, np.int64))
+
+
+def triangle_tree(surface: Surface) -> TriangleTree:
+    """The tree of a closed mesh: complete, each node halved across the longest side of the box around its centres."""
+    corners = surface.vertices[surface.triangles]
+    order, depth = _halved(corners.mean(axis=1))
+    table = np.concatenate([corners, normals(surface)], axis=1).reshape(-1, WIDTH)[order]
+    low, high = (part[order].reshape(1 << depth, -1, 3) for part in (corners.min(axis=1), corners.max(axis=1)))
+    low, high = low.min(axis=1), high.max(axis=1)
+    levels = [np.concatenate([low, high], axis=1)]
+    for _ in range(depth):
+        low, high = low.reshape(-1, 2, 3).min(axis=1), high.reshape(-1, 2, 3).max(axis=1)
+        levels.insert(0, np.concatenate([low, high], axis=1))
+    nodes, leaf = (2 << depth) - 1, len(order) >> depth
+    boxes, links = np.empty((nodes, 6)), np.zeros((nodes, 3), dtype=np.int64)
+    place = np.zeros(1, dtype=np.int64)
+    for level, box in enumerate(levels):
+        below = (1 << (depth - level)) - 1  # nodes under each half
+        boxes[place] = box
+        links[place, 0] = place + 2 * below + 1
+        if level == depth:
+            links[place, 1] = leaf * np.arange(len(place))
+            links[place, 2] = links[place, 1] + leaf
+        place = (place[:, None] + np.array([1, 1 + below])).ravel()
+    return TriangleTree(boxes, links, table, order)
+
+
+def _halved(centre: Floats) -> tuple[NDArray[np.int64], int]:
+    """Numbers of triangles leaf by leaf, all leaves alike, the last triangle as often as that takes; the depth of the tree."""
+    n = len(centre)
+    depth = max(0, math.ceil(math.log2(n / LEAF)))
+    order: NDArray[Any] = np.minimum(np.arange((-(-n >> depth)) << depth), n - 1)
+    for level in range(depth):
+        order = order.reshape(1 << level, -1)
+        points = centre[order]
+        axis = np.argmax(np.ptp(points, axis=1), axis=1)
+        along = np.take_along_axis(points, axis[:, None, None], axis=2)[:, :, 0]
+        order = np.take_along_axis(order, np.argsort(along, axis=1, kind="stable"), axis=1)
+    return order.ravel(), depth
+
+
+def normals(surface: Surface) -> Floats:
+    """Unit normals (t, 7, 3) of the inside of each triangle, of its corners and of the sides across from them. A point lies
+    outside where the normal of what is nearest to it faces it: that of a corner is the mean of its triangles' by their angles, of
+    a side that of both (Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal, 2005)."""
+    t = surface.triangles
+    corner = surface.vertices[t]
+    side = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)  # across from each corner
+    face = _unit(np.cross(side[:, 0], side[:, 1]))
+    ends = np.sort(np.stack([np.roll(t, -1, axis=1), np.roll(t, -2, axis=1)], axis=2), axis=2).reshape(-1, 2)
+    _, edge = np.unique(ends, axis=0, return_inverse=True)
+    edge = edge.reshape(-1, 3)
+    around = np.zeros((edge.max() + 1, 3))
+    for k in range(3):
+        np.add.at(around, edge[:, k], face)
+    flat = ~face.any(axis=1)  # one without an area faces as those beside it do
+    face[flat] = _unit(around[edge[flat]].sum(axis=1))
+    for k in range(3):
+        np.add.at(around, edge[flat, k], face[flat])
+    at = np.zeros_like(surface.vertices)
+    for k in range(3):
+        one, two = _unit(side[:, k - 1]), _unit(side[:, k - 2])
+        angle = np.arccos(np.clip(-np.sum(one * two, axis=1), -1.0, 1.0))
+        np.add.at(at, t[:, k], angle[:, None] * face)
+    return np.concatenate([face[:, None], _unit(at)[t], _unit(around)[edge]], axis=1)
+
+
+def _unit(vectors: Floats) -> Floats:
+    """Vectors (..., 3) of length 1, or 0."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)

@@ -1,0 +1,226 @@
+"""glTF 2.0, as JSON or binary: the triangles that its scene shows, each mesh where its nodes put it."""
+
+import base64
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common.atomic_file import require_file
+from taichi_sim.common.errors import SceneError
+from taichi_sim.geometry.ply_file import unrolled
+from taichi_sim.geometry.polygons import Polygons
+
+__all__ = ["header_of", "outer_files", "read"]
+
+HEADER = struct.Struct("<4sIIII")  # magic, version, length; of the first chunk its length and kind
+CHUNK = struct.Struct("<II")
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+COMPRESSIONS = {
+    "KHR_draco_mesh_compression": "Draco",
+    "EXT_meshopt_compression": "meshopt",
+    "KHR_meshopt_compression": "meshopt",
+}
+INSTANCES = "EXT_mesh_gpu_instancing"
+TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives; others are points and lines
+
+
+def header_of(data: bytes, kind: str) -> dict[str, Any]:
+    """Return the JSON of a glTF file, kind "glb" or "gltf". Raises ValueError."""
+    if kind == "gltf":
+        header = json.loads(data)
+    elif len(data) < HEADER.size or data[:4] != b"glTF":
+        raise ValueError("it does not begin with glTF")
+    else:
+        header = json.loads(data[HEADER.size : HEADER.size + HEADER.unpack_from(data)[3]])
+    if not isinstance(header, dict):
+        raise ValueError("its JSON is no table")
+    version = str(header.get("asset", {}).get("version", "2.0"))
+    if not version.startswith("2."):
+        raise ValueError(f"it is glTF of version {version}; version 2 is read")
+    return header
+
+
+def outer_files(file: Path, header: Mapping[str, Any]) -> dict[int, Path]:
+    """Return the files of buffers that lie beside a glTF file, by the buffer's number. Raises SceneError for one in another
+    folder."""
+    folder, found = file.resolve().parent, {}
+    for number, buffer in enumerate(header.get("buffers", ())):
+        name = unquote(buffer.get("uri", ""))
+        if name and not name.startswith("data:"):
+            found[number] = (folder / name).resolve()
+            if not found[number].is_relative_to(folder):
+                raise SceneError("mesh", file, says=f"names {name!r}, which lies outside its folder")
+            require_file(found[number])
+    return found
+
+
+def read(file: Path, data: bytes, header: Mapping[str, Any], kind: str) -> Polygons:
+    """Return the triangles of a glTF file. Raises ValueError and SceneError."""
+    _refuse_compressed(file, header)
+    buffers = _buffers(file, data, header, kind)
+    accessors = _Accessors(header, buffers)
+    vertices, corners, places = [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
+    first = 0
+    for mesh, matrix in _shown(file, header):
+        for part in header["meshes"][mesh]["primitives"]:
+            if part.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN) or "POSITION" not in part["attributes"]:
+                continue
+            x = accessors.at(part["attributes"]["POSITION"]).astype(np.float64)
+            index = np.arange(len(x))
+            if "indices" in part:
+                index = accessors.at(part["indices"]).astype(np.int64).ravel()
+            triangles = _triangles(index, part.get("mode", TRIANGLES))
+            if np.linalg.det(matrix[:3, :3]) < 0.0:  # a mirror
+                triangles = triangles[:, ::-1]
+            uv = np.full((triangles.size, 2), np.nan)
+            if (
+                "TEXCOORD_0" in part["attributes"]
+                and triangles.size
+                and 0 <= triangles.min() <= triangles.max() < len(x)
+            ):
+                uv = accessors.at(part["attributes"]["TEXCOORD_0"])[triangles.ravel()] * [1.0, -1.0] + [0.0, 1.0]
+            vertices.append(x @ matrix[:3, :3].T + matrix[:3, 3])
+            corners.append(first + triangles.ravel())
+            places.append(uv)
+            first += len(x)
+    found, uv = np.concatenate(corners), np.concatenate(places)
+    counts = np.full(len(found) // 3, 3)
+    return Polygons(np.concatenate(vertices), found, counts, None if np.isnan(uv).all() else uv)
+
+
+def _refuse_compressed(file: Path, header: Mapping[str, Any]) -> None:
+    for name in header.get("extensionsRequired", ()):
+        if name in COMPRESSIONS:
+            says = f"is compressed with {COMPRESSIONS[name]} ({name}), which is not read; export it without compression"
+            raise SceneError("mesh", file, says=says)
+        if name == INSTANCES:
+            raise _instances(file)
+
+
+def _instances(file: Path) -> SceneError:
+    return SceneError("mesh", file, says=f"has instances ({INSTANCES}), which are not read; export them as meshes")
+
+
+def _buffers(file: Path, data: bytes, header: Mapping[str, Any], kind: str) -> list[bytes]:
+    outside, found = outer_files(file, header), []
+    for number, buffer in enumerate(header.get("buffers", ())):
+        uri = buffer.get("uri", "")
+        if number in outside:
+            if not outside[number].is_file():
+                raise SceneError("mesh", file, says=f"names {unquote(uri)!r}, which is not there")
+            found.append(outside[number].read_bytes())
+        elif uri:
+            found.append(base64.b64decode(uri.partition(",")[2]))
+        else:
+            found.append(_chunk(data) if kind == "glb" else b"")
+    return found
+
+
+def _chunk(data: bytes) -> bytes:
+    """The buffer of a binary file, which follows its JSON."""
+    at = HEADER.size + HEADER.unpack_from(data)[3]
+    if at + CHUNK.size > len(data):
+        return b""
+    length, _ = CHUNK.unpack_from(data, at)
+    return data[at + CHUNK.size : at + CHUNK.size + length]
+
+
+class _Accessors:
+    """Arrays of a glTF file by their numbers."""
+
+    def __init__(self, header: Mapping[str, Any], buffers: list[bytes]) -> None:
+        self._accessors, self._views = header.get("accessors", ()), header.get("bufferViews", ())
+        self._buffers = buffers
+
+    def at(self, number: int) -> NDArray:
+        """The array (count, width); whole numbers that stand for 0..1 or -1..1 as such."""
+        one = self._accessors[number]
+        count, width, kind = int(one["count"]), WIDTHS[one["type"]], np.dtype(COMPONENTS[one["componentType"]])
+        found = np.zeros((count, width), kind)
+        if "bufferView" in one:
+            found = self._view(number, one["bufferView"], one.get("byteOffset", 0), count, width, kind)
+        elif "sparse" not in one:
+            raise ValueError(f"accessor {number} has no data")
+        if "sparse" in one:
+            found, sparse = found.copy(), one["sparse"]
+            index, values, many = sparse["indices"], sparse["values"], int(sparse["count"])
+            of_index = np.dtype(COMPONENTS[index["componentType"]])
+            at = self._view(number, index["bufferView"], index.get("byteOffset", 0), many, 1, of_index)[:, 0]
+            found[at] = self._view(number, values["bufferView"], values.get("byteOffset", 0), many, width, kind)
+        if one.get("normalized") and kind.kind in "iu":
+            return np.maximum(found / float(np.iinfo(kind).max), -1.0)
+        return found
+
+    def _view(self, number: int, view: int, offset: int, count: int, width: int, kind: np.dtype) -> NDArray:
+        one = self._views[view]
+        buffer = self._buffers[one["buffer"]]
+        first, size = one.get("byteOffset", 0), width * kind.itemsize
+        step = one.get("byteStride", size)
+        last = offset + step * (count - 1) + size
+        if min(first, offset) < 0 or step < size or last > one["byteLength"] or first + last > len(buffer):
+            raise ValueError(f"accessor {number} reaches beyond its buffer")
+        return (
+            np.ndarray((count, width), kind, buffer, first + offset, (step, kind.itemsize))
+            if count
+            else np.zeros((0, width))
+        )
+
+
+def _triangles(index: NDArray, mode: int) -> NDArray[np.int64]:
+    """Triangles (t, 3) of a list, a strip or a fan."""
+    if mode == TRIANGLES:
+        return index[: len(index) // 3 * 3].reshape(-1, 3)
+    if len(index) < 3:
+        return np.zeros((0, 3), dtype=np.int64)
+    if mode == STRIP:
+        return unrolled(index)
+    return np.stack([np.full(len(index) - 2, index[0]), index[1:-1], index[2:]], axis=1)
+
+
+def _shown(file: Path, header: Mapping[str, Any]) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """The meshes that the scene shows, and the matrix (4, 4) that places each."""
+    nodes, scenes = header.get("nodes", ()), header.get("scenes", ())
+    if scenes:
+        roots = scenes[header.get("scene", 0)].get("nodes", ())
+    elif nodes:
+        inner = {child for node in nodes for child in node.get("children", ())}
+        roots = [number for number in range(len(nodes)) if number not in inner]
+    else:
+        yield from ((mesh, np.eye(4)) for mesh in range(len(header.get("meshes", ()))))
+        return
+    waiting, seen = [(number, np.eye(4)) for number in reversed(roots)], set[int]()
+    while waiting:
+        number, outer = waiting.pop()
+        if number in seen:
+            raise ValueError(f"node {number} is shown more than once")
+        seen.add(number)
+        node = nodes[number]
+        if INSTANCES in node.get("extensions", {}):
+            raise _instances(file)
+        matrix = outer @ _placed(node)
+        if "mesh" in node:
+            yield node["mesh"], matrix
+        waiting += [(child, matrix) for child in reversed(node.get("children", ()))]
+
+
+def _placed(node: Mapping[str, Any]) -> NDArray[np.float64]:
+    """The matrix (4, 4) of a node."""
+    if "matrix" in node:
+        return np.reshape(np.array(node["matrix"], dtype=np.float64), (4, 4)).T
+    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), dtype=np.float64)
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix

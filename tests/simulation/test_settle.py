@@ -1,0 +1,115 @@
+"""A scene comes to rest before its clock starts."""
+
+import numpy as np
+import pytest
+from physics_support import PRECISION
+
+import taichi_sim as ts
+from taichi_sim.common.errors import SceneError
+from taichi_sim.outputs import export
+from taichi_sim.reports.speed_error.command import settled_scene
+from taichi_sim.simulation.settling import still
+
+PIECES, SPAN, MASS, G = 12, 3.0, 0.4, 9.0
+TOLERANCE = 1e-4 if PRECISION == "f64" else 2e-2
+
+
+def bridge(**settings):
+    """Balls on undamped springs between two pins, which would swing for ever, and a load that is led from the start on."""
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    x = np.stack([np.linspace(0, SPAN, PIECES + 1), np.zeros(PIECES + 1)], axis=1)
+    balls = scene.add_balls(x, mass=MASS, radius=0.02, pinned=[0, PIECES], body=scene.new_body())
+    scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=2000.0, rest_length=SPAN / PIECES)
+    scene.add_probe("end", "tension", spring=0)
+    scene.settings = {"dt": 1e-3, "contacts": "off", **settings}
+    return scene
+
+
+def balance(scene, x):
+    """Largest net force [N] on a ball that is not pinned."""
+    force = scene.mass[:, None] * scene.gravity
+    i, j = scene.pairs.T
+    r = x[j] - x[i]
+    length = np.linalg.norm(r, axis=1, keepdims=True)
+    pull = scene.stiffness[:, None] * (length - scene.rest_length[:, None]) * r / length
+    np.add.at(force, i, pull)
+    np.add.at(force, j, -pull)
+    return np.linalg.norm(force[~scene.pinned], axis=1).max()
+
+
+def test_a_bridge_rests_and_carries_its_weight():
+    """The vertical part of the tension at an end is half of the weight of what hangs."""
+    with ts.Simulation(bridge()) as sim:
+        found = sim.settle(TOLERANCE)
+        assert found.reached
+        assert sim.time == 0.0
+        assert found.residual == pytest.approx(balance(sim.scene, sim.position), rel=0.2, abs=TOLERANCE * MASS * G)
+        assert balance(sim.scene, sim.position) < 1.2 * TOLERANCE * MASS * G
+        x = sim.position
+        slope = x[1] - x[0]
+        lift = -sim.probe("end") * slope[1] / np.linalg.norm(slope)
+        assert lift == pytest.approx((PIECES - 1) * MASS * G / 2, rel=2 * TOLERANCE)
+        tension = sim.probe("end")
+        sim.run(1.0)
+        assert sim.probe("end") == pytest.approx(tension, rel=20 * TOLERANCE)
+        assert np.abs(sim.position - x).max() < 20 * TOLERANCE * SPAN
+        assert str(found).startswith("at rest, largest net force ")
+
+
+def test_a_setting_does_it_and_the_summary_says_what_is_left():
+    with ts.Simulation(bridge(settle=TOLERANCE)) as sim:
+        assert sim.settled.reached
+        start = sim.position
+        summary = export(sim, None, fps=20, duration=0.1)
+        assert any(line.startswith("settled      at rest, largest net force") for line in summary.lines())
+    other = settled_scene(bridge(settle=TOLERANCE))
+    assert "settle" not in other.settings
+    np.testing.assert_array_equal(other.position, start)
+    np.testing.assert_array_equal(other.rest_length, bridge().rest_length)
+
+
+@pytest.mark.slow
+def test_what_is_driven_stands_still_meanwhile():
+    scene = bridge()
+    scene.add_moving_pins([0], velocity=(0.5, 0.0))
+    scene.add_motor([3], amplitude=0.1, frequency=2.0)
+    assert not still(scene).moving_pins
+    with ts.Simulation(scene) as sim:
+        sim.settle(TOLERANCE)
+        assert balance(sim.scene, sim.position) < 1.2 * TOLERANCE * MASS * G
+        assert sim.position[0] == pytest.approx([0.0, 0.0])
+        sim.run(0.1)
+        assert sim.position[0, 0] == pytest.approx(0.05, rel=1e-4)
+        with pytest.raises(SceneError, match="needs the clock at 0"):
+            sim.settle()
+
+
+@pytest.mark.slow
+def test_a_heap_rests_on_its_floor():
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    scene.add_balls([[0.0, 0.3], [0.05, 0.55], [0.01, 0.9]], radius=0.1, mass=MASS)
+    for normal, offset in (((0, 1), 0.0), ((1, 0), -0.2), ((-1, 0), -0.2)):
+        scene.add_wall(normal, offset)
+    with ts.Simulation(scene, dt=1e-3, settle=0.05) as sim:
+        assert sim.settled.reached
+        x = sim.position
+        sim.run(0.5)
+        assert np.abs(sim.position - x).max() < 5e-3
+        assert sim.penetration() < 1e-3
+
+
+def test_what_cannot_rest_says_so():
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    scene.add_balls([[0.0, 0.3]], radius=0.1)
+    with (
+        ts.Simulation(scene, dt=1e-3) as sim,
+        pytest.warns(UserWarning, match="settle: not at rest, largest net force 9"),
+    ):
+        assert not sim.settle(longest=0.05).reached
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("value", [2.0, -0.1, "yes"])
+def test_a_wrong_setting_is_named(value):
+    with pytest.raises(SceneError, match=r"^settle: "):
+        ts.Simulation(bridge(settle=value))

@@ -1,0 +1,108 @@
+"""xpbd at long steps: the kinetic and gravity energy of bodies of springs never exceeds the energy at the start.
+
+Many random bodies lie side by side in one scene, so that kernels are compiled once; they do not touch each other.
+"""
+
+import warnings
+
+import numpy as np
+import pytest
+from physics_support import PRECISION
+
+import taichi_sim as ts
+
+G = 9.81
+STEPS = (1 / 30, 1 / 60, 1 / 120, 1 / 240, 1e-3)
+GAIN = 1e-5  # of the energy that a body can turn into motion: rounding in single precision
+
+
+def sheet(rng):
+    """A square net with both diagonals, held at up to two corners."""
+    n = int(rng.integers(6, 25))
+    index = np.arange(n * n).reshape(n, n)
+    x = np.stack([*np.divmod(np.arange(n * n), n), np.zeros(n * n)], axis=1) / n
+    sides = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
+    sides += [(index[:-1, :-1], index[1:, 1:]), (index[:-1, 1:], index[1:, :-1])]
+    pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in sides])
+    return x[:, [0, 2, 1]], pairs, [0, n - 1][: int(rng.integers(0, 3))]
+
+
+def chain(rng):
+    """Up to 24 balls in a row, bent anywhere, with sides of unequal length; a pendulum where there are few."""
+    n = int(rng.integers(3, 25)) if rng.random() < 0.3 else int(rng.integers(2, 5))
+    turn = rng.normal(size=(n, 3))
+    side = 10.0 ** rng.uniform(-2.5, 0, n)
+    x = np.cumsum(turn / np.linalg.norm(turn, axis=1)[:, None] * side[:, None], axis=0)
+    return x, np.stack([np.arange(n - 1), np.arange(1, n)], axis=1), [0][: int(rng.random() < 0.8)]
+
+
+def cloud(rng):
+    """Balls anywhere, each joined to all that are near."""
+    n = int(rng.integers(4, 40))
+    x = rng.random((n, 3))
+    far = np.linalg.norm(x[:, None] - x[None], axis=2)
+    near = (far < 0.4) | (np.abs(np.subtract.outer(np.arange(n), np.arange(n))) == 1)
+    return x, np.argwhere(np.triu(near, 1)), rng.permutation(n)[: int(rng.integers(0, 3))]
+
+
+def bodies(number, seed, h):
+    """A scene of so many, and of which body each ball is. Neighbours may pass each other within a step of h seconds."""
+    rng, scene, body = np.random.default_rng(seed), ts.Scene(dim=3, gravity=(0, -G, 0)), []
+    for k in range(number):
+        x, pairs, pinned = (chain, chain, cloud, chain, sheet)[k % 5](rng)
+        x = x * 10.0 ** rng.uniform(-1, 0.3)
+        place = np.array([10.0 * k, 0.0, 0.0])
+        rest = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+        mass = 10.0 ** (rng.uniform(-2, 1) + rng.uniform(-2, 2, len(x)) * (k % 3 > 0))
+        v = rng.normal(size=x.shape) * rng.choice([0.0, 0.3, 1.0]) * np.median(rest) / h
+        balls = scene.add_balls(x + place, velocity=v, mass=mass, radius=1e-3, pinned=pinned)
+        spread = 10.0 ** rng.uniform(1, 9, len(pairs) if k % 2 == 1 else 1)
+        damping = spread * (10.0 ** rng.uniform(-5, 0) if k % 4 == 0 else 0.0)
+        scene.add_springs(
+            balls[pairs],
+            stiffness=np.broadcast_to(spread, len(pairs)),
+            damping=np.broadcast_to(damping, len(pairs)),
+            rest_length=rest * (rng.uniform(0.9, 1.1, len(rest)) if k % 7 == 0 else 1.0),
+        )
+        body += [k] * len(x)
+    return scene, np.array(body)
+
+
+def gains(number, seed, h, duration, method="xpbd", **settings):
+    """The most that kinetic and gravity energy exceed the start of each body, as a part of what it can turn into motion."""
+    scene, body = bodies(number, seed, h)
+    mass = np.where(scene.pinned, 0.0, scene.mass)
+    stretch = np.linalg.norm(np.subtract(*scene.position[scene.pairs.T]), axis=1) - scene.rest_length
+
+    def moving(x, v):
+        return np.bincount(body, mass * (0.5 * np.sum(v**2, axis=1) + G * x[:, 1]))
+
+    start = moving(scene.position, scene.velocity)
+    start += np.bincount(body[scene.pairs[:, 0]], 0.5 * scene.stiffness * stretch**2, number)
+    size = np.array([np.ptp(scene.position[body == k], axis=0).max() for k in range(number)])
+    scale = start - np.bincount(body, mass * G * scene.position[:, 1]) + np.bincount(body, mass) * G * size
+    most = np.full(number, -np.inf)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with ts.Simulation(
+            scene, arch="cpu", precision=PRECISION, integrator=method, dt=h, substeps=1, contacts="off", **settings
+        ) as sim:
+            for _ in range(round(duration / h)):
+                sim.step(1)
+                most = np.maximum(most, moving(sim.position, sim.velocity) - start)
+    return most / scale
+
+
+def test_no_body_gains_energy_at_a_thirtieth_of_a_second():
+    """Either of two faults shows: one pass in one direction, and compressed springs that push along the predicted direction."""
+    assert gains(60, 6, 1 / 30, 2.0).max() < GAIN  # the first: 7e5 here
+    assert gains(60, 4, 1 / 30, 2.0).max() < GAIN  # the second: 0.25
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("order", [("ordered", "fused"), ("gather", "parallel"), ("atomic", "fused")], ids="-".join)
+def test_no_body_of_two_hundred_gains_energy(order):
+    """Steps from 1 ms to 1/30 s, in each order of the springs."""
+    found = [gains(40, k, h, 3.0, accumulate=order[0], driver=order[1]) for k, h in enumerate(STEPS)]
+    print([f"{1 / h:.0f} Hz: {np.max(g):.2g}" for h, g in zip(STEPS, found)])
+    assert np.max(found) < GAIN
