@@ -50,14 +50,8 @@ def measure():
         first = int(np.argmax(fallen > FALLEN * LENGTH))
         assert first > 0, "it did not arrive"
         took = np.interp(FALLEN * LENGTH, fallen[: first + 1], times[: first + 1])
-        yield Row(
-            "time of the tip to 0.9 of the length",
-            "s",
-            reference(),
-            took,
-            0.12 if n == 40 else 0.05,
-            settings=f"{n} pieces",
-        )
+        name, allowed = "time of the tip to 0.9 of the length", 0.12 if n == 40 else 0.05
+        yield Row(name, "s", reference(), took, allowed, settings=f"{n} pieces")
         speed_there = np.interp(FALLEN * LENGTH, fallen[: first + 1], fast[: first + 1])
         want = np.sqrt(G * LENGTH * FALLEN * (2 - FALLEN) / (1 - FALLEN))
         yield Row("speed of the tip there", "m/s", want, speed_there, allowed, settings=f"{n} pieces")
