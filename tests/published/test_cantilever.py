@@ -1,5 +1,6 @@
-"""Cantilever that bends far under its own weight, clamped level by its first two rows of balls.
+"""Cantilever under its own weight.
 
+It bends far, and is clamped level by its first two rows of balls.
 Source: Bickley, "The heavy elastica", Phil. Mag. 17 (1934); Romero, Ly, Rasheed, Charrondiere, Lazarus, Neukirch, Bertails-
 Descoubes, "Physical validation of simulators in computer graphics", ACM Trans. Graph. 40 (2021), test "cantilever".
 Formula: theta'' + Gamma (1 - s) cos theta = 0, theta(0) = theta'(1) = 0, Gamma = m g L^3 / EI; what is compared is the depth of
@@ -10,11 +11,11 @@ Defaults: 0.5 % at 16 meshes, and a quarter of that at 32.
 
 import numpy as np
 import pytest
-from physics_support import simulate
-from published import Drag, Row, hold
 from scipy.integrate import solve_bvp
 
 import taichi_sim as ts
+from tests.published.common import Row, hold
+from tests.support.drag import Drag
 
 G, LOADS = 9.81, (1.0, 10.0)
 
@@ -46,13 +47,18 @@ def measure():
         a, place = 1 / 16, (-1 / 16, 0.0, 2.0 * len(made))
         body = ts.shapes.cloth(scene, (1 + a, 2 * a), (18, 3), position=place, **sheet | {"pinned": list(range(6))})
         made.append(("sheet", load, 16, body.balls[1::3]))
-    with simulate(scene, forces=[Drag(8.0)], contacts="off") as sim:
+    with ts.Simulation(scene, forces=[Drag(8.0)], contacts="off") as sim:
         sim.run(2.5)
         x = sim.position
     for kind, load, n, balls in made:
         tip = x[balls[-1]] - x[balls[1]]
         yield Row(
-            f"{kind}, Gamma = {load:g}", f"{n} meshes", -tip[1] / tip[0], reference(load), 0.02 if n == 16 else 0.005
+            f"{kind}, Gamma = {load:g}",
+            "",
+            reference(load),
+            -tip[1] / tip[0],
+            0.02 if n == 16 else 0.005,
+            settings=f"{n} meshes",
         )
 
 
@@ -61,5 +67,5 @@ def test_a_cantilever_hangs_as_the_elastica():
     rows = list(measure())
     hold(rows)
     for load in LOADS:
-        coarse, fine = (row.error for row in rows if row.what == f"rope, Gamma = {load:g}")
+        coarse, fine = (row.error for row in rows if row.quantity == f"rope, Gamma = {load:g}")
         assert 2.5 < coarse / fine < 6.0, (coarse, fine)  # of second order

@@ -1,5 +1,6 @@
-"""Rope between two supports at one height, longer than their distance.
+"""Hanging rope.
 
+Its two supports are at one height, and it is longer than their distance.
 Source: Huygens, Leibniz and Johann Bernoulli (1691); Irvine, "Cable Structures" (1981), chapter 1.
 Formula: y = c cosh(x / c) with 2 c sinh(D / (2 c)) = L for a rope that does not stretch; the sag is c (cosh(D / (2 c)) - 1).
 A rod with bending stiffness EI, clamped level at both ends: EI theta'' = H sin theta + w (L / 2 - s) cos theta, w its weight
@@ -10,12 +11,12 @@ Defaults: the rope, 0.3 % too deep at 16 pieces and 0.1 % at 64; its own weight 
 
 import numpy as np
 import pytest
-from physics_support import simulate
-from published import Drag, Row, hold
 from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 
 import taichi_sim as ts
+from tests.published.common import Row, hold
+from tests.support.drag import Drag
 
 G, LENGTH, APART = 9.81, 1.2, 1.0
 PIECES = (16, 32, 64)
@@ -63,12 +64,12 @@ def measure():
             ends = [*range(held + 1), *range(-held - 1, 0)]
             scene.set_balls(body.balls[ends], pinned=True)
             made.append((kind, n, body.balls))
-    with simulate(scene, forces=[Drag(6.0)], contacts="off") as sim:
+    with ts.Simulation(scene, forces=[Drag(6.0)], contacts="off") as sim:
         sim.run(3.0)
         y = sim.position[:, 1]
     for kind, n, balls in made:
         want, allowed = (reference(), 0.005) if kind == "rope" else (clamped_reference(), 0.02)
-        yield Row(f"sag, {kind}", f"{n} pieces", -y[balls].min(), want, allowed)
+        yield Row(f"sag, {kind}", "m", want, -y[balls].min(), allowed, settings=f"{n} pieces")
 
 
 @pytest.mark.slow
@@ -76,5 +77,5 @@ def test_a_rope_hangs_as_a_catenary():
     rows = list(measure())
     hold(rows)
     for kind in ("rope", "clamped rod"):
-        coarse, middle, fine = (row.found for row in rows if row.what == f"sag, {kind}")
+        coarse, middle, fine = (row.found for row in rows if row.quantity == f"sag, {kind}")
         assert 3.0 < (coarse - fine) / (middle - fine) < 8.0, (coarse, middle, fine)  # of second order: 5

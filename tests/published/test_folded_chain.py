@@ -1,5 +1,6 @@
-"""Folded chain, one end of which is held beside the other and let go: the free end falls faster than free fall.
+"""Falling folded chain.
 
+One end is held beside the other and let go: it falls faster than free fall.
 Source: Calkin and March, "The dynamics of a falling chain: I", Am. J. Phys. 57 (1989); Schagerl, Steindl, Steiner, Troger, "On
 the paradox of the free falling folded chain", Acta Mech. 125 (1997); Tomaszewski, Pieranski, Geminard, "The motion of a freely
 falling chain tip", Am. J. Phys. 74 (2006).
@@ -10,11 +11,10 @@ Defaults: 10 % late at 40 pieces, 3 % at 80, where free fall is 14 % late; the t
 
 import numpy as np
 import pytest
-from physics_support import simulate
-from published import Row, hold
 from scipy.integrate import quad
 
 import taichi_sim as ts
+from tests.published.common import Row, hold
 
 G, LENGTH, FALLEN = 9.81, 1.0, 0.9
 
@@ -39,7 +39,7 @@ def measure():
         along = np.where(i < n / 2, 0.0, np.where(i > n / 2, 0.4 * a, 0.2 * a))
         scene.set_balls(body.balls, position=np.stack([along, -down, 0 * along + place], axis=1))
         made.append((n, body.balls[-1]))
-    with simulate(scene, contacts="off") as sim:
+    with ts.Simulation(scene, contacts="off") as sim:
         times, depth, speed = [], [], []
         for _ in range(260):
             sim.run(0.002)
@@ -50,16 +50,17 @@ def measure():
         first = int(np.argmax(fallen > FALLEN * LENGTH))
         assert first > 0, "it did not arrive"
         took = np.interp(FALLEN * LENGTH, fallen[: first + 1], times[: first + 1])
-        yield Row("time of the tip to 0.9 of the length", f"{n} pieces", took, reference(), 0.12 if n == 40 else 0.05)
+        name, allowed = "time of the tip to 0.9 of the length", 0.12 if n == 40 else 0.05
+        yield Row(name, "s", reference(), took, allowed, settings=f"{n} pieces")
         speed_there = np.interp(FALLEN * LENGTH, fallen[: first + 1], fast[: first + 1])
         want = np.sqrt(G * LENGTH * FALLEN * (2 - FALLEN) / (1 - FALLEN))
-        yield Row("speed of the tip there", f"{n} pieces", speed_there, want, 0.12 if n == 40 else 0.05)
+        yield Row("speed of the tip there", "m/s", want, speed_there, allowed, settings=f"{n} pieces")
 
 
 @pytest.mark.slow
 def test_a_folded_chain_falls_faster_than_a_stone():
     rows = list(measure())
     hold(rows)
-    late = [row.error for row in rows if row.what.startswith("time")]
-    assert all(row.found < 0.97 * free_fall() for row in rows if row.what.startswith("time"))
+    late = [row.error for row in rows if row.quantity.startswith("time")]
+    assert all(row.found < 0.97 * free_fall() for row in rows if row.quantity.startswith("time"))
     assert 0.0 < late[1] < 0.5 * late[0]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from physics_support import simulate
-from published import Drag
 from statics import at_rest
 
 from taichi_sim import Box, Scene, shapes
@@ -11,6 +10,7 @@ from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs.export import export
 from taichi_sim.scene.elements import cell_volumes
+from tests.support.drag import Drag
 
 pytestmark = pytest.mark.long_in("f32")
 
