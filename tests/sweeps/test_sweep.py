@@ -95,7 +95,7 @@ def test_the_same_call_does_what_is_missing(tmp_path, monkeypatch):
     )
     given = {"measure": top, "folder": tmp_path / "s", "duration": 0.02, **HERE}
     first = ts.sweep(heap, {"restitution": [0.2, 0.4]}, **given)
-    (tmp_path / "s" / "batches" / ".x.jsonl.1.1.part").write_text("what a killed worker left")
+    (tmp_path / "s" / "batches" / ".x.jsonl.0123456789abcdef.part").write_text("what a killed worker left")
     more = ts.sweep(heap, {"restitution": [0.4, 0.6, 0.2]}, **given)
     assert ran == [0.2, 0.4, 0.6]
     assert [row.parameters["restitution"] for row in more.rows] == [0.4, 0.6, 0.2]
