@@ -106,7 +106,8 @@ def longest_duration(scene: Scene) -> float:
 
 
 def _work(scene: Scene, least: int) -> float:
-    """Springs, bending elements and balls that the reference goes through in a simulated second: steps of a quarter and an eighth, 4 passes."""
+    """Springs, bending elements and balls that the reference goes through in a simulated second: steps of a quarter and an
+    eighth, 4 passes."""
     return (
         3.0
         * 4.0
