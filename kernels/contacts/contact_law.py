@@ -151,17 +151,20 @@ def viscous_share(model: ti.template(), law, total, mass, threshold, u, time):
 
 
 @ti.func
-def target_speed(before, restitution, threshold, impacts: ti.template()):
+def target_speed(before, restitution, threshold, impacts: ti.template(), split: ti.template()):
     """Normal speed that a contact should have after the solve: -e times the speed before (Moreau), 0 for slow impacts.
 
     Contacts that separate have this target too, however slowly: the set as a whole changes the kinetic energy by the sum of
     lambda (target + before) / 2, which with the target 0 is a gain for each that separates.
 
-    Where the solve is not for impacts (the short one that ends a step), what closes fast is left for the next as it is.
+    Where the solve is not for impacts (the short one that ends a step), what bounces is left for the next as it is, and with split
+    masses all that closes fast: what one iteration leaves of an impact would pass for a load.
     """
     fast = -restitution * before
     if ti.static(not impacts):
-        fast = ti.min(before, 0.0)  # at any restitution: what one iteration leaves of an impact would pass for a load
+        fast = ti.min(before, 0.0)
+        if ti.static(not split):
+            fast = ti.select(restitution > 0.0, fast, 0.0 * before)
     return ti.select(before < -threshold or before > 0.0, fast, 0.0 * before)
 
 

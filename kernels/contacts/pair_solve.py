@@ -153,7 +153,7 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
         restitution = 0.0 * speed
         if ti.static(solver.model.has_restitution):
             restitution = law_of(solver.pairs, i, j).restitution
-        target = contact_law.target_speed(speed, restitution, solver.threshold[0], how.impacts)
+        target = contact_law.target_speed(speed, restitution, solver.threshold[0], how.impacts, solver.split)
         fast = speed < -solver.threshold[0]  # an impact: never soft
         rebound, bias = 0.0 * speed, RIGID + 0.0 * speed
         if ti.static(solver.model.has_restitution):

@@ -165,7 +165,7 @@ class Walls(Surfaces):
                     self.forget(c)
                 e = self.law(i, k).restitution
                 before = ti.select(crowded or role == SUNK, u, ti.max(0.0, u))  # alone, what approaches is pressed
-                target = contact_law.target_speed(before, e, self.threshold[0], impacts)
+                target = contact_law.target_speed(before, e, self.threshold[0], impacts, solver.split)
                 if ti.static(self.plan.impacts_in_turn):
                     self.contact[c].starting_impulse = self.contact[c].impulse
                 if ti.static(self.plan.walls_in_turn):
