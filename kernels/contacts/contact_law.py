@@ -157,8 +157,8 @@ def target_speed(before, restitution, threshold, impacts: ti.template(), split: 
     Contacts that separate have this target too, however slowly: the set as a whole changes the kinetic energy by the sum of
     lambda (target + before) / 2, which with the target 0 is a gain for each that separates.
 
-    Where the solve is not for impacts (the short one that ends a step), what bounces is left for the next as it is, and with split
-    masses all that closes fast: what one iteration leaves of an impact would pass for a load.
+    Where the solve is not for impacts (the short one that ends a step), what bounces is left for the next as it is, and
+    with split masses all that closes fast: what one iteration leaves of an impact would pass for a load.
     """
     fast = -restitution * before
     if ti.static(not impacts):
