@@ -106,7 +106,7 @@ class Sticks:
         contact = self.contact[c]
         u = self.relative_velocity(ball, contact).dot(contact.normal)
         e = self.law(contact).restitution
-        self.contact[c].target = contact_law.target_speed(u, e, solver.threshold[0], impacts, solver.split)
+        self.contact[c].target = contact_law.target_speed(u, e, solver.threshold[0], impacts)
         warm_start.start(self, solver, c, u, contact.normal)
 
     @ti.func

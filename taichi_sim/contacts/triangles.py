@@ -181,7 +181,7 @@ class TriangleContacts:
         if contact.thickness >= 0.0:
             u = self.relative_velocity(ball, c).dot(contact.normal)
             restitution = self.law(c).restitution
-            target = contact_law.target_speed(u, restitution, solver.threshold[0], impacts, solver.split)
+            target = contact_law.target_speed(u, restitution, solver.threshold[0], impacts)
             gap = contact.distance - contact.thickness
             if gap > 0.0:  # what bounces does so when it touches
                 bounces = restitution > 0.0 and u < -solver.threshold[0]
