@@ -38,9 +38,8 @@ class Settled(NamedTuple):
     def __str__(self) -> str:
         if not self.load:
             return "at rest, no net force"
-        left = (
-            f"largest net force {measured(self.residual, unit='N')}, {percent(self.residual / self.load)} of the load"
-        )
+        part = f"{percent(self.residual / self.load)} of a ball's mean weight"
+        left = f"largest net force {measured(self.residual, unit='N')}, {part}"
         how = f"after {self.stops} stops in {self.time:.3g} s of motion"
         return f"at rest, {left}, {how}" if self.reached else f"not at rest, {left}, {how}"
 
