@@ -19,7 +19,7 @@ KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 class Scales(NamedTuple):
     """What a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. closed: nothing works on the scene; lossless: nor
     does anything but the method take energy. motion [J]: the largest kinetic and elastic energy seen. swing: the part of it
-    that the method's own moves by. squeezes: colliders or pins move."""
+    that the method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy itself."""
 
     slow: float
     closed: bool
@@ -27,6 +27,7 @@ class Scales(NamedTuple):
     motion: float
     swing: float
     squeezes: bool
+    damps: str = ""
 
 
 def takes_nothing(scene: Scene, method: Method) -> bool:
@@ -87,4 +88,9 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
         grade = _grade(abs(part), kept, max(LOST, kept))
         cure = "" if grade == "good" else "; only contacts can have changed it: take shorter steps, see `check`"
         return f"off by {much}: {grade}{cure}"
-    return f"{start - end:.4g} J of it went into restitution, friction and damping, as expected" if part < -kept else ""
+    own = f", or into the damping of {scales.damps} itself" if scales.damps else ""
+    return (
+        f"{start - end:.4g} J of it went into restitution, friction and damping{own}, as expected"
+        if part < -kept
+        else ""
+    )

@@ -281,6 +281,7 @@ class Stepper:
             motion=max(monitor.most, self.largest_motion),
             swing=1.0 - 1.0 / self.method.swing(min(part, LARGEST_PART)),
             squeezes=self.squeezes,
+            damps="" if self.method.conserves else self.method.name,
         )
 
     # When it goes wrong --------------------------------------------------------------------------------------------

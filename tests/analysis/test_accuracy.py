@@ -320,6 +320,7 @@ def test_verdicts_go_with_the_scene():
     assert "look at it" in of_energy(0.0, -0.3, scales)
     assert "nothing in the scene explains it" in of_energy(0.0, 1.0, scales)
     assert "restitution, friction and damping" in of_energy(0.0, -3.0, scales._replace(lossless=False))
+    assert "or into the damping of xpbd itself" in of_energy(0.0, -3.0, scales._replace(lossless=False, damps="xpbd"))
     assert "no measure of the step error" in of_energy(0.0, 5.0, scales._replace(closed=False))
     assert of_energy(0.0, 0.0, scales._replace(closed=False)) == ""
 
