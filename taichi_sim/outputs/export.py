@@ -460,7 +460,7 @@ def _observed(
             _count_inverted(summary, inverted(simulation.scene, frame.position))
         _observe(summary, frame)
         if frame.contacts.number:
-            h = simulation.dt / simulation.substeps
+            h = simulation.dt / frame.contacts.substeps
             late = h * late_impacts.late_rate(simulation.scene, frame.velocity)
             summary.late = max(summary.late, (late, h))
         if companion is not None:

@@ -406,7 +406,7 @@ def test_means_of_probes_go_on():
     class Impulse:
         name = "push"
         total = staticmethod(lambda sample: np.array([sample.total]))
-        mean = staticmethod(lambda growth: {"force": float(growth[0])})
+        mean = staticmethod(lambda growth, interval: {"force": float(growth[0])})
         read = staticmethod(lambda sample: {})
         numbers = staticmethod(lambda dim: ("force",))
 

@@ -32,7 +32,7 @@ class FakeSimulation:
     settings = Settings.resolve(scene, {})
     backend = Backend("cpu", "f32", 2)
     parts = SimpleNamespace(arguments=[()])
-    time = 0.0
+    time, dt, substeps = 0.0, 1e-3, 1
     torn = None
 
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
