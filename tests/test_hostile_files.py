@@ -115,7 +115,7 @@ def test_a_part_of_a_mesh_that_is_a_pipe(tmp_path):
 def test_a_damaged_font(tmp_path):
     for content in (b"", b"abc", b"\0\1\0\0" + bytes(1000), b"OTTO" + bytes(100)):
         (tmp_path / "a.ttf").write_bytes(content)
-        with pytest.raises(ts.SceneError, match=r"font: .*a.ttf' cannot be read as a font"):
+        with pytest.raises(ts.SceneError, match=r"font: .* cannot be read as a font"):
             text_outlines("text", "a", 1.0, str(tmp_path / "a.ttf"))
 
 

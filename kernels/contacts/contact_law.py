@@ -17,8 +17,6 @@ SOFT_LEAK = 1.0 / (1.0 + SOFT_STIFFNESS)  # part of the accumulated impulse that
 SOFT_MASS = 1.0 - SOFT_LEAK  # of the contact's mass
 PUSH_OUT = 0.5  # part of the remaining depth that the position correction of one step removes
 FASTEST_PUSH_OUT = 20.0  # of the threshold speed: soft contacts do not push out faster
-# the same where a ball's mass is split: the iteration that ends a step takes back only a part of that speed
-FASTEST_SPLIT_PUSH_OUT = 5.0
 TOUCH_TOLERANCE = 1e-5  # of the radius: a ball this close that hardly approaches rests
 CORRECTION_SLOP = 0.01  # of the radius: depth that position correction leaves
 
@@ -157,11 +155,11 @@ def target_speed(before, restitution, threshold, impacts: ti.template()):
     Contacts that separate have this target too, however slowly: the set as a whole changes the kinetic energy by the sum of
     lambda (target + before) / 2, which with the target 0 is a gain for each that separates.
 
-    Where the solve is not for impacts (the short one that ends a step), what closes fast is left for the next as it is.
+    Where the solve is not for impacts (the short one that ends a step), fast contacts are left for the next as they are.
     """
     fast = -restitution * before
     if ti.static(not impacts):
-        fast = ti.min(before, 0.0)  # at any restitution: what one iteration leaves of an impact would pass for a load
+        fast = ti.select(restitution > 0.0, ti.min(before, 0.0), 0.0 * before)
     return ti.select(before < -threshold or before > 0.0, fast, 0.0 * before)
 
 

@@ -20,7 +20,6 @@ class Plan(Protocol):
     soft: bool  # whether pairs are damped springs
     impacts_in_turn: bool  # whether pairs that close fast bounce one by one
     walls_in_turn: bool  # whether walls of balls among others do
-    keeps_loads: bool  # whether solves start from loads alone, see contact_loads
     foresees: bool  # whether pairs that may meet within the step count
     loaded: bool  # whether what forces add is told from impacts
     line_search: bool  # see impact_iterations
@@ -51,19 +50,13 @@ class Accumulated(Protocol):
     tangential_impulse: Any  # N s, along the surface: a vector; of pairs in 2D along the normal turned by 90 degrees
 
 
-class Loaded(Protocol):
-    """What tells a load from an impact, see contact_loads."""
-
-    load: float  # N s, part of the impulse that forces press with, as far as it is known
-
-
 class Iterated(Protocol):
     """What line searches ask of a contact."""
 
     previous_impulse: float  # N s, the normal impulse before the last iteration
 
 
-class PairLink(Accumulated, Loaded, Protocol):
+class PairLink(Accumulated, Protocol):
     """What a pair keeps from step to step."""
 
     other: int  # the ball that is not the one whose list this is
@@ -81,9 +74,7 @@ class PairContact(Iterated, Protocol):
     mass: float  # kg, of a lone contact 1 / (1 / m_i + 1 / m_j)
     target: float  # m/s, normal speed to come to
     rebound_speed: float  # m/s, that of the link of old
-    starting_impulse: (
-        float  # N s, before the solve, where impacts are resolved in turn; else the load of the link of old
-    )
+    starting_impulse: float  # N s, before the solve, where impacts are resolved in turn
     lister: int  # the ball that lists it
     next_from_others: int  # the next contact with the same other ball, or NO_CONTACT
     arm: float  # of each radius: balls that overlap touch nearer to their centres
@@ -495,7 +486,7 @@ class Received(Protocol):
         """By 1 + less."""
 
 
-class WallContact(Accumulated, Loaded, Iterated, Protocol):
+class WallContact(Accumulated, Iterated, Protocol):
     """A ball and a surface of infinite mass."""
 
     target: float  # m/s, normal speed to come to
@@ -556,9 +547,6 @@ class Walls(Protocol):
 
     def record(self, i: int, k: int, p: Any) -> None:
         """Surface k gave ball i the impulse p [N s], for probes."""
-
-    def mass(self, solver: Any, i: int) -> float:
-        """kg, that ball i opposes to one of its surfaces."""
 
     def gather(self, ball: Any, solver: Any, i: int, time: float) -> Any:
         """Further impulse and angular impulse on ball i from the surfaces on which it rests."""
@@ -652,7 +640,6 @@ READS = {
     "shape": ColliderShape,
     "contacts": Incidences,
     "table": Accumulated,
-    "loaded": Loaded,
     "iterated": Iterated,
     "how": Iteration,
     "ball": Ball,

@@ -132,8 +132,7 @@ def further_impulse(solver: ti.template(), ball: ti.template(), i, j, c, v, spin
 @ti.func
 def push_out_speed(solver: ti.template(), depth):
     """Speed [m/s] with which a soft contact pushes out so much overlap [m]."""
-    fastest = ti.static(contact_law.FASTEST_SPLIT_PUSH_OUT if solver.split else contact_law.FASTEST_PUSH_OUT)
-    return ti.min(contact_law.SOFT_PUSH * depth * solver.rate[0], fastest * solver.threshold[0])
+    return ti.min(contact_law.SOFT_PUSH * depth * solver.rate[0], contact_law.FASTEST_PUSH_OUT * solver.threshold[0])
 
 
 @ti.func

@@ -22,13 +22,6 @@ def scale(table: ti.template(), count, ratio, friction: ti.template()):
 
 
 @ti.func
-def scale_loads(loaded: ti.template(), count, ratio):
-    """Make the loads of the first `count` contacts `ratio` times as large, see contact_loads."""
-    for e in range(count):
-        loaded[e].load = ratio * loaded[e].load
-
-
-@ti.func
 def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
     """Of what contact c of a table accumulated, what may be a load: the next solve starts with it, and would throw back what was
     an impact's."""

@@ -64,6 +64,7 @@ def run(
     **options: Any,
 ) -> None:
     """Simulate SCENE and write a video, pictures, arrays or files for other programs; without --out show the summary only."""
+    from taichi_sim.analysis.frame import frame_count
     from taichi_sim.outputs import export, open_outputs
 
     job = Job(scene, options)
@@ -80,7 +81,7 @@ def run(
         _drawn_apart(job, out, (scheduler, workers), overwrite, codec, quiet)
         return
     targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-    if resume and targets and _tell_resumed(out or [], targets, round(job.output["fps"] * job.output["duration"])):
+    if resume and targets and _tell_resumed(out or [], targets, frame_count(job.output["fps"], job.output["duration"])):
         return
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")

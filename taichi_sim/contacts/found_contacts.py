@@ -152,10 +152,6 @@ class FoundContacts:
             warm_start.scale(self.sticks.contact, self.sticks.capacity, ratio, self.model.has_friction)
         if ti.static(self.plan.walls):
             warm_start.scale(self.walls.contact, self.n * self.walls.count, ratio, self.model.has_friction)
-        if ti.static(self.plan.keeps_loads):
-            warm_start.scale_loads(self.pairs.link, self.pairs.capacity, ratio)
-            if ti.static(self.plan.walls):
-                warm_start.scale_loads(self.walls.contact, self.n * self.walls.count, ratio)
 
     @ti.func
     def clear(self, i):

@@ -4,7 +4,7 @@ from typing import Any
 
 from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
-from taichi_sim.kernels.contacts import contact_loads, energy_limiter, pair_solve
+from taichi_sim.kernels.contacts import energy_limiter, pair_solve
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["IteratedRule"]
@@ -42,9 +42,6 @@ class IteratedRule(ContactRule):
             self.repeat(ball, iterations - 1, pair_solve.NEXT)
             self.after_iterations(ball, impacts)
             self.limit_energy(ball, iterations, impacts)
-            if ti.static(self.plan.keeps_loads and impacts):
-                for i in range(self.n):
-                    contact_loads.keep(self, ball, i)
             if ti.static(self.plan.sticks and self.plan.warm_starts):
                 self.sticks.end_contacts(ball)
 

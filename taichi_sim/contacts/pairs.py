@@ -45,7 +45,7 @@ class Pairs:
         self.longest_reach, self.block_length, self.blocks = fields.integers(1), fields.integers(1), fields.integers(1)
         self.single_precision = fields.real == ti.f32
         self.has_rebounds = model.has_restitution and not plan.impacts_in_turn
-        self.has_target = self.has_rebounds or plan.keeps_loads or (plan.soft and not plan.impacts_in_turn)
+        self.has_target = self.has_rebounds or (plan.soft and not plan.impacts_in_turn)
         vector = ti.types.vector(model.dim, fields.real)
         columns = {"other": ti.i32, "impulse": fields.real}
         if model.has_friction:
@@ -54,8 +54,6 @@ class Pairs:
             columns["bias_velocity"] = fields.real
         if self.has_rebounds:
             columns["rebound_speed"] = fields.real
-        if plan.keeps_loads:
-            columns["load"] = fields.real
         if plan.by_colours:
             columns["colour"] = columns["twin"] = ti.i32
         self.link = fields.table(columns, self.capacity, by_column=self.interleaved)
@@ -64,7 +62,7 @@ class Pairs:
             columns["target"] = fields.real
         if self.has_rebounds:
             columns["rebound_speed"] = fields.real
-        if plan.keeps_loads or (plan.impacts_in_turn and plan.warm_starts):
+        if plan.impacts_in_turn and plan.warm_starts:
             columns["starting_impulse"] = fields.real
         if plan.line_search:
             columns["previous_impulse"] = fields.real

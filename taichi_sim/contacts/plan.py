@@ -30,9 +30,6 @@ class ContactPlan:
     impacts_in_turn: bool  # pairs that close fast bounce one by one first, see kernels.contacts.pair_impacts
     bounces: bool  # any of them may
     walls_in_turn: bool  # so do walls of crowded balls
-    keeps_loads: (
-        bool  # solves start from loads, and not from impacts of the step before, see kernels.contacts.contact_loads
-    )
     foresees: bool  # pairs that may meet within the step count
     loaded: bool  # what forces add in a step is no impact
     line_search: bool  # see kernels.contacts.impact_iterations
@@ -128,11 +125,6 @@ def plan_contacts(
         "impacts_in_turn",
         rule.impacts_in_turn and pairs and not joints and not by_colours,
         "a rule that does so, pairs, not by colours, and neither sticks nor triangles: it is exact for pairs alone",
-    )
-    decide(
-        "keeps_loads",
-        warm_starts and pairs and gravity and not pulls and not impacts_in_turn,
-        "warm starts, pairs, gravity as the only force, and no impacts in turn: what one step leaves of an impact is no load",
     )
     restitution = any(material.restitution > 0 for material in used_materials(scene))
     bounces = decide("bounces", impacts_in_turn and restitution, "impacts in turn, and a material with restitution")

@@ -42,8 +42,6 @@ class Walls(Surfaces):
         if plan.walls_in_turn:
             columns |= {"starting_impulse": fields.real, "previous_impulse": fields.real}
             self.crowded = fields.integers(model.n)
-        if plan.keeps_loads:
-            columns["load"] = fields.real
         self.contact = fields.table(columns, model.n * self.count)
         self.mass_parts = fields.reals(model.n)
         if not self.has_colliders:
@@ -137,8 +135,6 @@ class Walls(Surfaces):
     def forget(self, c):
         """Contact c has accumulated nothing."""
         self.contact[c].impulse = 0.0
-        if ti.static(self.plan.keeps_loads):
-            self.contact[c].load = 0.0
         if ti.static(self.model.has_friction):
             self.contact[c].tangential_impulse = ti.Vector.zero(float, self.model.dim)
 
@@ -207,16 +203,6 @@ class Walls(Surfaces):
         return target, role
 
     @ti.func
-    def mass(self, solver: ti.template(), i):
-        """Mass [kg] that ball i, a loose one, opposes to each of its walls."""
-        mass = 1.0 / (self.model.inverse_mass[i] * self.mass_parts[i])
-        if ti.static(solver.split):
-            mass = 1.0 / solver.effective_inverse_mass[i]
-        if ti.static(solver.sums_plainly):
-            mass = 1.0 / self.model.inverse_mass[i]
-        return mass
-
-    @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i, time):
         """Further impulse and angular impulse on ball i from the walls it rests on or is inside of. Fast arrivals are left to
         `move`."""
@@ -230,7 +216,11 @@ class Walls(Surfaces):
             contact = self.contact[c]
             if self.is_solved(c):
                 n = self.normal(i, k)
-                mass = self.mass(solver, i)
+                mass = 1.0 / (w * self.mass_parts[i])
+                if ti.static(solver.split):
+                    mass = 1.0 / solver.effective_inverse_mass[i]
+                if ti.static(solver.sums_plainly):
+                    mass = 1.0 / w
                 u = self.relative(v, i, k)
                 now = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
                 p = (now - contact.impulse) * n

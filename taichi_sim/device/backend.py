@@ -183,6 +183,7 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
             offline_cache_max_size_of_files=CACHE_BYTES,
             log_level=ti.ERROR,
             fast_math=False,
+            unrolling_limit=0,  # loops over colours are unrolled on purpose, with no warning
             advanced_optimization=False,  # Taichi's own passes: LLVM repeats them; compiling takes a third, running the same
         )
     device = None if name == "cpu" else find(name)

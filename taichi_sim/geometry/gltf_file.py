@@ -28,6 +28,9 @@ COMPRESSIONS = {
     "KHR_meshopt_compression": "meshopt",
 }
 INSTANCES = "EXT_mesh_gpu_instancing"
+# what names another part by its number, or counts
+WHOLE = {"mesh", "indices", "POSITION", "TEXCOORD_0", "bufferView", "buffer", "scene", "count", "byteOffset", "byteStride",
+    "nodes", "children"}  # fmt: skip
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives; others are points and lines
 
 
@@ -44,7 +47,21 @@ def header_of(data: bytes, kind: str) -> dict[str, Any]:
     version = str(header.get("asset", {}).get("version", "2.0"))
     if not version.startswith("2."):
         raise ValueError(f"it is glTF of version {version}; version 2 is read")
+    _check_whole(header)
     return header
+
+
+def _check_whole(part: Any, name: str = "") -> None:
+    """Raise ValueError for a number or count that is negative or no whole number."""
+    if isinstance(part, dict):
+        for key, value in part.items():
+            if key not in ("extras", "extensions"):
+                _check_whole(value, key)
+    elif isinstance(part, list):
+        for value in part:
+            _check_whole(value, name)
+    elif name in WHOLE and (type(part) is not int or part < 0):
+        raise ValueError(f"{name!r} is {part!r}; it must be a whole number of at least 0")
 
 
 def outer_files(file: Path, header: Mapping[str, Any]) -> dict[int, Path]:

@@ -115,23 +115,20 @@ class Settings:
         """Iterations of each contact solve. "auto": where contacts see what those before them changed (in_turn) 2, and 1 for
         more than a thousand balls, but not where they differ tenfold in mass: a light ball under a heavy one trembles with 1;
         10 where surfaces collide; with these, with sticks, or by colours up to 4 more for balls that bounce well. With split
-        masses 6 for small scenes to 8 for those whose piles can be high, and up to 12 more where balls bounce well: what has not
-        converged then takes energy for good; and where masses differ 8 more for each power of ten, up to 16: a light ball between
-        heavy ones takes as many iterations as they are heavier."""
+        masses 4 for small scenes to 8 for those whose piles can be high, and up to 12 more where balls bounce well: what has not
+        converged then takes energy for good."""
         if self.contact_iterations != "auto":
             return int(self.contact_iterations)
         surfaces = SURFACE_ITERATIONS if scene.solid.any() else 0
-        mass = scene.mass[~scene.pinned]
         if in_turn:
+            mass = scene.mass[~scene.pinned]
             few = 1 if len(mass) > MANY_BALLS and mass.max() <= UNEQUAL_MASSES * mass.min() else 2
             few = max(few, surfaces)
             # else impacts are resolved one by one
             rows = by_colours or scene.solid.any() or scene.collides.any()
             return few + (round(4 * max(0.0, 2.0 * max_restitution(scene) - 1.0)) if rows else 0)
         more = round(12 * max(0.0, 2.0 * max_restitution(scene) - 1.0))
-        if len(mass) > 0:
-            more += round(min(16.0, 8.0 * np.log10(mass.max() / mass.min())))
-        return max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 6, 8))) + more
+        return max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8))) + more
 
     def time_step(self, scene: Scene, safe: Stability) -> tuple[float, int]:
         """dt [s] and the number of substeps, with "auto" resolved."""

@@ -38,9 +38,8 @@ class Settled(NamedTuple):
     def __str__(self) -> str:
         if not self.load:
             return "at rest, no net force"
-        left = (
-            f"largest net force {measured(self.residual, unit='N')}, {percent(self.residual / self.load)} of the load"
-        )
+        part = f"{percent(self.residual / self.load)} of a ball's mean weight"
+        left = f"largest net force {measured(self.residual, unit='N')}, {part}"
         how = f"after {self.stops} stops in {self.time:.3g} s of motion"
         return f"at rest, {left}, {how}" if self.reached else f"not at rest, {left}, {how}"
 
@@ -88,7 +87,9 @@ def settle(simulation: Any, tolerance: float, longest: float) -> tuple[NDArray[n
         least, since = (residual, 0) if residual < BETTER * least else (least, since + 1)
         if found.reached or since > PATIENCE or spent > longest:
             break
-        steps = 1 + _to_the_peak(simulation, mass, free, chunk, round((longest - spent) / dt) + 1)
+        # where the step is long for the motion, the place behind a peak may balance as badly as the one before it
+        back = since % 2 == 1
+        steps = 1 + _to_the_peak(simulation, mass, free, chunk, round((longest - spent) / dt) + 1, back)
         spent += (steps - 1) * dt
         chunk = max(1, steps // LOOKS)
     if not found.reached:
@@ -96,20 +97,25 @@ def settle(simulation: Any, tolerance: float, longest: float) -> tuple[NDArray[n
     return at_rest, found
 
 
-def _to_the_peak(simulation: Any, mass: NDArray[np.float64], free: NDArray[np.bool_], chunk: int, most: int) -> int:
-    """Step until the kinetic energy falls, looking at it every `chunk` steps; the number of steps, at most about `most`."""
+def _to_the_peak(
+    simulation: Any, mass: NDArray[np.float64], free: NDArray[np.bool_], chunk: int, most: int, back: bool
+) -> int:
+    """Step until the kinetic energy falls, looking at it every `chunk` steps; the number of steps, at most about `most`. back:
+    go back to the place where it was largest."""
 
     def energy() -> float:
         return float((mass[free] * simulation.velocity[free] ** 2).sum())
 
-    steps, before = 0, energy()
+    steps, before, place = 0, energy(), simulation.position
     while steps < most:
         simulation.step(chunk)
         steps += chunk
         now = energy()
         if now <= before:
             break
-        before = now
+        before, place = now, simulation.position
+    if back:
+        simulation.set_position(place)
     return steps
 
 

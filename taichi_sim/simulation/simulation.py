@@ -64,9 +64,9 @@ class Simulation(Reader):
             "vulkan", "metal" ("auto": that which the process runs on; in its first simulation a GPU if one works).
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a
             GPU and with accumulate "gather" or "atomic").
-        contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 6 to 8
-            by jacobi, and up to 16 more where masses differ; 10 where surfaces collide; for restitutions above 0.5 up to 12 more
-            by jacobi, 4 by gauss_seidel with sticks or surfaces ("auto").
+        contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
+            by jacobi, 10 where surfaces collide; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with
+            sticks or surfaces ("auto").
         accumulate: "auto", "ordered", "gather", "atomic": in which order impulses are added, see docs/physics.md ("auto").
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
@@ -227,21 +227,16 @@ class Simulation(Reader):
         """
         tolerance = validation.number("tolerance", tolerance, positive=True)
         longest = validation.number("longest", longest, positive=True)
-        time, held = self.time, still(self.scene)
-        if held is self.scene and self.settings.tolerance is None:
-            position, self.settled = settle(self, tolerance, longest)
-            self._stepper.set_time(time)
-        else:
-            if time != 0.0 and held is not self.scene:
-                raise SceneError(
-                    "settle", says="needs the clock at 0 where something is driven; call it before the first step"
-                )
-            given = {**self._given, "settle": None}
-            if self.settings.tolerance is not None:
-                given |= {"tolerance": None, "dt": "auto", "substeps": "auto"}
-            with type(self)(held, forces=self._forces, **given) as other:
-                other.resume(Snapshot(self.position, np.zeros_like(self.position)))
-                position, self.settled = settle(other, tolerance, longest)
+        held = still(self.scene)
+        if self.time != 0.0 and held is not self.scene:
+            raise SceneError(
+                "settle", says="needs the clock at 0 where something is driven; call it before the first step"
+            )
+        # a step of this method from rest gives each ball the force at the start times h / m, exactly, at any stiffness
+        given = {**self._given, "settle": None, "integrator": "symplectic_euler", "tolerance": None}
+        with type(self)(held, forces=self._forces, **{**given, "dt": "auto", "substeps": 1}) as other:
+            other.resume(Snapshot(self.position, np.zeros_like(self.position)))
+            position, self.settled = settle(other, tolerance, longest)
         if not self._still:
             self._state.write_spin(np.zeros_like(self._state.surface_speed))
             if (walls := self.parts.contacts.walls) is not None and walls.probed:

@@ -345,15 +345,17 @@ def test_nothing_is_compiled_where_no_probe_asks():
         assert sim.probes() == {}
 
 
-def test_a_probe_that_comes_late_is_none():
-    """What nothing was measured for is no zero: a simulation knows the probes that there were when it was made."""
+def test_a_probe_that_comes_late_is_told():
+    """A simulation knows the probes that there were when it was made."""
     scene = ts.Scene(dim=2, gravity=(0, -10))
     scene.add_balls([[0, 0.3]], radius=0.1)
     scene.add_wall((0, 1), 0.0)
     with ts.Simulation(scene, arch="cpu", precision=PRECISION, dt=1e-3) as sim:
+        sim.run(0.05)
         scene.add_probe("late", "force", wall=0)
-        sim.run(0.1)
         assert sim.probes() == {}
+        with pytest.raises(SceneError, match="got more probes after this simulation was made"):
+            sim.run(0.05)
         with pytest.raises(SceneError, match="'late' is not a probe of this scene"):
             sim.probe("late")
         with pytest.raises(SceneError, match="stays as it is"):

@@ -188,17 +188,8 @@ def test_light_balls_between_walls_and_heavy_ones_keep_their_energy():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("contacts", "accumulate", "returned", "gained"),
-    [
-        ("gauss_seidel", "ordered", 0.02, 1e-3),
-        ("jacobi", "ordered", 0.08, 3e-3),
-        pytest.param("auto", "gather", 0.08, 3e-3, marks=pytest.mark.long),
-    ],
-)
-def test_nothing_comes_back_where_nothing_bounces(contacts, accumulate, returned, gained):
-    """e = 0: a heavy ball falls on a light one on the floor, or on two: no rebound above .02 of its speed, no gain; little of
-    either with split masses, whose push-out of overlap is not taken back in full."""
+def test_nothing_comes_back_where_nothing_bounces():
+    """e = 0: a heavy ball falls on a light one on the floor, or on two: no rebound above .02 of its speed, no gain."""
     scene, radius, speed = ts.Scene(dim=2, gravity=(0.0, -G)), 0.06, 2.5
     scene.add_wall((0, 1), 0.0)
     columns = []
@@ -210,7 +201,7 @@ def test_nothing_comes_back_where_nothing_bounces(contacts, accumulate, returned
         columns.append(ball)
     top = np.array([ball[-1] for ball in columns])
     scale = 0.5 * scene.mass[top] * speed**2
-    with simulate(scene, (accumulate, "fused"), dt=1e-3, contacts=contacts) as sim:
+    with simulate(scene, dt=1e-3) as sim:
 
         def each():
             total = 0.5 * scene.mass * (sim.velocity**2).sum(axis=1) + G * scene.mass * sim.position[:, 1]
@@ -223,8 +214,8 @@ def test_nothing_comes_back_where_nothing_bounces(contacts, accumulate, returned
             fastest = np.maximum(fastest, sim.velocity[top, 1])
             gain, last = np.maximum(gain, (now - last) / scale), now
         assert np.all(np.abs(sim.velocity[top]) < 0.05)
-    assert np.all(fastest < returned * speed), fastest / speed
-    assert np.all(gain < gained), gain
+    assert np.all(fastest < 0.02 * speed), fastest / speed
+    assert np.all(gain < 1e-3), gain
 
 
 @pytest.mark.slow

@@ -117,7 +117,7 @@ class Silent:
 def test_a_force_that_declares_no_rate_is_named_where_the_step_is_chosen(recwarn):
     with pytest.warns(UserWarning, match='dt: "auto" does not count Silent, which declares neither'):
         sim = simulation(row(), [Silent(), Tether(1.0), Silent()])
-    assert "what step Silent needs is not known" in "\n".join(check.lines(sim))
+    assert "that Silent needs is unknown" in "\n".join(check.lines(sim))
     sim.close()
     recwarn.clear()
     simulation(row(), [Silent()], dt=H).close()

@@ -1,5 +1,6 @@
 """Mesh files from other programs: each is read as the body that it describes, or refused in one sentence."""
 
+import json
 import warnings
 
 import mesh_zoo
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from taichi_sim import SceneError
+from taichi_sim.geometry import gltf_file
 from taichi_sim.geometry.mesh import holes, read_surface, surface_area, volume
 
 pytestmark = pytest.mark.once
@@ -40,3 +42,11 @@ def test_it_is_read_rightly_or_refused(tmp_path, case):
 def test_there_are_many():
     assert len(CASES) >= 150
     assert len({case.name for case in CASES}) == len(CASES)
+
+
+@pytest.mark.parametrize(
+    "part", [{"scenes": [{"nodes": [-1]}]}, {"nodes": [{"mesh": -1}]}, {"accessors": [{"count": 2.5}]}, {"scene": True}]
+)
+def test_numbers_of_parts_are_whole_and_not_negative(part):
+    with pytest.raises(ValueError, match="it must be a whole number of at least 0"):
+        gltf_file.header_of(json.dumps({"asset": {"version": "2.0"}} | part).encode(), "gltf")

@@ -205,7 +205,7 @@ def test_a_run_that_is_refused_destroys_nothing_of_the_one_that_goes_on(tmp_path
             return found
 
     first = open_output(f"{tmp_path}/frames/")
-    running = threading.Thread(target=export, args=(Waiting(), first), kwargs={"duration": 0.5, "size": SIZE})
+    running = threading.Thread(target=export, args=(Waiting(), first), kwargs={"duration": 29 / 60, "size": SIZE})
     running.start()
     begun.wait(60)
     there = {p.name for p in (tmp_path / "frames").glob("*.png")}

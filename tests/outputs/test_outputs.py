@@ -34,6 +34,7 @@ class FakeSimulation:
     parts = SimpleNamespace(arguments=[()])
     time, dt, substeps = 0.0, 1e-3, 1
     torn = None
+    dt, substeps = 1e-3, 1
 
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
         self.fails_at, self.failure = fails_at, error

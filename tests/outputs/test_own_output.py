@@ -23,11 +23,11 @@ def test_the_example_of_the_docstring_writes_a_table(tmp_path, monkeypatch):
     with ts.Simulation(falling(), dt=1e-3, arch="cpu") as simulation:
         exec(textwrap.dedent(example), {"simulation": simulation, "ts": ts})
     table = np.loadtxt("heights.csv", delimiter=",")
-    assert table.shape == (120, 3)
+    assert table.shape == (121, 3)
     time = table[:, 0]
-    assert time == pytest.approx(np.arange(120) / 60, abs=5.1e-4)  # the nearest steps of 1 ms
+    assert time == pytest.approx(np.arange(121) / 60, abs=5.1e-4)  # the nearest steps of 1 ms
     assert table[:, 1] == pytest.approx(1.0 - 5.0 * time**2, abs=1e-3)
-    assert table[:, 2] - table[:, 1] == pytest.approx(np.ones(120), abs=1e-5)
+    assert table[:, 2] - table[:, 1] == pytest.approx(np.ones(121), abs=1e-5)
 
 
 class Kept(ts.Output):

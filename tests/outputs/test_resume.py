@@ -185,7 +185,7 @@ def test_what_is_complete_is_left_as_it_is(tmp_path, name):
     assert out.is_finished(30)
     other = open_output(tmp_path / "other.csv", resume=True)  # was not begun
     assert not other.is_finished(30)
-    summary = export(FakeSimulation(), [out, other], duration=0.5, size=SIZE)
+    summary = export(FakeSimulation(), [out, other], duration=29 / 60, size=SIZE)
     assert summary.frames == 30
     (tmp_path / "other.csv").unlink()
     assert {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()} == before

@@ -275,7 +275,7 @@ def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
     assert greenish(green)
     assert blue[2] > 1.5 * max(blue[0], blue[1])
     assert white.min() > 100
-    for name, text in (("none.png", "No such file"), ("test.txt", "image")):
+    for name, text in (("none.png", "No such file"), ("test.txt", "none of PNG, JPEG")):
         (tmp_path / "test.txt").write_text("no image")
         with pytest.raises(SceneError, match=rf"looks\[0\].texture: .* is not an image that can be read: .*{text}"):
             picture(upright(), looks=[{"of": "flag", "texture": tmp_path / name}])

@@ -126,6 +126,10 @@ def test_richardson():
     assert error is None
     assert order == pytest.approx(-1.0)
     assert "not known, at least 0.1" in why
+    error, order, why = budget.mesh_error([1.3, 0.004])  # by chance
+    assert error is None
+    assert order > 8.0
+    assert "no mesh converges so fast" in why
     assert budget.mesh_error([0.1])[0] == pytest.approx(0.2)  # of first order, with two meshes alone
 
 

@@ -113,3 +113,20 @@ def test_what_cannot_rest_says_so():
 def test_a_wrong_setting_is_named(value):
     with pytest.raises(SceneError, match=r"^settle: "):
         ts.Simulation(bridge(settle=value))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "stiffness", "dt"), [("implicit_euler", 2e5, 0.02), ("verlet", 500.0, 0.04)])
+def test_the_force_that_is_left_is_what_balls_feel(tmp_path, method, stiffness, dt):
+    """At any step of any method, told from the place alone; and the state can be saved at once."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls([[0, 0], [0, -1]], radius=0.05, mass=2.0, pinned=[0])
+    scene.add_springs([[0, 1]], stiffness=stiffness, rest_length=1.0)
+    with ts.Simulation(scene, integrator=method, dt=dt, precision=PRECISION, arch="cpu") as sim:
+        settled = sim.settle(0.02)
+        left = abs(stiffness * (-sim.position[1, 1] - 1.0) - 20.0)
+        assert settled.reached
+        assert settled.residual == pytest.approx(left, rel=0.05, abs=0.02)
+        sim.save(tmp_path / "state.npz")
+    with ts.Simulation.restore(tmp_path / "state.npz") as sim:
+        sim.step(1)

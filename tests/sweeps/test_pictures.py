@@ -203,7 +203,7 @@ def test_what_cannot_be_drawn_is_not_simulated_and_what_was_simulated_is_kept(tm
     assert "disk is gone" in said
     assert "holds the run" in said
     monkeypatch.undo()
-    assert draw(tmp_path / ".a.gif.states.npz", [tmp_path / "a.gif"], size=(64, 48), workers=0) == 2
+    assert draw(tmp_path / ".a.gif.states.npz", [tmp_path / "a.gif"], size=(64, 48), workers=0) == 3
 
 
 DATA = ["x.csv", "x.npz", "x.pvd", "x.ply", "x.obj"]

@@ -16,6 +16,7 @@ from taichi_sim.reports.speed_error.worker import Outcome
 ASSUMED_ORDER = 1.0  # where there is one difference only
 HIDING_MESH = 10.0  # times the error of the step: that of the mesh hides it
 LEAST_ORDER = 0.3  # order below which differences do not add up to an error
+HIGHEST_ORDER = 3.0  # above it the finer difference is small by chance: springs and elements are of order 2
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,12 @@ def mesh_error(differences: Sequence[float]) -> tuple[float | None, float | None
         why = (
             f"not known, at least {first:.2g}: it does not fall yet with the spacing; the differences between h, h/2 and h/4"
             f" are {first:.2g} and {differences[1]:.2g}"
+        )
+        return None, order, why
+    if order > HIGHEST_ORDER:
+        why = (
+            f"not known, at least {first:.2g}: the differences between h, h/2 and h/4 are {first:.2g} and {differences[1]:.2g},"
+            " and no mesh converges so fast; use finer meshes"
         )
         return None, order, why
     return first * 2.0**order / (2.0**order - 1.0), order, ""

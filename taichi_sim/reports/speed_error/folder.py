@@ -65,11 +65,15 @@ class Folder:
                 )
         if path.is_dir():
             self._take()
-        if path.is_dir() and overwrite:
-            for name in OURS:
-                (path / name).unlink(missing_ok=True)
-            self.outcomes.forget()
-        self.rows = self.table("rows.csv", Row)
+        try:
+            if path.is_dir() and overwrite:
+                for name in OURS:
+                    (path / name).unlink(missing_ok=True)
+                self.outcomes.forget()
+            self.rows = self.table("rows.csv", Row)
+        except BaseException:
+            self.close()
+            raise
 
     def _take(self) -> None:
         """Keep other reports out."""

@@ -106,8 +106,15 @@ def longest_duration(scene: Scene) -> float:
 
 
 def _work(scene: Scene, least: int) -> float:
-    """Springs and balls that the reference goes through in a simulated second: steps of a quarter and an eighth, 4 passes."""
-    return 3.0 * 4.0 * 4.0 / min(FRAME, limit(scene, "rk4")) * max(least, scene.n_balls + scene.n_springs)
+    """Springs, bending elements and balls that the reference goes through in a simulated second: steps of a quarter and an
+    eighth, 4 passes."""
+    return (
+        3.0
+        * 4.0
+        * 4.0
+        / min(FRAME, limit(scene, "rk4"))
+        * max(least, scene.n_balls + scene.n_springs + len(scene.bends))
+    )
 
 
 def size_of(scene: Scene) -> float:
