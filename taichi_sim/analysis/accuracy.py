@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis import turning
+from taichi_sim.analysis import late_impacts, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
@@ -71,6 +71,8 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
     if setup.rule != "off" and np.any(~scene.pinned):
         yield from _bounces(scene, setup.h)
         yield from _impacts(scene, setup.h)
+        if (late := setup.h * late_impacts.late_rate(scene, scene.velocity)) > 0.0:
+            yield Finding("impact energy", late_impacts.sentence(late), late_impacts.cure(late, setup.h))
         yield from _overlap(scene, setup)
         if setup.loses:
             yield Finding(

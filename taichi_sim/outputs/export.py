@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taichi_sim.analysis import turning
+from taichi_sim.analysis import late_impacts, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
 from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy
@@ -61,6 +61,7 @@ class Summary:
     unsolved: list[float] = field(default_factory=list, repr=False)  # m/s, see Contacts: of each frame with contacts
     scales: Scales | None = None  # what all this is judged by, at the end
     largest_speed: float = 0.0  # m/s
+    late: tuple[float, float] = (0.0, 0.0)  # the largest share at a frame, see late_impacts, and the substep then [s]
     probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
     units: dict[str, str] = field(default_factory=dict)  # of probes
     torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
@@ -86,6 +87,7 @@ class Summary:
         one.energy_start = tuple(one.energy_start)
         one.torn = None if one.torn is None else tuple(one.torn)  # type: ignore[assignment]
         one.inverted = tuple(one.inverted)  # type: ignore[assignment]
+        one.late = tuple(one.late)  # type: ignore[assignment]
         one.probes = {name: (last, least, most) for name, (last, least, most) in one.probes.items()}
         return one
 
@@ -130,6 +132,8 @@ class Summary:
                     f"residual     approach speed left by the contact solver: {left:.3g} m/s typical,"
                     f" {max(self.unsolved):.3g} m/s worst: {of_approach(left, scales, self.largest_speed, now.iterations)}"
                 )
+            if wanted := late_impacts.cure(*self.late):
+                lines.append(f"impacts      {late_impacts.sentence(self.late[0])}; {wanted}")
         if self.inverted[1]:
             lines.append(
                 f"cells        {self.inverted[0]} inverted at the end, {self.inverted[1]} at most: {of_cells(*self.inverted)}"
@@ -455,6 +459,10 @@ def _observed(
         if len(simulation.scene.cells) <= WATCHED_CELLS:
             _count_inverted(summary, inverted(simulation.scene, frame.position))
         _observe(summary, frame)
+        if frame.contacts.number:
+            h = simulation.dt / frame.contacts.substeps
+            late = h * late_impacts.late_rate(simulation.scene, frame.velocity)
+            summary.late = max(summary.late, (late, h))
         if companion is not None:
             companion.note(frame)
         yield frame

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.accuracy import layers
+from taichi_sim.analysis.late_impacts import late_rate
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import Stability, sinking_step
@@ -50,7 +51,8 @@ SAFETY = 0.9  # of the stability bound
 # resonances of the step itself from omega h = 1.2 on, and gains energy.
 UNDAMPED = 0.4
 SINKING = {2: 0.035, 3: 0.02}  # layers x g h^2 / r; the lowest of a pile sink in by up to twice that part of the radius
-MOST_SUBSTEPS = 8
+LATE = 0.025  # of the energy that impacts of balls exchange: how much of it automatic substeps may miss
+MOST_SUBSTEPS = 8  # for balls
 CLOSING = 1.0  # of the thickness of surfaces that collide: how far they may close in a substep
 MANY_BALLS = 1000  # fewer can afford two iterations
 SURFACE_ITERATIONS = (
@@ -155,16 +157,19 @@ class Settings:
         return dt, self._substeps(scene, dt)
 
     def _substeps(self, scene: Scene, dt: float) -> int:
-        """ "auto": as many as loose balls need to lie on each other firmly, and, down to LONGEST_STEP, as surfaces that collide
-        and the passes of xpbd need."""
+        """ "auto": as many as loose balls need to lie on each other firmly and, where no tolerance is given, to collide in time;
+        and, down to LONGEST_STEP, as surfaces that collide and the passes of xpbd need."""
         if self.substeps != "auto":
             return int(self.substeps)
-        piled = np.clip(np.ceil(dt / _pile_step(scene, self.contacts) * (1.0 - 1e-9)), 1, MOST_SUBSTEPS)
+        longest = _pile_step(scene, self.contacts)
+        if self.tolerance is None:
+            longest = min(longest, _impact_step(scene, self.contacts))
+        balls = np.clip(np.ceil(dt / longest * (1.0 - 1e-9)), 1, MOST_SUBSTEPS)
         longest = _surface_step(scene, self.contacts)
         if self.integrator.method.single_pass:
             longest = min(longest, sinking_step(scene))
         needed = np.clip(np.ceil(dt / max(LONGEST_STEP, longest) * (1.0 - 1e-9)), 1, MOST_PARTS)
-        return int(max(piled, needed))
+        return int(max(balls, needed))
 
 
 def _pile_step(scene: Scene, contacts: Any) -> float:
@@ -175,6 +180,12 @@ def _pile_step(scene: Scene, contacts: Any) -> float:
         return math.inf
     radius = float(np.median(scene.radius[loose]))
     return float(np.sqrt(SINKING[scene.dim] * radius / (g * layers(scene, loose))))
+
+
+def _impact_step(scene: Scene, contacts: Any) -> float:
+    """The longest substep [s] in which impacts of balls as fast as at the start miss LATE of their energy."""
+    rate = 0.0 if contacts == "off" else late_rate(scene, scene.velocity)
+    return LATE / rate if rate > 0.0 else math.inf
 
 
 def _surface_step(scene: Scene, contacts: Any) -> float:

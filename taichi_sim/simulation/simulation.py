@@ -59,7 +59,7 @@ class Simulation(Reader):
             a spring is undamped and the method symplectic ("auto").
         tolerance: in place of dt: the error allowed in a simulated second, as a part of the scene's size; see `error` (None).
         substeps: parts that each step is divided into, or "auto": 1, and up to 8 where the loose balls could make a high pile
-            ("auto").
+            or start so fast that they would collide late ("auto").
         precision: "f32" or "f64" (that which the process runs in; in its first simulation "f32"). arch: "auto", "cpu", "cuda",
             "vulkan", "metal" ("auto": that which the process runs on; in its first simulation a GPU if one works).
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a

@@ -32,7 +32,7 @@ class FakeSimulation:
     settings = Settings.resolve(scene, {})
     backend = Backend("cpu", "f32", 2)
     parts = SimpleNamespace(arguments=[()])
-    time = 0.0
+    time, dt, substeps = 0.0, 1e-3, 1
     torn = None
     dt, substeps = 1e-3, 1
 

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
+from taichi_sim.analysis.accuracy import Setup, findings
+from taichi_sim.analysis.frame import Contacts
+from taichi_sim.analysis.late_impacts import late_rate
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import SINKING, sinking_spring, sinking_step, stability
+from taichi_sim.outputs.export import Summary
 from taichi_sim.simulation.settings import Settings
 
 pytestmark = pytest.mark.once
@@ -71,3 +75,53 @@ def test_surfaces_that_collide_close_by_at_most_their_thickness_in_a_substep():
         assert substeps(folding, integrator=name, dt=1 / 120) == 5
         assert substeps(folding, integrator=name, dt=1 / 120, contacts="off") == 1
         assert substeps(folding, integrator=name, dt=1e-3) == 1
+
+
+def crowd(speed, dim=2, radius=0.012, bullet=0.0, drift=0.0, count=64):
+    """Balls with Gaussian velocities of this speed [m/s] of each component on a lattice in a world without gravity."""
+    rng = np.random.default_rng(5)
+    v = rng.normal(size=(count, dim))
+    v -= v.mean(axis=0)
+    v *= speed / max(1e-300, np.sqrt(np.mean(v**2)))
+    v[0, 0] += bullet
+    x = np.stack(np.unravel_index(np.arange(count), (count,) * dim), axis=1) * 3.0 * radius
+    scene = ts.Scene(dim=dim)
+    scene.add_balls(x, radius=radius, velocity=v + drift)
+    return scene
+
+
+@pytest.mark.parametrize(("dim", "wanted"), [(2, 3), (3, 5)])
+def test_fast_crowds_get_substeps_in_which_they_move_little(dim, wanted):
+    """1.6 m/s, 1 ms and 12 mm are 0.133 radii a step; a common velocity, and one fast ball, change nothing."""
+    assert substeps(crowd(1.6, dim)) == wanted
+    assert substeps(crowd(1.6, dim, drift=50.0)) == wanted
+    assert substeps(crowd(1.6, dim), contacts="off") == 1
+    assert substeps(crowd(1.6, dim), substeps=1) == 1
+    assert substeps(crowd(1.6, dim), dt=1e-4) == 1
+    assert substeps(crowd(0.3 / dim, dim)) == 1
+    assert substeps(crowd(40.0, dim)) == 8
+    assert substeps(crowd(0.0, dim, bullet=4.0, count=20_000 if dim == 2 else 4000)) == 1
+
+
+def test_balls_that_meet_no_other_need_no_substeps():
+    scene = crowd(1.6)
+    for others, wanted in (("dust", 3), ("wall", 1), ([], 1)):
+        dust = ts.Scene(dim=2)
+        dust.add_balls(scene.position, radius=0.012, velocity=scene.velocity, group="dust", collides_with=others)
+        dust.add_balls([[-1, -1]], radius=0.012, group="wall", pinned=[0])
+        assert substeps(dust) == wanted
+
+
+def test_check_and_summary_report_the_energy_that_impacts_miss():
+    """0.133 radii a step in 2D: 0.442 of that, and a step for a hundredth."""
+    scene, h = crowd(1.6), 1e-3
+    (found,) = (
+        one for one in findings(scene, Setup(named("verlet"), h, "f64", "gauss_seidel")) if "energy" in one.subject
+    )
+    assert "exchange 0.059 less" in found.what
+    assert found.cure == "take substeps of 0.00017 s for 0.01"
+    share = h * late_rate(scene, scene.velocity)
+    run = Summary(contacts=Contacts(*(1,) * len(Contacts._fields)), most_contacts=1, late=(share, h))
+    assert f"impacts      {found.what}; {found.cure}" in run.lines()
+    run.late = 0.1 * share, h
+    assert not any(line.startswith("impacts") for line in run.lines())
