@@ -61,7 +61,7 @@ def even_then_odd(count: ti.template(), visit: ti.template(), arguments: ti.temp
 
 @ti.func
 def odd_then_even(count: ti.template(), visit: ti.template(), arguments: ti.template()):
-    """The same in the other order."""
+    """visit(part, *arguments) as even_then_odd does, in the other order."""
     by_parity(count, visit, arguments, (1, 0))
 
 

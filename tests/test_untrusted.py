@@ -1,13 +1,11 @@
 """Scenes, arrays and meshes from anywhere: what they ask for is bounded before it is made, and judged as added by hand."""
 
 import json
-import os
 import struct
 import zipfile
 
 import numpy as np
 import pytest
-from PIL import UnidentifiedImageError
 from typer.testing import CliRunner
 
 import taichi_sim as ts
@@ -18,8 +16,6 @@ from taichi_sim.common.npz import read_npz
 from taichi_sim.contacts import distance_grid
 from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.geometry.mesh import read_surface
-from taichi_sim.outputs import open_output
-from taichi_sim.outputs.records import Records
 from taichi_sim.reports.speed_error import command
 from taichi_sim.scene.columns import Table
 
@@ -507,82 +503,3 @@ def test_pins_that_tear_a_surface_across_the_scene_are_refused():
     cloth = ts.shapes.cloth(whole, resolution=(5, 5), surface_collision=True)
     whole.add_moving_pins(cloth.balls, velocity=(0, 4e4, 0))  # nothing in it moves against the rest
     check_colliders(whole, 2e-3)
-
-
-# Files that are not what their names say -----------------------------------------------------------------------------
-
-
-@pytest.fixture
-def trap(tmp_path, monkeypatch):
-    """A program that others would start in place of Ghostscript, LaTeX, a viewer; the file that it leaves."""
-    tools = tmp_path / "tools"
-    tools.mkdir()
-    for name in ("gs", "gswin64c", "latex", "pdflatex", "dvipng", "xdg-open", "convert", "inkscape"):
-        (tools / name).write_text(f"#!/bin/sh\necho {name} >> {tmp_path / 'sprung'}\n")
-        (tools / name).chmod(0o755)
-    monkeypatch.setenv("PATH", str(tools), prepend=os.pathsep)
-    yield
-    assert not (tmp_path / "sprung").exists()
-
-
-POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n%%EOF\n"
-LOOK = """format = 1
-dim = 3
-[[cloth]]
-name = "sheet"
-resolution = [3, 3]
-[[output.looks]]
-of = "sheet"
-texture = "face.png"
-"""
-
-
-@pytest.mark.parametrize(
-    "content", [POSTSCRIPT, b"P6 1 1 255 abc", b"SIMPLE  =                    T", b"%PDF-1.4\n", b""]
-)
-def test_a_texture_starts_no_program(tmp_path, trap, content):
-    (tmp_path / "face.png").write_bytes(content)
-    with pytest.raises(
-        ts.SceneError, match=r"texture: .*face.png' is not an image that can be read: it is none of PNG"
-    ):
-        ts.load_scene(written(tmp_path, LOOK))
-
-
-def test_a_picture_that_was_kept_starts_no_program(tmp_path, trap):
-    """As in a folder `.x.gif.resume` that somebody sends."""
-    out = open_output(tmp_path / "x.gif")
-    frame = ts.Frame(time=0.0, position=np.zeros((1, 3)), velocity=np.zeros((1, 3)), radius=np.ones(1))
-    out.write(0, frame, np.zeros((8, 8, 3), np.uint8))
-    kept = Records(out.log.folder / "pictures", resume=False)
-    kept.append(POSTSCRIPT)
-    kept.close()
-    with pytest.raises(UnidentifiedImageError):
-        out.finish()
-    out.discard()
-
-
-TABLES = [
-    ("texture", LOOK),
-    ("mesh", f'{HEAD}[[cloth]]\nmesh = "face.png"\n'),
-    ("mesh", f'{HEAD}{BALL}[[colliders]]\nshape = "mesh"\nmesh = "face.png"\n'),
-    ("file", f'{HEAD}[[balls]]\nfile = "face.png"\n'),
-    ("file", f'{HEAD}[[svg]]\nfile = "face.png"\nheight = 1.0\n'),
-    ("font", f'{HEAD}[[text]]\ntext = "a"\nheight = 1.0\nfont = "face.ttf"\n'),
-]
-
-
-@pytest.mark.parametrize(("key", "text"), TABLES)
-def test_a_pipe_is_not_waited_for(tmp_path, key, text):
-    os.mkfifo(tmp_path / "face.png")
-    os.mkfifo(tmp_path / "face.ttf")
-    with pytest.raises(ts.SceneError, match=rf"{key}: .* (is a pipe, and no file|it must be .*file)"):
-        ts.load_scene(written(tmp_path, text))
-
-
-def test_a_part_of_a_mesh_that_is_a_pipe(tmp_path):
-    os.mkfifo(tmp_path / "a.bin")
-    (tmp_path / "a.gltf").write_text(
-        json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": "a.bin", "byteLength": 9}]})
-    )
-    with pytest.raises(ts.SceneError, match="is a pipe, and no file"):
-        read_surface(tmp_path / "a.gltf")

@@ -1,4 +1,4 @@
-"""The same throw by symplectic Euler: it moves with the new velocity, and the balls end g t h / 2 below Verlet, in grey."""
+"""A throw by symplectic Euler: it moves with the new velocity, and the balls end g t h / 2 below Verlet, in grey."""
 
 from importlib import import_module
 

@@ -156,9 +156,9 @@ def angular_speed(spin, dim: ti.template()):
 
 @ti.func
 def allowance(walls: ti.template(), i, k, n, point, after, begin, settled, floor, place):
-    """How far [m] ball i may sink into collider k along n while it moves: a little where it rests on it, or where `point`, at
-    which it would meet it `after` seconds into the step, lies no higher than what it rests on: there it is borne. begin:
-    where the step began. settled, floor, place: the collider on which it came to rest within this step, its normal there, and
+    """Depth [m] to which ball i may sink into collider k along n while it moves: a little where it rests on it, or where `point`,
+    at which it would meet it `after` seconds into the step, lies no higher than what it rests on: there it is borne. begin: where
+    the step began. settled, floor, place: the collider on which it came to rest within this step, its normal there, and
     where; other faces of it are met as any."""
     r = walls.model.radius[i]
     sink, depth = RESTING_SINK * r, 0.0 * r

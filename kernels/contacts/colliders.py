@@ -68,7 +68,7 @@ def world(colliders: ti.template(), k, n, after):
 
 @ti.func
 def carried_back(colliders: ti.template(), k, x, after):
-    """Where the matter of collider k that is at the point x `after` seconds into the step was at its start."""
+    """Place at the start of the step of the matter of collider k that is at the point x `after` seconds into it."""
     p = x
     if ti.static(colliders.moves):
         pose = colliders.pose[k]
@@ -150,7 +150,7 @@ def round_distance(p, half, radius):
 
 @ti.func
 def mesh_distance(colliders: ti.template(), shape, p):
-    """The same for a mesh: linear in each cell of its grid, but by triangles where that would be too coarse."""
+    """Signed distance from a mesh and its direction: linear in each cell of its grid, by triangles where that is too coarse."""
     g = (p - shape.low) * shape.inverse_cell
     top = ti.cast(shape.cells, float) - 1.0
     inner = ti.max(ti.min(g, top), 0.0)
@@ -171,8 +171,8 @@ def mesh_distance(colliders: ti.template(), shape, p):
 
 @ti.func
 def interpolated(grid: ti.template(), shape, first, t, out):
-    """The same in the cell whose values begin at `first`, at the parts t of it along the axes; from a point that is `out` [m]
-    away from the grid, that of the nearest point which its border knows."""
+    """Signed distance and its direction in the cell whose values begin at `first`, at the parts t of it along the axes; from a
+    point that is `out` [m] away from the grid, that of the nearest point which its border knows."""
     d = 0.0 * t[0]
     n = 0.0 * t
     for c in ti.static(range(8)):

@@ -29,7 +29,7 @@ def to_triangle(corner: ti.template(), p, t):
 
 @ti.func
 def squared(p, a, b, c):
-    """The same from the triangle a b c."""
+    """Squared distance of p from the triangle a b c."""
     w = on_triangle(p, a, b, c)
     r = (p - a) - (w[1] * (b - a) + w[2] * (c - a))
     return r.dot(r)

@@ -95,8 +95,8 @@ def forget_hidden(walls: ti.template(), x, i):
 
 @ti.func
 def is_hidden(walls: ti.template(), x, i, s, k):
-    """Whether the place where ball i at x meets the collider in its slot s belongs to its surface k too, which is no further
-    away, but not the other way around."""
+    """Tell whether the place where ball i at x meets the collider in its slot s belongs to its surface k too, which is no
+    further away, but not the other way around."""
     at, planes = walls.collider_contacts, walls.planes.count
     own = at.slot[i * at.count + s]
     r, gap, n = walls.model.radius[i], FAR_GAP + 0.0 * own.gap, 0.0 * own.normal

@@ -19,7 +19,7 @@ def entry(table: ti.template(), at):
 
 @ti.func
 def feature_of(weight):
-    """What of a triangle the point with these weights lies on."""
+    """Feature of a triangle, its inside, a corner or a side, on which the point with these weights lies."""
     feature, zeros = 0, 0
     for k in ti.static(range(3)):
         if weight[k] == 0.0:
@@ -33,7 +33,7 @@ def feature_of(weight):
 
 @ti.func
 def from_triangle(triangle: ti.template(), t, p):
-    """The way from the closest point of triangle t to p, and what of it that lies on."""
+    """The way from the closest point of triangle t to p, and the feature on which that lies."""
     a, b, c = entry(triangle, WIDTH * t), entry(triangle, WIDTH * t + 3), entry(triangle, WIDTH * t + 6)
     w = on_triangle(p, a, b, c)
     return (p - a) - (w[1] * (b - a) + w[2] * (c - a)), feature_of(w)

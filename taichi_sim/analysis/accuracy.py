@@ -91,12 +91,10 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
 
 
 def _turning(scene: Scene, setup: Setup) -> Iterator[Finding]:
-    """What the method takes from the body that turns fastest at the start."""
+    """Angular momentum that the method takes from the body that turns fastest at the start."""
     method, h = setup.method, setup.h
-    if method.turning_loss(1.0, h) > 0.0:
-        turn = turning.fastest_turn(scene, scene.position, scene.velocity)
-        if turn is not None and turn.rate(method, h) > 0.0:
-            yield Finding("rotation", turning.sentence(turn, method, h), turning.cure(turn, method, h))
+    if (turn := turning.at_start(scene, method, h)) is not None:
+        yield Finding("rotation", turning.sentence(turn, method, h), turning.cure(turn, method, h))
 
 
 # Bounces and impacts ---------------------------------------------------------------------------------------------------
@@ -382,7 +380,7 @@ def _rounding(scene: Scene, setup: Setup) -> Iterator[Finding]:
 
 
 def bending_error(scene: Scene) -> float:
-    """What single precision makes of a bending element that is bent to a radius as large as the scene: its relative error."""
+    """Relative error of single precision in a bending element that is bent to a radius as large as the scene."""
     x, balls, w = scene.position, scene.bends, scene.bend_weights
     twice = 2.0 * w[:, 0] * w[:, 1] * (balls[:, 0] == balls[:, 1])  # a ball that is named twice has one rounding
     off = np.sqrt((np.sum(w**2, axis=1) + twice) / 12.0) * np.spacing(np.float32(np.abs(x).max()))

@@ -48,7 +48,7 @@ def late_rate(scene: Scene, velocity: Floats) -> float:
 
 
 def sentence(share: float) -> str:
-    """What a step takes, in words; share: of the energy exchanged by impacts."""
+    """The energy that a step misses, in words; share: of the energy exchanged by impacts."""
     return f"of balls exchange {min(share, 1.0):.2g} less energy than they should, because they are found at the end of a step"
 
 

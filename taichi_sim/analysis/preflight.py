@@ -35,9 +35,8 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
         yield from map(through, sieves(scene))
     yield from _of_pins(scene, h)
     yield from _of_motors(scene, h)
-    if method.turning_loss(1.0, h) > 0.0:
-        turn = turning.fastest_turn(scene, scene.position, scene.velocity)
-        if turn is not None and turn.rate(method, h) > MOST_TURNED:
+    if (turn := turning.at_start(scene, method, h)) is not None:
+        if turn.rate(method, h) > MOST_TURNED:
             yield f"rotation: {turning.sentence(turn, method, h)}; {turning.cure(turn, method, h)}"
     if scene.wind is not None and not len(scene.triangles):
         yield "wind: acts on triangles, and this scene has none"

@@ -14,7 +14,7 @@ from taichi_sim.analysis.methods import TR_BDF2, VERLET, Method
 from taichi_sim.geometry.graph import components
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["Turn", "cure", "fastest_turn", "sentence"]
+__all__ = ["Turn", "at_start", "cure", "fastest_turn", "sentence"]
 
 SHOWS = 0.01  # of the angular momentum, in a second or in a turn: a loss that is worth a word
 FLAT = 1e-9  # of the largest moment of inertia: about such an axis nothing turns
@@ -66,6 +66,14 @@ def fastest_turn(scene: Scene, position: Floats, velocity: Floats) -> Turn | Non
     speed = np.linalg.norm(turn, axis=1)
     fastest = int(np.argmax(speed))
     return Turn(int(np.flatnonzero(some)[fastest]), float(speed[fastest]))
+
+
+def at_start(scene: Scene, method: Method, h: float) -> Turn | None:
+    """The body that turns fastest at the start; None where the method takes nothing from it in steps of h seconds."""
+    if method.turning_loss(1.0, h) == 0.0:
+        return None
+    turn = fastest_turn(scene, scene.position, scene.velocity)
+    return turn if turn is not None and turn.rate(method, h) > 0.0 else None
 
 
 def _sums(body: NDArray[np.int64], values: Floats, n: int) -> Floats:

@@ -90,9 +90,9 @@ def run(
             sim = job.simulation()
         with sim:
             summary = export(sim, targets, progress=not quiet, checkpoint=every, error=error, **job.output)
-    except BaseException as error:
+    except BaseException as ended:
         for name, target in zip(out or [], targets):
-            if isinstance(error, UnstableError) and target.frames:
+            if isinstance(ended, UnstableError) and target.frames:
                 echo(f"{name}: holds the {target.frames} frames until then", err=True)
                 continue
             target.discard()

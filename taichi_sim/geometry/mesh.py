@@ -213,11 +213,6 @@ def hinges(triangles: NDArray) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     return edges.ends[edges.triangles == 2][two], facing[two].astype(np.int32)
 
 
-def hinge_pairs(triangles: NDArray) -> NDArray[np.int32]:
-    """The two vertices that face each other across each interior edge, (h, 2): each pair once, lower first, sorted."""
-    return np.unique(np.sort(hinges(triangles)[1], axis=1), axis=0).astype(np.int32)
-
-
 def surface_area(surface: Surface) -> float:
     """Sum of the triangles' areas [m^2]."""
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))

@@ -373,8 +373,8 @@ def export(
                     bar.advance(index + 1, frame.time - since)
                     if log is not None and log.due:
                         keep(index, kept)
-            except UnstableError as error:
-                end = error
+            except UnstableError as unstable:
+                end = unstable
             begin, frames, since, log = 0, whole_run.played(kept, end), first.time, None
             drawing = [one for one in writers if one.output.needs_image]
             renderer.fit(kept)

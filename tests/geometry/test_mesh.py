@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from taichi_sim import SceneError
-from taichi_sim.geometry.mesh import Surface, hinge_pairs, read_surface, surface_area, unique_edges
+from taichi_sim.geometry.mesh import Surface, hinges, read_surface, surface_area, unique_edges
 
 pytestmark = pytest.mark.once
 
@@ -42,6 +42,11 @@ def square(folder: Path, kind: str) -> Path:
         STL_FACET.format("".join("vertex {} {} {}\n".format(*corners[i]) for i in triangle)) for triangle in triangles
     ]
     return write(folder, "square.stl", "solid s\n" + "".join(facets) + "endsolid s\n")
+
+
+def hinge_pairs(triangles):
+    """The two vertices that face each other across each inner edge, each pair once, lower first, sorted."""
+    return np.unique(np.sort(hinges(triangles)[1], axis=1), axis=0)
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply", "stl"])
