@@ -35,6 +35,11 @@ class Moment(Frame):
     def energy(self, value: Any) -> None:
         self._energy = value
 
+    @property
+    def known_energy(self) -> tuple[float, ...] | None:
+        """The energy where it has been asked for."""
+        return None if self._energy is None else tuple(self._energy)
+
     @property  # type: ignore[override]
     def strain(self) -> Any:
         """(m,) (length - rest) / rest; 0 where rest is 0."""

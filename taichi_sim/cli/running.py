@@ -109,13 +109,11 @@ def run(
 
 def _tell_resumed(names: Sequence[str], targets: Sequence[Any], count: int) -> bool:
     """Say what there is of outputs that are to be resumed; whether all of them are complete, and given up here."""
-    from taichi_sim.outputs.resumable import Resumable
-
-    finished = [isinstance(target, Resumable) and target.is_finished(count) for target in targets]
+    finished = [target.path is not None and target.is_finished(count) for target in targets]
     for name, target, is_finished in zip(names, targets, finished):
         if is_finished:
             echo(f"{name}: is complete, and is left as it is; without --resume it is made anew", err=True)
-        elif isinstance(target, Resumable) and not target.log.resumes:
+        elif target.path is not None and not target.log.resumes:
             there = "nothing is kept of the run that wrote it; it is made anew" if Path(name).exists() else ""
             echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
     if all(finished):

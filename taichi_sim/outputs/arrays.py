@@ -1,68 +1,27 @@
 """Positions, velocities, energy and contacts over time as NumPy arrays in an .npz file."""
 
-import shutil
 import zipfile
-import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator
 from contextlib import suppress
-from math import prod
 from os import PathLike
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.lazy_frame import Moment
-from taichi_sim.common.atomic_file import naming, replacing, require_place, synced
+from taichi_sim.common.atomic_file import replacing, require_place
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.checkpoint import parts_of, text_of
-from taichi_sim.outputs.base import USUAL_FPS, Image
-from taichi_sim.outputs.kept_files import checksum
-from taichi_sim.outputs.resumable import Resumable
-from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.outputs.base import USUAL_FPS, Deferred, Image
 from taichi_sim.render.palette import body_colours
 from taichi_sim.scene.objects import named
 
 NUMBER, FLAG = "<f8", "|b1"
+LONG = ("position", "velocity", "torn")  # columns whose rows are as long as the scene is large
 SCENE = "scene/"  # what the names of the arrays of the scene begin with
-NAMES = ("time", "position", "velocity", "energy", "contacts", "penetration", "residual", "largest_speed")
-
-
-class _Column:
-    """An array that grows along its first axis on disk, so that a long run needs no memory. shape, dtype: of a row; rows: that
-    are there already, whose bytes have this CRC-32."""
-
-    def __init__(self, path: Path, shape: tuple[int, ...], dtype: str, rows: int = 0, crc32: int = 0) -> None:
-        self.shape, self.dtype, self._rows, self.crc32 = shape, dtype, rows, crc32
-        self._file: IO[bytes] = open(path, "r+b" if rows else "w+b")  # noqa: SIM115  # closed with the column
-        self._file.truncate(rows * bytes_of(shape, dtype))
-        self._file.seek(0, 2)
-
-    def append(self, row: NDArray) -> None:
-        data = row.astype(self.dtype).tobytes()
-        self._file.write(data)
-        self._rows, self.crc32 = self._rows + 1, zlib.crc32(data, self.crc32)
-
-    def hold(self) -> None:
-        synced(self._file)
-
-    def copy_to(self, out: IO[bytes]) -> None:
-        descr = np.lib.format.dtype_to_descr(np.dtype(self.dtype))
-        header = {"descr": descr, "fortran_order": False, "shape": (self._rows, *self.shape)}
-        np.lib.format.write_array_header_2_0(out, header)
-        self._file.seek(0)
-        shutil.copyfileobj(self._file, out, 1 << 20)
-
-    def close(self) -> None:
-        with suppress(OSError):  # what a full disk did not take is not wanted any more
-            self._file.close()
-
-
-def bytes_of(shape: tuple[int, ...], dtype: str) -> int:
-    """Of a row."""
-    return np.dtype(dtype).itemsize * prod(shape)
 
 
 def constants_of(first: Frame | None) -> dict[str, NDArray[Any]]:
@@ -95,7 +54,7 @@ def _scene_of(first: Frame) -> dict[str, Any]:
     return {SCENE + name: np.asarray(array) for name, array in {"about": text_of(about), **arrays}.items()}
 
 
-class Arrays(Resumable):
+class Arrays(Deferred):
     """An .npz with time (f,) s, position (f, n, dim) m, velocity (f, n, dim) m/s, energy (f, 4) J, and of the contacts their
     number contacts (f,), penetration (f, 2) m, residual (f,) m/s and largest_speed (f,) m/s; and (f,) for each number of each
     probe, under its name, `load.tension`.
@@ -105,29 +64,16 @@ class Arrays(Resumable):
     with scene/ all that the scene is, by which `Recording` makes frames of it again. Where springs can tear, torn (f, m).
 
     The columns of energy are kinetic, spring, gravity, total, those of penetration largest and mean; nan where the frame does
-    not know them. Frames wait on disk beside the file, which may be larger than the memory. resume: go on from the last
+    not know them. Frames wait in the log beside the file, which may be larger than the memory. resume: go on from the last
     checkpoint of a run into the same name.
     """
 
     needs_image = False
 
     def __init__(self, path: str | PathLike[str], resume: bool = False, fps: float | None = None) -> None:
-        super().__init__(path, resume=resume)
+        self.path, self.resume, self.fps = Path(path), resume, fps
+        self.log  # noqa: B018  # refused where it cannot be ours
         require_place(path)
-        self.fps = fps
-        self._columns: dict[str, _Column] = {}
-        self._first: Frame | None = None
-
-    def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
-        self._first = first
-
-    def has(self, checkpoint: Checkpoint) -> bool:
-        shapes = checkpoint.own["output"]["columns"].items()
-        for k, (_, (shape, dtype, crc32)) in enumerate(shapes):
-            file, size = self._place(k), checkpoint.frame * bytes_of(shape, dtype)
-            if not file.is_file() or file.stat().st_size < size or checksum(file, size) != crc32:
-                return False
-        return True
 
     def holds(self, count: int) -> bool:
         damage = (OSError, ValueError, KeyError, zipfile.BadZipFile)
@@ -136,54 +82,53 @@ class Arrays(Resumable):
             return bool(np.lib.format.read_array_header_2_0(file)[0] == (count,))
         return False
 
-    def go_on(self, checkpoint: Checkpoint) -> None:
-        self.frames = checkpoint.frame
-        for name, (shape, dtype, crc32) in checkpoint.own["output"]["columns"].items():
-            self._add(name, tuple(shape), dtype, checkpoint.frame, crc32)
-
-    def hold(self) -> Mapping[str, Any]:
-        for column in self._columns.values():
-            column.hold()
-        return {"columns": {name: (column.shape, column.dtype, column.crc32) for name, column in self._columns.items()}}
-
-    def _place(self, number: int) -> Path:
-        return self.log.folder / f"column_{number:03d}"
-
-    def _add(self, name: str, shape: tuple[int, ...], dtype: str, rows: int = 0, crc32: int = 0) -> None:
-        self._columns[name] = _Column(self._place(len(self._columns)), shape, dtype, rows, crc32)
-
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
-        energy = (np.nan,) * 4 if frame.energy is None else tuple(frame.energy)
-        now = frame.contacts
-        contacts: tuple[Any, ...] = (np.nan, (np.nan, np.nan), np.nan, np.nan)
-        if now is not None:
-            contacts = (now.number, (now.penetration, now.mean_penetration), now.residual, now.largest_speed)
-        rows = (frame.time, frame.position, frame.velocity, energy, *contacts)
-        self.log.open()
-        self._first = self._first or frame
-        with naming(self.path):
-            torn = {"torn": frame.torn} if isinstance(frame, Moment) and frame.torn is not None else {}
-            for name, value in [*zip(NAMES, rows, strict=True), *torn.items(), *frame.probes.items()]:
-                row = np.asarray(value)
-                if name not in self._columns:
-                    self._add(name, row.shape, FLAG if row.dtype == np.bool_ else NUMBER)
-                self._columns[name].append(row)
+        frame.energy  # noqa: B018  # known from here on, so that it is kept
+        super().write(index, frame, image)
 
     def finish(self) -> None:
-        """Join the columns into one file."""
+        """Join the frames into one file, one column after another: only short rows are in memory all at once."""
+        rows: dict[str, list[NDArray]] = {}
+        for _, frame in self.log.frames():
+            for name, row in _rows(frame):
+                if name not in LONG:
+                    rows.setdefault(name, []).append(row)
+                elif name not in rows:
+                    rows[name] = [row]  # its shape and kind
+        count = len(rows.get("time", ()))
         with replacing(self.path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-            for name, column in self._columns.items():
+            for name, short in rows.items():
+                dtype = FLAG if short[0].dtype == np.bool_ else NUMBER
+                header = {"descr": dtype, "fortran_order": False, "shape": (count, *short[0].shape)}
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    column.copy_to(member)
-            for name, array in {"fps": np.array([float(self.fps or USUAL_FPS)]), **constants_of(self._first)}.items():
+                    np.lib.format.write_array_header_2_0(member, header)
+                    for row in self._long(name) if name in LONG else short:
+                        member.write(row.astype(dtype).tobytes())
+            for name, array in {
+                "fps": np.array([float(self.fps or USUAL_FPS)]),
+                **constants_of(self.log.first),
+            }.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, array, allow_pickle=False)
-        for column in self._columns.values():
-            column.close()
-        self.log.delete()
+        super().finish()
 
-    def discard(self) -> None:
-        """Give it up; what the last checkpoint needs stays beside it."""
-        for column in self._columns.values():
-            column.close()
-        self.leave()
+    def _long(self, name: str) -> Iterator[NDArray]:
+        """Rows that are read again, as all of them may not fit into the memory."""
+        return (getattr(frame, name) for _, frame in self.log.frames())
+
+
+def _rows(frame: Frame) -> Iterator[tuple[str, NDArray]]:
+    """What the columns have of a frame, by their names."""
+    now, nan = frame.contacts, np.nan
+    yield "time", np.asarray(frame.time)
+    yield "position", frame.position
+    yield "velocity", frame.velocity
+    yield "energy", np.array([nan] * 4 if frame.energy is None else frame.energy)
+    yield "contacts", np.asarray(nan if now is None else now.number)
+    yield "penetration", np.array([nan, nan] if now is None else [now.penetration, now.mean_penetration])
+    yield "residual", np.asarray(nan if now is None else now.residual)
+    yield "largest_speed", np.asarray(nan if now is None else now.largest_speed)
+    if isinstance(frame, Moment) and frame.torn is not None:
+        yield "torn", frame.torn
+    for name, value in frame.probes.items():
+        yield name, np.asarray(value)

@@ -1,23 +1,24 @@
 """Behind: frames are written by a thread of their own while the next ones are simulated and drawn."""
 
+from collections.abc import Callable
 from queue import Queue
 from threading import Thread
 from types import TracebackType
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.outputs.base import Image, Output
+from taichi_sim.outputs.base import Image
 
 WAITING = 4  # frames at most, so that a slow encoder holds the run back and not the memory
 
 
 class Behind:
-    """Calls `write` of an output in order, in a thread. On leaving the block all frames are written.
+    """Calls what takes a frame, as `write` of an output, in order in a thread. On leaving the block all frames are written.
 
-    What `write` raises is raised here, at the next frame or at the end; frames after it are dropped.
+    What it raises is raised here, at the next frame or at the end; frames after it are dropped.
     """
 
-    def __init__(self, output: Output) -> None:
-        self._output = output
+    def __init__(self, take: Callable[[int, Frame, Image | None], None]) -> None:
+        self._take = take
         self._queue: Queue[tuple[int, Frame, Image | None] | None] = Queue(WAITING)
         self._error: BaseException | None = None
         self._thread = Thread(target=self._work, name="writing frames", daemon=True)
@@ -38,8 +39,7 @@ class Behind:
         while (entry := self._queue.get()) is not None:
             if self._error is None:
                 try:
-                    self._output.write(*entry)
-                    self._output.frames += 1
+                    self._take(*entry)
                 except BaseException as error:  # for the thread that simulates
                     self._error = error
             self._queue.task_done()

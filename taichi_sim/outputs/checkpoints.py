@@ -13,10 +13,9 @@ from typing import Any, Literal
 from taichi_sim.analysis.frame import Frame, frame_count
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.device.engine import ENGINE, VERSION
-from taichi_sim.outputs import frames_file
-from taichi_sim.outputs.kept_files import copied, judged
-from taichi_sim.outputs.resumable import Resumable
-from taichi_sim.outputs.run_log import CHECKPOINT, Checkpoint
+from taichi_sim.outputs.base import Output
+from taichi_sim.outputs.frame_log import Checkpoint
+from taichi_sim.outputs.kept_files import copied
 from taichi_sim.scene.contents import contents_of, described
 
 EVERY, FIRST = 60.0, 120.0  # s of wall time: between two, and before the first
@@ -31,7 +30,7 @@ class Checkpoints:
     what one takes, where that is more; None where what was asked for is kept.
     """
 
-    def __init__(self, outputs: Sequence[Resumable], interval: float | Literal["auto"] | None) -> None:
+    def __init__(self, outputs: Sequence[Output], interval: float | Literal["auto"] | None) -> None:
         self._outputs = outputs
         self._interval, first = (EVERY, FIRST) if interval == "auto" else (interval, interval)
         self._begin = time.perf_counter()
@@ -46,27 +45,20 @@ class Checkpoints:
         """Whether it is time for one."""
         return time.perf_counter() >= self._next
 
-    def make(self, frame: int, simulation: Any, own: Mapping[str, Any], undrawn: Sequence[Frame] | None = None) -> bool:
-        """Keep all that goes on with `frame`, before which the simulation stands; own: plain values; undrawn: all frames before,
-        where pictures are to be drawn of them. Where the simulation cannot be written to a file there is a warning, False, and
-        none from then on."""
+    def make(self, frame: int, simulation: Any, own: Mapping[str, Any]) -> bool:
+        """Keep all that goes on with `frame`, before which the simulation stands; own: plain values. Where the simulation cannot
+        be written to a file there is a warning, False, and none from then on."""
         start = time.perf_counter()
-        files: dict[str, Callable[[Path], Any]] = {"state": simulation.save}
-        if undrawn is not None:
-            files["frames"] = partial(frames_file.save, frames=undrawn)
+        save: Callable[[Path], Any] = simulation.save
+        logs = [output.log for output in self._outputs]
         try:
-            for output in self._outputs:
-                waits = undrawn is not None and output.needs_image
-                kinds = ("state", "frames") if waits else ("state",)
-                with naming(output.path):
-                    written = {} if waits else output.hold()
-                own_files = {kind: files[kind] for kind in kinds}
-                output.log.keep(frame, own_files, {**own, "output": written}, settles=len(self._outputs) == 1)
-                checkpoint = output.log.checkpoint
-                assert checkpoint is not None  # just made
-                files |= {kind: partial(copied, getattr(checkpoint, kind)) for kind in kinds}
-            for output in self._outputs:  # cut off before, all have the last one; within this, both or the new one
-                output.log.settle()
+            for log in logs:
+                with naming(log.output):
+                    log.keep(frame, save, own, settles=len(logs) == 1)
+                assert log.checkpoint is not None  # just made
+                save = partial(copied, log.checkpoint.state)
+            for log in logs:  # cut off before, all have the last one; within this, both or the new one
+                log.settle()
         except ValueError as error:
             warnings.warn(
                 f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew", stacklevel=3
@@ -89,22 +81,25 @@ class Checkpoints:
         return True
 
 
-def shared_checkpoint(outputs: Sequence[Resumable], about: Any, count: int, drawn_last: bool) -> Checkpoint | None:
+def shared_checkpoint(
+    outputs: Sequence[Output], about: Any, first: Frame, count: int, waits: bool
+) -> Checkpoint | None:
     """Be ready for `count` frames of a run in all, and go on from the last checkpoint that all outputs have; None: begin at the
-    first frame. drawn_last: whether pictures are drawn when all is simulated; then it is one with the frames for these."""
-    found = [output.begin(about, count, drawn_last and output.needs_image) for output in outputs]
-    shared = set.intersection(*({one.frame for one in each} for each in found))
-    if not shared:
-        for output in outputs:
-            output.log.go_on(None)
-        return None
-    chosen = [next(one for one in each if one.frame == max(shared)) for each in found]
+    first frame. about: of the run, see `run_of`; what it says of pictures counts where there are some. waits: pictures are drawn
+    when all is simulated."""
+    found = []
+    for output in outputs:
+        output.log.prepare(first, waits and output.needs_image)
+        parts = {group: values for group, values in about.items() if group != "pictures" or output.needs_image}
+        kept = output.log.begin({**parts, "format": output.options()})
+        fitting = [one for one in kept if one.frame <= count and output.log.holds(one.frame)]
+        has_files = output.log.waits or not output.keeps_frames
+        found.append([one for one in fitting if has_files or output.contains(one.frame)])
+    last = max(set.intersection(*({one.frame for one in each} for each in found)), default=None)
+    chosen = [next((one for one in each if one.frame == last), None) for each in found]
     for output, one in zip(outputs, chosen):
         output.log.go_on(one)
-        if one.frames is None:
-            with judged(output.log.folder / CHECKPOINT):
-                output.go_on(one)
-    return next((one for one in chosen if one.frames is not None), chosen[0])
+    return chosen[0]
 
 
 def run_of(

@@ -18,18 +18,18 @@ from taichi_sim.analysis.frame import Contacts, Frame, frame_count
 from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
+from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.progress import Work, showing
 from taichi_sim.common.quantities import measured, measures, plain_number
 from taichi_sim.device import compiling
-from taichi_sim.outputs import frames_file, whole_run
+from taichi_sim.outputs import whole_run
 from taichi_sim.outputs.background_writer import Behind
 from taichi_sim.outputs.base import Image, Output, film_rate, require_alpha
 from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, run_of, shared_checkpoint
 from taichi_sim.outputs.companion import Companion, StepError
+from taichi_sim.outputs.frame_log import CHECKPOINT, Checkpoint
 from taichi_sim.outputs.kept_files import judged
-from taichi_sim.outputs.resumable import Resumable
-from taichi_sim.outputs.run_log import CHECKPOINT, Checkpoint
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
 STEP = "step"  # the source of an uncertainty
@@ -223,20 +223,47 @@ def _at_the_end(energy: float, off: float | None) -> str:
 
 
 class _Writer:
-    """Gives frames to one output, through a thread where it allows that."""
+    """Gives frames to one output and to its log, through a thread where the output allows that."""
 
     def __init__(self, output: Output, stack: ExitStack) -> None:
         self.output = output
         stack.enter_context(output)
-        self.behind = stack.enter_context(Behind(output)) if output.apart else None
+        self.log = None if output.path is None else output.log
+        self.behind = stack.enter_context(Behind(self._take)) if output.apart else None
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         image = image if self.output.needs_image else None
         if self.behind is not None:
             self.behind.write(index, frame, image)
         else:
-            self.output.write(index, frame, image)
-            self.output.frames += 1
+            self._take(index, frame, image)
+
+    def _take(self, index: int, frame: Frame, image: Image | None) -> None:
+        if self.log is not None:
+            self.log.open()  # refused where another run writes it
+        self.output.write(index, frame, image)
+        self.output.frames += 1
+        self.keep(index, frame, image)
+
+    def keep(self, index: int, frame: Frame, image: Image | None) -> None:
+        """Leave a frame in the log."""
+        if self.log is not None:
+            with naming(self.log.output):
+                self.log.append(index, frame, image)
+
+    def picture(self, index: int) -> Image | None:
+        """The picture of a frame that an earlier run left in the log; asked for in order."""
+        return None if self.log is None or not self.output.needs_image else self.log.picture(index)
+
+    def replay(self, count: int) -> None:
+        """Write the first `count` frames from the log, where the output does not hold them in files of their own."""
+        if self.output.keeps_frames:
+            self.output.frames = max(self.output.frames, count)
+            return
+        assert self.log is not None
+        for index, frame in self.log.frames(count):
+            if self.output.wants(index):
+                self.write(index, frame, self.picture(index))
 
     def settle(self) -> None:
         """Wait until all is written."""
@@ -303,7 +330,7 @@ def export(
     if checkpoint not in ("auto", None):
         checkpoint = validation.number("checkpoint", checkpoint, positive=True)
     count = frame_count(fps, duration)
-    for one in (finished := [one for one in outputs if isinstance(one, Resumable) and one.is_finished(count)]):
+    for one in (finished := [one for one in outputs if one.path is not None and one.is_finished(count)]):
         one.discard()
     outputs = [one for one in outputs if one not in finished]
     summary = Summary()
@@ -323,11 +350,11 @@ def export(
         drawn_last = is_drawn and whole_run.is_drawn_last(simulation.scene, count, style)
         for one in outputs:
             one.prepare(first, size, style)
-        log, last, resumable = None, None, [one for one in outputs if isinstance(one, Resumable)]
-        if resumable and len(resumable) == len(outputs):
+        log, last = None, None
+        if outputs and all(one.path is not None for one in outputs):
             about = run_of(simulation, first, fps, size, style, duration if drawn_last else None)
-            last = shared_checkpoint(resumable, about, count, drawn_last)
-            log = Checkpoints(resumable, checkpoint)
+            last = shared_checkpoint(outputs, about, first, count, drawn_last)
+            log = Checkpoints(outputs, checkpoint)
         if last is not None:
             if error:
                 raise SceneError("error", says="cannot be estimated in a run that is resumed; begin it anew")
@@ -339,7 +366,11 @@ def export(
         begin, frames, drawing = 0, simulation.frames(fps=fps, duration=duration), writers
         if last is not None:
             begin, frames = last.frame, frames_from(last.frame, simulation, fps, duration)
-            summary = clock.summary = _recall(last, renderer)
+            summary = clock.summary = _recall(last, None if drawn_last else renderer)
+            for writer in writers:
+                if not (drawn_last and writer.output.needs_image):
+                    writer.replay(begin)
+            clock.charge("writing")
         frame, since = None, simulation.time
         frames = _observed(simulation, frames, summary, clock, companion)
         bar.phase(expected.words, "frames simulated" if drawn_last else "frames")
@@ -349,44 +380,48 @@ def export(
                 writer.write(index, frame, image)
             clock.charge("writing")
 
-        def keep(index: int, undrawn: Sequence[Frame] | None) -> None:
+        def keep(index: int) -> None:
             for writer in writers:
                 writer.settle()
             clock.charge("writing")
             assert log is not None
-            own = _own(summary, renderer if undrawn is None else None)
-            summary.checkpoints += log.make(index + 1, simulation, own, undrawn)
+            own = _own(summary, None if drawn_last else renderer)
+            summary.checkpoints += log.make(index + 1, simulation, own)
             summary.stretched = log.stretched
             clock.charge("checkpointing")
 
         if drawn_last:
+            drawing = [one for one in writers if one.output.needs_image]
             kept: list[Frame] = []
-            if last is not None and last.frames is not None:
-                kept = frames_file.load(last.frames, simulation.scene, last.frame)
+            if begin and drawing[0].log is not None:
+                kept = [frame for _, frame in drawing[0].log.frames(begin)]
             end: UnstableError | None = None
             try:
                 for index, frame in enumerate(frames, begin):
                     kept.append(frame)
                     clock.starts = False
+                    for writer in drawing:
+                        writer.keep(index, frame, None)
                     ready = [one for one in writers if not one.output.needs_image]
                     write(index, frame, None, [one for one in ready if one.output.wants(index)])
                     bar.advance(index + 1, frame.time - since)
                     if log is not None and log.due:
-                        keep(index, kept)
+                        keep(index)
             except UnstableError as unstable:
                 end = unstable
             begin, frames, since, log = 0, whole_run.played(kept, end), first.time, None
-            drawing = [one for one in writers if one.output.needs_image]
             renderer.fit(kept)
             clock.charge("drawing")
             clock.starts = True  # until the first picture is there
             bar.phase(lambda _: "drawing", "frames drawn")
         for index, frame in enumerate(frames, begin):
             wanting = [one for one in drawing if one.output.wants(index)]
-            image = None
+            image = next((found for one in wanting if (found := one.picture(index)) is not None), None)
             if renderer is not None:
-                drawn = any(one.output.needs_image for one in wanting)
-                image = renderer.render(frame) if drawn else renderer.skip(frame)
+                if image is None and any(one.output.needs_image for one in wanting):
+                    image = renderer.render(frame)
+                else:
+                    renderer.skip(frame)
                 clock.charge("drawing")
             write(index, frame, image, wanting)
             clock.starts = False
@@ -394,7 +429,7 @@ def export(
             if index == begin + 1:  # as a rule nothing is compiled later
                 expected.spent()
             if log is not None and log.due and index + 1 < count:
-                keep(index, None)
+                keep(index)
         summary.duration, summary.units = duration, units_of(simulation.scene)
         summary.settled = str(getattr(simulation, "settled", None) or summary.settled)
         summary.device, summary.decisions = str(simulation.backend), simulation.decisions()
@@ -439,7 +474,7 @@ def _own(summary: Summary, renderer: Any) -> dict[str, Any]:
 
 def _recall(last: Checkpoint, renderer: Any) -> Summary:
     """The reverse."""
-    if renderer is not None and last.frames is None:
+    if renderer is not None:
         with judged(last.state.with_name(CHECKPOINT)):
             renderer.recall(last.own["renderer"])
     with judged(last.state.with_name(CHECKPOINT)):

@@ -10,14 +10,12 @@ import numpy as np
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing, require_place, sweep
-from taichi_sim.outputs.base import Image
+from taichi_sim.outputs.base import Image, Output, require_there
 from taichi_sim.outputs.obj import Obj
 from taichi_sim.outputs.parts import Parts, Textures, Together, textures_of
-from taichi_sim.outputs.resumable import Resumable, require_there
-from taichi_sim.outputs.run_log import Checkpoint
 
 
-class Geometry(Resumable):
+class Geometry(Output):
     """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
 
     Each holds all parts of the frame, see `Parts`: surfaces in place of what they cover, loose balls (in PLY as points with their
@@ -30,10 +28,13 @@ class Geometry(Resumable):
 
     needs_image = False
     apart = True
+    keeps_frames = True
+    path: Path
     suffix = ""  # of the files, where it is not that of the name
 
     def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
-        super().__init__(path, resume=resume)
+        self.path, self.resume = Path(path), resume
+        self.log  # noqa: B018  # refused where it cannot be ours
         require_place(path)
         self.suffix = self.suffix or self.path.suffix.lower()
         sweep(self.path.parent, f"{glob.escape(self.path.stem)}_*{self.suffix}")
@@ -54,17 +55,11 @@ class Geometry(Resumable):
             library = self.path.with_name(f"{self.path.stem}_frames.mtl")
             self._obj = Obj(Together.of(self._parts, first), library, self._textures)
 
-    def has(self, checkpoint: Checkpoint) -> bool:
-        return all(self._file(index).is_file() for index in range(checkpoint.frame))
+    def contains(self, count: int) -> bool:
+        return all(map(Path.is_file, map(self._file, range(count))))
 
     def holds(self, count: int) -> bool:
-        return all(map(Path.is_file, map(self._file, range(count)))) and not self._file(count).exists()
-
-    def go_on(self, checkpoint: Checkpoint) -> None:
-        self.frames = self._next = checkpoint.frame
-
-    def hold(self) -> Mapping[str, Any]:
-        return {}  # each file is on the disk when it appears
+        return self.contains(count) and not self._file(count).exists()
 
     def _file(self, index: int) -> Path:
         return self.path.with_name(f"{self.path.stem}_{index:05d}{self.suffix}")
@@ -89,11 +84,7 @@ class Geometry(Resumable):
     def finish(self) -> None:
         """Raises OSError where a file was removed meanwhile."""
         require_there(map(self._file, range(self._next)))
-        self.log.delete()
-
-    def discard(self) -> None:
-        """Give it up; files that were written stay."""
-        self.leave()
+        super().finish()
 
 
 def _write_ply(file: IO[bytes], parts: Together) -> None:

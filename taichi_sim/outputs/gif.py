@@ -1,21 +1,17 @@
 """Animated GIF and WebP through Pillow."""
 
-import io
-from collections.abc import Mapping
-from itertools import islice
+from collections.abc import Iterator
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
-from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import naming, replacing, require_place
-from taichi_sim.outputs.base import USUAL_FPS, Image
-from taichi_sim.outputs.resumable import Recorded
-from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.common.atomic_file import replacing, require_place
+from taichi_sim.outputs.base import USUAL_FPS, Deferred
 
 QUALITY = 80  # of WebP, 0 to 100: no loss that one sees in motion
 
 
-class Gif(Recorded):
+class Gif(Deferred):
     """A GIF that repeats for ever; 256 colours per frame.
 
     A GIF counts time in 1/100 s and players show no frame for less than 2/100 s: above 50 frames per second some frames
@@ -23,71 +19,43 @@ class Gif(Recorded):
     was cut off.
     """
 
+    needs_arrays = False
+    apart = True
     is_film = True
     ticks = 100  # a second
     shortest = 2  # ticks; shorter ones are played at a tenth of the speed
 
     def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
-        super().__init__(path, "pictures", resume=resume)  # as PNG: small enough to wait for the end
-        self.fps = fps
+        self.path, self.resume, self.fps = Path(path), resume, fps
+        self.log  # noqa: B018  # refused where it cannot be ours
         require_place(path)
-        self._starts: list[int] = []  # ticks, of the pictures
-        self._end = 0  # ticks, when the last frame, shown or left out, is over
-
-    def has(self, checkpoint: Checkpoint) -> bool:
-        return self._kept >= checkpoint.own["output"]["pictures"]
-
-    def go_on(self, checkpoint: Checkpoint) -> None:
-        for index in range(checkpoint.frame):
-            self.wants(index)
-
-    def hold(self) -> Mapping[str, Any]:
-        super().hold()
-        return {"pictures": self._records.number}
+        self._shown: list[int] = []  # numbers of frames
+        self._count = 0  # of frames that were asked for, shown or left out
 
     def wants(self, index: int) -> bool:
-        """Whether this frame is not too close to the last one, nor kept already."""
-        self._end = self._at(index + 1)
-        if self._starts and self._at(index) - self._starts[-1] < self.shortest:
-            return False
-        if len(self._starts) < self._kept:
-            self._starts.append(self._at(index))
-            self.frames += 1
-            return False
-        return True
-
-    def write(self, index: int, frame: Frame, image: Image | None) -> None:
-        """Keep one picture."""
-        from PIL import Image as Pictures
-
-        assert image is not None
-        self.log.open()
-        buffer = io.BytesIO()
-        self._reduced(Pictures.fromarray(image)).save(buffer, "PNG", compress_level=1)
-        with naming(self.path):
-            self._records.append(buffer.getvalue())
-        self._starts.append(self._at(index))
+        """Whether this frame is not too close to the last one that is shown."""
+        self._count = max(self._count, index + 1)
+        if not self._shown or index > self._shown[-1]:
+            if self._shown and self._at(index) - self._at(self._shown[-1]) < self.shortest:
+                return False
+            self._shown.append(index)
+            return True
+        return index in self._shown
 
     def finish(self) -> None:
         """Write the file: the first picture opens it, the others follow one at a time."""
         from PIL import Image as Pictures
 
         with replacing(self.path) as file:
-            if self._starts:
-                first, *rest = (
-                    Pictures.open(io.BytesIO(picture), formats=("PNG",))
-                    for picture in islice(self._records, len(self._starts))
-                )
-                ends = [*self._starts[1:], max(self._end, self._starts[-1] + 1)]
-                shown = [1000 // self.ticks * (end - start) for start, end in zip(self._starts, ends)]  # ms
-                self._save(file, first, rest, shown)
-        self._records.close()
-        self.log.delete()
-
-    def discard(self) -> None:
-        """Give it up; its frames stay beside it, for resume."""
-        self._records.close()
-        self.leave()
+            if self._shown:
+                shown = set(self._shown)
+                found = (image for index, image in self.log.all_pictures() if index in shown)
+                pictures = (self._reduced(Pictures.fromarray(image)) for image in found)
+                starts = [self._at(index) for index in self._shown]
+                ends = [*starts[1:], max(self._at(self._count), starts[-1] + 1)]
+                duration = [1000 // self.ticks * (end - start) for start, end in zip(starts, ends)]  # ms
+                self._save(file, next(pictures), pictures, duration)
+        super().finish()
 
     def _reduced(self, picture: Any) -> Any:
         """To 256 colours."""
@@ -95,9 +63,9 @@ class Gif(Recorded):
 
         return picture.quantize(256, dither=Pictures.Dither.NONE)
 
-    def _save(self, file: Any, first: Any, rest: list[Any], shown: list[int]) -> None:
+    def _save(self, file: Any, first: Any, rest: Iterator[Any], duration: list[int]) -> None:
         """All pictures, each shown for so long [ms]."""
-        first.save(file, "GIF", save_all=True, append_images=rest, duration=shown, loop=0)
+        first.save(file, "GIF", save_all=True, append_images=rest, duration=duration, loop=0)
 
     def _at(self, index: int) -> int:
         return round(self.ticks * index / (self.fps or USUAL_FPS))
@@ -112,5 +80,7 @@ class Webp(Gif):
     def _reduced(self, picture: Any) -> Any:
         return picture
 
-    def _save(self, file: Any, first: Any, rest: list[Any], shown: list[int]) -> None:
-        first.save(file, "WEBP", save_all=True, append_images=rest, duration=shown, loop=0, quality=QUALITY, method=4)
+    def _save(self, file: Any, first: Any, rest: Iterator[Any], duration: list[int]) -> None:
+        first.save(
+            file, "WEBP", save_all=True, append_images=rest, duration=duration, loop=0, quality=QUALITY, method=4
+        )

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import PartFile, naming
+from taichi_sim.common.atomic_file import naming, replacing
 from taichi_sim.outputs.base import Image
 from taichi_sim.outputs.geometry import Geometry
 from taichi_sim.outputs.parts import Together
-from taichi_sim.outputs.run_log import Checkpoint
 
 HEAD = '<?xml version="1.0"?>\n<VTKFile type="{}" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
 BEGIN, END = HEAD.format("Collection") + "<Collection>\n", "</Collection>\n</VTKFile>\n"
@@ -33,42 +32,30 @@ class ParaView(Geometry):
     """
 
     suffix = ".vtp"
+    keeps_frames = False  # the .pvd has all of them
 
     def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
         super().__init__(path, resume)
         self.pattern = f"{self.path}, {self.pattern}"
         self._end = 0  # byte behind the last entry of the .pvd
 
-    def has(self, checkpoint: Checkpoint) -> bool:
-        return super().has(checkpoint) and self.path.is_file() and len(self._entries()) >= checkpoint.frame
-
     def holds(self, count: int) -> bool:
-        return super().holds(count) and self.path.is_file() and len(self._entries()) == count
-
-    def go_on(self, checkpoint: Checkpoint) -> None:
-        super().go_on(checkpoint)
-        self._begin("".join(self._entries()[: checkpoint.frame]))
-
-    def _entries(self) -> list[str]:
-        lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
-        return [line for line in lines if line.startswith("<DataSet ")]
-
-    def _begin(self, entries: str) -> None:
-        part = PartFile(self.path)
-        part.file.write((BEGIN + entries + END).encode())
-        part.finish()
-        self._end = len((BEGIN + entries).encode())
+        if not (super().holds(count) and self.path.is_file()):
+            return False
+        return self.path.read_text(encoding="utf-8").count("\n<DataSet ") == count
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         self._time = frame.time
         super().write(index, frame, image)
         entry = f'<DataSet timestep="{float(frame.time)!r}" part="0" file={quoteattr(self._file(index).name)}/>\n'
         if not self._end:
-            self._begin(entry)
-            return
-        with naming(self.path), open(self.path, "r+b") as file:
-            file.seek(self._end)
-            file.write((entry + END).encode())
+            with replacing(self.path) as file:
+                file.write((BEGIN + entry + END).encode())
+            self._end = len(BEGIN.encode())
+        else:
+            with naming(self.path), open(self.path, "r+b") as file:
+                file.seek(self._end)
+                file.write((entry + END).encode())
         self._end += len(entry.encode())
 
     def fill(self, file: IO[bytes], parts: Together) -> None:

@@ -2,20 +2,17 @@
 
 import os
 import re
-from collections.abc import Mapping
 from os import PathLike
-from typing import Any
+from pathlib import Path
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing, require_place, sweep
-from taichi_sim.outputs.base import Image, require_folder_place
-from taichi_sim.outputs.resumable import Resumable, require_there
-from taichi_sim.outputs.run_log import Checkpoint
+from taichi_sim.outputs.base import Image, Output, require_folder_place, require_there
 
 _FRAME = re.compile(r"frame_\d{5,}\.png")
 
 
-class PngFolder(Resumable):
+class PngFolder(Output):
     """frame_00000.png, frame_00001.png, ... in a folder, which is made when it is not there; its parent is not.
 
     Each file is complete when it appears. A folder that holds anything is an error unless overwrite (its frames are
@@ -23,13 +20,18 @@ class PngFolder(Resumable):
     written again). What was written before an error or Ctrl-C stays, for resume.
     """
 
+    needs_arrays = False
+    keeps_frames = True
+    within = True
     apart = True
     alpha = True
+    path: Path
 
     def __init__(self, path: str | PathLike[str], *, overwrite: bool = False, resume: bool = False) -> None:
         if overwrite and resume:
             raise ValueError("overwrite and resume exclude each other; give one of them")
-        super().__init__(path, resume=resume, within=True)
+        self.path, self.resume = Path(path), resume
+        self.log  # noqa: B018  # refused where it cannot be ours
         require_folder_place(self.path)
         self._made = not self.path.is_dir()
         entries = [] if self._made else [entry for entry in self.path.iterdir() if entry != self.log.folder]
@@ -40,7 +42,7 @@ class PngFolder(Resumable):
         self._stale = frames if overwrite else []  # deleted at the first write, when nothing can be wrong any more
         self._there = {entry.name for entry in frames} if resume else set()
         self.frames = len(self._there)
-        self._last = -1  # frame that was asked for
+        self._count = 0  # of frames that were asked for
 
     def _make_writable(self) -> None:
         try:
@@ -63,21 +65,15 @@ class PngFolder(Resumable):
     def holds(self, count: int) -> bool:
         return self._there == set(map(self._name, range(count)))
 
-    def has(self, checkpoint: Checkpoint) -> bool:
-        return self._there.issuperset(map(self._name, range(checkpoint.frame)))
-
-    def go_on(self, checkpoint: Checkpoint) -> None:
-        self._last = checkpoint.frame - 1
-
-    def hold(self) -> Mapping[str, Any]:
-        return {}  # each frame is on the disk when it appears
+    def contains(self, count: int) -> bool:
+        return self._there.issuperset(map(self._name, range(count)))
 
     def kept(self) -> int:
         return sum(_FRAME.fullmatch(entry.name) is not None for entry in self.path.iterdir())
 
     def wants(self, index: int) -> bool:
         """Whether the frame is not there yet."""
-        self._last = index
+        self._count = index + 1
         return self._name(index) not in self._there
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
@@ -92,12 +88,12 @@ class PngFolder(Resumable):
 
     def finish(self) -> None:
         """Raises OSError where a frame was removed meanwhile."""
-        require_there(self.path / self._name(index) for index in range(self._last + 1))
-        self.log.delete()
+        require_there(self.path / self._name(index) for index in range(self._count))
+        super().finish()
 
     def discard(self) -> None:
         """Remove the folder if this made it and nothing was written; frames stay."""
-        self.leave()
+        super().discard()
         if self._made and self.path.is_dir() and not any(self.path.iterdir()):
             os.rmdir(self.path)
 

@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from struct import Struct
 from typing import IO
@@ -24,13 +25,20 @@ class Records:
         self.path, self.number = path, 0
         self._file: IO[bytes] | None = None
         if resume and path.exists():
-            with open(path, "r+b") as file:
+            with open(path, "rb") as file:
                 if file.read(len(FIRST)) == FIRST:
-                    end = file.tell()
-                    for _ in _whole(file):
-                        self.number += 1
-                        end = file.tell()
-                    file.truncate(end)
+                    self.number = sum(1 for _ in _whole(file))
+            self.cut(self.number)  # what is not whole
+
+    def cut(self, number: int) -> None:
+        """Drop all but so many at the beginning."""
+        self.number = min(number, self.number)
+        if self.path.exists():
+            with open(self.path, "r+b") as file:
+                file.seek(len(FIRST))
+                for _ in islice(_whole(file), self.number):
+                    pass
+                file.truncate(file.tell() if self.number else 0)
 
     def append(self, data: bytes) -> None:
         """Add one."""
@@ -38,7 +46,8 @@ class Records:
             self._file = open(self.path, "ab" if self.number else "wb")  # noqa: SIM115  # closed by close
             if not self.number:
                 self._file.write(FIRST)
-        self._file.write(RECORD.pack(len(data), zlib.crc32(data)) + data)
+        self._file.write(RECORD.pack(len(data), zlib.crc32(data)))
+        self._file.write(data)
         self._file.flush()
         self.number += 1
 
@@ -47,11 +56,15 @@ class Records:
         if self._file is not None:
             synced(self._file)
 
+    def __len__(self) -> int:
+        return self.number
+
     def __iter__(self) -> Iterator[bytes]:
-        if self.number:
+        """Those that there are when it begins."""
+        if number := self.number:
             with open(self.path, "rb") as file:
                 file.seek(len(FIRST))
-                yield from _whole(file)
+                yield from islice(_whole(file), number)
 
     def close(self) -> None:
         """Leave the file as it is."""

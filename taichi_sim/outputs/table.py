@@ -2,7 +2,6 @@
 
 import csv
 from contextlib import suppress
-from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -22,13 +21,11 @@ class Table(Growing):
     mean_penetration [m], residual and largest_speed [m/s], and each number of each probe under its name, `load.tension`, in SI
     units. nan where something is not known."""
 
+    needs_arrays = False
+
     def begun(self, part: Path, frame: Frame) -> None:
         with open(part, "w", newline="", encoding="utf-8") as file:
             write_row(file, row_of(0, frame), names=True)
-
-    def cut(self, part: Path, frames: int) -> None:
-        with open(self.path, "rb") as old, open(part, "wb") as new:
-            new.writelines(islice(old, frames + 1))
 
     def length(self) -> int:
         with open(self.path, "rb") as file:
@@ -48,18 +45,18 @@ class PipedTable(Output):
     needs_image = False
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        self.path = Path(path)
+        self._place = Path(path)
         self._file: Any = None
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         """Raises OSError where nobody reads it any more."""
         try:
             if self._file is None:
-                self._file = open(self.path, "w", newline="", encoding="utf-8")  # noqa: SIM115  # closed by finish
+                self._file = open(self._place, "w", newline="", encoding="utf-8")  # noqa: SIM115  # closed by finish
             write_row(self._file, row_of(index, frame), names=index == 0)
             self._file.flush()
         except BrokenPipeError:
-            raise OSError(f"{self.path}: whoever read it has gone") from None
+            raise OSError(f"{self._place}: whoever read it has gone") from None
 
     def finish(self) -> None:
         if self._file is not None:

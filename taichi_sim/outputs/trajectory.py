@@ -12,11 +12,6 @@ from taichi_sim.outputs.growing import Growing
 from taichi_sim.outputs.parts import Parts, in_3d
 from taichi_sim.render.palette import body_colours
 
-ORDER = [  # in which gsd.hoomd writes what there is of a frame, before its log
-    *(f"configuration/{name}" for name in ("step", "box")),
-    *(f"particles/{name}" for name in ("N", "types", "typeid", "diameter", "position", "velocity")),
-    *(f"bonds/{name}" for name in ("N", "types", "typeid", "group")),
-]
 BOX = 4.0  # of the longest side of the scene: bonds across half a box would be shown the other way around
 
 
@@ -43,24 +38,6 @@ class Trajectory(Growing):
             one.log = {name: value for name, value in one.log.items() if np.size(value)}
             file.append(one)
 
-    def cut(self, part: Path, frames: int) -> None:
-        with self._hoomd.open(str(self.path), "r") as file:
-            self._box = float(file[frames - 1].configuration.box[0])
-        with self._fl.open(name=str(self.path), mode="r") as old:
-            about = {name: getattr(old, name) for name in ("application", "schema", "schema_version")}
-            names = old.find_matching_chunk_names("")
-            names.sort(key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
-            for k in range(frames):  # opened and in the order as when they were written, for the same bytes
-                if k < 2:
-                    new = self._fl.open(name=str(part), mode="r+" if k else "w", **about)
-                for name in names:
-                    if old.chunk_exists(frame=k, name=name):
-                        new.write_chunk(name, old.read_chunk(frame=k, name=name))
-                new.end_frame()
-                new.flush()
-                if k == 0 or k == frames - 1:
-                    new.close()
-
     def length(self) -> int:
         try:
             with self._fl.open(name=str(self.path), mode="r") as file:
@@ -72,8 +49,6 @@ class Trajectory(Growing):
         return self._hoomd.open(str(self.path), "r+")
 
     def more(self, index: int, frame: Frame) -> None:
-        if self._parts is None:  # of a resumed run
-            self._parts = Parts(frame)
         self._file.append(self._frame(index, frame))
         self._file.flush()
 

@@ -1,22 +1,20 @@
 """MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from fractions import Fraction
-from itertools import islice
 from os import PathLike
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import PartFile, naming
-from taichi_sim.outputs.base import USUAL_FPS, Image
-from taichi_sim.outputs.resumable import Recorded
+from taichi_sim.outputs.base import USUAL_FPS, Image, Output
 
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
 LIMITED = 1  # studio range, as players expect
-LOSSLESS = {"preset": "ultrafast", "qp": "0", "tune": "zerolatency", "threads": "1"}  # a packet a picture, at once
 SMALL = 256  # px: up to 160 wide, x264's mbtree reads memory that nobody wrote, and the bytes differ from run to run
 FASTSTART = {"movflags": "faststart"}  # the index at the front
 SAME_BYTES = {"fflags": "+bitexact"}  # no random identifiers
@@ -40,7 +38,7 @@ CODECS = {
 }
 
 
-class Video(Recorded):
+class Video(Output):
     """A video: yuv420p, colours marked as BT.709. MP4 with H.264, which plays everywhere and has its index at the front, or
     H.265, which takes half the space; WebM with VP9.
 
@@ -51,8 +49,10 @@ class Video(Recorded):
     Frame k is shown at k / fps. Odd sizes grow by one repeated row or column, since yuv420p needs even ones.
     """
 
+    needs_arrays = False
     apart = True
     is_film = True
+    path: Path
 
     def __init__(
         self,
@@ -62,12 +62,11 @@ class Video(Recorded):
         codec: str = "h264",
         resume: bool = False,
     ) -> None:
-        super().__init__(path, "pictures", resume=resume)  # without loss
+        self.path, self.resume, self.fps = Path(path), resume, fps
+        self.log  # noqa: B018  # refused where it cannot be ours
         self.codec = CODECS[codec]
-        self.fps = fps
         self.crf = self.codec.crf if crf is None else crf
         self._part = PartFile(path)
-        self._keeper: Any = None  # encodes them
         self._container: Any = None
         self._stream: Any = None
 
@@ -91,40 +90,18 @@ class Video(Recorded):
         import av
 
         assert image is not None
-        self.log.open()
+        self.log.open()  # refused where another run writes it
         image = np.pad(image, ((0, image.shape[0] % 2), (0, image.shape[1] % 2), (0, 0)), mode="edge")
         source = av.VideoFrame.from_ndarray(image, format="rgb24")
-        converted = source.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        picture = source.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        picture.time_base, picture.pts = 1 / self.rate, index
         with naming(self.path):
             if self._container is None:
-                self._open(converted.width, converted.height)
-            self._keep(converted, index)
-            self._encode(converted, index)
-
-    def _keep(self, picture: Any, index: int) -> None:
-        import av
-
-        if self._keeper is None:
-            self._keeper = keeper = av.CodecContext.create("libx264", "w")
-            keeper.width, keeper.height, keeper.pix_fmt = picture.width, picture.height, "yuv420p"
-            keeper.time_base, keeper.options = 1 / self.rate, LOSSLESS
-        picture.time_base, picture.pts = 1 / self.rate, index
-        self._records.append(b"".join(bytes(packet) for packet in self._keeper.encode(picture)))
-
-    def _kept_pictures(self) -> Iterator[Any]:
-        import av
-
-        decoder = av.CodecContext.create("h264", "r")
-        for data in self._records:
-            yield from decoder.decode(av.Packet(data))
-        yield from decoder.decode(None)
-
-    def _encode(self, picture: Any, index: int) -> None:
-        picture.time_base, picture.pts = 1 / self.rate, index
-        self._container.mux(self._stream.encode(picture))
+                self._open(picture.width, picture.height)
+            self._container.mux(self._stream.encode(picture))
 
     def _open(self, width: int, height: int) -> None:
-        """Start the file with the pictures that were kept."""
+        """Start the file."""
         import av
 
         codec = self.codec
@@ -146,28 +123,19 @@ class Video(Recorded):
         context.colorspace = context.color_primaries = context.color_trc = BT709
         context.color_range = LIMITED
         self._stream = stream
-        for index, picture in enumerate(islice(self._kept_pictures(), self.frames) if self._kept else ()):
-            fresh = av.VideoFrame.from_ndarray(picture.to_ndarray(), format="yuv420p")
-            fresh.colorspace, fresh.color_range = BT709, LIMITED
-            self._encode(fresh, index)
 
     def finish(self) -> None:
         """Write what the encoder still holds and the index."""
         with naming(self.path):
-            if self._container is None and self._kept:
-                first = next(self._kept_pictures())
-                self._open(first.width, first.height)
             if self._container is not None:
                 self._container.mux(self._stream.encode())
                 self._container.close()
                 self._container = None
         self._part.finish()
-        self._records.close()
-        self.log.delete()
+        super().finish()
 
     def discard(self) -> None:
-        """Delete the unfinished file; its frames stay beside it, for resume."""
+        """Delete the unfinished file; its pictures stay in the log, for resume."""
         self._container = self._stream = None
         self._part.discard()
-        self._records.close()
-        self.leave()
+        super().discard()

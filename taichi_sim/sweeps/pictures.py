@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.outputs import Output, open_outputs
-from taichi_sim.outputs.base import require_alpha
+from taichi_sim.outputs.base import abandon, require_alpha
 from taichi_sim.outputs.recording import Recording
-from taichi_sim.outputs.resumable import abandon
 from taichi_sim.outputs.whole_run import is_drawn_last
 from taichi_sim.sweeps.cluster import LOST, MOST_REPEATS, connected, place
 from taichi_sim.sweeps.sweep import bar

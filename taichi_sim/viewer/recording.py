@@ -22,7 +22,7 @@ class Recording:
     def __init__(self, path: Path, fps: float) -> None:
         self.path, self._fps = path, fps
         self._video = Video(path, fps)
-        self._behind = Behind(self._video)
+        self._behind = Behind(self._video.write)
         self._behind.__enter__()
         self._clock, self._next = 0.0, 0
 
