@@ -7,7 +7,6 @@ import os
 import matplotlib
 import numpy as np
 import pytest
-from PIL import UnidentifiedImageError
 
 import taichi_sim as ts
 from taichi_sim.common.printable import no_formula
@@ -80,7 +79,7 @@ def test_a_picture_that_was_kept_starts_no_program(tmp_path, trap):
     kept = Records(out.log.folder / "pictures", resume=False)
     kept.append(POSTSCRIPT)
     kept.close()
-    with pytest.raises(UnidentifiedImageError):
+    with pytest.raises(ts.SceneError, match=r"pictures: is damaged"):
         out.finish()
     out.discard()
 

@@ -159,8 +159,9 @@ class FrameLog:
         return self._next[1] if self._next is not None and self._next[0] == index else None
 
     def all_pictures(self) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Those that are there by now, by the numbers of their frames."""
-        return unpacked_pictures(self.pictures or ())
+        """Those that are there by now, by the numbers of their frames. Raises SceneError where they are damaged."""
+        with judged(self.folder / "pictures"):
+            yield from unpacked_pictures(self.pictures or ())
 
     def hold(self, count: int) -> None:
         """Have all of the first `count` frames on the disk."""

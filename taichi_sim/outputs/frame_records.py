@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from math import prod
-from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from taichi_sim.analysis.lazy_frame import Moment, MomentsOf
 
 __all__ = ["FrameRecords", "PicturePacker", "unpacked_pictures"]
 
-LENGTH = Struct("<I")  # of the text at the beginning of a record
+LENGTH = 4  # bytes that say how long the text is with which a record begins
 KINDS = ("<f4", "<f8", "<i4", "|b1")  # of arrays
 # what may differ from frame to frame in frames that are not a simulation's
 FREE = ("springs", "sticks", "strain", "triangles", "torn_springs", "torn_triangles", "colour")
@@ -45,7 +44,7 @@ class FrameRecords:
             "arrays": [(name, array.dtype.str, array.shape) for name, array in arrays.items()],
         }
         text = json.dumps(about, default=np.generic.item).encode()
-        return b"".join([LENGTH.pack(len(text)), text, *(array.tobytes() for array in arrays.values())])
+        return b"".join([len(text).to_bytes(LENGTH, "little"), text, *(array.tobytes() for array in arrays.values())])
 
     def _changing(self, frame: Frame) -> Iterator[tuple[str, NDArray]]:
         yield "position", frame.position
@@ -65,8 +64,8 @@ class FrameRecords:
 
     def unpack(self, data: bytes) -> Frame:
         """The frame of a record. Raises ValueError, or what taking apart of something else may raise."""
-        begin = LENGTH.size + LENGTH.unpack_from(data)[0]
-        about = json.loads(data[LENGTH.size : begin])
+        begin = LENGTH + int.from_bytes(data[:LENGTH], "little")
+        about = json.loads(data[LENGTH:begin])
         arrays = dict(_unpacked(about["arrays"], data, begin))
         first, time = self._first, float(about["time"])
         if not arrays:
@@ -166,3 +165,5 @@ def unpacked_pictures(records: Iterable[bytes]) -> Iterator[tuple[int, Any]]:
                 yield waiting.popleft(), picture.to_ndarray(format="rgb24")
     for picture in decoder.decode(None) if waiting else ():
         yield waiting.popleft(), picture.to_ndarray(format="rgb24")
+    if waiting:
+        raise ValueError(f"picture {waiting[0]} cannot be decoded")

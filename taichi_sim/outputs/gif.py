@@ -5,8 +5,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing, require_place
-from taichi_sim.outputs.base import USUAL_FPS, Deferred
+from taichi_sim.outputs.base import USUAL_FPS, Deferred, Image
 
 QUALITY = 80  # of WebP, 0 to 100: no loss that one sees in motion
 
@@ -34,13 +35,18 @@ class Gif(Deferred):
 
     def wants(self, index: int) -> bool:
         """Whether this frame is not too close to the last one that is shown."""
-        self._count = max(self._count, index + 1)
+        if index >= self._count:
+            self._count = index + 1
         if not self._shown or index > self._shown[-1]:
             if self._shown and self._at(index) - self._at(self._shown[-1]) < self.shortest:
                 return False
             self._shown.append(index)
             return True
         return index in self._shown
+
+    def write(self, index: int, frame: Frame, image: Image | None) -> None:
+        if self.wants(index):
+            super().write(index, frame, image)
 
     def finish(self) -> None:
         """Write the file: the first picture opens it, the others follow one at a time."""

@@ -9,13 +9,14 @@ import sys
 from contextlib import contextmanager
 
 import pytest
-from test_checkpoints import Remembers, Steady, cut_off, draw_with, files, run
+from test_resume import Steady, _as_often_as_asked, cut_off, files, run
 
 from taichi_sim import Scene, SceneError
 from taichi_sim.common.atomic_file import PartFile, replacing
-from taichi_sim.outputs import checkpoints, export, open_output
+from taichi_sim.outputs import export, open_output
 
 pytestmark = pytest.mark.once
+__all__ = ["_as_often_as_asked"]
 
 FIRST = {
     "x.mp4": "x.mp4",
@@ -26,12 +27,6 @@ FIRST = {
     "x.ply": "x_0",
     "x.obj": "x_0",
 }
-
-
-@pytest.fixture(autouse=True)
-def _as_often_as_asked(monkeypatch):
-    monkeypatch.setattr(checkpoints, "SHARE", 1e9)
-    draw_with(monkeypatch, Remembers)
 
 
 @contextmanager

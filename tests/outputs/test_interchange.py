@@ -7,14 +7,13 @@ import re
 import signal
 import subprocess
 import sys
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import pytest
-from test_outputs import FakeRenderer, FakeSimulation, draw_with, pictures
+from test_outputs import FakeSimulation
 
 import taichi_sim as ts
 from taichi_sim.analysis.frame import Placed
@@ -550,49 +549,6 @@ def test_a_killed_run_leaves_files_that_open(tmp_path):
     assert pvd.count("<DataSet") >= 20 - 5  # but those that waited for the writer
 
 
-class Saved(FakeSimulation):
-    """Its state can be kept, and its contacts are always the same."""
-
-    def contacts(self):
-        self.asked = 4
-        return super().contacts()
-
-    def save(self, path):
-        path.write_text("a state")
-
-
-@pytest.mark.parametrize("names", [FORMATS[:1], FORMATS[2:6], ("x.csv", "x.usdc")], ids=" ".join)
-def test_a_run_goes_on_from_its_checkpoint(tmp_path, monkeypatch, names):
-    for name in names:
-        pytest.importorskip(missing(name) or "numpy", reason="its library is not installed")
-    from taichi_sim.outputs import checkpoints
-
-    def going_on(first, simulation, fps, duration):
-        for k in range(first, round(fps * duration) + 1):
-            yield simulation.frame(k / fps, k)
-
-    @contextmanager
-    def as_it_was(simulation, checkpoint):
-        assert checkpoint.state.read_text() == "a state"
-        yield Saved()
-
-    monkeypatch.setattr(export_module, "frames_from", going_on)
-    monkeypatch.setattr(export_module, "restored", as_it_was)
-    monkeypatch.setattr(checkpoints, "SHARE", 1e9)
-    (tmp_path / "whole").mkdir()
-    how = {"duration": 0.2, "checkpoint": 1e-9}
-    export(Saved(), open_outputs([tmp_path / "whole" / name for name in names]), **how)
-    with pytest.raises(KeyboardInterrupt):
-        export(Saved(5, KeyboardInterrupt()), open_outputs([tmp_path / name for name in names]), **how)
-    summary = export(Saved(), open_outputs([tmp_path / name for name in names], resume=True), **how)
-    assert summary.resumed == 5
-    files = [path.name for path in (tmp_path / "whole").iterdir()]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*files, "whole"])
-    for name in files:
-        mine, theirs = ((folder / name).read_bytes() for folder in (tmp_path, tmp_path / "whole"))
-        assert mine == theirs, name
-
-
 @pytest.mark.parametrize("library", ["gsd", "pandas"])
 def test_the_examples_of_the_page_run(run, monkeypatch, library):
     pytest.importorskip(library, reason=f"{library} is not installed")
@@ -620,19 +576,3 @@ def test_what_grows_replaces_a_file_at_its_first_frame(tmp_path):
         export(FakeSimulation(3, RuntimeError()), open_output(tmp_path / "x.csv"), duration=0.1)
     assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 3
     assert [path.name for path in tmp_path.iterdir()] == ["x.csv"]
-
-
-def test_of_several_outputs_each_keeps_what_it_can(tmp_path, monkeypatch):
-    """A video that was cut off without a checkpoint is not drawn again up to there, while a table begins anew."""
-    draw_with(monkeypatch, FakeRenderer)
-    names = [tmp_path / "x.mp4", tmp_path / "x.csv"]
-    how = {"duration": 11 / 60, "size": (64, 48)}
-    with pytest.raises(KeyboardInterrupt):
-        export(FakeSimulation(5, KeyboardInterrupt()), open_outputs(names), **how)
-    export(FakeSimulation(), open_outputs(names, resume=True), **how)
-    assert FakeRenderer.last.drawn == list(range(5, 12))
-    assert FakeRenderer.last.skipped == list(range(5))
-    rows = (tmp_path / "x.csv").read_text().splitlines()
-    assert [row.split(",")[0] for row in rows] == ["frame", *map(str, range(12))]
-    assert len(pictures(tmp_path / "x.mp4")) == 12
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.mp4"]

@@ -7,8 +7,8 @@ import sys
 import threading
 
 import pytest
-from test_checkpoints import run
 from test_outputs import SIZE, FakeRenderer, FakeSimulation, draw_with, make
+from test_resume import run
 
 from taichi_sim import SceneError
 from taichi_sim.common import atomic_file
@@ -129,10 +129,10 @@ def test_a_checkpoint_names_files_of_its_own_folder_alone(tmp_path):
         run(tmp_path, "x.npz", 13)
     place = tmp_path / ".x.npz.resume" / "checkpoint.json"
     kept = read_kept(place)
-    files = kept["checkpoints"][0]["files"]
-    files["state"][0] = f"../elsewhere/{files['state'][0]}"
+    state = kept["checkpoints"][0]["state"]
+    state[0] = f"../elsewhere/{state[0]}"
     write_kept(place, kept)
-    with pytest.raises(SceneError, match="files are not those of a checkpoint"):
+    with pytest.raises(SceneError, match="its state is not that of a checkpoint"):
         run(tmp_path, "x.npz", resume=True)
 
 

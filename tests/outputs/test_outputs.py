@@ -495,3 +495,21 @@ def test_an_output_of_the_users_own():
 
     export(FakeSimulation(), Heights(), fps=10, duration=0.5)
     assert heights == [0, 1, 2, 3, 4, 5]
+
+
+def test_pictures_with_alpha(tmp_path, monkeypatch):
+    class Clear(FakeRenderer):
+        def render(self, frame):
+            image = super().render(frame)
+            return np.concatenate([image, image[:, :, :1]], axis=2)
+
+    draw_with(monkeypatch, Clear)
+    style = {"transparent": True}
+    export(FakeSimulation(), open_output(tmp_path / "frames"), duration=5 / 60, size=SIZE, style=style)
+    with Image.open(tmp_path / "frames" / "frame_00003.png") as image:
+        assert image.mode == "RGBA"
+        assert np.asarray(image)[24, [2, 60]].tolist() == [[255, 0, 0, 255], [0, 0, 255, 0]]
+    for name in ("x.mp4", "x.gif"):
+        with pytest.raises(ValueError, match=rf"transparent: .*{name} holds no transparency; write PNG frames"):
+            export(FakeSimulation(), open_output(tmp_path / name), duration=5 / 60, size=SIZE, style=style)
+    assert [p.name for p in tmp_path.iterdir()] == ["frames"]

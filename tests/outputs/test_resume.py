@@ -1,51 +1,282 @@
-"""Videos and folders that were cut off are gone on with: nothing finished is lost, and nobody sees that it happened."""
+"""Runs that are cut off and resumed: what comes out is what an undisturbed run writes, in every format and in a user's own."""
 
+import json
 import signal
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 from test_outputs import SIZE, FakeRenderer, FakeSimulation, draw_with, make, pictures, unstable
 
-from taichi_sim import UnstableError
-from taichi_sim.outputs import Output, export, open_output
+from taichi_sim import Scene, UnstableError
+from taichi_sim.analysis.probe_readings import Readings
+from taichi_sim.outputs import Output, checkpoints, export, frame_log, open_output
 
 pytestmark = pytest.mark.once
 
+COUNT = 30
+
+
+class Steady(FakeSimulation):
+    """Steps, and can be written to a file. It is interrupted at the frame `ends`; `made` counts the steps of all of them."""
+
+    dt = 1 / 240
+    ends, made = -1, 0
+
+    def __init__(self, step: int = 0) -> None:
+        super().__init__()
+        self.at, self.asked, self.readings = step, (step + 4) // 4 if step else 0, Readings(())
+
+    @property
+    def time(self):
+        return self.at * self.dt
+
+    def step(self, n: int) -> None:
+        self.at += n
+        Steady.made += n
+
+    def frame(self):
+        return super().frame(self.at / 240, self.at // 4)
+
+    def frames(self, fps, duration):
+        for k in range(round(fps * duration) + 1):
+            self.step(round(k / fps / self.dt) - self.at)
+            yield self.frame()
+
+    def contacts(self):
+        if self.at == 4 * self.ends:
+            raise KeyboardInterrupt
+        return super().contacts()
+
+    def save(self, path) -> None:
+        Path(path).write_text(json.dumps(self.at))
+
+    @classmethod
+    def restore(cls, path, **_):
+        return cls(json.loads(Path(path).read_text()))
+
+    def close(self) -> None:
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+
+class Whole(Steady):
+    """Its camera shows all of the run, so that pictures are drawn at the end."""
+
+    scene = Scene(dim=2)
+    scene.add_balls([[0.0, 0.0], [1.0, 0.0]], radius=0.1)
+
+
+class Remembers(FakeRenderer):
+    """Its pictures depend on the frames that were before, or that it was fitted to. It is interrupted at the picture `ends`."""
+
+    seen, ends = 0, -1
+
+    def fit(self, frames):
+        self.seen = len(list(frames)) - len(frames[-1].position)
+
+    def skip(self, frame):
+        super().skip(frame)
+        self.seen += 1
+
+    def render(self, frame):
+        if 0 <= Remembers.ends <= round(60 * frame.time):
+            raise KeyboardInterrupt
+        image = super().render(frame)
+        self.seen += 1
+        image[: self.seen, :, 1] = 255
+        return image
+
+    def memory(self):
+        return {"seen": self.seen}
+
+    def recall(self, memory):
+        self.seen = memory["seen"]
+
+
+class Own(Output):
+    """A user's: it knows nothing of resuming."""
+
+    def __init__(self, path, resume) -> None:
+        self.path, self.resume = path, resume
+
+    def write(self, index, frame, image):
+        with open(self.path, "ab" if index else "wb") as file:
+            said = (index, frame.time, frame.energy, frame.contacts, *frame.position.ravel())
+            file.write(repr(said).encode() + image.tobytes())
+
 
 @pytest.fixture(autouse=True)
-def _renderer(monkeypatch):
-    draw_with(monkeypatch, FakeRenderer)
+def _as_often_as_asked(monkeypatch):
+    monkeypatch.setattr(checkpoints, "SHARE", 1e9)
+    monkeypatch.setattr(Steady, "made", 0)
+    monkeypatch.setattr(Remembers, "ends", -1)
+    draw_with(monkeypatch, Remembers)
 
 
-def cut_off(folder, name="x.mp4", at=13, error=None, **options):
-    """A run that ends at frame `at` of 30."""
-    with pytest.raises(type(error or KeyboardInterrupt())):
-        export(
-            FakeSimulation(at, error or KeyboardInterrupt()),
-            open_output(folder / name, **options),
-            duration=29 / 60,
-            size=SIZE,
-        )
+def run(folder, names, ends=-1, *, kind=Steady, fps=60, **options):
+    """An export of 30 frames into a name, or several, with a checkpoint after each."""
+    Steady.ends = ends
+    given = {key: options.pop(key) for key in ("duration", "size", "style", "checkpoint") if key in options}
+    names = [names] if isinstance(names, str) else names
+    made = [
+        Own(folder / name, options.get("resume", False)) if name == "own" else open_output(f"{folder}/{name}", fps=fps, **options)
+        for name in names
+    ]  # fmt: skip
+    duration = given.pop("duration", COUNT / 60) - 1 / fps  # without a frame at its end
+    return export(kind(), made, duration=duration, **({"size": SIZE, "checkpoint": 1e-9, "fps": fps} | given))
 
 
-@pytest.mark.parametrize(("name", "codec"), [("x.mp4", None), ("x.mp4", "h265"), ("x.webm", None)])
-def test_a_resumed_video_has_the_same_bytes(tmp_path, name, codec):
-    (tmp_path / "whole").mkdir()
-    make(tmp_path / "whole", name, codec=codec)
-    cut_off(tmp_path, name, codec=codec)
-    assert {p.name for p in tmp_path.iterdir()} == {"whole", f".{name}.resume"}
-    cut_off(tmp_path, name, at=21, codec=codec, resume=True)
-    out = make(tmp_path, name, codec=codec, resume=True)
-    assert out.frames == 30
-    assert FakeRenderer.last.first == 0.0  # the camera is placed by the first frame
-    assert FakeRenderer.last.skipped == list(range(21))
-    assert FakeRenderer.last.drawn == list(range(21, 30))
-    assert {p.name for p in tmp_path.iterdir()} == {"whole", name}
-    assert (tmp_path / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+def cut_off(folder, names, ends, **options):
+    with pytest.raises(KeyboardInterrupt):
+        run(folder, names, ends, **options)
+
+
+def files(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+OPTIONAL = {"x.gsd": "gsd", "x.usda": "pxr", "x.usdc": "pxr"}
+FORMATS = ["x.mp4", "x.webm", "x.gif", "x.webp", "frames/", "x.npz", "x.ply", "x.obj", "x.pvd", "x.csv", "own"]
+FORMATS += [name for name, module in OPTIONAL.items() if find_spec(module)]
+TOGETHER = ("x.npz", "x.mp4", "own", "x.ply")
+DRAWN = ("x.mp4", "x.gif", "frames/", "own")
+
+
+@pytest.mark.parametrize(
+    ("names", "kind", "codec"),
+    [*((name, Steady, None) for name in FORMATS), (TOGETHER, Steady, None), ("x.mp4", Steady, "h265"),
+     *((name, Whole, None) for name in DRAWN), (("x.csv", "x.mp4", "x.pvd", "x.npz"), Whole, None)],
+    ids=str,
+)  # fmt: skip
+def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, names, kind, codec):
+    """Cut off twice while it is simulated, and, where pictures come last, while it is drawn."""
+    how = {"kind": kind, "codec": codec}
+    (whole := tmp_path / "whole").mkdir()
+    summary = run(whole, names, checkpoint=None, **how)
+    for every in (1e-9, None):
+        Steady.made = 0
+        (folder := tmp_path / str(every)).mkdir()
+        cut_off(folder, names, 13, checkpoint=every, **how)
+        cut_off(folder, names, 21, checkpoint=every, resume=True, **how)
+        drawn = 21
+        if kind is Whole:
+            Remembers.ends = drawn = 17
+            cut_off(folder, names, -1, checkpoint=every, resume=True, **how)
+            Remembers.ends = -1
+        again = run(folder, names, checkpoint=every, resume=True, **how)
+        assert files(folder) == files(whole)
+        assert again.lines()[:5] == summary.lines()[:5]
+        if every is not None:  # the frame that an interruption came at is simulated once more, no other
+            assert (again.resumed, again.checkpoints) == ((21, 29) if kind is Steady else (30, 30))
+            assert Steady.made == 29 * 4 + 2 * 4
+        if names in ("x.mp4", "own"):
+            assert Remembers.last.first == 0.0  # the camera is placed by the first frame
+            assert Remembers.last.drawn == list(range(drawn, COUNT))
+
+
+def test_gif_frames_that_are_left_out_are_counted(tmp_path):
+    """60 frames a second are more than a GIF shows; the last of them are left out here, and one is cut off at each."""
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, "x.gif", duration=0.2)
+    for ends in (9, 10, 11):
+        (folder := tmp_path / str(ends)).mkdir()
+        cut_off(folder, "x.gif", ends, duration=0.2)
+        run(folder, "x.gif", resume=True, duration=0.2)
+        assert files(folder) == files(whole)
+
+
+@pytest.mark.parametrize("frames", [6, 13, 42])
+@pytest.mark.parametrize("name", ["x.npz", "x.mp4", "x.csv"])
+def test_another_duration_gives_what_is_asked_for(tmp_path, name, frames):
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, name, duration=frames / 60)
+    (folder := tmp_path / "cut").mkdir()
+    cut_off(folder, name, 13)
+    assert run(folder, name, resume=True, duration=frames / 60).resumed == (13 if frames >= 13 else 0)
+    assert files(folder) == files(whole)
+
+
+LOST = {
+    "state": lambda folder: [p.unlink() for p in folder.glob(".*/state_*")],
+    "frames": lambda folder: [p.unlink() for p in folder.glob(".*/frames")],
+    "pictures": lambda folder: [p.unlink() for p in folder.glob(".*/pictures")],
+    "a picture": lambda folder: (folder / "frames/frame_00004.png").unlink(),
+    "a mesh": lambda folder: (folder / "x_00004.ply").unlink(),
+    "the end": lambda folder: changed(folder, lambda data: data[:-3]),
+    "a byte": lambda folder: changed(folder, lambda data: data[:700] + bytes([data[700] ^ 1]) + data[701:]),
+    "all": lambda folder: changed(folder, lambda data: b"something else"),
+}
+
+
+def changed(folder, change):
+    for path in [*folder.glob(".*/frames"), *folder.glob(".*/pictures")]:
+        path.write_bytes(change(path.read_bytes()))
+
+
+@pytest.mark.parametrize(
+    ("name", "lost"),
+    [*(("x.npz", lost) for lost in ("state", "frames", "the end", "a byte", "all")), ("x.mp4", "pictures"), ("x.csv", "frames"),
+     ("frames/", "a picture"), ("x.ply", "a mesh"), ("x.gif", "all")],
+)  # fmt: skip
+def test_without_what_a_checkpoint_needs_the_run_begins_anew(tmp_path, name, lost):
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, name)
+    (folder := tmp_path / "cut").mkdir()
+    cut_off(folder, name, 13)
+    LOST[lost](folder)
+    assert run(folder, name, resume=True).resumed == 0
+    assert files(folder) == files(whole)
+
+
+def test_what_the_log_has_beyond_the_checkpoint_is_made_again_or_cut_off(tmp_path):
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, "x.npz")
+    (folder := tmp_path / "cut").mkdir()
+    cut_off(folder, "x.npz", 13)
+    changed(folder, lambda data: data + b"rows since then, the last cut off")
+    assert run(folder, "x.npz", resume=True).resumed == 13
+    assert files(folder) == files(whole)
+
+
+@pytest.mark.parametrize("cut", ["truncated", "damaged", "garbage"])
+def test_pictures_that_are_not_whole_are_drawn_again(tmp_path, cut):
+    cut_off(tmp_path, "x.mp4", 13, checkpoint=None)
+    log = tmp_path / ".x.mp4.resume" / "pictures"
+    data = log.read_bytes()
+    log.write_bytes({"truncated": data[:-3], "damaged": data[:-3] + b"abc", "garbage": data + b"12345678901"}[cut])
+    run(tmp_path, "x.mp4", resume=True)
+    assert FakeRenderer.last.skipped == list(range(13 if cut == "garbage" else 12))
+    assert len(pictures(tmp_path / "x.mp4")) == COUNT
+
+
+def test_pictures_are_kept_until_all_is_done(tmp_path):
+    """Where the run is cut off again before it comes to new ones, and where the first one anew has not come yet."""
+    cut_off(tmp_path, "x.mp4", 13, checkpoint=None)
+    cut_off(tmp_path, "x.mp4", 5, checkpoint=None, resume=True)
+    open_output(tmp_path / "x.mp4").discard()
+    out = open_output(tmp_path / "x.mp4", resume=True)
+    assert out.log.pictures.number == 13
+    out.discard()
+    assert out.frames == 13
+
+    class Full(Steady):
+        def solver(self):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "x.mp4", kind=Full, resume=True)
+    run(tmp_path, "x.mp4", resume=True)
+    assert FakeRenderer.last.drawn == []
+    assert len(pictures(tmp_path / "x.mp4")) == COUNT
+    assert list(files(tmp_path)) == ["x.mp4"]
 
 
 def test_a_killed_run_is_resumed(tmp_path):
@@ -65,116 +296,82 @@ def test_a_killed_run_is_resumed(tmp_path):
     ended = subprocess.run([sys.executable, "-c", code], check=False)
     assert ended.returncode == -signal.SIGKILL
     assert any(p.suffix == ".part" for p in tmp_path.iterdir())
-    out = make(tmp_path, "x.mp4", resume=True)
-    assert out._kept >= 20 - 5  # at most those that waited for the writer are lost
+    draw = make(tmp_path, "x.mp4", resume=True)
+    assert len(FakeRenderer.last.drawn) <= COUNT - 20 + 5  # at most those that waited for the writer are lost
+    assert draw.frames == COUNT
     assert [p.name for p in tmp_path.iterdir()] == ["x.mp4"]
-    assert len(pictures(tmp_path / "x.mp4")) == 30
-
-
-@pytest.mark.parametrize("cut", ["truncated", "damaged", "garbage"])
-def test_what_is_not_whole_is_drawn_again(tmp_path, cut):
-    cut_off(tmp_path)
-    journal = tmp_path / ".x.mp4.resume" / "pictures"
-    data = journal.read_bytes()
-    damaged = {"truncated": data[:-3], "damaged": data[:-3] + b"abc", "garbage": data + b"12345678901"}
-    journal.write_bytes(damaged[cut])
-    make(tmp_path, "x.mp4", resume=True)
-    assert FakeRenderer.last.skipped == list(range(13 if cut == "garbage" else 12))
-    assert len(pictures(tmp_path / "x.mp4")) == 30
-
-
-def test_a_journal_that_is_none_is_not_gone_on_with(tmp_path):
-    cut_off(tmp_path)
-    (tmp_path / ".x.mp4.resume" / "pictures").write_bytes(b"something else")
-    make(tmp_path, "x.mp4", resume=True)
-    assert FakeRenderer.last.skipped == []
-    assert [p.name for p in tmp_path.iterdir()] == ["x.mp4"]
-
-
-def test_resuming_when_all_frames_are_there(tmp_path):
-    class Full(FakeSimulation):
-        def solver(self):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        export(Full(), open_output(tmp_path / "x.mp4"), duration=29 / 60, size=SIZE)
-    make(tmp_path, "x.mp4", resume=True)
-    assert FakeRenderer.last.drawn == []
-    assert len(pictures(tmp_path / "x.mp4")) == 30
-
-
-@pytest.mark.parametrize("frames", [6, 42])
-def test_resuming_with_another_duration_gives_what_is_asked_for(tmp_path, frames):
-    cut_off(tmp_path)
-    make(tmp_path, "x.mp4", duration=frames / 60, resume=True)
-    assert len(pictures(tmp_path / "x.mp4")) == frames
-
-
-def test_a_run_that_is_cut_off_again_keeps_all_frames(tmp_path):
-    cut_off(tmp_path)
-    out = open_output(tmp_path / "x.mp4", resume=True)
-    with pytest.raises(KeyboardInterrupt):
-        export(FakeSimulation(5, KeyboardInterrupt()), out, duration=29 / 60, size=SIZE)
-    assert out.frames == 13
-    assert open_output(tmp_path / "x.mp4", resume=True)._kept == 13
-
-
-def test_without_resume_a_video_starts_anew(tmp_path):
-    cut_off(tmp_path)
-    open_output(tmp_path / "x.mp4").discard()
-    assert (
-        open_output(tmp_path / "x.mp4", resume=True)._kept == 13
-    )  # nothing is dropped before the first new frame is there
-    make(tmp_path, "x.mp4", duration=0.2)
-    assert FakeRenderer.last.skipped == []
-    assert len(pictures(tmp_path / "x.mp4")) == 12
-
-
-def test_other_options_are_refused(tmp_path):
-    cut_off(tmp_path)
-    for differs, options in (
-        (r"fps \(60.0 then, 30.0 now\)", {"fps": 30.0}),
-        (r"size \(\[64, 48\] then, \[32, 24\] now\)", {"size": (32, 24)}),
-        (r"codec \('libx264' then, 'libx265' now\)", {"codec": "h265"}),
-    ):
-        says = rf"x\.mp4: what is kept of it is of another run, which differs in {differs}.*; resume it as it was begun, or"
-        with pytest.raises(ValueError, match=says):
-            make(tmp_path, "x.mp4", resume=True, **options)
-    assert [p.name for p in tmp_path.iterdir()] == [".x.mp4.resume"]
-    assert open_output(tmp_path / "x.mp4", resume=True)._kept == 13
+    assert len(pictures(tmp_path / "x.mp4")) == COUNT
 
 
 def test_a_resumed_run_that_becomes_unstable_keeps_all_frames(tmp_path):
-    cut_off(tmp_path, at=9)
-    out: Output = open_output(tmp_path / "x.mp4", resume=True)
+    cut_off(tmp_path, "x.mp4", 9, checkpoint=None)
     with pytest.raises(UnstableError):
-        export(FakeSimulation(9, unstable()), out, duration=29 / 60, size=SIZE)
+        export(FakeSimulation(9, unstable()), open_output(tmp_path / "x.mp4", resume=True), duration=29 / 60, size=SIZE)
     assert len(pictures(tmp_path / "x.mp4")) == 9
 
 
-def test_a_resumed_folder_begins_with_the_first_frame(tmp_path):
-    cut_off(tmp_path, "frames", at=3)
-    make(tmp_path, "frames", resume=True)
-    assert FakeRenderer.last.first == 0.0
-    assert FakeRenderer.last.skipped == [0, 1, 2]
+@pytest.mark.parametrize("written", [1, 2, 3, 4, 5])
+def test_outputs_that_have_different_checkpoints_go_on_from_the_one_that_all_have(tmp_path, monkeypatch, written):
+    """A kill after the first, the second or all of them have made theirs of frame 13, or while the one before is given up."""
+    names = ("x.npz", "x.mp4", "x.ply")
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, names, checkpoint=None)
+    (folder := tmp_path / "cut").mkdir()
+    steps = []
+
+    def killed(way, step):
+        def wrapped(log, *given, **more):
+            if (log.checkpoint.frame if step == "settle" else given[0]) == 13:
+                steps.append(step)
+            if len(steps) > written:
+                raise KeyboardInterrupt
+            way(log, *given, **more)
+
+        return wrapped
+
+    with monkeypatch.context() as patch:
+        for step in ("keep", "settle"):
+            patch.setattr(frame_log.FrameLog, step, killed(getattr(frame_log.FrameLog, step), step))
+        cut_off(folder, names, -1)
+    assert run(folder, names, resume=True).resumed == (13 if written > 2 else 12)
+    assert files(folder) == files(whole)
 
 
-def test_pictures_with_alpha(tmp_path, monkeypatch):
-    class Clear(FakeRenderer):
-        def render(self, frame):
-            image = super().render(frame)
-            return np.concatenate([image, image[:, :, :1]], axis=2)
+def test_of_several_outputs_one_alone_goes_on(tmp_path):
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, ("x.gif", "x.npz"))
+    (folder := tmp_path / "cut").mkdir()
+    cut_off(folder, ("x.gif", "x.npz"), 13)
+    assert run(folder, "x.npz", resume=True).resumed == 13
+    assert (folder / "x.npz").read_bytes() == (whole / "x.npz").read_bytes()
+    assert run(folder, ("x.gif", "x.npz"), resume=True).resumed == 13  # the other is complete
+    assert files(folder) == files(whole)
 
-    draw_with(monkeypatch, Clear)
-    style = {"transparent": True}
-    export(FakeSimulation(), open_output(tmp_path / "frames"), duration=5 / 60, size=SIZE, style=style)
-    with Image.open(tmp_path / "frames" / "frame_00003.png") as image:
-        assert image.mode == "RGBA"
-        assert np.asarray(image)[24, [2, 60]].tolist() == [[255, 0, 0, 255], [0, 0, 255, 0]]
-    for name in ("x.mp4", "x.gif"):
-        with pytest.raises(ValueError, match=rf"transparent: .*{name} holds no transparency; write PNG frames"):
-            export(FakeSimulation(), open_output(tmp_path / name), duration=5 / 60, size=SIZE, style=style)
-    assert [p.name for p in tmp_path.iterdir()] == ["frames"]
+
+def test_what_is_said_to_be_kept_is(tmp_path):
+    outputs = [open_output(tmp_path / name) for name in ("x.mp4", "x.csv", "x.npz")]
+    Steady.ends = 13
+    with pytest.raises(KeyboardInterrupt):
+        export(Whole(), outputs, fps=60, duration=29 / 60, size=SIZE, checkpoint=1e-9)
+    assert [one.frames for one in outputs] == [0, 13, 13]
+    assert [one.simulated for one in outputs] == [13, 0, 0]
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 13
+
+
+def test_an_output_of_the_users_own_without_a_path_is_not_resumed_and_the_others_are_written(tmp_path):
+    class Nameless(Output):
+        needs_image = False
+
+        def write(self, index, frame, image):
+            pass
+
+    Steady.ends = 13
+    with pytest.raises(KeyboardInterrupt):
+        export(Steady(), [open_output(tmp_path / "x.npz"), Nameless()], duration=29 / 60, checkpoint=1e-9)
+    assert not list(tmp_path.iterdir())
+
+
+# What is complete --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["x.mp4", "x.webm", "x.gif", "x.npz", "x.csv", "x.pvd", "x.ply", "frames/"])
@@ -182,11 +379,11 @@ def test_what_is_complete_is_left_as_it_is(tmp_path, name):
     make(tmp_path, name)
     before = {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()}
     out = open_output(f"{tmp_path}/{name}", resume=True)
-    assert out.is_finished(30)
+    assert out.is_finished(COUNT)
     other = open_output(tmp_path / "other.csv", resume=True)  # was not begun
-    assert not other.is_finished(30)
+    assert not other.is_finished(COUNT)
     summary = export(FakeSimulation(), [out, other], duration=29 / 60, size=SIZE)
-    assert summary.frames == 30
+    assert summary.frames == COUNT
     (tmp_path / "other.csv").unlink()
     assert {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()} == before
 
@@ -202,4 +399,26 @@ def test_what_has_other_frames_is_made_anew(tmp_path, name):
 @pytest.mark.parametrize("name", ["x.mp4", "x.npz", "x.csv"])
 def test_what_is_something_else_is_made_anew(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
-    assert not open_output(tmp_path / name, resume=True).is_finished(30)
+    assert not open_output(tmp_path / name, resume=True).is_finished(COUNT)
+
+
+def test_frames_of_an_unknown_run_are_not_resumed(tmp_path):
+    run(tmp_path, "frames", duration=0.1)
+    with pytest.raises(FileExistsError, match="nothing says which run its frames are of"):
+        run(tmp_path, "frames", duration=0.2, resume=True)
+
+
+@pytest.mark.parametrize("name", ["x.mp4", "frames/", "x.ply", "x.csv", "own"])
+def test_two_runs_do_not_write_the_same_output(tmp_path, name):
+    class Second(Steady):
+        def contacts(self):
+            if self.at == 20:
+                before = files(tmp_path).get("x.csv")
+                for resume in (False, True):
+                    with pytest.raises((OSError, FileExistsError), match=r"another run is writing it|not empty"):
+                        run(tmp_path, name, resume=resume)
+                assert files(tmp_path).get("x.csv") == before
+            return super().contacts()
+
+    run(tmp_path, name, kind=Second)
+    assert not [file for file in files(tmp_path) if "resume" in file or "part" in file]
