@@ -3,8 +3,6 @@
 import zipfile
 from collections.abc import Iterator
 from contextlib import suppress
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.lazy_frame import Moment
-from taichi_sim.common.atomic_file import replacing, require_place
+from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.checkpoint import parts_of, text_of
 from taichi_sim.outputs.base import USUAL_FPS, Deferred, Image
@@ -69,11 +67,6 @@ class Arrays(Deferred):
     """
 
     needs_image = False
-
-    def __init__(self, path: str | PathLike[str], resume: bool = False, fps: float | None = None) -> None:
-        self.path, self.resume, self.fps = Path(path), resume, fps
-        self.log  # noqa: B018  # refused where it cannot be ours
-        require_place(path)
 
     def holds(self, count: int) -> bool:
         damage = (OSError, ValueError, KeyError, zipfile.BadZipFile)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common import validation
-from taichi_sim.common.atomic_file import naming, require_parent
+from taichi_sim.common.atomic_file import naming, require_parent, require_place
 from taichi_sim.common.errors import UnstableError
 from taichi_sim.outputs.frame_log import FrameLog
 
@@ -182,10 +182,20 @@ class Output:
             self._leave(keep)  # of one that has its own `finish` and `discard`
 
 
-class Deferred(Output):
-    """One that is written when all its frames are there: they wait in the log."""
+class FileOutput(Output):
+    """One that writes a file of the name `path`. fps [1/s]: at which it is shown; resume: go on with a run into the same name
+    that was cut off. Raises OSError where it cannot be written, or another run is writing it."""
 
     path: Path
+
+    def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
+        self.path, self.fps, self.resume = Path(path), fps, resume
+        self.log  # noqa: B018  # it locks what is there, or refuses it
+        require_place(self.path)
+
+
+class Deferred(FileOutput):
+    """One that is written when all its frames are there: they wait in the log."""
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
         with naming(self.path):

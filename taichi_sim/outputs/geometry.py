@@ -9,13 +9,13 @@ from typing import IO, Any
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import replacing, require_place, sweep
-from taichi_sim.outputs.base import Image, Output, require_there
+from taichi_sim.common.atomic_file import replacing, sweep
+from taichi_sim.outputs.base import FileOutput, Image, require_there
 from taichi_sim.outputs.obj import Obj
 from taichi_sim.outputs.parts import Parts, Textures, Together, textures_of
 
 
-class Geometry(Output):
+class Geometry(FileOutput):
     """name_00000.ply, name_00001.ply, ... (or .obj) beside each other in a folder that is there, for the name `name.ply`.
 
     Each holds all parts of the frame, see `Parts`: surfaces in place of what they cover, loose balls (in PLY as points with their
@@ -29,13 +29,10 @@ class Geometry(Output):
     needs_image = False
     apart = True
     keeps_frames = True
-    path: Path
     suffix = ""  # of the files, where it is not that of the name
 
     def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
-        self.path, self.resume = Path(path), resume
-        self.log  # noqa: B018  # refused where it cannot be ours
-        require_place(path)
+        super().__init__(path, resume=resume)
         self.suffix = self.suffix or self.path.suffix.lower()
         sweep(self.path.parent, f"{glob.escape(self.path.stem)}_*{self.suffix}")
         self.pattern = str(self.path.with_name(f"{self.path.stem}_*{self.suffix}"))

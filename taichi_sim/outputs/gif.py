@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import replacing, require_place
+from taichi_sim.common.atomic_file import replacing
 from taichi_sim.outputs.base import USUAL_FPS, Deferred, Image
 
 QUALITY = 80  # of WebP, 0 to 100: no loss that one sees in motion
@@ -27,9 +26,7 @@ class Gif(Deferred):
     shortest = 2  # ticks; shorter ones are played at a tenth of the speed
 
     def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
-        self.path, self.resume, self.fps = Path(path), resume, fps
-        self.log  # noqa: B018  # refused where it cannot be ours
-        require_place(path)
+        super().__init__(path, fps, resume)
         self._shown: list[int] = []  # numbers of frames
         self._count = 0  # of frames that were asked for, shown or left out
 

@@ -1,26 +1,19 @@
 """Growing: a file that gets one frame after another, and is whole after each."""
 
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import PartFile, naming, require_place
-from taichi_sim.outputs.base import Image, Output, require_there
+from taichi_sim.common.atomic_file import PartFile, naming
+from taichi_sim.outputs.base import FileOutput, Image, require_there
 
 
-class Growing(Output):
+class Growing(FileOutput):
     """It lies under its final name from the first frame on, in place of what was there, so that other programs can read it while
     the run goes on. What was written before an error, Ctrl-C or a kill stays. resume: go on from the last checkpoint."""
 
     needs_image = False
-    path: Path
-
-    def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
-        self.path, self.resume = Path(path), resume
-        self.log  # noqa: B018  # refused where it cannot be ours
-        require_place(path)
-        self._file: Any = None  # open for more
+    _file: Any = None  # open for more
 
     def begun(self, part: Path, frame: Frame) -> None:
         """Write a file that holds the first frame."""

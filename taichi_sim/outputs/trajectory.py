@@ -24,7 +24,7 @@ class Trajectory(Growing):
 
     def __init__(self, path: str | PathLike[str], resume: bool = False) -> None:
         self._hoomd, self._fl = (needed(f"gsd.{name}", "gsd", Path(path)) for name in ("hoomd", "fl"))
-        super().__init__(path, resume)
+        super().__init__(path, resume=resume)
         self._box = 0.0  # m
         self._parts: Parts | None = None
 

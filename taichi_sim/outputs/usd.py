@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import naming, require_place
+from taichi_sim.common.atomic_file import naming
 from taichi_sim.outputs.base import USUAL_FPS, Deferred
 from taichi_sim.outputs.extras import needed
 from taichi_sim.outputs.parts import Textures, placed, textures_of
@@ -37,10 +37,8 @@ class Usd(Deferred):
     is_film = True
 
     def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
-        self.path, self.resume, self.fps = Path(path), resume, fps
-        needed("pxr", "usd", self.path)
-        self.log  # noqa: B018  # refused where it cannot be ours
-        require_place(path)
+        needed("pxr", "usd", Path(path))
+        super().__init__(path, fps, resume)
         self._aspect = 16 / 9
         self._tracker: Tracker | None = None
         self._textures: Textures = {}

@@ -4,14 +4,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from fractions import Fraction
 from os import PathLike
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import PartFile, naming
-from taichi_sim.outputs.base import USUAL_FPS, Image, Output
+from taichi_sim.outputs.base import USUAL_FPS, FileOutput, Image
 
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
 LIMITED = 1  # studio range, as players expect
@@ -38,7 +37,7 @@ CODECS = {
 }
 
 
-class Video(Output):
+class Video(FileOutput):
     """A video: yuv420p, colours marked as BT.709. MP4 with H.264, which plays everywhere and has its index at the front, or
     H.265, which takes half the space; WebM with VP9.
 
@@ -52,7 +51,6 @@ class Video(Output):
     needs_arrays = False
     apart = True
     is_film = True
-    path: Path
 
     def __init__(
         self,
@@ -62,8 +60,7 @@ class Video(Output):
         codec: str = "h264",
         resume: bool = False,
     ) -> None:
-        self.path, self.resume, self.fps = Path(path), resume, fps
-        self.log  # noqa: B018  # refused where it cannot be ours
+        super().__init__(path, fps, resume)
         self.codec = CODECS[codec]
         self.crf = self.codec.crf if crf is None else crf
         self._part = PartFile(path)
