@@ -94,7 +94,7 @@ class Output:
 
     @property
     def log(self) -> FrameLog:
-        """What is kept beside it until it is complete. Raises OSError, see FrameLog."""
+        """The log beside `path`, which is there until the output is complete. Raises OSError, see FrameLog."""
         if self._log is None:
             assert self.path is not None
             logged = not self.keeps_frames
@@ -105,15 +105,15 @@ class Output:
         return self._log
 
     def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
-        """What `export` calls before anything else: the frame that the run begins with, also where it is resumed later on, and
-        the arguments of `Renderer`."""
+        """Be ready. `export` calls it before anything else. first: the frame that the run begins with, also where it is resumed
+        later on; style: the arguments of `Renderer`."""
 
     def options(self) -> Mapping[str, Any]:
         """Plain values that decide what it writes: a run that resumes it has the same."""
         return {}
 
     def wants(self, index: int) -> bool:
-        """Whether frame `index` is still to be written; when it is not, it is neither drawn nor passed."""
+        """True where frame `index` is still to be written; when it is not, it is neither drawn nor passed."""
         return True
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
@@ -130,15 +130,15 @@ class Output:
         self._leave(is_complete=False)
 
     def is_finished(self, count: int) -> bool:
-        """Whether it was opened to be resumed, but is complete already, with `count` frames: then it is left as it is."""
+        """True where it was opened to be resumed, but is complete already, with `count` frames: then it is left as it is."""
         return self.resume and not self.log.resumes and self.holds(count)
 
     def holds(self, count: int) -> bool:
-        """Whether what lies under its name has so many frames, as far as that can be told without reading all of it."""
+        """True where what lies under its name has so many frames, as far as that can be told without reading all of it."""
         return self.path is not None and Path(self.path).is_file()
 
     def contains(self, count: int) -> bool:
-        """Whether the files of the first `count` frames are there, where it `keeps_frames`."""
+        """True where the files of the first `count` frames are there, of one that `keeps_frames`."""
         return False
 
     def kept(self) -> int:

@@ -115,8 +115,9 @@ class FrameLog:
         self.checkpoint = checkpoint
         state = None if checkpoint is None else checkpoint.state.name
         self._kept = [one for one in self._kept if one["state"][0] == state]
-        if self._frames is not None:
-            self._frames.cut(0 if checkpoint is None else checkpoint.frame)
+        frame = 0 if checkpoint is None else checkpoint.frame
+        if self._frames is not None and self._frames.number > frame:
+            self._frames.cut(frame)
 
     def holds(self, count: int) -> bool:
         """True where all that an output needs of so many frames is there."""
@@ -159,7 +160,7 @@ class FrameLog:
         return self._next[1] if self._next is not None and self._next[0] == index else None
 
     def all_pictures(self) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Those that are there by now, by the numbers of their frames. Raises SceneError where they are damaged."""
+        """Pictures that are there by now, by the numbers of their frames. Raises SceneError where they are damaged."""
         with judged(self.folder / "pictures"):
             yield from unpacked_pictures(self.pictures or ())
 
@@ -172,11 +173,11 @@ class FrameLog:
 
     @property
     def holds_checkpoint(self) -> bool:
-        """Whether one is there, of whatever run, and whole or not."""
+        """True where a checkpoint is there, of whatever run, and whole or not."""
         return (self.folder / CHECKPOINT).is_file()
 
     def _described(self) -> dict[str, dict[str, Any]]:
-        """The run that the folder is of."""
+        """Description of the run that the folder is of."""
         found = read_kept(self.folder / ABOUT)
         with judged(self.folder / ABOUT):
             for group, values in found.items():
@@ -185,7 +186,7 @@ class FrameLog:
         return found
 
     def _checkpoints(self) -> list[Checkpoint]:
-        """Those whose files are all there."""
+        """Checkpoints whose states are there."""
         place = self.folder / CHECKPOINT
         if not place.is_file():
             return []
@@ -203,7 +204,7 @@ class FrameLog:
         return there
 
     def _read(self, kept: Any) -> tuple[Checkpoint, int]:
-        """One from its plain values, and the checksum of its state."""
+        """A checkpoint from its plain values, and the checksum of its state."""
         frame = validation.whole("frame", kept["frame"], 0, MOST_FRAMES)
         name, check = kept["state"]
         if not isinstance(kept["own"], dict):
@@ -213,7 +214,8 @@ class FrameLog:
         return Checkpoint(frame, self.folder / name, kept["own"]), int(check)
 
     def _free(self, frame: int) -> Path:
-        """A file that is not there: the last checkpoint, which may be of the same frame, needs its own until there is another."""
+        """Name of a state that is not there: the last checkpoint, which may be of the same frame, keeps its own until there is
+        another."""
         names = (f"state_{frame:06d}{f'_{k}' if k else ''}.npz" for k in itertools.count())
         return next(self.folder / name for name in names if not (self.folder / name).exists())
 
@@ -250,7 +252,7 @@ class FrameLog:
             self._list(self._kept[:1])
 
     def _list(self, kept: list[dict[str, Any]]) -> None:
-        """These are the checkpoints; files of others go."""
+        """Write the list of checkpoints, and delete the states of others."""
         write_kept(self.folder / CHECKPOINT, {"checkpoints": kept})
         self._kept = kept
         needed = {one["state"][0] for one in kept}
@@ -270,6 +272,7 @@ class FrameLog:
 
     def _remove(self) -> None:
         """The folder goes, with what is ours in it; with what others put into it, it stays."""
+        self._close_records()
         with suppress(OSError):
             self._empty()
             (self.folder / LOCK).unlink(missing_ok=True)
@@ -278,12 +281,16 @@ class FrameLog:
 
     def close(self) -> None:
         """Leave it for another run."""
-        for one in (self._frames, self.pictures):
-            if one is not None:
-                one.close()
+        self._close_records()
         if self._lock is not None:
             self._lock.close()
             self._lock = None
+
+    def _close_records(self) -> None:
+        self._unpacked = None
+        for one in (self._frames, self.pictures):
+            if one is not None:
+                one.close()
 
     def delete(self) -> None:
         """The output is complete, or nothing of it is worth keeping."""
@@ -293,6 +300,6 @@ class FrameLog:
 
 
 def _differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
-    """What differs between two descriptions of runs, group by group."""
+    """Names and values that differ between two descriptions of runs, group by group."""
     for group in dict.fromkeys([*then, *now]):
         yield from differences(then.get(group, {}), now.get(group, {}), WHY)

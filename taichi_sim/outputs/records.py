@@ -25,20 +25,16 @@ class Records:
         self.path, self.number = path, 0
         self._file: IO[bytes] | None = None
         if resume and path.exists():
-            with open(path, "rb") as file:
-                if file.read(len(FIRST)) == FIRST:
-                    self.number = sum(1 for _ in _whole(file))
-            self.cut(self.number)  # what is not whole
+            self.cut(None)
 
-    def cut(self, number: int) -> None:
-        """Drop all but so many at the beginning."""
-        self.number = min(number, self.number)
-        if self.path.exists():
-            with open(self.path, "r+b") as file:
-                file.seek(len(FIRST))
-                for _ in islice(_whole(file), self.number):
-                    pass
-                file.truncate(file.tell() if self.number else 0)
+    def cut(self, number: int | None) -> None:
+        """Drop all but so many at the beginning, or, None, what is not whole at the end."""
+        end, self.number = 0, 0
+        with open(self.path, "r+b") as file:
+            if file.read(len(FIRST)) == FIRST:
+                for _ in islice(_whole(file), number):
+                    end, self.number = file.tell(), self.number + 1
+            file.truncate(end)
 
     def append(self, data: bytes) -> None:
         """Add one."""
