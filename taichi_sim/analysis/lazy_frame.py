@@ -36,9 +36,9 @@ class Moment(Frame):
         self._energy = value
 
     @property
-    def known_energy(self) -> tuple[float, ...] | None:
-        """The energy where it has been asked for."""
-        return None if self._energy is None else tuple(self._energy)
+    def known_energy(self) -> Any:
+        """The energy where it has been asked for, or else None."""
+        return self._energy
 
     @property  # type: ignore[override]
     def strain(self) -> Any:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.diagnostics import Energy
 from taichi_sim.analysis.frame import Contacts, Frame, Placed
 from taichi_sim.analysis.lazy_frame import Moment, MomentsOf
 
@@ -74,8 +75,11 @@ class FrameRecords:
         else:
             self._check(arrays)
             frame = self._moment(time, arrays) if self._moments is not None else self._free(time, arrays)
-        if not isinstance(frame, Moment) or about["energy"] is not None:
-            frame.energy = None if about["energy"] is None else tuple(map(float, about["energy"]))  # type: ignore[assignment]
+        if about["energy"] is not None:
+            energy = tuple(map(float, about["energy"]))
+            frame.energy = energy if self._moments is None else Energy(*energy)  # type: ignore[assignment]
+        elif not isinstance(frame, Moment):
+            frame.energy = None
         frame.contacts = None if about["contacts"] is None else Contacts(*about["contacts"])
         frame.probes = {name: float(value) for name, value in about["probes"].items()}
         return frame

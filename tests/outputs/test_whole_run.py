@@ -25,6 +25,7 @@ def scene(pull=9.0):
     )
     scene.add_springs([balls[:2]], stiffness=100, break_strain=0.5)
     scene.add_wall((0, 1), offset=0.0, material="rubber")
+    scene.add_probe("all", kind="energy")
     return scene
 
 
@@ -52,6 +53,28 @@ class Fitted(FakeRenderer):
         return image
 
 
+class Told(ts.Output):
+    """A user's, which writes down all that a frame says of itself."""
+
+    needs_image = False
+
+    def __init__(self, path, resume) -> None:
+        self.path, self.resume = path, resume
+
+    def write(self, index, frame, image):
+        arrays = (frame.position, frame.velocity, frame.springs, frame.torn_springs, frame.strain)
+        said = [
+            frame.time,
+            frame.energy,
+            frame.energy.kinetic,
+            frame.contacts,
+            frame.probes,
+            *(a.tolist() for a in arrays),
+        ]
+        with open(self.path, "a" if index else "w") as file:
+            print(*said, file=file)
+
+
 @pytest.fixture(autouse=True)
 def _drawn(monkeypatch):
     draw_with(monkeypatch, Fitted)
@@ -61,7 +84,10 @@ def _drawn(monkeypatch):
 
 def run(folder, *names, ends=-1, resume=False, **given):
     Interrupted.ends = ends
-    outputs = [open_output(f"{folder}/{name}", resume=resume) for name in names]
+    outputs = [
+        Told(folder / name, resume) if name == "own" else open_output(f"{folder}/{name}", resume=resume)
+        for name in names
+    ]
     with Interrupted(scene(), dt=1 / 240) as sim:
         return export(
             sim, outputs, **{"fps": 60, "duration": (COUNT - 1) / 60, "size": SIZE, "checkpoint": None, **given}
@@ -119,7 +145,7 @@ def files(folder):
 
 def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, monkeypatch):
     """Of a simulation whose springs tear, in all formats at once; test_resume has each alone."""
-    names = ["x.mp4", "x.npz", "x.csv", "x.pvd", "x.ply", *OPTIONAL]
+    names = ["x.mp4", "x.npz", "x.csv", "x.pvd", "x.ply", "own", *OPTIONAL]
     (whole := tmp_path / "whole").mkdir()
     run(whole, *names)
     (folder := tmp_path / "cut").mkdir()
