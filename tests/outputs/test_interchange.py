@@ -4,8 +4,6 @@ run, and read back by the libraries that people use."""
 import csv
 import json
 import re
-import signal
-import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -516,37 +514,6 @@ def test_two_outputs_with_one_name_are_refused(tmp_path):
         with pytest.raises(ValueError, match=rf"{names[-1]}: is given twice; give every output a name of its own"):
             open_outputs([f"{tmp_path}/{name}" for name in names])
     assert [path.name for path in tmp_path.iterdir()] == ["sub"]
-
-
-# Cut off ---------------------------------------------------------------------------------------------------------------
-
-
-def test_a_killed_run_leaves_files_that_open(tmp_path):
-    """Those that grow, and those of one file for each frame."""
-    hoomd = pytest.importorskip("gsd.hoomd", reason="gsd is not installed")
-    code = f"""if True:
-        import os, signal, sys
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
-        import test_outputs as t
-        from taichi_sim.outputs import export, open_outputs
-        class Killed(t.FakeSimulation):
-            def contacts(self):
-                if getattr(self, "asked", 0) == 20:
-                    os.kill(os.getpid(), signal.SIGKILL)
-                return super().contacts()
-        names = ["x.gsd", "x.csv", "x.pvd"]
-        export(Killed(), open_outputs([{str(tmp_path)!r} + "/" + name for name in names]), duration=0.5)
-    """
-    ended = subprocess.run([sys.executable, "-c", code], check=False)
-    assert ended.returncode == -signal.SIGKILL
-    with hoomd.open(str(tmp_path / "x.gsd")) as file:
-        assert len(file) == 20
-        assert file[19].particles.position[1, 1] == 19
-    rows = (tmp_path / "x.csv").read_text().splitlines()
-    assert [row.split(",")[0] for row in rows] == ["frame", *map(str, range(20))]
-    pvd = (tmp_path / "x.pvd").read_text()
-    assert pvd.endswith("</VTKFile>\n")
-    assert pvd.count("<DataSet") >= 20 - 5  # but those that waited for the writer
 
 
 @pytest.mark.parametrize("library", ["gsd", "pandas"])

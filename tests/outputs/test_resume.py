@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import sys
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -147,6 +148,7 @@ OPTIONAL = {"x.gsd": "gsd", "x.usda": "pxr", "x.usdc": "pxr"}
 FORMATS = ["x.mp4", "x.webm", "x.gif", "x.webp", "frames/", "x.npz", "x.ply", "x.obj", "x.pvd", "x.csv", "own"]
 FORMATS += [name for name, module in OPTIONAL.items() if find_spec(module)]
 TOGETHER = ("x.npz", "x.mp4", "own", "x.ply")
+GROWING = ["x.mp4", "x.csv", "x.pvd", *(name for name in FORMATS if name == "x.gsd")]
 DRAWN = ("x.mp4", "x.gif", "frames/", "own")
 
 
@@ -279,7 +281,9 @@ def test_pictures_are_kept_until_all_is_done(tmp_path):
     assert list(files(tmp_path)) == ["x.mp4"]
 
 
-def test_a_killed_run_is_resumed(tmp_path):
+def test_a_killed_run_leaves_files_that_open_and_is_resumed(tmp_path, monkeypatch):
+    """Those that grow are whole, and of the pictures at most those are lost that waited for the writer."""
+    draw_with(monkeypatch, FakeRenderer)
     code = f"""if True:
         import os, signal, sys
         sys.path.insert(0, {str(Path(__file__).parent)!r})
@@ -291,16 +295,26 @@ def test_a_killed_run_is_resumed(tmp_path):
                 if getattr(self, "asked", 0) == 20:
                     os.kill(os.getpid(), signal.SIGKILL)
                 return super().contacts()
-        export(Killed(), open_output({str(tmp_path / "x.mp4")!r}), duration=29 / 60, size=t.SIZE)
+        outputs = [open_output({str(tmp_path)!r} + "/" + name) for name in {GROWING}]
+        export(Killed(), outputs, duration=29 / 60, size=t.SIZE)
     """
     ended = subprocess.run([sys.executable, "-c", code], check=False)
     assert ended.returncode == -signal.SIGKILL
     assert any(p.suffix == ".part" for p in tmp_path.iterdir())
-    draw = make(tmp_path, "x.mp4", resume=True)
-    assert len(FakeRenderer.last.drawn) <= COUNT - 20 + 5  # at most those that waited for the writer are lost
-    assert draw.frames == COUNT
-    assert [p.name for p in tmp_path.iterdir()] == ["x.mp4"]
-    assert len(pictures(tmp_path / "x.mp4")) == COUNT
+    if "x.gsd" in GROWING:
+        with import_module("gsd.hoomd").open(str(tmp_path / "x.gsd")) as file:
+            assert [one.particles.position[1, 1] for one in file] == list(range(20))
+    rows = (tmp_path / "x.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["frame", *map(str, range(20))]
+    pvd = (tmp_path / "x.pvd").read_text()
+    assert pvd.endswith("</VTKFile>\n")
+    assert pvd.count("<DataSet") >= 20 - 5
+    resumed = [open_output(tmp_path / name, resume=True) for name in GROWING]
+    export(FakeSimulation(), resumed, duration=29 / 60, size=SIZE)
+    assert len(FakeRenderer.last.drawn) <= COUNT - 20 + 5
+    (whole := tmp_path / "whole").mkdir()
+    export(FakeSimulation(), [open_output(whole / name) for name in GROWING], duration=29 / 60, size=SIZE)
+    assert {name: data for name, data in files(tmp_path).items() if "whole" not in name} == files(whole)
 
 
 def test_a_resumed_run_that_becomes_unstable_keeps_all_frames(tmp_path):
@@ -389,17 +403,13 @@ def test_what_is_complete_is_left_as_it_is(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["x.mp4", "x.npz", "x.csv", "x.pvd", "x.ply"])
-def test_what_has_other_frames_is_made_anew(tmp_path, name):
+def test_what_has_other_frames_or_is_something_else_is_made_anew(tmp_path, name):
     make(tmp_path, name)
     assert not open_output(tmp_path / name, resume=True).is_finished(42)
     assert make(tmp_path, name, duration=0.7, resume=True).frames == 42
-
-
-@pytest.mark.parametrize("content", [b"", b"mine", b"PK\x05\x06" + bytes(18)])
-@pytest.mark.parametrize("name", ["x.mp4", "x.npz", "x.csv"])
-def test_what_is_something_else_is_made_anew(tmp_path, name, content):
-    (tmp_path / name).write_bytes(content)
-    assert not open_output(tmp_path / name, resume=True).is_finished(COUNT)
+    for content in (b"", b"mine", b"PK\x05\x06" + bytes(18)) if name in ("x.mp4", "x.npz", "x.csv") else ():
+        (tmp_path / name).write_bytes(content)
+        assert not open_output(tmp_path / name, resume=True).is_finished(COUNT)
 
 
 def test_frames_of_an_unknown_run_are_not_resumed(tmp_path):
