@@ -33,11 +33,11 @@ def precious(tmp_path):
     """A folder of somebody else, in which some names are such as ours."""
     folder = tmp_path / "precious"
     (folder / "state_000001.npz.d").mkdir(parents=True)
-    for name in ("thesis.txt", "lock", "state_000001.npz", "column_000", "a.jsonl", "state_000001.npz.d/deep.txt"):
+    for name in ("thesis.txt", "lock", "state_000001.npz", "frames", "a.jsonl", "state_000001.npz.d/deep.txt"):
         (folder / name).write_text(name)
     yield folder
     assert (folder / "state_000001.npz.d/deep.txt").read_text() == "state_000001.npz.d/deep.txt"
-    for name in ("thesis.txt", "lock", "state_000001.npz", "column_000", "a.jsonl"):
+    for name in ("thesis.txt", "lock", "state_000001.npz", "frames", "a.jsonl"):
         assert (folder / name).read_text() == name
 
 
