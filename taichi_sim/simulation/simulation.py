@@ -397,13 +397,13 @@ class Simulation(Reader):
         self._stepper = Stepper(self.scene, settings, parts, seconds, substeps, self._stability, self.has_custom_parts)
         self._stepper.set_time(time)
 
-    def at_half_step(self) -> Simulation:
-        """A new Simulation of this scene with the same arguments and half the step, at its start, where it does not
-        settle."""
+    def at_half_step(self, scene: Scene | None = None, half: float | None = None) -> Simulation:
+        """A new Simulation with the same arguments and half the step, at its start, where it does not settle. scene: one of the
+        same structure in place of this one's; half: a step [s] as good as equal to the half."""
         if self.settings.tolerance is not None:
             raise SceneError("dt", says="is chosen by the tolerance of this simulation and cannot be halved")
-        halved = {**self._given, "dt": self.dt / 2.0, "substeps": self.substeps, "settle": None}
-        return type(self)(self.scene, forces=self._forces, **halved)
+        halved = {**self._given, "dt": half or self.dt / 2.0, "substeps": self.substeps, "settle": None}
+        return type(self)(scene or self.scene, forces=self._forces, **halved)
 
     def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:
         """Add an impulse (dim,) or (k, dim) [N s] to the balls (k,). Pinned ones do not move."""

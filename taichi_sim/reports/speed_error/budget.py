@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_sim.analysis.richardson import error_from
 from taichi_sim.common.quantities import measured
 from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.plan import PARTS, Step
@@ -93,13 +94,12 @@ def _reached(outcome: Outcome) -> bool:
 def mesh_error(differences: Sequence[float]) -> tuple[float | None, float | None, str]:
     """Error of the coarsest mesh, the order observed, and why one of them is not known.
 
-    Richardson: where the error is C h^p, the differences between h, h/2 and h/4 are in the ratio 2^p, and the error at h is
-    the first of them times 2^p / (2^p - 1). With one difference the order is taken to be 1.
+    Where the error is C h^p, the differences between h, h/2 and h/4 are in the ratio 2^p. With one difference the order is
+    taken to be 1.
     """
     first = differences[0]
     if len(differences) == 1:
-        ratio = 2.0**ASSUMED_ORDER
-        return first * ratio / (ratio - 1.0), None, f"from two meshes alone, its order taken to be {ASSUMED_ORDER:g}"
+        return error_from(first, ASSUMED_ORDER), None, f"from two meshes alone, its order taken to be {ASSUMED_ORDER:g}"
     if first == 0.0 or differences[1] == 0.0:
         return first, None, "the meshes give the same"
     order = math.log2(first / differences[1])
@@ -115,4 +115,4 @@ def mesh_error(differences: Sequence[float]) -> tuple[float | None, float | None
             " and no mesh converges so fast; use finer meshes"
         )
         return None, order, why
-    return first * 2.0**order / (2.0**order - 1.0), order, ""
+    return error_from(first, order), order, ""
