@@ -26,7 +26,7 @@ from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.probe_readings import Reader
 from taichi_sim.analysis.stability import Stability, stability
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, about
 from taichi_sim.device import backend
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import checked_forces
@@ -41,7 +41,7 @@ from taichi_sim.simulation import structure
 from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import NO_CAPACITY_KNOWN, Assembly, OtherStructureError, compensates
 from taichi_sim.simulation.settings import Settings
-from taichi_sim.simulation.settling import Settled, settle, still
+from taichi_sim.simulation.settling import Settled, require_tolerance, settle, still
 from taichi_sim.simulation.stepper import Stepper
 
 __all__ = ["Simulation"]
@@ -225,7 +225,8 @@ class Simulation(Reader):
         Returns what is left, which `settled` keeps. Raises UnstableError, and SceneError where something is driven after the
         start.
         """
-        tolerance = validation.number("tolerance", tolerance, positive=True)
+        with about("tolerance"):
+            tolerance = require_tolerance(tolerance) or validation.number("tolerance", tolerance, positive=True)
         longest = validation.number("longest", longest, positive=True)
         held = still(self.scene)
         if self.time != 0.0 and held is not self.scene:
@@ -244,6 +245,10 @@ class Simulation(Reader):
         self._write(position, np.zeros_like(position))
         self._begin_readings()
         return self.settled
+
+    def recall_settled(self, plain: Any) -> None:
+        """Take what `settled` was when this was saved, as `Settled.of` does."""
+        self.settled = Settled.of(plain)
 
     # Looking at it -------------------------------------------------------------------------------------------------
 
