@@ -5,7 +5,6 @@ from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
-from datetime import timedelta
 from html import escape
 from pathlib import Path
 from typing import Any, Literal
@@ -515,23 +514,20 @@ class _Frames(Work):
     def phase(self, waiting: Callable[[float], str], what: str) -> None:
         """Begin to count what it names; what `waiting` makes of the seconds since then is said until the second frame."""
         self.done = 0
+        self._before: float | None = None  # seconds simulated by the first frame
         self.begin(what)
-        self._first_frame: tuple[int, float, float] | None = (
-            None  # frames, simulated and wall time after the first frame
-        )
-        self.words = lambda: waiting(self.elapsed)
+        start = time.monotonic()
+        self.words = lambda: waiting(time.monotonic() - start)
 
     def advance(self, done: int, simulated: float) -> None:
-        """So many frames are done, and so many seconds simulated since the beginning."""
-        now, self.done = time.perf_counter(), done
-        if self._first_frame is None:
-            self._first_frame = (done, simulated, now)
+        """So many frames are done, and so many seconds simulated since the beginning. The first one tells no pace."""
+        self.done = done
+        if self._before is None:
+            self.begin(self.what)
+            self._before = simulated
             return
-        frames, before, then = self._first_frame
-        passed = max(1e-9, now - then)
-        left = timedelta(seconds=round(passed / (done - frames) * ((self.total or done) - done)))
-        words = (
-            f"{left} left, {(simulated - before) / passed:.3g} x real time, t = {simulated:.4g} s,"
-            f" {(done - frames) / passed:.3g} frames/s"
+        before = self._before
+        self.words = lambda: (
+            f"{self.remaining}, {(simulated - before) / max(1e-9, self.elapsed):.3g} x real time, t = {simulated:.4g} s,"
+            f" {self.pace:.3g} frames/s"
         )
-        self.words = lambda: words
