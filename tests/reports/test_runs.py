@@ -11,13 +11,13 @@ def test_runs_that_were_expected_and_others():
     runs = Runs()
     runs.expect(5)
     assert runs.line() == "0 of about 5 runs, starting"
-    runs("f64 verlet 0.001 s")
-    assert runs.line() == "0 of about 5 runs, now f64 verlet 0.001 s for 0 s"
-    runs("f64 rk4 0.001 s")
+    runs("verlet in f64 at 0.001 s")
+    assert runs.line() == "0 of about 5 runs, verlet in f64 at 0.001 s, begun 0 s ago"
+    runs("rk4 in f64 at 0.001 s")
     runs.expect(-2)  # they would take too long
     assert runs.line().startswith("1 of about 3 runs")
     for _ in range(3):
-        runs("f64 xpbd 0.002 s")  # two more than expected
+        runs("xpbd in f64 at 0.002 s")  # two more than expected
     assert runs.line().startswith("4 of about 5 runs")
     runs.expect(4)
     assert runs.total == 9

@@ -24,7 +24,7 @@ class Runs(Work):
         self.done, self._begun = self._begun, self._begun + 1
         self.expect(-1)
         start = time.monotonic()
-        self.words = lambda: f"now {what} for {time.monotonic() - start:.0f} s"
+        self.words = lambda: f"{what}, begun {time.monotonic() - start:.0f} s ago"
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.quantities import measured, percent
+from taichi_sim.common.quantities import EXACT, measured, percent
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.findings import equal
@@ -92,9 +92,10 @@ def _outcome(compared: Compared, reference: Reference, row: Row, tolerance: floa
     value = measured(reference.motion, off, unit, "step")
     yield f"{'value':12} {compared.size_in_words()}: {value}"
     yield f"{'allowed':12} {measured(tolerance * reference.motion, unit=unit)}, {percent(tolerance)} of it"
-    found = measured(off, unit=unit)
-    share = percent(row.relative_error or 0.0)
-    yield f"{'found':12} {found}, {share} of it, the largest error at {reference.parts} times"
+    found = f"{measured(off, unit=unit)}, {percent(row.relative_error or 0.0)} of it"
+    if off <= EXACT * reference.motion:
+        found = "0, exact to rounding"
+    yield f"{'found':12} {found}, the largest of {reference.parts} sample times"
     yield f"{'cost':12} {row.seconds:.3g} s of {row.clock}, {row.passes or 0.0:.4g} passes over the forces, per simulated second"
 
 
