@@ -406,7 +406,9 @@ class Colliders(Protocol):
     shape: "ColliderShape"  # (count)
     pose: "ColliderPose"  # (count)
     grid: Field  # m, distances from meshes, one grid behind the other
-    near: Field  # the same: a triangle near the cell that begins there, where distances are taken from triangles, or -1
+    exact: Field  # the same: number of the cell that begins there, of those where distances are taken from triangles, or -1
+    cell: Field  # (2 such cells) a triangle near it, and its first leaf in `leaf`; no leaves where there are too many
+    leaf: Field  # nodes of trees that are leaves and may hold the closest triangle
     box: Field  # m, (6 nodes) of the trees of meshes, see contacts.triangle_tree
     link: Field  # (3 nodes)
     triangle: Field  # (30 triangles)
