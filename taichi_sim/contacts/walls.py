@@ -47,6 +47,8 @@ class Walls(Surfaces):
         if not self.has_colliders:
             self.clearance = fields.reals(model.n)
         self.touching = fields.integers(model.n)
+        if plan.reflects:
+            self.reflected = fields.vectors(model.n, model.dim)
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""

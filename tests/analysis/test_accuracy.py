@@ -302,9 +302,7 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     assert "stop it sooner" in deep[0]
     text = "\n".join(summary.lines())
     assert f"({depth:.2g} of a radius)" in text
-    assert (
-        "at the end: wrong; where something that moves squeezes them, stop it sooner; else take shorter steps" in text
-    )
+    assert " m: wrong; where something that moves squeezes them, stop it sooner; else take shorter steps" in text
     assert "lost" not in text  # a piston works
     assert "at t = 0.9 s ball" in deep[0]
 
