@@ -24,6 +24,7 @@ class Plan(Protocol):
     loaded: bool  # whether what forces add is told from impacts
     line_search: bool  # see impact_iterations
     limits_energy: bool  # see energy_limiter
+    reflects: bool  # whether impacts on walls throw back what forces did before them in the step
     gathers: bool  # whether both balls list a pair, and each sums what it gets
     by_colours: bool  # whether both list it, and pairs are solved in turn by colours
     atomic: bool  # whether impulses are added by atomics
@@ -513,6 +514,7 @@ class Walls(Protocol):
     touching: Field  # (n) number of surfaces that a ball touches: most touch none and are passed over
     crowded: Field  # (n) see kinds
     clearance: Field  # (n) m to the nearest wall, where there are no colliders: most balls cannot reach any in a step
+    reflected: Field  # vector (n) sqrt((1 + e) t / h) n of the last impact in this step, see impact
     rounding: float  # of a coordinate, as a part of it
     probed: bool  # whether probes ask for impulses
     received: "Received"  # these
