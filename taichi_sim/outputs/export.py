@@ -353,10 +353,10 @@ def export(
         for one in outputs:
             one.prepare(first, size, style)
         log, last = None, None
-        if outputs and all(one.path is not None for one in outputs):
+        if logged := [one for one in outputs if one.path is not None]:
             about = run_of(simulation, first, fps, size, style, duration if drawn_last else None)
-            last = shared_checkpoint(outputs, about, first, count, drawn_last)
-            log = Checkpoints(outputs, checkpoint)
+            last = shared_checkpoint(logged, about, first, count if len(logged) == len(outputs) else 0, drawn_last)
+            log = Checkpoints(logged, checkpoint) if len(logged) == len(outputs) else None
         if last is not None:
             if error:
                 raise SceneError("error", says="cannot be estimated in a run that is resumed; begin it anew")

@@ -372,17 +372,28 @@ def test_what_is_said_to_be_kept_is(tmp_path):
     assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 13
 
 
-def test_an_output_of_the_users_own_without_a_path_is_not_resumed_and_the_others_are_written(tmp_path):
+def test_beside_one_without_a_path_there_is_no_checkpoint_but_pictures_are_kept(tmp_path):
+    """Of the same run only."""
+
     class Nameless(Output):
         needs_image = False
 
         def write(self, index, frame, image):
             pass
 
-    Steady.ends = 13
-    with pytest.raises(KeyboardInterrupt):
-        export(Steady(), [open_output(tmp_path / "x.npz"), Nameless()], duration=29 / 60, checkpoint=1e-9)
-    assert not list(tmp_path.iterdir())
+    def exported(name, ends, resume=False, fps=60):
+        Steady.ends = ends
+        outputs = [open_output(tmp_path / name, resume=resume), Nameless()]
+        return export(Steady(), outputs, fps=fps, duration=0.5, size=SIZE, checkpoint=1e-9)
+
+    for name in ("x.npz", "x.mp4"):
+        with pytest.raises(KeyboardInterrupt):
+            exported(name, 13)
+    assert [path.name for path in tmp_path.iterdir()] == [".x.mp4.resume"]
+    with pytest.raises(ValueError, match=r"of another run, which differs in fps \(60.0 then, 30.0 now\)"):
+        exported("x.mp4", -1, resume=True, fps=30)
+    assert exported("x.mp4", -1, resume=True).resumed == 0
+    assert Remembers.last.drawn == list(range(13, 31))
 
 
 # What is complete --------------------------------------------------------------------------------------------------
