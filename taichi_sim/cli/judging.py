@@ -56,7 +56,7 @@ def report(
         if scene is not None:
             raise ValueError(f"report: --hard-cases takes no scene, but {scene!r} was given")
         takes_only(context, ("hard_cases", "scene"), "report: --hard-cases takes no other option")
-        from taichi_sim.reports.hard_cases import contacts as cases
+        from taichi_sim.benchmark.hard_cases import contacts as cases
 
         if not cases.main():
             raise typer.Exit(FAILED)

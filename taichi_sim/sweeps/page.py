@@ -9,9 +9,9 @@ from statistics import median
 from typing import Any
 
 from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.machine import processor
 from taichi_sim.common.quantities import measured
 from taichi_sim.common.version import __version__
-from taichi_sim.reports.machine import processor
 from taichi_sim.reports.speed_error.pages import HTML, Table, html_table
 from taichi_sim.reports.speed_error.plot import svg
 from taichi_sim.sweeps import figures

@@ -4,9 +4,9 @@ import pytest
 from physics_support import PRECISION
 
 from taichi_sim import Scene
-from taichi_sim.reports.hard_cases import case as hard_case
-from taichi_sim.reports.hard_cases import contacts as hard_cases
-from taichi_sim.reports.hard_cases import springs
+from taichi_sim.benchmark.hard_cases import case as hard_case
+from taichi_sim.benchmark.hard_cases import contacts as hard_cases
+from taichi_sim.benchmark.hard_cases import springs
 
 pytestmark = pytest.mark.long_in("f32")
 

@@ -5,9 +5,9 @@ import platform
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from taichi_sim.common.machine import processor
 from taichi_sim.common.quantities import measured
 from taichi_sim.common.version import __version__
-from taichi_sim.reports.machine import processor
 from taichi_sim.reports.speed_error import plot
 from taichi_sim.reports.speed_error.findings import Findings, choice, in_unit
 from taichi_sim.reports.speed_error.folder import Folder

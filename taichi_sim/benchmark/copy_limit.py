@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from taichi_sim.benchmark.table import Report, elapsed
 from taichi_sim.common.memory import available
 from taichi_sim.device import backend
 from taichi_sim.device.devices import find
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.reports.bench.table import Report, elapsed
 
 FULL, SMALL = 256 << 20, 16 << 20  # bytes of each of the two fields; caches hold less than the first
 COPIES, TIMINGS = 20, 5

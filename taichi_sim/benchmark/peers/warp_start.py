@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.benchmark.peers import PeerMissingError
 
 try:
     import warp as wp

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Balls
-from taichi_sim.reports.peers.warp_start import on_cpu, wp
+from taichi_sim.benchmark.cases import Balls
+from taichi_sim.benchmark.peers.warp_start import on_cpu, wp
 
 wp.set_module_options({"enable_backward": False})
 

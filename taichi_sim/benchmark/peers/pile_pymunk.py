@@ -4,8 +4,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Balls
-from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.benchmark.cases import Balls
+from taichi_sim.benchmark.peers import PeerMissingError
 
 try:
     import pymunk

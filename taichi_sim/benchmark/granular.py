@@ -5,12 +5,12 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from taichi_sim.reports.bench import cases
-from taichi_sim.reports.bench.ours import ball_step
-from taichi_sim.reports.bench.table import REPEATS, Report, count_of, elapsed
+from taichi_sim.benchmark import cases
+from taichi_sim.benchmark.ours import ball_step
+from taichi_sim.benchmark.peers import PeerMissingError
+from taichi_sim.benchmark.peers.granular_lammps import GranularLammps, time_step, write_data
+from taichi_sim.benchmark.table import REPEATS, Report, count_of, elapsed
 from taichi_sim.reports.memory import breakdown
-from taichi_sim.reports.peers import PeerMissingError
-from taichi_sim.reports.peers.granular_lammps import GranularLammps, time_step, write_data
 
 SETTLE = 300  # steps before anyone is timed; LAMMPS starts from where ours have come to
 STEPS = 10  # in each timing; LAMMPS's are shorter in simulated time

@@ -6,8 +6,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Cloth, HalfSprings
-from taichi_sim.reports.peers.warp_start import on_cpu, wp
+from taichi_sim.benchmark.cases import Cloth, HalfSprings
+from taichi_sim.benchmark.peers.warp_start import on_cpu, wp
 
 wp.set_module_options({"enable_backward": False})
 

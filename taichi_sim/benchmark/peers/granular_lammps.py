@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Balls
-from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.benchmark.cases import Balls
+from taichi_sim.benchmark.peers import PeerMissingError
 
 STIFFNESS = 3e4  # m g / d: the lowest of 100 layers then overlap by 0.3 % of a radius, as they do in the program
 STEPS_PER_CONTACT = 40  # of half an oscillation, a usual choice

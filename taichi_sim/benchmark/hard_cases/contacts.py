@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.hard_cases import places
-from taichi_sim.reports.hard_cases import springs as hard_springs
-from taichi_sim.reports.hard_cases.case import (
+from taichi_sim.benchmark.hard_cases import extreme_sizes
+from taichi_sim.benchmark.hard_cases import springs as hard_springs
+from taichi_sim.benchmark.hard_cases.case import (
     Case,
     G,
     H,
@@ -258,11 +258,11 @@ CASES = (
     Case("crushing piston, then release", "v <= sqrt(2 E / m)", piston),
     Case("everything pinned", "no motion", all_pinned),
     Case("empty scene", "steps and does nothing", empty),
-    Case("world offset by 1e6 m", "f64: the run at the origin to 1e-9; f32: warned", places.world_offset),
-    Case("radius 1e-4 m in a 1e4 m world", "right pairs, by brute force", places.tiny_in_a_large_world),
-    Case("radii 1:1000", "right pairs, by brute force", places.radii_from_1_to_1000),
-    Case("negative coordinates", "right pairs, by brute force", places.negative_coordinates),
-    Case("1e6 balls in one cell", "no wrong pair, in 10 minutes", places.crowded_cell),
+    Case("world offset by 1e6 m", "f64: the run at the origin to 1e-9; f32: warned", extreme_sizes.world_offset),
+    Case("radius 1e-4 m in a 1e4 m world", "right pairs, by brute force", extreme_sizes.tiny_in_a_large_world),
+    Case("radii 1:1000", "right pairs, by brute force", extreme_sizes.radii_from_1_to_1000),
+    Case("negative coordinates", "right pairs, by brute force", extreme_sizes.negative_coordinates),
+    Case("1e6 balls in one cell", "no wrong pair, in 10 minutes", extreme_sizes.crowded_cell),
 )
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from physics_support import F64
 
-from taichi_sim.reports.bench import cases, main
-from taichi_sim.reports.bench.piles import Lie, PileReport, overlaps
-from taichi_sim.reports.bench.stiff_cloth import stiff_scene
-from taichi_sim.reports.peers import PeerMissingError, granular_lammps
+from taichi_sim.benchmark import cases, main
+from taichi_sim.benchmark.peers import PeerMissingError, granular_lammps
+from taichi_sim.benchmark.piles import Lie, PileReport, overlaps
+from taichi_sim.benchmark.stiff_cloth import stiff_scene
 
 pytestmark = pytest.mark.once
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.bench.cases import Cloth, HalfSprings
-from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.benchmark.cases import Cloth, HalfSprings
+from taichi_sim.benchmark.peers import PeerMissingError
 
 # -ffast-math lets the compiler vectorise the sum over a ball's springs and made the loop 1.2 times as fast (gcc 12).
 # It is given when compiling only: when linking it would switch denormal numbers off for the whole process.

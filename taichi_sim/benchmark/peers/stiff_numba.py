@@ -5,7 +5,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.benchmark.peers import PeerMissingError
 from taichi_sim.scene.scene import Scene
 
 try:

@@ -16,22 +16,16 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.common.atomic_file import replacing, require_place
-from taichi_sim.common.errors import BackendError
-from taichi_sim.common.memory import available
-from taichi_sim.device import backend
-from taichi_sim.device.devices import find
-from taichi_sim.device.engine import ENGINE
-from taichi_sim.render import Renderer
-from taichi_sim.reports.bench import cases
-from taichi_sim.reports.bench.checks import Checks, check_device
-from taichi_sim.reports.bench.copy_limit import bandwidth, copy_report
-from taichi_sim.reports.bench.granular import granular_report
-from taichi_sim.reports.bench.launches import launch_report
-from taichi_sim.reports.bench.ours import ContactPass, ball_step, cloth_step
-from taichi_sim.reports.bench.piles import pile_report
-from taichi_sim.reports.bench.runs import runs_report
-from taichi_sim.reports.bench.scale import (
+from taichi_sim.benchmark import cases
+from taichi_sim.benchmark.checks import Checks, check_device
+from taichi_sim.benchmark.copy_limit import bandwidth, copy_report
+from taichi_sim.benchmark.granular import granular_report
+from taichi_sim.benchmark.launches import launch_report
+from taichi_sim.benchmark.ours import ContactPass, ball_step, cloth_step
+from taichi_sim.benchmark.peers import PeerMissingError
+from taichi_sim.benchmark.piles import pile_report
+from taichi_sim.benchmark.runs import runs_report
+from taichi_sim.benchmark.scale import (
     drape_report,
     hanging_report,
     jelly_report,
@@ -39,10 +33,16 @@ from taichi_sim.reports.bench.scale import (
     surfaces_report,
     video_report,
 )
-from taichi_sim.reports.bench.stiff_cloth import stiff_report
-from taichi_sim.reports.bench.table import Report, count_of, difference, peer
-from taichi_sim.reports.machine import processor
-from taichi_sim.reports.peers import PeerMissingError
+from taichi_sim.benchmark.stiff_cloth import stiff_report
+from taichi_sim.benchmark.table import Report, count_of, difference, peer
+from taichi_sim.common.atomic_file import replacing, require_place
+from taichi_sim.common.errors import BackendError
+from taichi_sim.common.machine import processor
+from taichi_sim.common.memory import available
+from taichi_sim.device import backend
+from taichi_sim.device.devices import find
+from taichi_sim.device.engine import ENGINE
+from taichi_sim.render import Renderer
 
 CPU_PEERS = "peers that run on the CPU only are left out"
 DEVICE_STEPS = 256  # of springs in each timing, which ends with a look at the state; a run has one in as many
@@ -240,7 +240,7 @@ def versions(packages: Iterable[str]) -> dict[str, str | None]:
 def head_line() -> str:
     """Processor, versions and date."""
     try:
-        from taichi_sim.reports.peers.cloth_openmp import compiler
+        from taichi_sim.benchmark.peers.cloth_openmp import compiler
 
         cc = compiler()
     except PeerMissingError:

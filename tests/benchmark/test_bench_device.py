@@ -9,13 +9,13 @@ import known_launches
 import numpy as np
 import pytest
 
+from taichi_sim.benchmark import checks, copy_limit, launch_counts, main
+from taichi_sim.benchmark.launches import Row, launch_report
+from taichi_sim.benchmark.table import Report, peer
 from taichi_sim.common.errors import BackendError
-from taichi_sim.device import backend, launch_counts
+from taichi_sim.device import backend
 from taichi_sim.device.devices import find
 from taichi_sim.device.engine import ENGINE
-from taichi_sim.reports.bench import checks, copy_limit, main
-from taichi_sim.reports.bench.launches import Row, launch_report
-from taichi_sim.reports.bench.table import Report, peer
 
 EXPECTED = {  # launches, of these on one thread, waits
     "nothing": [0, 0, 0],
@@ -164,7 +164,7 @@ def test_a_case_of_the_cpu_is_refused_on_a_device():
 @pytest.mark.once
 def test_the_cuda_kernel_says_what_is_lacking(monkeypatch):
     monkeypatch.setitem(sys.modules, "cupy", None)  # as if it were not installed
-    monkeypatch.delitem(sys.modules, "taichi_sim.reports.peers.cloth_cuda", raising=False)
+    monkeypatch.delitem(sys.modules, "taichi_sim.benchmark.peers.cloth_cuda", raising=False)
     report = Report("springs")
     report.enter("CUDA written by hand", peer("cloth_cuda.ClothCuda", None, None), 1, 1)
     assert not report.entries

@@ -1,6 +1,6 @@
 """The benchmark's count of launches: loops that a substep starts on the device, those on one thread, and waits of the host.
 
-    TI_KERNEL_PROFILER=1 python -m taichi_sim.reports.bench.launches cuda full
+    TI_KERNEL_PROFILER=1 python -m taichi_sim.benchmark.launches cuda full
 
 prints one line of JSON, a list of `Row`s. The benchmark runs it so, since the engine's profiler slows all that a process does.
 """
@@ -14,14 +14,14 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from taichi_sim.benchmark import cases
+from taichi_sim.benchmark.launch_counts import PROFILED, Counts, count
+from taichi_sim.benchmark.ours import Ours, ball_step, cloth_step
+from taichi_sim.benchmark.scale import surfaces_scene
+from taichi_sim.benchmark.stiff_cloth import OURS, TASKS, T, stiff_scene
+from taichi_sim.benchmark.table import Report, count_of
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device.engine import ENGINE
-from taichi_sim.device.launch_counts import PROFILED, Counts, count
-from taichi_sim.reports.bench import cases
-from taichi_sim.reports.bench.ours import Ours, ball_step, cloth_step
-from taichi_sim.reports.bench.scale import surfaces_scene
-from taichi_sim.reports.bench.stiff_cloth import OURS, TASKS, T, stiff_scene
-from taichi_sim.reports.bench.table import Report, count_of
 
 STEPS = 64  # counted after as many; the run looks at the state once in them
 ITERATIONS = 4  # of contacts in the pile

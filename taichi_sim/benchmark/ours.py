@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.benchmark.cases import Balls, Cloth
 from taichi_sim.device.engine import ti
-from taichi_sim.reports.bench.cases import Balls, Cloth
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.simulation import Simulation

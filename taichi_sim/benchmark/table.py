@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from taichi_sim.reports.peers import PeerMissingError, Runner
+from taichi_sim.benchmark.peers import PeerMissingError, Runner
 
 REPEATS = 5
 RATES: dict[str, Callable[[float], str]] = {  # how they are shown, in the order of the columns
@@ -160,10 +160,10 @@ def count_of(number: int, what: str, ending: str = "s") -> str:
 
 
 def peer(place: str, *arguments: Any, **options: Any) -> Callable[[], Runner]:
-    """What makes a peer, a class like "cloth_warp.ClothWarp" of `reports.peers`; what it needs may be missing, so its module is
+    """What makes a peer, a class like "cloth_warp.ClothWarp" of `benchmark.peers`; what it needs may be missing, so its module is
     imported only then."""
     module, name = place.split(".")
-    return lambda: getattr(import_module(f"taichi_sim.reports.peers.{module}"), name)(*arguments, **options)
+    return lambda: getattr(import_module(f"taichi_sim.benchmark.peers.{module}"), name)(*arguments, **options)
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> float:
