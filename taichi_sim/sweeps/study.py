@@ -13,7 +13,7 @@ from taichi_sim.files.source import checked_output
 from taichi_sim.scene.scene import Scene
 from taichi_sim.sweeps.cluster import BATCH, connected, place, require_workers
 from taichi_sim.sweeps.design import Axis
-from taichi_sim.sweeps.folder import Folder
+from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import Measures, measures_of
 from taichi_sim.sweeps.points import Job, Point, Row
 from taichi_sim.sweeps.subject import Subject, lasting, subject_of
@@ -32,7 +32,7 @@ class Study:
         subject: Subject,
         measures: Measures,
         job: Job,
-        kept: Folder,
+        kept: SweepFolder,
         kinds: Mapping[str, Mapping[str, int]],
         connect: Callable[[], Any],
         say: Callable[[str], None],
@@ -109,7 +109,7 @@ def open_study(
         kinds, first = _tried(subject, axes, seeds, given)
         measures = measures_of(measure, first)
         home = aside / "study" if folder is None else Path(folder)
-        kept = Folder(
+        kept = SweepFolder(
             home,
             {
                 "scene": subject.name,

@@ -18,7 +18,7 @@ import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
 from taichi_sim.files.parameters import put
 from taichi_sim.sweeps.cluster import Workers, _answers
-from taichi_sim.sweeps.folder import Folder
+from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
 from taichi_sim.sweeps.subject import FileSubject, subject_of
@@ -288,7 +288,7 @@ def test_folders_that_cannot_be_used(tmp_path):
 
 def test_batches_become_one_file_and_damage_is_told(tmp_path):
     about = {"scene": "x"}
-    folder = Folder(tmp_path / "s", about)
+    folder = SweepFolder(tmp_path / "s", about)
     folder.begin()
     points = [Point({"a": k}) for k in range(4)]
     for k in (0, 2):
@@ -296,7 +296,7 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
             folder.batches, [Row.of(point, measures={"m": float("nan")}) for point in points[k : k + 2]], folder.mark
         )
     folder.close()
-    again = Folder(tmp_path / "s", about)
+    again = SweepFolder(tmp_path / "s", about)
     assert len(again.rows) == 4
     again.begin()
     assert not list(again.batches.iterdir())
@@ -319,12 +319,12 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
         assert damage != text
         (tmp_path / "s" / "rows.jsonl").write_text(damage)
         with pytest.raises(ts.SceneError, match=r"rows\.jsonl: is damaged; delete it"):
-            Folder(tmp_path / "s", about)
+            SweepFolder(tmp_path / "s", about)
     (tmp_path / "s" / "rows.jsonl").write_text(text)
     for damage in ("[1]", "[" * 50_000, "{", "null"):
         (tmp_path / "s" / "sweep.json").write_text(damage)
-        with pytest.raises(ts.SceneError, match=r"sweep\.json: is damaged .*; use --overwrite or another folder"):
-            Folder(tmp_path / "s", about)
+        with pytest.raises(ts.SceneError, match=r"sweep\.json: is damaged; use --overwrite or another folder"):
+            SweepFolder(tmp_path / "s", about)
 
 
 @pytest.mark.parametrize("number", [9, 300])
@@ -346,7 +346,7 @@ def test_points_of_a_scene_are_opened_without_a_folder(number):
 
 
 def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
-    folder = Folder(tmp_path / "s", {"scene": "x"})
+    folder = SweepFolder(tmp_path / "s", {"scene": "x"})
     folder.begin()
     points = [Point({"a": k}) for k in range(3)]
     keep_batch(folder.batches, [Row.of(point) for point in points[:2]], folder.mark)
@@ -354,22 +354,22 @@ def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
     folder.finish(points)
     folder.close()
     assert len(table(tmp_path / "s")) == 3
-    assert len(Folder(tmp_path / "s", {"scene": "x"}).rows) == 3
+    assert len(SweepFolder(tmp_path / "s", {"scene": "x"}).rows) == 3
 
 
 @pytest.mark.once
 def test_batches_of_another_sweep_and_rows_without_a_file(tmp_path):
     """What a worker of an overwritten sweep writes late is not this one's; a row that says its worker was killed is kept."""
-    before = Folder(tmp_path / "s", {"duration": 1})
+    before = SweepFolder(tmp_path / "s", {"duration": 1})
     before.begin()
     before.close()
-    now = Folder(tmp_path / "s", {"duration": 2}, overwrite=True)
+    now = SweepFolder(tmp_path / "s", {"duration": 2}, overwrite=True)
     now.begin()
     keep_batch(now.batches, [Row.of(Point({"a": 1}), measures={"m": 1.0})], before.mark)
     now.add([Row.of(Point({"a": 2}), error="its worker ended 4 times")])
     now.finish([Point({"a": 1}), Point({"a": 2})])
     now.close()
-    again = Folder(tmp_path / "s", {"duration": 2})
+    again = SweepFolder(tmp_path / "s", {"duration": 2})
     assert [row.parameters["a"] for row in again.rows.values()] == [2]
     again.begin()
     assert not list(again.batches.iterdir())
@@ -573,7 +573,7 @@ def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path
         ts.sweep(heap(restitution=0.9), {"gravity[1]": [-9.0]}, duration=0.02, folder=folder, **HERE)
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
     about = json.loads((folder / "sweep.json").read_text())
-    writing = Folder(folder, about)
+    writing = SweepFolder(folder, about)
     writing.begin()
     with pytest.raises(OSError, match="another sweep is writing it"):
         ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)

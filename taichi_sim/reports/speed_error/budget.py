@@ -33,7 +33,7 @@ class Budget:
     time: float  # s
     method: str
     step_length: float  # s
-    step: float | None
+    step: float | None = None
     mesh: float | None = None
     order: float | None = None
     single: float | None = None

@@ -18,7 +18,7 @@ def measure(
     study: Study, reference: Reference, precision: str, method: str, step: Step, most: float | None = None
 ) -> Row:
     """Run one method with one step for at most so many seconds, and say what it cost and how far it was off."""
-    outcome = study.run(precision, method, step, most=most or study.plan.most, timed=True)
+    outcome = study.run(precision, method, step, most=most or study.plan.most, keep=False, timed=True)
     return row_of(study, reference, outcome, precision, method, step)
 
 

@@ -10,7 +10,7 @@ from taichi_sim.common.quantities import measured
 from taichi_sim.common.version import __version__
 from taichi_sim.reports.speed_error import plot
 from taichi_sim.reports.speed_error.findings import Findings, choice, in_unit
-from taichi_sim.reports.speed_error.folder import Folder
+from taichi_sim.reports.speed_error.folder import ReportFolder
 from taichi_sim.reports.speed_error.rows import UNSTABLE, Row
 from taichi_sim.reports.speed_error.statistics import QUANTITIES
 
@@ -40,7 +40,7 @@ processor, all threads together (on a GPU: wall time), the least of repeated run
 a usual run takes longer. Bold: on the Pareto front."""
 
 
-def write_pages(findings: Findings, folder: Folder) -> None:
+def write_pages(findings: Findings, folder: ReportFolder) -> None:
     """Both pages and both pictures, each complete when it appears."""
     figure = plot.draw(findings)
     files: dict[str, bytes] = {}

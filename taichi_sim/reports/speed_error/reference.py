@@ -156,11 +156,11 @@ def _reference(study: Study, method: str, step: Step, coarse: Outcome, fine: Out
         step.seconds / 2.0,
         study.size,
         position=np.array(fine.position),
-        quantity=np.array(fine.quantity) if fine.quantity else np.zeros((PARTS, 0)),
+        quantity=np.array(fine.quantity) if len(fine.quantity) else np.zeros((PARTS, 0)),
         energy=np.array(fine.energy),
         difference=np.array([rms(error) for error in study.compared.errors(coarse, fine)]),
         displacement=_motion(study, fine),
         parting=parting,
-        contacts=max(number for number, _ in fine.contacts),
+        contacts=int(max(number for number, _ in fine.contacts)),
         touch=fine.touch,
     )

@@ -15,15 +15,16 @@ from taichi_sim.reports.speed_error import statistics
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.findings import Findings
-from taichi_sim.reports.speed_error.folder import Folder
+from taichi_sim.reports.speed_error.folder import ReportFolder
 from taichi_sim.reports.speed_error.measure import measure, row_of
-from taichi_sim.reports.speed_error.plan import Plan, fitting, key_of, own_step, steps_of
+from taichi_sim.reports.speed_error.plan import Plan, about, fitting, own_step, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.resolution import Finer
 from taichi_sim.reports.speed_error.rows import LEFT_OUT
 from taichi_sim.reports.speed_error.study import Study
 from taichi_sim.reports.speed_error.worker import Outcome, Workers
 from taichi_sim.scene.scene import Scene
+from taichi_sim.studies.records import packed
 
 Say = Callable[[str], None]
 MESH_PATIENCE = 15.0  # times --limit that the run of a finer mesh may take
@@ -46,29 +47,27 @@ def main(
     """
     from taichi_sim.reports.speed_error.pages import write_pages
 
-    with closing(Folder(out, key_of(scene, plan), overwrite)) as folder:
+    with closing(ReportFolder(out, about(scene, plan), overwrite)) as folder:
         with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
-            findings = _run_all(Study(scene, plan, workers, folder.outcomes), folder, say, step_done, meshes)
+            findings = _run_all(Study(scene, plan, workers, folder), folder, say, step_done, meshes)
         write_pages(findings, folder)
-        if folder.rows:
-            folder.complete(findings.rows)
-        folder.outcomes.forget()
+        folder.complete(findings.rows)
     say("\n".join(findings.lines()))
     say(f"written      {out / 'report.html'}, report.md, rows.csv, error.svg, error.png")
     return findings
 
 
 def _run_all(
-    study: Study, folder: Folder, say: Say, step_done: Callable[[str], None], meshes: Sequence[Finer]
+    study: Study, folder: ReportFolder, say: Say, step_done: Callable[[str], None], meshes: Sequence[Finer]
 ) -> Findings:
     """All runs that the folder does not hold yet."""
     scene, plan = study.scene, study.plan
-    reference = folder.reference()
+    reference = folder.record_in("reference.npz", Reference)
     if reference is None:
         reference = references.make(study)
-        folder.keep_reference(reference)
+        folder.write("reference.npz", packed(vars(reference)))
     seeds: list[statistics.Seed] = []
-    budget = folder.budget()
+    budget = folder.record_in("budget.npz", Budget)
     if reference.moves(scene):
         own, step = study.own_step()
         runs: dict[str, Outcome] = {}
@@ -87,7 +86,7 @@ def _run_all(
         if meshes and budget is not None and budget.mesh is None and not budget.why:
             budget = _with_mesh(study, reference, budget, meshes, step_done)
         if budget is not None:
-            folder.keep_budget(budget)
+            folder.write("budget.npz", packed(vars(budget)))
     asked = [row for row in folder.rows if row.method in plan.methods and row.precision in plan.precisions]
     ordered = table.with_orders(asked, reference.known)
     return Findings(plan, scene, reference, ordered, statistics.intervals(seeds), budget)
@@ -116,7 +115,7 @@ def _with_mesh(
     return replace(budget, mesh=error, order=order, why=why)
 
 
-def _rows(study: Study, folder: Folder, reference: Reference, precision: str) -> None:
+def _rows(study: Study, folder: ReportFolder, reference: Reference, precision: str) -> None:
     """Each method from its longest step on, until one takes too long: those after it take longer still."""
     for method in study.plan.methods:
         too_long = None
@@ -141,14 +140,14 @@ def _needs_statistics(reference: Reference, rows: list[table.Row]) -> bool:
     return reference.chaotic or bool(reference.contacts or stuck)
 
 
-def _seeds(study: Study, folder: Folder, precision: str) -> list[statistics.Seed]:
-    seeds = folder.table("seeds.csv", statistics.Seed)
+def _seeds(study: Study, folder: ReportFolder, precision: str) -> list[statistics.Seed]:
+    seeds = folder.rows_in("seeds.jsonl", statistics.Seed)
     for method, step in statistics.steps_of_seeds(study):
         for number in range(statistics.SEEDS):
             own = [seed for seed in seeds if seed.key[:3] == (precision, method, step.seconds)]
             if not any(seed.failed or seed.seed == number for seed in own):
                 seeds.append(statistics.one_seed(study, precision, method, step, number))
-                folder.keep_table("seeds.csv", statistics.Seed, seeds)
+                folder.keep_table("seeds", seeds)
     return seeds
 
 

@@ -66,7 +66,7 @@ def steps_of_seeds(study: Study) -> list[tuple[str, Step]]:
 def one_seed(study: Study, precision: str, method: str, step: Step, seed: int) -> Seed:
     """Run one method from one start."""
     start, scene = study.apart(STARTS_APART, seed), study.scene
-    outcome = study.run(precision, method, step, start=start, most=study.plan.most, contacts=True)
+    outcome = study.run(precision, method, step, keep=False, start=start, most=study.plan.most, contacts=True)
     failed = outcome.unstable or outcome.left_out
     if failed:
         return Seed(precision, method, step.seconds, seed, np.nan, np.nan, np.nan, np.nan, failed)

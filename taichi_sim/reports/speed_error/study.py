@@ -8,20 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.reports.speed_error.compared import Compared
-from taichi_sim.reports.speed_error.kept_outcomes import KeptOutcomes
+from taichi_sim.reports.speed_error.folder import RUN, ReportFolder
 from taichi_sim.reports.speed_error.plan import Plan, Step, fitting, own_step, size_of
 from taichi_sim.reports.speed_error.worker import Outcome, Trial, Workers
 from taichi_sim.scene.scene import Scene
+from taichi_sim.studies.records import packed
 
 
 @dataclass(frozen=True)
 class Study:
-    """A scene, what is asked of it, and who runs it. kept: where outcomes are kept for a report that was interrupted."""
+    """A scene, what is asked of it, and who runs it. folder: of a report, which keeps what was run."""
 
     scene: Scene
     plan: Plan
     workers: Workers
-    kept: KeptOutcomes | None = None
+    folder: ReportFolder | None = None
 
     @cached_property
     def compared(self) -> Compared:
@@ -38,15 +39,17 @@ class Study:
         method, seconds = own_step(self.scene, method)
         return method, fitting(self.plan.duration, seconds)
 
-    def run(self, precision: str, method: str, step: Step, **how: Any) -> Outcome:
-        """One trial, see `Trial`, or what is kept of it. Timed ones are not kept: they become rows."""
+    def run(self, precision: str, method: str, step: Step, *, keep: bool = True, **how: Any) -> Outcome:
+        """One trial, see `Trial`, or what the folder keeps of it. keep: False for one that becomes a row at once."""
         trial = Trial(method, step, **how)
-        kept = None if trial.timed else self.kept
-        found = None if kept is None else kept.find(precision, trial)
+        if self.folder is None or not keep:
+            return self.workers.run(precision, trial)
+        name = f"{RUN}{trial.digest(precision)}.npz"
+        found = self.folder.record_in(name, Outcome)
         if found is None:
             found = self.workers.run(precision, trial)
-            if kept is not None and not found.left_out:
-                kept.keep(precision, trial, found)
+            if not found.left_out:
+                self.folder.write(name, packed(found._asdict()))
         return found
 
     def apart(self, share: float, seed: int) -> NDArray[np.float64]:

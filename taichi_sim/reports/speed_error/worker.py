@@ -3,6 +3,7 @@
 It is spawned, never forked: a child forked after Taichi has started hangs. Each method is compiled once, its steps are changed.
 """
 
+import hashlib
 import multiprocessing
 import signal
 import time
@@ -42,6 +43,12 @@ class Trial(NamedTuple):
     most: float = np.inf
     contacts: bool = False
     timed: bool = False
+
+    def digest(self, precision: str) -> str:
+        """Name of what it comes to in this precision."""
+        start = "" if self.start is None else hashlib.sha256(np.ascontiguousarray(self.start).tobytes()).hexdigest()
+        about = repr((precision, self.method, self.step, self.most, self.contacts, start))
+        return hashlib.sha256(about.encode()).hexdigest()[:16]
 
 
 class Outcome(NamedTuple):
