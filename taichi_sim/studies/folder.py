@@ -62,12 +62,12 @@ class StudyFolder:
         self._lock = lock(self.path / LOCK, says)
         if self._overwrite:
             self.empty()
-        self.write(self.record, json.dumps(self.about, indent=1).encode())
         self.prepare()
+        self.write(self.record, json.dumps(self.about, indent=1).encode())
         self.begun = True
 
     def prepare(self) -> None:
-        """Do what else must be done before the first row is kept."""
+        """Do what else must be done before the folder is this study's."""
 
     def empty(self) -> None:
         """Remove all files of the study."""

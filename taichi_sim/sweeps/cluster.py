@@ -1,16 +1,15 @@
-"""Where points are run: in this process, or by the workers of Dask, on this machine or a cluster."""
+"""Where tasks are done: in this process, or by the workers of Dask, on this machine or a cluster."""
 
 import logging
 import os
 import platform
 from asyncio import TimeoutError
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 from urllib.request import ProxyHandler, build_opener
 
@@ -18,43 +17,32 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.common.signals import heard, without_interrupts
 from taichi_sim.common.version import __version__
-from taichi_sim.sweeps.points import Job, Point, Row, Runner, batch_file, keep_batch, run_batch
 
 __all__ = ["Here", "Workers", "connected", "place", "require_workers"]
 
-BATCH = 20  # points of a task
 AHEAD = 3  # tasks for each worker that wait for it
-MOST_REPEATS = 3  # of a point whose worker ended
+MOST_REPEATS = 3  # of a task whose worker ended
 PATIENCE = 10.0  # s, for a scheduler
-LOST = "the scheduler was lost"
+Task = Any
+Work = Callable[[Task], Any]
 
 
 class Here:
-    """Points one after another in this process."""
+    """Tasks one after another in this process."""
 
-    said, number = "in this process", 1
+    said, number, apart = "in this process", 1, False
 
-    def __init__(self) -> None:
-        self._runner: Runner | None = None
-
-    def run(self, job: Job, batches: Sequence[Sequence[Point]]) -> Iterator[list[Row]]:
-        """Rows, batch by batch."""
-        if self._runner is None:
-            self._runner = Runner(job)
-        for batch in batches:
-            rows = [self._runner.run(point) for point in batch]
-            if job.folder is not None:
-                keep_batch(Path(job.folder), rows, job.mark)
-            yield rows
-
-    def close(self) -> None:
-        """Give the memory back."""
-        if self._runner is not None:
-            self._runner.close()
+    def run(self, work: Work, waiting: deque[Task], what: str) -> Iterator[tuple[Task, Any]]:
+        """Each task with what `work` makes of it. More may be put into `waiting` meanwhile. what: the work, for messages."""
+        while waiting:
+            task = waiting.popleft()
+            yield task, work(task)
 
 
 class Workers:
-    """Points by Dask's workers. watched: whether there is a dashboard."""
+    """Tasks by Dask's workers. watched: whether there is a dashboard."""
+
+    apart = True
 
     def __init__(self, client: Any, number: int, watched: bool) -> None:
         self.client, self.number, self.watched = client, number, watched
@@ -65,64 +53,43 @@ class Workers:
         workers = f"{self.number} worker{'s' * (self.number != 1)}"
         return f"{workers}, {self.client.dashboard_link}" if self.watched else workers
 
-    def run(self, job: Job, batches: Sequence[Sequence[Point]]) -> Iterator[list[Row]]:
-        """Rows, batch by batch. A batch whose worker ended is repeated, point by point, elsewhere; a point that ends its worker
-        again and again becomes a row that says so."""
-        from distributed import KilledWorker, as_completed
+    def run(self, work: Work, waiting: deque[Task], what: str) -> Iterator[tuple[Task, Any]]:
+        """As `Here.run`, in the order in which tasks end; None for a task whose worker ended, which may be put into `waiting`
+        again. Raises BackendError where `work` fails, or the scheduler is lost."""
+        from distributed import as_completed
         from distributed.comm import CommClosedError
 
-        waiting: deque[Sequence[Point]] = deque(batches)
-        repeated: dict[str, int] = {}
-        running: dict[Any, Sequence[Point]] = {}
+        running: dict[Any, Task] = {}
         done = as_completed()
-
-        def submit() -> None:
-            while waiting and len(running) < (1 + AHEAD) * self.number:
-                batch = waiting.popleft()
-                future = self.client.submit(run_batch, job, batch, pure=False, retries=0)
-                running[future] = batch
-                done.add(future)
-
-        submit()
         try:
-            while running:
+            while waiting or running:
+                while waiting and len(running) < (1 + AHEAD) * self.number:
+                    task = waiting.popleft()
+                    future = self.client.submit(work, task, pure=False, retries=0)
+                    running[future] = task
+                    done.add(future)
                 future = next(done)
-                batch = running.pop(future)
-                rows = problem = None
-                if future.status == "finished":
-                    with suppress(KilledWorker):  # it ended before its rows were fetched
-                        rows = future.result()
-                if rows is not None:
-                    if job.folder is not None:
-                        keep_where_missing(Path(job.folder), rows, job.mark)
-                    yield rows
-                elif future.status == "error" and not isinstance(problem := future.exception(), KilledWorker):
-                    raise BackendError(f"sweep: a worker failed: {problem}")
-                elif future.status == "cancelled" and self.client.status != "running":
-                    raise CancelledError
-                else:  # its worker ended, or was lost
-                    yield [row for point in batch for row in self._again(point, repeated, waiting)]
-                submit()
+                yield running.pop(future), self._result(future, what)
         except (CancelledError, CommClosedError):
-            raise BackendError(f"sweep: {LOST}; the same command goes on once there is one") from None
+            raise BackendError(
+                f"{what}: the scheduler was lost; give the same command again once there is one"
+            ) from None
         finally:
-            with suppress(Exception):
+            with suppress(Exception):  # the scheduler may have gone
                 self.client.cancel(list(running))
 
-    def _again(self, point: Point, repeated: dict[str, int], waiting: deque[Sequence[Point]]) -> Iterator[Row]:
-        """Let a point be repeated by itself; its row where that was done often enough."""
-        repeated[point.key] = repeated.get(point.key, 0) + 1
-        if repeated[point.key] > MOST_REPEATS:
-            times = repeated[point.key]
-            yield Row.of(point, error=f"its worker ended {times} times: killed, or out of memory")
-        else:
-            waiting.append([point])
+    def _result(self, future: Any, what: str) -> Any:
+        """What a task came to; None where its worker ended, or was lost."""
+        from distributed import KilledWorker
 
-
-def keep_where_missing(folder: Path, rows: Sequence[Row], mark: str) -> None:
-    """Workers on machines that do not see the folder leave their rows to this process."""
-    if not batch_file(folder, rows, mark).is_file():
-        keep_batch(folder, rows, mark)
+        if future.status == "finished":
+            with suppress(KilledWorker):  # it ended before its result was fetched
+                return future.result()
+        if future.status == "error" and not isinstance(problem := future.exception(), KilledWorker):
+            raise BackendError(f"{what}: a worker failed: {problem}")
+        if future.status == "cancelled" and self.client.status != "running":
+            raise CancelledError
+        return None
 
 
 def versions() -> dict[str, str]:
@@ -144,11 +111,10 @@ def place(scheduler: str | None, workers: int | None) -> tuple[str | None, int |
 
 @contextmanager
 def connected(scheduler: str | None, workers: int | None, say: Callable[[str], None]) -> Iterator[Any]:
-    """What runs points: with 0 workers this process; a number of processes of this machine, None: one for each core; or those
+    """What does tasks: with 0 workers this process; a number of processes of this machine, None: one for each core; or those
     of a scheduler. Raises SceneError or BackendError where that is not possible."""
     if workers == 0 and scheduler is None:
-        with closing(Here()) as here:
-            yield here
+        yield Here()
         return
     dask, distributed = _packages()
     # logs of lost workers are ours to tell

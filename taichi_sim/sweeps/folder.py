@@ -45,12 +45,15 @@ class SweepFolder(StudyFolder):
         """Names of files that workers of this sweep have written."""
         return sorted(f"{BATCHES}/{file.name}" for file in self.batches.glob(f"{self.mark}*.jsonl"))
 
+    def begin(self) -> None:
+        super().begin()
+        self._compact()
+
     def prepare(self) -> None:
         """Make the folder of batches, without those of another sweep."""
         self.batches.mkdir(exist_ok=True)
         require_own(self.batches)
         emptied(self.batches, re.compile(rf"(?!{self.mark})[0-9a-f]{{12}}_{BATCH_FILE}"))
-        self._compact()
 
     def empty(self) -> None:
         if self.batches.is_dir():

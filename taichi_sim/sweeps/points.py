@@ -112,6 +112,13 @@ class Runner:
             compiled=self.made > made,
         )
 
+    def batch(self, points: Sequence[Point]) -> list[Row]:
+        """Points one after another, whose rows go into a file of their own where the folder is seen from here."""
+        rows = [self.run(point) for point in points]
+        if self.job.folder is not None and Path(self.job.folder).is_dir():
+            keep_batch(Path(self.job.folder), rows, self.job.mark)
+        return rows
+
     def measured(self, scene: Scene) -> dict[str, float]:
         """Run a scene."""
         simulation = self._simulation(scene)
@@ -163,15 +170,13 @@ _runner: Runner | None = None  # of this process: a worker's tasks share one
 
 
 def run_batch(job: Job, points: Sequence[Point]) -> list[Row]:
-    """A task: run points in a worker, and keep their rows in a file of their own."""
+    """A task of a worker, see `Runner.batch`."""
     global _runner
     if _runner is None or _runner.job.known_by != job.known_by:
         if _runner is not None:
             _runner.close()
         _runner = Runner(job)
-    rows = [_runner.run(point) for point in points]
-    if job.folder is not None and Path(job.folder).is_dir():
-        keep_batch(Path(job.folder), rows, job.mark)
+    rows = _runner.batch(points)
     _runner.relieve()
     return rows
 

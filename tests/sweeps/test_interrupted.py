@@ -140,7 +140,7 @@ def test_ctrl_c_before_another_sweep_is_gone_leaves_it(tmp_path, monkeypatch):
     def interrupt(folder):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(SweepFolder, "_empty", interrupt)
+    monkeypatch.setattr(SweepFolder, "empty", interrupt)
     with pytest.raises(KeyboardInterrupt):
         sweep(tmp_path / "heap.toml", seeds=3, duration=0.1, overwrite=True, **given)
     assert (tmp_path / "swept" / "table.csv").read_bytes() == before

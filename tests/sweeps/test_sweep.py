@@ -4,6 +4,7 @@ import csv
 import gc
 import json
 import pickle
+from collections import deque
 from contextlib import closing
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from threading import Thread
@@ -21,6 +22,7 @@ from taichi_sim.sweeps.cluster import Workers, _answers
 from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
+from taichi_sim.sweeps.study import Study
 from taichi_sim.sweeps.subject import FileSubject, subject_of
 
 pytestmark = pytest.mark.once
@@ -419,12 +421,12 @@ def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(t
     class Slow:
         """Leaves a batch while it closes, as workers do that end in peace."""
 
-        said, number = "slow", 1
+        said, number, apart = "slow", 1, True
 
-        def run(self, job, batches):
-            self.batches, self.folder, self.mark = batches, tmp_path / "s" / "batches", job.mark
-            keep_batch(self.folder, rows := [Row.of(point) for point in batches[0]], job.mark)
-            yield rows
+        def run(self, work, waiting, what):
+            self.batches, self.folder, self.mark = list(waiting), tmp_path / "s" / "batches", work.args[0].mark
+            keep_batch(self.folder, rows := [Row.of(point) for point in self.batches[0]], self.mark)
+            yield self.batches[0], rows
             raise KeyboardInterrupt
 
         def close(self):
@@ -494,11 +496,11 @@ def test_a_scheduler_that_is_lost_ends_a_sweep_in_a_sentence(monkeypatch, status
             raise OSError("no scheduler")
 
     monkeypatch.setattr(distributed, "as_completed", Done)
-    with pytest.raises(ts.BackendError, match="sweep: the scheduler was lost; the same command goes on"):
-        list(Workers(Client(), 1, False).run(SimpleNamespace(folder=None), [[Point({"a": 1})]]))
+    with pytest.raises(ts.BackendError, match="sweep: the scheduler was lost; give the same command again"):
+        list(Workers(Client(), 1, False).run(len, deque(["task"]), "sweep"))
 
 
-def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(monkeypatch):
+def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     comm = pytest.importorskip("distributed.comm")
     batches = []
@@ -527,7 +529,7 @@ def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(
     class Client:
         status = "running"
 
-        def submit(self, function, job, points, **_):
+        def submit(self, work, points, **_):
             batches.append(len(points))
             return Future(points)
 
@@ -536,9 +538,14 @@ def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(
 
     monkeypatch.setattr(distributed, "as_completed", Done)
     points = [Point({"a": k}) for k in range(3)]
-    rows = [row for some in Workers(Client(), 1, False).run(SimpleNamespace(folder=None), [points]) for row in some]
+    folder = SweepFolder(tmp_path / "s", {})
+    folder.begin()
+    study = Study(None, None, SimpleNamespace(job=None), folder, {"a": {}}, lambda: Workers(Client(), 1, False), print)
+    monkeypatch.setattr("taichi_sim.sweeps.study.FEW_TASKS", 1)
+    rows = [row for some in study.run(points) for row in some]
     assert batches == [3, 1, 1, 1]
     assert [row.parameters["a"] for row in rows] == [0, 1, 2]
+    assert len(list(folder.batches.glob("*.jsonl"))) == 3  # which a worker elsewhere could not write
 
 
 def test_no_folder_is_made_where_no_scheduler_answers(tmp_path, monkeypatch):
