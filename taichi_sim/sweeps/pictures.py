@@ -20,7 +20,7 @@ from taichi_sim.outputs.base import require_alpha
 from taichi_sim.outputs.recording import Recording
 from taichi_sim.outputs.resumable import abandon
 from taichi_sim.outputs.whole_run import is_drawn_last
-from taichi_sim.sweeps.cluster import MOST_REPEATS, connected, place
+from taichi_sim.studies.workers import MOST_REPEATS, connected, forget, kept, place
 from taichi_sim.sweeps.sweep import bar
 
 __all__ = ["draw"]
@@ -145,7 +145,7 @@ def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray
                     waiting.extend(islice(chunks, 1))
                     yield from map(_unpacked, ready)
     finally:
-        _forget()
+        forget()
 
 
 class _Painter:
@@ -161,6 +161,7 @@ class _Painter:
         if is_drawn_last(self.frames.scene, len(self.frames), style):
             self.renderer.fit(self.frames)
         self.start, self.next = self.renderer.memory(), 0
+        self.close = self.renderer.close
 
     def draw(self, begin: int, end: int) -> Images:
         if begin < self.next:
@@ -173,24 +174,10 @@ class _Painter:
         return images
 
 
-_painter: tuple[str, _Painter] | None = None  # of this process, and what it draws
-
-
 def _draw_chunk(task: tuple[Any, ...], chunk: tuple[int, int]) -> Images:
-    global _painter
     status = Path(task[0]).stat()
-    drawn = repr((task, status.st_mtime_ns, status.st_size))
-    if _painter is None or _painter[0] != drawn:
-        _forget()
-        _painter = (drawn, _Painter(*task))
-    return _painter[1].draw(*chunk)
-
-
-def _forget() -> None:
-    global _painter
-    if _painter is not None:
-        _painter[1].renderer.close()
-        _painter = None
+    painter = kept(repr((task, status.st_mtime_ns, status.st_size)), lambda: _Painter(*task))
+    return painter.draw(*chunk)
 
 
 def _packed_chunk(task: tuple[Any, ...], chunk: tuple[int, int]) -> list[bytes]:
@@ -203,7 +190,7 @@ def _packed_chunk(task: tuple[Any, ...], chunk: tuple[int, int]) -> list[bytes]:
     try:
         backend.start(*given)
     except BackendError:  # it was another task's
-        _forget()
+        forget()
         backend.stop()
         backend.start(*given)
     packed = []

@@ -16,6 +16,7 @@ from taichi_sim.common.errors import BackendError, SceneError, UnstableError, wo
 from taichi_sim.common.version import __version__
 from taichi_sim.scene.scene import Scene
 from taichi_sim.studies.records import lines_of
+from taichi_sim.studies.workers import kept
 from taichi_sim.sweeps.measures import Measures
 from taichi_sim.sweeps.subject import Subject
 
@@ -166,18 +167,11 @@ def _cut(text: str) -> str:
     return text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]}..."
 
 
-_runner: Runner | None = None  # of this process: a worker's tasks share one
-
-
 def run_batch(job: Job, points: Sequence[Point]) -> list[Row]:
     """A task of a worker, see `Runner.batch`."""
-    global _runner
-    if _runner is None or _runner.job.known_by != job.known_by:
-        if _runner is not None:
-            _runner.close()
-        _runner = Runner(job)
-    rows = _runner.batch(points)
-    _runner.relieve()
+    runner = kept(job.known_by, lambda: Runner(job))
+    rows = runner.batch(points)
+    runner.relieve()
     return rows
 
 

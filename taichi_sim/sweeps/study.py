@@ -13,7 +13,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.version import __version__
 from taichi_sim.files.source import checked_output
 from taichi_sim.scene.scene import Scene
-from taichi_sim.sweeps.cluster import MOST_REPEATS, connected, place, require_workers
+from taichi_sim.studies.workers import MOST_REPEATS, connected, place, require_workers
 from taichi_sim.sweeps.design import Axis
 from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import Measures, measures_of

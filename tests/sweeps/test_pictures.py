@@ -18,7 +18,8 @@ from taichi_sim import outputs
 from taichi_sim.common.atomic_file import lock
 from taichi_sim.files.checkpoint import FORMAT
 from taichi_sim.outputs.recording import Recording, require_drawable
-from taichi_sim.sweeps import cluster, pictures
+from taichi_sim.studies import workers as cluster
+from taichi_sim.sweeps import pictures
 from taichi_sim.sweeps.pictures import draw
 
 pytestmark = pytest.mark.slow

@@ -18,7 +18,7 @@ from sweep_scenes import both, heap, hostile, mortal, slow, springs, top
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
 from taichi_sim.files.parameters import put
-from taichi_sim.sweeps.cluster import Workers, _answers
+from taichi_sim.studies.workers import Workers, _answers
 from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
@@ -550,7 +550,7 @@ def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(
 
 def test_no_folder_is_made_where_no_scheduler_answers(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("taichi_sim.sweeps.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("taichi_sim.studies.workers.PATIENCE", 0.5)
     with pytest.raises(ts.SceneError, match="no scheduler answers there"):
         ts.sweep(heap, folder=tmp_path / "s", scheduler="tcp://127.0.0.1:9")
     assert not (tmp_path / "s").exists()

@@ -10,7 +10,7 @@ from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, TypeVar
 from urllib.request import ProxyHandler, build_opener
 
 from taichi_sim.common import validation
@@ -18,13 +18,34 @@ from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.common.signals import heard, without_interrupts
 from taichi_sim.common.version import __version__
 
-__all__ = ["Here", "Workers", "connected", "place", "require_workers"]
+__all__ = ["MOST_REPEATS", "Here", "Workers", "connected", "forget", "kept", "place", "require_workers"]
 
 AHEAD = 3  # tasks for each worker that wait for it
 MOST_REPEATS = 3  # of a task whose worker ended
 PATIENCE = 10.0  # s, for a scheduler
 Task = Any
+Kept = TypeVar("Kept")
 Work = Callable[[Task], Any]
+
+
+_kept: tuple[Any, Any] | None = None  # of this process: the key of what its tasks work with, and that itself
+
+
+def kept(key: Any, make: Callable[[], Kept]) -> Kept:
+    """An object that a process works with from task to task. Where the key is another one, the object before is closed."""
+    global _kept
+    if _kept is None or _kept[0] != key:
+        forget()
+        _kept = (key, make())
+    return _kept[1]  # type: ignore[no-any-return]
+
+
+def forget() -> None:
+    """Close what this process works with."""
+    global _kept
+    if _kept is not None:
+        _kept[1].close()
+        _kept = None
 
 
 class Here:
