@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.studies.figure import INK, dress, literal, styled
+from taichi_sim.studies.intervals import half_width
 from taichi_sim.sweeps.design import Axis
-from taichi_sim.sweeps.effects import Group, half_width
+from taichi_sim.sweeps.effects import Group
 
 __all__ = ["draw", "is_logarithmic"]
 

@@ -9,6 +9,7 @@ from scipy import stats
 
 from taichi_sim.reports.speed_error.plan import PARTS, Step, halved
 from taichi_sim.reports.speed_error.study import Study
+from taichi_sim.studies.intervals import half_width
 
 SEEDS = 8
 STARTS_APART = 1e-6  # of the size, between the starts
@@ -88,8 +89,7 @@ def intervals(seeds: Sequence[Seed]) -> list[Interval]:
     found = []
     for key, own in groups.items():
         values = {name: _values(own, name) for name in QUANTITIES}
-        width = stats.t.ppf(0.975, SEEDS - 1)
-        half = {n: float(width * stats.sem(v)) if len(v) == SEEDS else np.nan for n, v in values.items()}
+        half = {n: half_width(v) if len(v) == SEEDS else np.nan for n, v in values.items()}
         failed = next((seed.failed for seed in own if seed.failed), "")
         differs = tuple(name for name in QUANTITIES if least[key, name] < FALSE_FINDINGS)
         found.append(Interval(*key, {n: float(v.mean()) for n, v in values.items()}, half, differs, failed))
