@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_sim.benchmark.table import Report, elapsed
+from taichi_sim.benchmark.contest import Report, elapsed
 from taichi_sim.common.memory import available
 from taichi_sim.device import backend
 from taichi_sim.device.devices import find

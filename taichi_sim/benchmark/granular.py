@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 
 from taichi_sim.benchmark import cases
+from taichi_sim.benchmark.contest import REPEATS, Report, count_of, elapsed
 from taichi_sim.benchmark.ours import ball_step
 from taichi_sim.benchmark.peers import PeerMissingError
 from taichi_sim.benchmark.peers.granular_lammps import GranularLammps, time_step, write_data
-from taichi_sim.benchmark.table import REPEATS, Report, count_of, elapsed
 from taichi_sim.reports.memory import breakdown
 
 SETTLE = 300  # steps before anyone is timed; LAMMPS starts from where ours have come to

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from taichi_sim.benchmark import cases
+from taichi_sim.benchmark.contest import Report, count_of
 from taichi_sim.benchmark.launch_counts import PROFILED, Counts, count
 from taichi_sim.benchmark.ours import Ours, ball_step, cloth_step
 from taichi_sim.benchmark.scale import surfaces_scene
 from taichi_sim.benchmark.stiff_cloth import OURS, TASKS, T, stiff_scene
-from taichi_sim.benchmark.table import Report, count_of
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device.engine import ENGINE
 

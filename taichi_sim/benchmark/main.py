@@ -18,6 +18,7 @@ import numpy as np
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.benchmark import cases
 from taichi_sim.benchmark.checks import Checks, check_device
+from taichi_sim.benchmark.contest import Report, count_of, difference, peer
 from taichi_sim.benchmark.copy_limit import bandwidth, copy_report
 from taichi_sim.benchmark.granular import granular_report
 from taichi_sim.benchmark.launches import launch_report
@@ -34,7 +35,6 @@ from taichi_sim.benchmark.scale import (
     video_report,
 )
 from taichi_sim.benchmark.stiff_cloth import stiff_report
-from taichi_sim.benchmark.table import Report, count_of, difference, peer
 from taichi_sim.common.atomic_file import replacing, require_place
 from taichi_sim.common.errors import BackendError
 from taichi_sim.common.machine import processor

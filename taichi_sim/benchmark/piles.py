@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from taichi_sim.benchmark import cases
+from taichi_sim.benchmark.contest import Report, count_of, elapsed, peer
 from taichi_sim.benchmark.ours import ball_step
-from taichi_sim.benchmark.table import Report, count_of, elapsed, peer
 
 SEEDS = 6
 SETTLE = 4.0  # s, before the clock starts

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_sim.benchmark.table import Report
+from taichi_sim.benchmark.contest import Report
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth
 from taichi_sim.simulation.simulation import Simulation

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim import shapes
-from taichi_sim.benchmark.table import REPEATS, Report, count_of, elapsed
+from taichi_sim.benchmark.contest import REPEATS, Report, count_of, elapsed
 from taichi_sim.common.errors import BackendError
 from taichi_sim.outputs import export, open_output
 from taichi_sim.reports.memory import breakdown

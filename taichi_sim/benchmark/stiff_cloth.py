@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.benchmark.contest import REPEATS, Report, elapsed, peer
 from taichi_sim.benchmark.ours import Ours
-from taichi_sim.benchmark.table import REPEATS, Report, elapsed, peer
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.own_folder import emptied, require_own
-from taichi_sim.studies.folder import StudyFolder
 from taichi_sim.studies.records import lines_of, table_of
+from taichi_sim.studies.study_folder import StudyFolder
 from taichi_sim.sweeps.points import Point, Row
 
 __all__ = ["SweepFolder", "columns_of"]

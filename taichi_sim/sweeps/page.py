@@ -10,7 +10,7 @@ from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.quantities import measured
 from taichi_sim.studies.figure import svg
 from taichi_sim.studies.intervals import half_width
-from taichi_sim.studies.page import Part, Table, as_html, made_with
+from taichi_sim.studies.page_parts import Part, Table, as_html, made_with
 from taichi_sim.sweeps import figures
 from taichi_sim.sweeps.effects import Group, grouped, main_effects, parameters_in_words, sobol
 

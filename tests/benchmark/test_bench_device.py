@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from taichi_sim.benchmark import checks, copy_limit, launch_counts, main
+from taichi_sim.benchmark.contest import Report, peer
 from taichi_sim.benchmark.launches import Row, launch_report
-from taichi_sim.benchmark.table import Report, peer
 from taichi_sim.common.errors import BackendError
 from taichi_sim.device import backend
 from taichi_sim.device.devices import find

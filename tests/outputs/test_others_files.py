@@ -15,7 +15,7 @@ from taichi_sim.common import atomic_file
 from taichi_sim.common.atomic_file import PartFile, locked, replacing, sweep
 from taichi_sim.outputs import export, open_output
 from taichi_sim.outputs.kept_files import read_kept, write_kept
-from taichi_sim.reports.speed_error.folder import ReportFolder
+from taichi_sim.reports.speed_error.report_folder import ReportFolder
 from taichi_sim.sweeps.folder import SweepFolder
 
 pytestmark = [pytest.mark.once, pytest.mark.skipif(os.name != "posix", reason="links and pipes")]

@@ -15,9 +15,9 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.files.source import open_scene, resolve
 from taichi_sim.reports.speed_error import report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings, choice
-from taichi_sim.reports.speed_error.folder import ReportFolder
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, about, duration_of, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
+from taichi_sim.reports.speed_error.report_folder import ReportFolder
 from taichi_sim.studies import records
 
 pytestmark = pytest.mark.once

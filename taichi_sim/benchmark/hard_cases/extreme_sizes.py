@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 
-from taichi_sim.benchmark.hard_cases.case import H, Verdict, double, on_floor, simulation
+from taichi_sim.benchmark.hard_cases.verdicts import H, Verdict, double, on_floor, simulation
 from taichi_sim.geometry.graph import components
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.simulation import Simulation

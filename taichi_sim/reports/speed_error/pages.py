@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator
 from taichi_sim.common.quantities import measured
 from taichi_sim.reports.speed_error import plot
 from taichi_sim.reports.speed_error.findings import Findings, choice, in_unit
-from taichi_sim.reports.speed_error.folder import ReportFolder
+from taichi_sim.reports.speed_error.report_folder import ReportFolder
 from taichi_sim.reports.speed_error.rows import UNSTABLE, Row
 from taichi_sim.reports.speed_error.statistics import QUANTITIES
 from taichi_sim.studies.figure import png, svg
-from taichi_sim.studies.page import Part, Table, as_html, as_markdown, made_with
+from taichi_sim.studies.page_parts import Part, Table, as_html, as_markdown, made_with
 
 NOTES = """h / safe: the step as a part of the one that is safe in every shape. Passes: over the forces, per simulated second.
 Errors: of positions, rms over all balls that are not pinned, or of the quantity, at the worst of eight moments.

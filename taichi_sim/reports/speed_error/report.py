@@ -15,10 +15,10 @@ from taichi_sim.reports.speed_error import statistics
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.findings import Findings
-from taichi_sim.reports.speed_error.folder import ReportFolder
 from taichi_sim.reports.speed_error.measure import measure, row_of
 from taichi_sim.reports.speed_error.plan import Plan, about, fitting, own_step, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
+from taichi_sim.reports.speed_error.report_folder import ReportFolder
 from taichi_sim.reports.speed_error.resolution import Finer
 from taichi_sim.reports.speed_error.rows import LEFT_OUT
 from taichi_sim.reports.speed_error.study import Study

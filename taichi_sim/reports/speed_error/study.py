@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.reports.speed_error.compared import Compared
-from taichi_sim.reports.speed_error.folder import RUN, ReportFolder
 from taichi_sim.reports.speed_error.plan import Plan, Step, fitting, own_step, size_of
+from taichi_sim.reports.speed_error.report_folder import RUN, ReportFolder
 from taichi_sim.reports.speed_error.worker import Outcome, Trial, Workers
 from taichi_sim.scene.scene import Scene
 from taichi_sim.studies.records import packed

@@ -10,7 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim import shapes
-from taichi_sim.benchmark.hard_cases.case import Case, G, H, Verdict, energy_part, heeding, largest, on_floor, rounding
+from taichi_sim.benchmark.hard_cases.verdicts import (
+    Case,
+    G,
+    H,
+    Verdict,
+    energy_part,
+    heeding,
+    largest,
+    on_floor,
+    rounding,
+)
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.simulation import Simulation
 

@@ -1,5 +1,5 @@
 """Hard cases: what breaks simulators, each with a bound and a measured verdict for each rule of the contact solver; those of
-springs, for each method, lie in `springs`.
+springs, for each method, lie in `spring_cases`.
 
 A case is a function of the rule and of `short` (a smaller form for quick tests): it builds a scene, runs it, and returns whether
 it passed, the figure that the bound speaks of, and words. `taichi-sim report --hard-cases` prints them all.
@@ -11,9 +11,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.benchmark.hard_cases import extreme_sizes
-from taichi_sim.benchmark.hard_cases import springs as hard_springs
-from taichi_sim.benchmark.hard_cases.case import (
+from taichi_sim.benchmark.hard_cases import extreme_sizes, spring_cases
+from taichi_sim.benchmark.hard_cases.verdicts import (
     Case,
     G,
     H,
@@ -266,8 +265,8 @@ CASES = (
 )
 
 
-def main(cases: Sequence[Case] = CASES, of_springs: Sequence[Case] = hard_springs.CASES) -> bool:
+def main(cases: Sequence[Case] = CASES, of_springs: Sequence[Case] = spring_cases.CASES) -> bool:
     """Run all cases in double precision and print both tables. False when a case passed in no column of its table."""
     contacts = show("Hard cases of contacts, double precision", cases, RULES)
-    springs = show("Hard cases of springs and soft bodies, double precision", of_springs, hard_springs.METHODS)
+    springs = show("Hard cases of springs and soft bodies, double precision", of_springs, spring_cases.METHODS)
     return contacts and springs

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from taichi_sim.reports.speed_error.rows import Row
-from taichi_sim.studies.folder import StudyFolder
 from taichi_sim.studies.records import lines_of, table_of
+from taichi_sim.studies.study_folder import StudyFolder
 
 RUN = "run_"  # how the names of files begin that hold single runs of an unfinished report
 
