@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.errors import BackendError, SceneError
+from taichi_sim.common.progress import Counted, showing
 from taichi_sim.outputs import Output, open_outputs
 from taichi_sim.outputs.base import require_alpha
 from taichi_sim.outputs.recording import Recording
 from taichi_sim.outputs.resumable import abandon
 from taichi_sim.outputs.whole_run import is_drawn_last
 from taichi_sim.studies.workers import MOST_REPEATS, connected, forget, kept, place
-from taichi_sim.sweeps.sweep import bar
 
 __all__ = ["draw"]
 
@@ -110,13 +110,14 @@ def _drawn(
             engine = stack.enter_context(connected(*where, say))
             images = _images(engine, (str(frames.path.resolve()), size, dict(style), precision), len(frames))
             stack.callback(images.close)
-        advance = stack.enter_context(bar(0, len(frames), progress, "frames drawn"))
+        work = Counted(len(frames), "frames drawn")
+        stack.enter_context(showing(work, progress))
         for index, frame in enumerate(frames):
             image = next(images) if images is not None else None
             for one in [one for one in outputs if one.wants(index)]:
                 one.write(index, frame, image if one.needs_image else None)
                 one.frames += 1
-            advance(1, 0)
+            work.done += 1
     return len(frames)
 
 

@@ -590,3 +590,14 @@ def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path
     assert list(writing.batches.glob("*.jsonl"))
     writing.close()
     assert len(ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)) == 1
+
+
+@pytest.mark.once
+def test_a_value_that_is_refused_is_not_looked_for_in_the_file(tmp_path):
+    """Where another value stands."""
+    text = 'format = 1\ndim = 2\ngravity = [0.0, -9.0]\n[[materials]]\nname = "slate"\nfriction = 0.4\n'
+    (tmp_path / "slate.toml").write_text(text + "[[balls]]\nposition = [[0.0, 1.0]]\nradius = 0.1\n")
+    with pytest.raises(ts.SceneError, match=r"friction: -3\.0 is not allowed") as refused:
+        ts.sweep(str(tmp_path / "slate.toml"), {"materials.slate.friction": [0.2, -3.0]}, **HERE)
+    assert refused.value.file == tmp_path / "slate.toml"
+    assert refused.value.line is None
