@@ -37,7 +37,7 @@ def made_up(monkeypatch):
 
     def install(scene, **options):
         workers = MadeUp(scene, **options)
-        monkeypatch.setattr(report, "Workers", lambda *_: workers)
+        monkeypatch.setattr(report, "TrialProcesses", lambda *_: workers)
         return workers
 
     return install

@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import Plan, Step, fitting, own_step, size_of
 from taichi_sim.reports.speed_error.report_folder import RUN, ReportFolder
-from taichi_sim.reports.speed_error.worker import Outcome, Trial, Workers
+from taichi_sim.reports.speed_error.trial_process import Outcome, Trial, TrialProcesses
 from taichi_sim.scene.scene import Scene
 from taichi_sim.studies.records import packed
 
 
 @dataclass(frozen=True)
-class Study:
+class Trials:
     """A scene, what is asked of it, and who runs it. folder: of a report, which keeps what was run."""
 
     scene: Scene
     plan: Plan
-    workers: Workers
+    processes: TrialProcesses
     folder: ReportFolder | None = None
 
     @cached_property
@@ -43,11 +43,11 @@ class Study:
         """One trial, see `Trial`, or what the folder keeps of it. keep: False for one that becomes a row at once."""
         trial = Trial(method, step, **how)
         if self.folder is None or not keep:
-            return self.workers.run(precision, trial)
+            return self.processes.run(precision, trial)
         name = f"{RUN}{trial.digest(precision)}.npz"
         found = self.folder.record_in(name, Outcome)
         if found is None:
-            found = self.workers.run(precision, trial)
+            found = self.processes.run(precision, trial)
             if not found.left_out:
                 self.folder.write(name, packed(found._asdict()))
         return found

@@ -69,7 +69,7 @@ class Outcome(NamedTuple):
     noise: float | None = None  # s, of `seconds`
 
 
-class Workers:
+class TrialProcesses:
     """Processes that run trials, one at a time: that of a precision is started when it is asked for, and the one before ends
     then. Use it as a context; leaving it ends the process."""
 
@@ -105,7 +105,7 @@ class Workers:
             raise answer
         return answer
 
-    def __enter__(self) -> "Workers":
+    def __enter__(self) -> "TrialProcesses":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
