@@ -38,7 +38,8 @@ def draw(findings: Findings) -> Any:
         for method in findings.plan.methods:
             _curve(axis, findings, [r for r in findings.rows if (r.method, r.precision) == (method, precision)], margin)
         _front(axis, findings, precision)
-        axis.axvline(high, color=INK, lw=0.5, ls=":")
+        if any(row.verdict == UNSTABLE for row in findings.rows):
+            axis.axvline(high, color=INK, lw=0.5, ls=":")
         if findings.reference.parts and findings.reference.known:
             near = CLEAR_OF_REFERENCE * findings.reference.known / motion
             axis.axvspan(0.1 * low, near, color=INK, alpha=0.08, lw=0, label=UNTOLD)
