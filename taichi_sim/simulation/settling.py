@@ -104,7 +104,10 @@ def settle(simulation: Any, tolerance: float, longest: float) -> tuple[NDArray[n
         spent += (steps - 1) * dt
         chunk = max(1, steps // LOOKS)
     if not found.reached:
-        warnings.warn(f"settle: {found}; allowed is {percent(tolerance)}", stacklevel=4)
+        # stops that lower the residual no more, long before the time is up, end at what rounding leaves
+        rounded = simulation.parts.backend.precision == "f32" and since > PATIENCE
+        cure = '; single precision may be what stands in the way: try precision = "f64"' if rounded else ""
+        warnings.warn(f"settle: {found}; allowed is {percent(tolerance)}{cure}", stacklevel=4)
     return at_rest, found
 
 

@@ -64,9 +64,9 @@ class Simulation(Reader):
             "vulkan", "metal" ("auto": that which the process runs on; in its first simulation a GPU if one works).
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a
             GPU and with accumulate "gather" or "atomic").
-        contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
-            by jacobi, 10 where surfaces collide; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with
-            sticks or surfaces ("auto").
+        contact_iterations: of each contact solve, or "auto": gauss_seidel makes 2, and 1 for more than 1000 balls whose masses
+            differ up to tenfold; jacobi makes 4 to 8, more in larger scenes; both make at least 10 where surfaces collide. A
+            restitution above 0.5 adds up to 12 to jacobi, and up to 4 to gauss_seidel where sticks or surfaces collide ("auto").
         accumulate: "auto", "ordered", "gather", "atomic": in which order impulses are added, see docs/physics.md ("auto").
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.

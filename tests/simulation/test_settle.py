@@ -111,6 +111,15 @@ def test_what_cannot_rest_says_so():
         assert not sim.settle(longest=0.05).reached
 
 
+@pytest.mark.skipif(PRECISION == "f64", reason="of single precision")
+def test_what_rounding_keeps_from_rest_names_double_precision():
+    with (
+        ts.Simulation(bridge()) as sim,
+        pytest.warns(UserWarning, match=r'allowed is 1.0e-06 %; single precision .*: try precision = "f64"$'),
+    ):
+        assert not sim.settle(1e-8).reached
+
+
 @pytest.mark.once
 @pytest.mark.parametrize("value", [2.0, -0.1, "yes", 1, np.array([0.1]), np.float32("nan"), np.array("x")])
 def test_a_wrong_setting_is_named(value):
