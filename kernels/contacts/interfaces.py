@@ -39,7 +39,7 @@ class Iteration(NamedTuple):
     )
     impacts: bool = False  # of these, whether what closes fast is solved too, or left for the next solve
     stops_first: bool = False  # where the energy limiter compares both, what touches is stopped before it bounces
-    rigid: bool = False  # soft contacts are rigid and push nothing out
+    yields_to_loads_only: bool = False  # soft contacts let go of a part of their load, not of what an impact gave them
     takes_back: bool = False  # the speed with which the solve before the move pushed out overlap
     starts: bool = True  # this solve began with what contacts accumulated before; else that was applied before the move
 

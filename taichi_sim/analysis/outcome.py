@@ -47,18 +47,17 @@ def _grade(value: float, good: float, wrong: float) -> str:
     return "good" if value <= good else "look at it" if value <= wrong else "wrong"
 
 
-def cure_of_depth(squeezes: bool, iterations: int) -> str:
-    """What to do where balls lie deep in something."""
-    steps = f"take shorter steps, or more contact_iterations than {iterations}"
+def cure_of_depth(squeezes: bool) -> str:
+    """Advice where balls lie deep in something: overlap falls with the step, and hardly with iterations."""
     if squeezes:
-        return f"where something that moves squeezes them, stop it sooner; else {steps}"
-    return steps
+        return "where something that moves squeezes them, stop it sooner; else take shorter steps"
+    return "take shorter steps"
 
 
-def of_depth(part: float, squeezes: bool, iterations: int) -> str:
+def of_depth(part: float, squeezes: bool) -> str:
     """Verdict on the largest overlap as a part of the smaller radius."""
     grade = _grade(part, SHALLOW, DEEP)
-    return grade if grade == "good" else f"{grade}; {cure_of_depth(squeezes, iterations)}"
+    return grade if grade == "good" else f"{grade}; {cure_of_depth(squeezes)}"
 
 
 def of_approach(left: float, scales: Scales, fastest: float, iterations: int) -> str:
@@ -66,7 +65,7 @@ def of_approach(left: float, scales: Scales, fastest: float, iterations: int) ->
     for a moment); fastest [m/s]: of a ball in the run."""
     slow = max(scales.slow, SLOW_PART * fastest)
     grade = _grade(left, slow, MANY * slow)
-    return grade if grade == "good" else f"{grade}; {cure_of_depth(False, iterations)}"
+    return grade if grade == "good" else f"{grade}; take shorter steps, or more contact_iterations than {iterations}"
 
 
 def of_cells(now: int, most: int) -> str:

@@ -266,7 +266,7 @@ class Stepper:
         if self.moved and part > DEEP:
             ball = int(totals[statistics.BALL])
             where = overlap(self.scene, self.parts.state.position, self.time, ball, part)
-            cure = cure_of_depth(self.squeezes, self.parts.contacts.iterations)
+            cure = cure_of_depth(self.squeezes)
             self._warn("depth", f"at t = {self.time:.6g} s {where}; {cure}", stacklevel)
         return totals
 

@@ -313,7 +313,7 @@ def test_verdicts_go_with_the_scene():
     assert of_approach(0.1, scales, 1.0, 2) == "look at it; take shorter steps, or more contact_iterations than 2"
     assert of_approach(1.0, scales, 1.0, 2).startswith("wrong")
     assert of_approach(1.0, scales, 100.0, 2) == "good"  # of a fast crowd
-    assert [of_depth(part, False, 2).split(";")[0] for part in (0.05, 0.3, 2.5)] == ["good", "look at it", "wrong"]
+    assert [of_depth(part, False).split(";")[0] for part in (0.05, 0.3, 2.5)] == ["good", "look at it", "wrong"]
     assert of_energy(0.0, -0.01, scales).endswith("good")
     assert "look at it" in of_energy(0.0, -0.3, scales)
     assert "nothing in the scene explains it" in of_energy(0.0, 1.0, scales)
