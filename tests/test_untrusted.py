@@ -340,9 +340,9 @@ def test_what_a_gltf_says_is_bounded(tmp_path):
     with pytest.raises(ts.SceneError, match=r"accessors\[0\] would have 1000000000000 items"):
         read_surface(tmp_path / "a.gltf")
     nodes = [{"mesh": 0}] * 3000
-    text = json.dumps(
-        {"accessors": [{"count": 4}], "meshes": [{"primitives": [{"attributes": {}}] * 3000}], "nodes": nodes}
-    )
+    corners = {"count": 4, "componentType": 5126, "type": "VEC3"}
+    faces = [{"attributes": {"POSITION": 0}}] * 3000
+    text = json.dumps({"accessors": [corners], "meshes": [{"primitives": faces}], "nodes": nodes})
     (tmp_path / "a.gltf").write_text(text)
     with pytest.raises(ts.SceneError, match=r"needs about .* GB of memory"):
         read_surface(tmp_path / "a.gltf")
