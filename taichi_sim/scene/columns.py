@@ -1,4 +1,8 @@
-"""Tables: columns of one length that grow, and cannot be written to when read; and names of what is in a list that grows."""
+"""Tables: columns of one length that grow, and cannot be written to when read; and names of what is in a list that grows.
+
+class Scene:
+    mass = Column("balls", "mass", "(n,) kg")
+"""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -7,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Names", "Table", "sealed"]
+__all__ = ["Column", "Names", "Table", "sealed", "tables_of"]
 
 ROOM = 1.5  # times as many rows as there are: a table that grows has room for, so that it is copied seldom
 Held = TypeVar("Held")
@@ -81,6 +85,29 @@ class Table:
         if view is None:  # one that cannot be made writeable again
             view = self._views[name] = self._columns[name][: self.rows]
         return view
+
+
+class Column(property):
+    """A column of one of the tables of a scene, as the scene hands it out. `tables_of` makes the tables.
+
+    table, name: of the column; doc: its shape, unit and meaning; row: shape of a row, a name for what depends on the dimensions.
+    """
+
+    def __init__(self, table: str, name: str, doc: str, row: Sequence[int | str] = (), dtype: Any = float) -> None:
+        super().__init__(lambda scene: scene.tables[table][name], doc=doc)
+        self.table, self.name, self.row, self.dtype = table, name, row, dtype
+
+
+def tables_of(kind: type, dim: int) -> dict[str, Table]:
+    """The tables of a scene, without rows, with the columns that its class and those that it is made of declare."""
+    sizes = {"dim": dim, "dim + 1": dim + 1}
+    columns: dict[str, dict[str, NDArray]] = {}
+    for base in reversed(kind.__mro__):
+        for one in vars(base).values():
+            if isinstance(one, Column):
+                shape = (0, *(sizes[n] if isinstance(n, str) else n for n in one.row))
+                columns.setdefault(one.table, {})[one.name] = np.zeros(shape, dtype=one.dtype)
+    return {name: Table(**own) for name, own in columns.items()}
 
 
 class Names:

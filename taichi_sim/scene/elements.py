@@ -4,7 +4,7 @@ motors."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.errors import about as place_of
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.scene.columns import Table, sealed
+from taichi_sim.scene.columns import Column, sealed
 from taichi_sim.scene.keyframes import Keyframe, Motion, plain_keyframe
 from taichi_sim.scene.motors import Motorised
 from taichi_sim.scene.objects import Objects
@@ -63,22 +62,7 @@ class MovingPins:
 class Elements(Probed, Objects, Motorised):
     """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
 
-    def _begin_elements(self, dim: int) -> None:
-        whole = np.int32
-        self._cells = Table(
-            corners=np.zeros((0, dim + 1), dtype=whole),
-            bulk_modulus=np.zeros(0),
-            crush_modulus=np.zeros(0),
-            rest_volume=np.zeros(0),
-            together=np.zeros(0, dtype=whole),
-        )
-        self._bends = Table(
-            corners=np.zeros((0, 4), dtype=whole),
-            weights=np.zeros((0, 4)),
-            stiffness=np.zeros(0),
-            damping=np.zeros(0),
-            hinge=np.zeros(0, dtype=bool),
-        )
+    def _begin_elements(self) -> None:
         self.wind: Wind | None = None
         self.gases: list[Gas] = []
         self.moving_pins: list[MovingPins] = []
@@ -87,25 +71,22 @@ class Elements(Probed, Objects, Motorised):
         self._begin_probes()
         self._begin_objects()
 
-    cells = property(lambda self: self._cells["corners"], doc="(c, dim + 1) balls of each cell")
-    bulk_modulus = property(lambda self: self._cells["bulk_modulus"], doc="(c,) Pa, in 2D N/m")
-    crush_modulus = property(
-        lambda self: self._cells["crush_modulus"],
-        doc="(c,) Pa, in 2D N/m, of cells of less than half of their rest volume",
+    cells = Column("cells", "corners", "(c, dim + 1) balls of each cell", ("dim + 1",), np.int32)
+    bulk_modulus = Column("cells", "bulk_modulus", "(c,) Pa, in 2D N/m")
+    crush_modulus = Column(
+        "cells", "crush_modulus", "(c,) Pa, in 2D N/m, of cells of less than half of their rest volume"
     )
-    rest_volume = property(lambda self: self._cells["rest_volume"], doc="(c,) m^3, in 2D m^2; positive")
-    cells_together = property(lambda self: self._cells["together"], doc="(c,) a number that cells in one have, or -1")
-    bends = property(lambda self: self._bends["corners"], doc="(b, 4) balls of each bending element")
-    bend_weights = property(lambda self: self._bends["weights"], doc="(b, 4) sum 0 for each")
-    bend_stiffness = property(lambda self: self._bends["stiffness"], doc="(b,) N/m")
-    bend_damping = property(lambda self: self._bends["damping"], doc="(b,) N s/m")
-    bend_hinge = property(
-        lambda self: self._bends["hinge"], doc="(b,) bool; True: of two sides, one of which may be held"
-    )
+    rest_volume = Column("cells", "rest_volume", "(c,) m^3, in 2D m^2; positive")
+    cells_together = Column("cells", "together", "(c,) a number that cells in one have, or -1", dtype=np.int32)
+    bends = Column("bending", "corners", "(b, 4) balls of each bending element", (4,), np.int32)
+    bend_weights = Column("bending", "weights", "(b, 4) sum 0 for each", (4,))
+    bend_stiffness = Column("bending", "stiffness", "(b,) N/m")
+    bend_damping = Column("bending", "damping", "(b,) N s/m")
+    bend_hinge = Column("bending", "hinge", "(b,) bool; True: of two sides, one of which may be held", dtype=bool)
 
     def has_elements(self) -> bool:
         """Whether forces besides gravity, springs and contacts act."""
-        return bool(self.cells_act() or self._bends.rows or self.wind is not None or self.gases)
+        return bool(self.cells_act() or len(self.bends) or self.wind is not None or self.gases)
 
     def cells_act(self) -> bool:
         """Whether any cell exerts a force; others are only watched, see `Simulation.inverted`."""
@@ -171,9 +152,9 @@ class Elements(Probed, Objects, Motorised):
             raise SceneError(f"cells.together[{k}]", shared[k], "a whole number")
         before = int(self.cells_together.max(initial=-1)) + 1
         shared = np.where(shared < 0, -1, shared + before).astype(np.int32)
-        first = self._cells.rows
+        first = len(self.cells)
         columns = {"bulk_modulus": modulus, "crush_modulus": crush, "rest_volume": rest, "together": shared}
-        self._cells.append(c, corners=ij, **columns)
+        self.tables["cells"].append(c, corners=ij, **columns)
         return np.arange(first, first + c, dtype=np.int32)
 
     def add_bending(
@@ -215,7 +196,7 @@ class Elements(Probed, Objects, Motorised):
         if np.any(ends[:, 0] * ends[:, 1] <= 0.0):
             k = int(np.flatnonzero(sides)[np.argmax(ends[:, 0] * ends[:, 1] <= 0.0)])
             raise SceneError(f"bending.weights[{k}]", w[k], "of a hinge: the last two of one sign, and not 0")
-        self._bends.append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss, hinge=sides)
+        self.tables["bending"].append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss, hinge=sides)
 
     def held_bending(self: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Stiffness (b,) [N/m] and damping (b,) [N s/m] of the bending elements as they act with the present pins, see
@@ -232,8 +213,8 @@ class Elements(Probed, Objects, Motorised):
         new = {}
         for name, given in (("stiffness", stiffness), ("damping", damping)):
             if given is not None:
-                new[name] = validation.per_item(f"bending.{name}", given, self._bends.rows, low=0)
-        self._bends.replace(slice(None), **new)
+                new[name] = validation.per_item(f"bending.{name}", given, len(self.bends), low=0)
+        self.tables["bending"].replace(slice(None), **new)
 
     def add_wind(
         self: Any,
@@ -267,13 +248,16 @@ class Elements(Probed, Objects, Motorised):
             validation.number("wind.gust_length", gust_length, positive=True),
         )
 
-    def add_gas(self: Any, triangles: ArrayLike, *, pressure: float, outside: float = 0.0) -> None:
-        """Fill a closed surface with gas: (pressure + outside) times the volume stays what it is now.
+    def add_gas(
+        self: Any, triangles: ArrayLike, *, pressure: float, outside: float = 0.0, volume: float | None = None
+    ) -> None:
+        """Fill a closed surface with gas: (pressure + outside) times the volume stays what it is at the start.
 
         Args:
             triangles: (t, 3) balls, counter-clockwise seen from outside, that enclose a volume without a hole.
-            pressure: over that outside, now [Pa]; outside: pressure around it [Pa]. With 0 outside the gas is as soft as it can
-                be; air at 101325 Pa hardly lets the volume change, and wants short steps.
+            pressure: over that outside, at that volume [Pa]; outside: pressure around it [Pa]. With 0 outside the gas is as soft
+                as it can be; air at 101325 Pa hardly lets the volume change, and wants short steps.
+            volume: at which it has this pressure [m^3]; None: the present one.
         """
         if self.dim != 3:
             says = "fills closed surfaces of triangles, in a scene with dim = 3; this one has dim = 2"
@@ -287,12 +271,14 @@ class Elements(Probed, Objects, Motorised):
             says = f"must close a volume, with two triangles, turned alike, at every edge{where}"
             raise SceneError("gases.triangles", says=says)
         a, b, c = (self.position[t[:, k]] - self.position[t[0, 0]] for k in range(3))
-        volume = float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
-        if volume <= 0.0:
-            says = f"enclose {volume:.4g} m^3; give them counter-clockwise seen from outside"
+        present = float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
+        if present <= 0.0:
+            says = f"enclose {present:.4g} m^3; give them counter-clockwise seen from outside"
             raise SceneError("gases.triangles", says=says)
         p = validation.number("gases.pressure", pressure, low=0)
-        self.gases.append(sealed(Gas(t, p, validation.number("gases.outside", outside, low=0), volume)))
+        around = validation.number("gases.outside", outside, low=0)
+        first = present if volume is None else validation.number("gases.volume", volume, positive=True)
+        self.gases.append(sealed(Gas(t, p, around, first)))
 
     def add_moving_pins(
         self: Any,
@@ -341,7 +327,7 @@ class Elements(Probed, Objects, Motorised):
         if not motion.moves:
             says = "does not move; give a velocity, a rotation_rate or a path, or use `pinned`"
             raise SceneError(where, says=says)
-        self._balls.replace(index, pinned=True, velocity=0.0)
+        self.tables["balls"].replace(index, pinned=True, velocity=0.0)
         self.moving_pins.append(
             MovingPins(sealed(index), sealed(motion), {k: v for k, v in given.items() if v is not None})
         )
@@ -388,72 +374,6 @@ class Elements(Probed, Objects, Motorised):
             rest_length=rest_length,
             break_strain=break_strain,
         )
-
-    def elements(self) -> dict[str, Any]:
-        """Wind, gases, moving pins, motors, probes and objects as plain values, arrays apart, for files and digests."""
-        return {
-            "wind": None if self.wind is None else asdict(self.wind),
-            "gases": [{"pressure": g.pressure, "outside": g.outside, "volume": g.volume} for g in self.gases],
-            "moving_pins": [dict(pins.given) for pins in self.moving_pins],
-            "motors": [dict(motor.given) for motor in self.motors],
-            "probes": [{"name": one.name, "kind": one.kind, **one.plain()} for one in self.probes],
-            "objects": [one.name for one in self.objects],
-        }
-
-    def element_arrays(self) -> dict[str, NDArray]:
-        """The arrays that go with `elements`."""
-        arrays: dict[str, Any] = {f"gases.{k}.triangles": gas.triangles for k, gas in enumerate(self.gases)}
-        arrays |= {f"moving_pins.{k}.balls": pins.balls for k, pins in enumerate(self.moving_pins)}
-        arrays |= {f"motors.{k}.springs": motor.springs for k, motor in enumerate(self.motors)}
-        arrays |= {f"motors.{k}.phase": one.phase for k, one in enumerate(self.motors) if one.phase.any()}
-        arrays |= {f"objects.{k}.balls": one.balls for k, one in enumerate(self.objects)}
-        arrays |= {f"objects.{k}.uv": one.uv for k, one in enumerate(self.objects) if one.uv is not None}
-        return arrays | {
-            f"probes.{one.name}.{key}": array for one in self.probes for key, array in one.arrays().items()
-        }
-
-    def set_elements(self: Any, about: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> None:
-        """Add what `elements` and `element_arrays` gave, judged as what is added by hand is. Raises SceneError that names what is
-        wrong, an array by its name among the arrays."""
-        gases, pins = (validation.tables(about, name) for name in ("gases", "moving_pins"))
-        # older versions had none
-        motors, probes = (validation.tables(about, name) if name in about else [] for name in ("motors", "probes"))
-        with self.all_or_nothing():
-            if about.get("wind") is not None:
-                (wind,) = validation.tables({"wind": [about["wind"]]}, "wind")
-                validation.call("wind", self.add_wind, wind)
-            for k, table in enumerate(gases):
-                gas = dict(table)
-                volume = validation.number(f"gases[{k}].volume", gas.pop("volume", None), positive=True)
-                gas["triangles"] = _array(arrays, "gases", k, "triangles")
-                with place_of(f"gases[{k}]"):
-                    validation.call("gases", self.add_gas, gas)
-                self.gases[-1] = replace(self.gases[-1], volume=volume)
-            for k, table in enumerate(pins):
-                balls = {"balls": _array(arrays, "moving_pins", k, "balls")}
-                validation.call(f"moving_pins[{k}]", self.add_moving_pins, table | balls)
-            for k, table in enumerate(motors):
-                springs = {"springs": _array(arrays, "motors", k, "springs")}
-                phase = {"phase": arrays[f"motors.{k}.phase"]} if f"motors.{k}.phase" in arrays else {}
-                validation.call(f"motors[{k}]", self.add_motor, table | springs | phase)
-            for k, table in enumerate(probes):
-                start = f"probes.{table.get('name')}."
-                own = {key.removeprefix(start): array for key, array in arrays.items() if key.startswith(start)}
-                with place_of(f"probes[{k}]"):
-                    validation.call("probes", self.add_probe, {**table, **own})
-            names = about.get("objects", [])
-            if not isinstance(names, (list, tuple)):
-                raise SceneError("objects", names, "a list of names")
-            for k, name in enumerate(names):
-                with place_of(f"objects[{k}]"):
-                    self.set_name(_array(arrays, "objects", k, "balls"), name, arrays.get(f"objects.{k}.uv"))
-
-
-def _array(arrays: Mapping[str, NDArray], *path: str | int) -> NDArray:
-    name = ".".join(map(str, path))
-    if name not in arrays:
-        raise SceneError(path, says=f"is missing; there is no array {name!r}")
-    return arrays[name]
 
 
 def cell_volumes(x: NDArray, corners: NDArray) -> NDArray[np.float64]:

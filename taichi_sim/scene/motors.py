@@ -141,10 +141,10 @@ class Motorised:
         if not self.motors:
             return self
         now = copy(self)
-        now._springs = self._springs.copy()
+        now.tables = self.tables | {"springs": self.tables["springs"].copy()}
         for motor in self.motors:
             length = self.rest_length[motor.springs]
-            now._springs.replace(motor.springs, rest_length=length * (1.0 + motor.strain(time)))
+            now.tables["springs"].replace(motor.springs, rest_length=length * (1.0 + motor.strain(time)))
         return now
 
 

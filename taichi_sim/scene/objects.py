@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import sealed
 
 __all__ = ["LOOSE", "Objects", "SceneObject", "named"]
 
@@ -89,7 +90,7 @@ class Objects:
     def _put(self, number: int, one: SceneObject) -> None:
         if number < len(self.objects):
             self._names.pop(self.objects[number].name)
-        self.objects[number : number + 1] = [one]
+        self.objects[number : number + 1] = [sealed(one)]
         self._names[one.name] = number
         if len(one.balls):
             self._firsts[int(one.balls[0])] = number
