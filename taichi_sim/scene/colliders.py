@@ -21,7 +21,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
 from taichi_sim.geometry.mesh import Surface, area_distance, given_surface, holes, mesh_distance, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
-from taichi_sim.scene.keyframes import Keyframe, Motion, plain_keyframe, turn_matrix
+from taichi_sim.scene.motion import Keyframe, Motion, plain_path, turn_matrix
 
 __all__ = [
     "BOX",
@@ -316,7 +316,7 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     if shape.name is not None and (not isinstance(shape.name, str) or not shape.name):
         raise SceneError(f"{where}.name", shape.name, "a text")
     if len(motion.times) > 1:
-        given["path"] = [plain_keyframe(key) for key in shape.path]
+        given["path"] = plain_path(shape.path)
     plain = {"shape": name} | {key: _plain(value) for key, value in given.items() if not _left_out(shape, key, value)}
     collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface[:2], plain)
     return replace(collider, label=shape.name or "", shape=shape if kind == CUSTOM else None)

@@ -14,7 +14,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import Column, sealed
-from taichi_sim.scene.keyframes import Keyframe, Motion, plain_keyframe
+from taichi_sim.scene.motion import Keyframe, Motion, plain_path
 from taichi_sim.scene.motors import Motorised
 from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.probes import Probed
@@ -323,7 +323,7 @@ class Elements(Probed, Objects, Motorised):
         centre = self.position[index].mean(axis=0)
         motion = Motion.of(where, self.dim, centre, {**given, "rotation": None}, named=False)
         if path is not None:
-            given["path"] = [plain_keyframe(key) for key in path]
+            given["path"] = plain_path(path)
         if not motion.moves:
             says = "does not move; give a velocity, a rotation_rate or a path, or use `pinned`"
             raise SceneError(where, says=says)

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError, path_of, unknown_key
+from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import sealed
+from taichi_sim.scene.keyframes import check_repeat, keyframes
 
 __all__ = ["Motor", "MotorKeyframe", "Motorised"]
 
@@ -111,8 +113,9 @@ class Motorised:
         """
         where = f"motors[{len(self.motors)}]"
         index = _moved(self, where, springs, balls)
+        check_repeat(where, path, repeat)
         if path is None:
-            plain = _sine(where, amplitude, frequency, repeat)
+            plain = _sine(where, amplitude, frequency)
             angles = validation.per_item(f"{where}.phase", phase, len(index))
             keys = np.zeros((0, 2))
         else:
@@ -174,12 +177,10 @@ def _moved(scene: Any, where: str, springs: Any, balls: Any) -> NDArray[np.int32
     return index
 
 
-def _sine(where: str, amplitude: Any, frequency: Any, repeat: Any) -> dict[str, Any]:
+def _sine(where: str, amplitude: Any, frequency: Any) -> dict[str, Any]:
     if amplitude is None or frequency is None:
         name = "amplitude" if amplitude is None else "frequency"
         raise SceneError(f"{where}.{name}", says="is missing; a motor has amplitude and frequency, or a path")
-    if repeat is not False:
-        raise SceneError(f"{where}.repeat", says="there is no path to repeat; give `path`, or leave `repeat` out")
     part = validation.number(f"{where}.amplitude", amplitude)
     if not 0.0 < abs(part) < 1.0:
         raise SceneError(f"{where}.amplitude", amplitude, "between -1 and 1, and not 0: a part of the rest length")
@@ -188,41 +189,16 @@ def _sine(where: str, amplitude: Any, frequency: Any, repeat: Any) -> dict[str, 
 
 def _keys(where: str, path: Any, repeat: Any) -> Floats:
     """Keyframes (f, 2): times and strains, judged."""
-    if not isinstance(repeat, bool):
-        raise SceneError(f"{where}.repeat", repeat, "true or false")
-    if not isinstance(path, (list, tuple)) or len(path) < 2:
-        raise SceneError(f"{where}.path", says="must be a list of at least two keyframes")
-    found: list[tuple[float, float]] = []
-    for k, given in enumerate(path):
-        place = f"{where}.path[{k}]"
-        time, strain = _keyframe(place, given)
-        if found and time <= found[-1][0]:
-            raise SceneError(f"{place}.time", time, f"later than {found[-1][0]:g} s; times must rise")
-        if not -1.0 < strain <= MOST_STRAIN:
-            allowed = f"more than -1 and at most {MOST_STRAIN:g}: a part of the rest length"
-            raise SceneError(f"{place}.strain", strain, allowed)
-        found.append((time, strain))
-    for k in (0, -1) if repeat else (0,):
+    checks = {"time": partial(validation.number, low=0), "strain": _strain}
+    found = [[key["time"], key["strain"]] for key in keyframes(f"{where}.path", path, checks, KEYS)]
+    for k in (0, len(found) - 1) if repeat else (0,):
         if found[k][1] != 0.0:
-            place = f"{where}.path[{k % len(found)}].strain"
-            raise SceneError(place, found[k][1], "0, or the rest length would jump")
-    if found[0][0] < 0.0:
-        raise SceneError(f"{where}.path[0].time", found[0][0], "0 or more")
+            raise SceneError(f"{where}.path[{k}].strain", found[k][1], "0, or the rest length would jump")
     return np.array(found)
 
 
-def _keyframe(place: str, given: Any) -> tuple[float, float]:
-    if isinstance(given, Mapping):
-        unknown = [key for key in given if key not in KEYS]
-        if unknown:
-            raise unknown_key((*path_of(place), unknown[0]), KEYS)
-        for key in KEYS:
-            if key not in given:
-                raise SceneError(f"{place}.{key}", says="is missing; every keyframe needs it")
-        values = tuple(given[key] for key in KEYS)
-    elif isinstance(given, (list, tuple)) and len(given) == len(KEYS):
-        values = tuple(given)
-    else:
-        raise SceneError(place, given, says="is not a keyframe; it must have time and strain")
-    time, strain = (validation.number(f"{place}.{key}", value) for key, value in zip(KEYS, values))
-    return time, strain
+def _strain(place: str, value: Any) -> float:
+    strain = validation.number(place, value)
+    if not -1.0 < strain <= MOST_STRAIN:
+        raise SceneError(place, strain, f"more than -1 and at most {MOST_STRAIN:g}: a part of the rest length")
+    return strain
