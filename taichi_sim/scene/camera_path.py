@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
-from taichi_sim.scene.keyframes import keyframes
+from taichi_sim.scene.keyframes import Checks, keyframes
 
 __all__ = ["CameraPath", "eased"]
 
@@ -150,7 +150,7 @@ def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
 
 def _keyframes(where: str, value: Any) -> tuple[Any, ...]:
     point, angle = partial(_vector, dim=3), partial(validation.number, low=1, high=170)
-    checks = {"time": validation.number, "eye": point, "target": point, "fov": angle}
+    checks: Checks = {"time": validation.number, "eye": point, "target": point, "fov": angle}
     frames = keyframes(where, value, checks, ("time", "eye", "target"))
     for k, frame in enumerate(frames):
         if frame["eye"] == frame["target"]:

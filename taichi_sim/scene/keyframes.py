@@ -5,12 +5,12 @@ from typing import Any
 
 from taichi_sim.common.errors import SceneError, path_of, unknown_key
 
-__all__ = ["check_repeat", "keyframe", "keyframes"]
+__all__ = ["Checks", "check_repeat", "keyframe", "keyframes"]
+
+Checks = Mapping[str, Callable[[str, Any], Any]]
 
 
-def keyframes(
-    where: str, path: Any, checks: Mapping[str, Callable[[str, Any], Any]], needed: Collection[str] = ("time",)
-) -> list[dict[str, Any]]:
+def keyframes(where: str, path: Any, checks: Checks, needed: Collection[str] = ("time",)) -> list[dict[str, Any]]:
     """Keyframes as tables of judged values. Raises SceneError that names the keyframe and the key.
 
     checks: keys of a keyframe, `time` the first, and what returns a value from its place and what stands there; needed: keys

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import sealed
-from taichi_sim.scene.keyframes import check_repeat, keyframes
+from taichi_sim.scene.keyframes import Checks, check_repeat, keyframes
 
 __all__ = ["Motor", "MotorKeyframe", "Motorised"]
 
@@ -189,7 +189,7 @@ def _sine(where: str, amplitude: Any, frequency: Any) -> dict[str, Any]:
 
 def _keys(where: str, path: Any, repeat: Any) -> Floats:
     """Keyframes (f, 2): times and strains, judged."""
-    checks = {"time": partial(validation.number, low=0), "strain": _strain}
+    checks: Checks = {"time": partial(validation.number, low=0), "strain": _strain}
     found = [[key["time"], key["strain"]] for key in keyframes(f"{where}.path", path, checks, KEYS)]
     for k in (0, len(found) - 1) if repeat else (0,):
         if found[k][1] != 0.0:
