@@ -26,7 +26,8 @@ from taichi_sim.files.toml_lines import deepest_line, line_of
 from taichi_sim.geometry.outlines import FONT_FILES
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.looks import Look
-from taichi_sim.scene.parts import PARTS, Part
+from taichi_sim.scene.part import Part
+from taichi_sim.scene.parts import PARTS
 from taichi_sim.scene.pins import chosen as chosen_balls
 from taichi_sim.scene.pins import is_described
 from taichi_sim.scene.scene import Scene
@@ -146,7 +147,7 @@ class Reader:
                 with self._at(*place):
                     arguments = self._arguments(scene, part, table)
                     group = arguments.pop("name", None) if part.name == "balls" else None
-                    self._name(scene, group, part.adder(scene)(**arguments))
+                    self._name(scene, group, part.add(scene, arguments))
             if part.name == "balls":
                 self._shapes(scene, model)
                 self._user_defined(scene)
@@ -285,7 +286,8 @@ class Reader:
                 if key in arguments:
                     raise SceneError(("table", key), says=f"stands in the table and in {name!r}; give it once")
                 arguments[key] = array
-        for key in part.needed:
+        needed: Any = type(table).model_config.get("json_schema_extra", {})
+        for key in needed.get("x-in-file", ()):
             if arguments.get(key) is None:
                 raise SceneError(("table", key), says="is missing; give it here or in a `file`")
         return arguments

@@ -34,7 +34,8 @@ from taichi_sim.common.docstrings import described, unit_of
 from taichi_sim.scene import colliders
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.looks import Look
-from taichi_sim.scene.parts import PARTS, Part
+from taichi_sim.scene.part import Part
+from taichi_sim.scene.parts import PARTS
 from taichi_sim.scene.pins import Members
 from taichi_sim.scene.scene import Scene
 
@@ -320,14 +321,21 @@ COLLIDERS: Mapping[str, type[BaseModel]] = {
 
 
 def _table(part: Part) -> type[BaseModel]:
-    """The model of a part's table."""
+    """The model of a part's table. Arrays without a default may lie in its file, if it has one."""
+    method = getattr(Scene, part.method)
     more: dict[str, Any] = _group if part.counted else {}
     for key, members in part.chosen.items():
         more = more | _chosen(key, members, needed=not part.has_file)
-    more = more | (_file if part.has_file else {})
     if part.name == "balls":
         more = _name | more | _body
-    return _arguments(part.name, getattr(Scene, part.method), part.needed, **more)
+    if not part.has_file:
+        return _arguments(part.name, method, **more)
+    arrays = [one.name for one in inspect.signature(method, eval_str=True).parameters.values() if _is_needed_array(one)]
+    return _arguments(part.name, method, arrays, **more, **_file)
+
+
+def _is_needed_array(parameter: inspect.Parameter) -> bool:
+    return parameter.default is inspect.Parameter.empty and parameter.annotation is ArrayLike
 
 
 TABLES: dict[str, type[BaseModel]] = {}

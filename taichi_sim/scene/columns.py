@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Column", "Names", "Table", "sealed", "tables_of"]
+__all__ = ["Column", "Marked", "Names", "Table", "sealed", "tables_of"]
 
 ROOM = 1.5  # times as many rows as there are: a table that grows has room for, so that it is copied seldom
 Held = TypeVar("Held")
@@ -127,3 +127,24 @@ class Names:
         self._seen = len(items)
         found = self._numbers.get(name)
         return found if found is not None and items[found].name == name else None
+
+
+class Marked:
+    """Which of many things the items of a list that grows name, each looked at once: many are added in as many steps."""
+
+    def __init__(self, key: str) -> None:
+        """key: of an item, the numbers that it names."""
+        self._key, self._marked = key, np.zeros(0, dtype=bool)
+        self._items: Sequence[Any] = ()
+        self._seen = 0
+
+    def by(self, items: Sequence[Any], n: int) -> NDArray[np.bool_]:
+        """A bool for each of n things."""
+        if items is not self._items or self._seen > len(items):  # another list, or some were taken back
+            self._marked, self._items, self._seen = self._marked[:0], items, 0
+        if len(self._marked) < n:
+            self._marked = np.concatenate([self._marked, np.zeros(n - len(self._marked), dtype=bool)])
+        for item in items[self._seen :]:
+            self._marked[getattr(item, self._key)] = True
+        self._seen = len(items)
+        return self._marked

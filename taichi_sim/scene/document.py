@@ -14,7 +14,8 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import KeyPath, SceneError, about, key_name
 from taichi_sim.common.plain import plain
 from taichi_sim.scene.collision_groups import Groups
-from taichi_sim.scene.parts import PARTS, Part, Row
+from taichi_sim.scene.part import Part, Row
+from taichi_sim.scene.parts import PARTS
 
 __all__ = ["document", "fill", "saved"]
 

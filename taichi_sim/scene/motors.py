@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.scene.columns import sealed
+from taichi_sim.scene.columns import Marked, sealed
 from taichi_sim.scene.keyframes import Checks, check_repeat, keyframes
 
 __all__ = ["Motor", "MotorKeyframe", "Motorised"]
@@ -78,9 +78,10 @@ class Motor:
 class Motorised:
     """The part of a Scene that holds motors."""
 
+    motors: list[Motor]
+
     def _begin_motors(self) -> None:
-        self.motors: list[Motor] = []
-        self._motored_of = 0, np.zeros(0, dtype=bool)  # the first so many of them drive these springs
+        self._motored = Marked("springs")
 
     def add_motor(
         self: Any,
@@ -127,18 +128,6 @@ class Motorised:
         sine = plain.get("amplitude", 0.0), plain.get("frequency", 0.0)
         self.motors.append(sealed(Motor(index, angles, *sine, keys[:, 0], keys[:, 1], repeat, plain)))
 
-    def _motored(self: Any) -> NDArray[np.bool_]:
-        """Which springs (m,) motors drive. It grows with them, so that many are added in as many steps."""
-        of, driven = self._motored_of
-        if of > len(self.motors):  # some were taken back
-            of, driven = 0, driven[:0]
-        if len(driven) < self.n_springs:
-            driven = np.concatenate([driven, np.zeros(self.n_springs - len(driven), dtype=bool)])
-        for motor in self.motors[of:]:
-            driven[motor.springs] = True
-        self._motored_of = len(self.motors), driven
-        return driven
-
     def at(self: Any, time: float) -> Any:
         """This scene with the rest lengths that its motors give it at a time [s]: to look at, not to change."""
         if not self.motors:
@@ -167,7 +156,7 @@ def _moved(scene: Any, where: str, springs: Any, balls: Any) -> NDArray[np.int32
         )
         if not len(index):
             raise SceneError(f"{where}.springs", says="is empty; name at least one spring")
-    both, ordered = index[scene._motored()[index]], np.sort(index)
+    both, ordered = index[scene._motored.by(scene.motors, scene.n_springs)[index]], np.sort(index)
     again = both if len(both) else ordered[1:][np.diff(ordered) == 0]
     if len(again):
         raise SceneError(where, says=f"spring {again[0]} is driven twice; a spring can have one motor only")

@@ -38,8 +38,9 @@ class SceneObject:
 class Objects:
     """The part of a Scene that holds them."""
 
+    objects: list[SceneObject]
+
     def _begin_objects(self) -> None:
-        self.objects: list[SceneObject] = []
         self._names: dict[str, int] = {}  # their numbers by name, and by the first of their balls
         self._firsts: dict[int, int] = {}
         self._counts: dict[str, int] = {}  # by kind: numbers that are in use below this one

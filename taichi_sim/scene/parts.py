@@ -1,239 +1,123 @@
-"""Parts: the kinds of thing that a scene holds, each declared once.
-
-A part is a table of scene files, whose keys are the arguments of the method of Scene that adds it. The schema, the reader and the
-writer of scene files, state files, digests and copies of scenes are loops over PARTS."""
+"""PARTS: the kinds of thing that a scene holds. The schema, the reader and the writer of scene files, state files, digests,
+copies of scenes and what is said of them are loops over these."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
-
-import numpy as np
+from dataclasses import asdict
+from typing import Any, ClassVar
 
 from taichi_sim.scene.colliders import shape_of
-from taichi_sim.scene.collision_groups import EVERY, ONLY
+from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.part import Columns, Listed, Part, Row, group_keys
 
-__all__ = ["LISTS", "PARTS", "Part", "group_keys"]
-
-Row = dict[str, Any]  # arguments of a method of Scene, arrays or plain values
-
-
-def _none(_: Any) -> list[Row]:
-    return []
+__all__ = ["LISTS", "PARTS"]
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """One kind of thing that a scene holds."""
+class _Materials(Listed):
+    name, method, has_file, is_simulated = "materials", "add_material", False, False
 
-    name: str  # of its table in a file
-    method: str  # of Scene, which adds it; its signature and docstring are the schema of the table
-    rows: Callable[[Any], list[Row]] = _none  # of a scene: what adds the same again
-    add: Callable[..., Any] | None = None  # takes a table of a file, where the method takes something else
-    restore: Callable[..., Any] | None = None  # takes a row, where the method takes something else
-    needed: tuple[
-        str, ...
-    ] = ()  # arguments without a default, which may lie in the .npz that a table names as its `file`
-    has_file: bool = True  # whether it may name one
-    counted: tuple[str, ...] = ()  # arguments that number balls within those that a table names as `balls`
-    chosen: Mapping[str, str] = field(
-        default_factory=dict
-    )  # arguments that are balls: the name of a group, and the key of
-    # those of its members that are meant
-    is_table: bool = (
-        False  # whether its rows are columns of a table of the scene, so that there is one row of arrays at most
-    )
-    is_single: bool = False  # whether a scene has one at most
-    in_list: bool = False  # whether the scene has a list of that name
-    is_simulated: bool = True  # whether a simulation depends on it by itself
-    title: str = ""  # in words, in the plural
+    def row(self, scene: Any, one: Any) -> Row:
+        return {key: value for key, value in asdict(one).items() if value is not None}
 
-    def adder(self, scene: Any) -> Callable[..., Any]:
-        """Adds what the keys of a table of a file say."""
-        if self.add is None:
-            return getattr(scene, self.method)  # type: ignore[no-any-return]
-        return lambda **row: self.add(scene, **row)  # type: ignore[misc]
+
+class _Balls(Columns):
+    name, method = "balls", "add_balls"
 
     def restorer(self, scene: Any) -> Callable[..., Any]:
-        """Adds what a row says."""
-        return self.adder(scene) if self.restore is None else self.restore(scene)  # type: ignore[no-any-return]
-
-    def count(self, scene: Any) -> int:
-        """How many of them a scene has."""
-        if self.is_table:
-            return int(scene.tables[self.name].rows)
-        return len(getattr(scene, self.name)) if self.in_list else len(self.rows(scene))
-
-    @property
-    def is_one(self) -> bool:
-        """Whether a scene has one row of it at most."""
-        return self.is_table or self.is_single
+        return scene._add_ball_columns  # type: ignore[no-any-return]
 
 
-def _columns(name: str, **assumed: float) -> Callable[[Any], list[Row]]:
-    """Rows of what is in a table of the scene: one, of all columns but those that have everywhere what a method assumes."""
-
-    def rows(scene: Any) -> list[Row]:
-        table = scene.tables[name]
-        columns = {key: table[key] for key in table.names}
-        row = {key: column for key, column in columns.items() if np.any(column != assumed.get(key, np.nan))}
-        return [row] if table.rows else []
-
-    return rows
+class _Springs(Columns):
+    name, method, counted = "springs", "add_springs", ("pairs",)
+    assumed: ClassVar = {"break_strain": float("inf")}
 
 
-def group_keys(scene: Any, group: int, mask: int) -> Row:
-    """The arguments for collision groups, where they are not the default."""
-    keys: Row = {} if group == ONLY else {"group": scene.groups.listed(group)}
-    return keys if mask == EVERY else keys | {"collides_with": scene.groups.listed(mask)}
+class _Attachments(Part):
+    """Springs, which the scene holds as such."""
+
+    name, method, has_file = "attachments", "attach", False
+    chosen: ClassVar = {"one": "one_members", "other": "other_members"}
 
 
-def _walls(scene: Any) -> list[Row]:
-    return [
-        {"normal": wall.normal, "offset": wall.offset, "material": scene.materials[wall.material].name}
-        | group_keys(scene, wall.group, wall.mask)
-        for wall in scene.walls
-    ]
+class _MovingPins(Listed):
+    name, method, chosen = "moving_pins", "add_moving_pins", {"balls": "members"}
+
+    def row(self, scene: Any, one: Any) -> Row:
+        return {"balls": one.balls, **one.given}
 
 
-def _colliders(scene: Any) -> list[Row]:
+class _Motors(Listed):
+    name, method, chosen = "motors", "add_motor", {"balls": "members"}
+
+    def row(self, scene: Any, one: Any) -> Row:
+        return {"springs": one.springs, **({"phase": one.phase} if one.phase.any() else {}), **one.given}
+
+
+class _Walls(Listed):
+    name, method, has_file = "walls", "add_wall", False
+
+    def row(self, scene: Any, one: Any) -> Row:
+        own = {"normal": one.normal, "offset": one.offset, "material": scene.materials[one.material].name}
+        return own | group_keys(scene, one.group, one.mask)
+
+
+class _Colliders(Listed):
     """Those of the user's own as they are drawn, which no shape that can be added is: see `Collider.saved`."""
-    rows = []
-    for collider in scene.colliders:
-        plain = {key: value for key, value in collider.given.items() if key != "mesh"}
-        mesh = {"vertices": collider.vertices, "triangles": collider.triangles} if collider.is_meshed else {}
-        rows.append(plain | mesh)
-    return rows
+
+    name, method = "colliders", "add_collider"
+
+    def row(self, scene: Any, one: Any) -> Row:
+        plain = {key: value for key, value in one.given.items() if key != "mesh"}
+        return plain | ({"vertices": one.vertices, "triangles": one.triangles} if one.is_meshed else {})
+
+    def add(self, scene: Any, row: Mapping[str, Any]) -> Any:
+        return scene.add_collider(shape_of(row))
+
+    def restorer(self, scene: Any) -> Callable[..., Any]:
+        return lambda **row: self.add(scene, row)
 
 
-def _surfaces(scene: Any) -> list[Row]:
-    rows = []
-    for one in scene.embedded_surfaces:
-        row = {"corners": one.corners, "weights": one.weights, "triangles": one.triangles}
-        row |= {"covers": one.covers} if len(one.covers) else {}
-        rows.append(row if one.colour is None else row | {"colour": one.colour})
-    return rows
+class _Triangles(Columns):
+    name, method, counted = "triangles", "add_triangles", ("triangles",)
 
 
-def _gases(scene: Any) -> list[Row]:
-    return [{key: getattr(gas, key) for key in ("triangles", "pressure", "outside", "volume")} for gas in scene.gases]
+class _Objects(Listed):
+    name, method, is_simulated = "objects", "set_name", False
+
+    def row(self, scene: Any, one: Any) -> Row:
+        return {"name": one.name, "balls": one.balls} | ({} if one.uv is None else {"uv": one.uv})
 
 
-def _motors(scene: Any) -> list[Row]:
-    return [
-        {"springs": motor.springs, **({"phase": motor.phase} if motor.phase.any() else {}), **motor.given}
-        for motor in scene.motors
-    ]
+class _EmbeddedSurfaces(Listed):
+    name, method, counted = "embedded_surfaces", "add_embedded_surface", ("corners", "covers")
+    is_simulated = False
+
+    def row(self, scene: Any, one: Any) -> Row:
+        own = {key: getattr(one, key) for key in ("corners", "weights", "triangles", "colour")}
+        own |= {"covers": one.covers} if len(one.covers) else {}
+        return {key: value for key, value in own.items() if value is not None}
 
 
-def _objects(scene: Any) -> list[Row]:
-    return [{"name": o.name, "balls": o.balls} | ({} if o.uv is None else {"uv": o.uv}) for o in scene.objects]
+class _Probes(Listed):
+    name, method, chosen = "probes", "add_probe", {"balls": "members"}
+
+    def row(self, scene: Any, one: Any) -> Row:
+        return {"name": one.name, "kind": one.kind, **one.given}
 
 
 # in the order in which a file's tables are added; shapes come after the balls
 PARTS: tuple[Part, ...] = (
-    Part(
-        "materials",
-        "add_material",
-        lambda scene: [{k: v for k, v in asdict(one).items() if v is not None} for one in scene.materials],
-        has_file=False,
-        in_list=True,
-        is_simulated=False,
-    ),
-    Part(
-        "balls",
-        "add_balls",
-        _columns("balls"),
-        restore=lambda scene: scene._add_ball_columns,
-        needed=("position", "radius"),
-        is_table=True,
-    ),
-    Part(
-        "springs",
-        "add_springs",
-        _columns("springs", break_strain=np.inf),
-        needed=("pairs", "stiffness"),
-        counted=("pairs",),
-        is_table=True,
-    ),
-    Part(
-        "attachments",
-        "attach",
-        has_file=False,
-        chosen={"one": "one_members", "other": "other_members"},
-    ),
-    Part(
-        "cells",
-        "add_cells",
-        _columns("cells", together=-1),
-        needed=("corners", "bulk_modulus"),
-        counted=("corners",),
-        is_table=True,
-    ),
-    Part(
-        "bending",
-        "add_bending",
-        _columns("bending"),
-        needed=("corners", "weights", "stiffness"),
-        counted=("corners",),
-        is_table=True,
-        title="bends",
-    ),
-    Part(
-        "gases",
-        "add_gas",
-        _gases,
-        needed=("triangles",),
-        counted=("triangles",),
-        in_list=True,
-    ),
-    Part(
-        "moving_pins",
-        "add_moving_pins",
-        lambda scene: [{"balls": pins.balls, **pins.given} for pins in scene.moving_pins],
-        needed=("balls",),
-        chosen={"balls": "members"},
-        in_list=True,
-    ),
-    Part("motors", "add_motor", _motors, chosen={"balls": "members"}, in_list=True),
-    Part(
-        "wind",
-        "add_wind",
-        lambda scene: [] if scene.wind is None else [asdict(scene.wind)],
-        has_file=False,
-        is_single=True,
-    ),
-    Part("walls", "add_wall", _walls, has_file=False, in_list=True),
-    Part(
-        "colliders",
-        "add_collider",
-        _colliders,
-        add=lambda scene, **given: scene.add_collider(shape_of(given)),
-        in_list=True,
-    ),
-    Part(
-        "triangles",
-        "add_triangles",
-        _columns("triangles"),
-        needed=("triangles",),
-        counted=("triangles",),
-        is_table=True,
-    ),
-    Part("objects", "set_name", _objects, needed=("balls",), in_list=True, is_simulated=False),
-    Part(
-        "embedded_surfaces",
-        "add_embedded_surface",
-        _surfaces,
-        needed=("corners", "weights", "triangles"),
-        counted=("corners", "covers"),
-        in_list=True,
-        is_simulated=False,
-    ),
-    Part(
-        "probes",
-        "add_probe",
-        lambda scene: [{"name": one.name, "kind": one.kind, **one.given} for one in scene.probes],
-        chosen={"balls": "members"},
-        in_list=True,
-    ),
+    _Materials(),
+    _Balls(),
+    _Springs(),
+    _Attachments(),
+    *ELEMENTS,
+    _MovingPins(),
+    _Motors(),
+    _Walls(),
+    _Colliders(),
+    _Triangles(),
+    _Objects(),
+    _EmbeddedSurfaces(),
+    _Probes(),
 )
-LISTS = tuple(part.name for part in PARTS if part.in_list)
+LISTS = tuple(part.name for part in PARTS if isinstance(part, Listed))

@@ -318,8 +318,9 @@ def bodies_of(scene: Any) -> list[tuple[str, int]]:
 class Probed:
     """The part of a Scene that holds its probes."""
 
+    probes: list[Probe]
+
     def _begin_probes(self) -> None:
-        self.probes: list[Probe] = []
         self.probe_names = Names()
 
     def add_probe(

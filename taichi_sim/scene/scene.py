@@ -22,9 +22,13 @@ from taichi_sim.scene.columns import Column, Names, sealed, tables_of
 from taichi_sim.scene.elements import Elements
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
+from taichi_sim.scene.motors import Motorised
+from taichi_sim.scene.moving_pins import PinMethods
+from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.parts import LISTS, PARTS
 from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.presets import PRESETS, Preset
+from taichi_sim.scene.probes import Probed
 from taichi_sim.scene.read_only import read_only, refuse
 from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.scene.toml_writer import save_scene
@@ -36,7 +40,7 @@ MOST_BODY = 2**31 - 1
 UNIT = 4e-16  # how far from 1 rounding leaves the length of a unit vector
 
 
-class Scene(Elements):
+class Scene(Elements, PinMethods, Motorised, Probed, Objects):
     """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
     Args:
@@ -47,24 +51,31 @@ class Scene(Elements):
     Raises SceneError for anything that is not allowed, naming the field and the index; the scene is then unchanged.
     """
 
+    materials: list[Material]
+    walls: list[Wall]
+    colliders: list[Collider]
+    embedded_surfaces: list[EmbeddedSurface]
+
     def __init__(self, dim: int = 2, gravity: ArrayLike | None = None) -> None:
         if isinstance(dim, bool) or dim not in (2, 3):
             raise SceneError("dim", dim, "2 or 3")
         self.dim = int(dim)
         dim = self.dim
         self.gravity = np.zeros(dim) if gravity is None else gravity
-        self.materials: list[Material] = [Material("default")]
+        for name in LISTS:
+            setattr(self, name, [])
+        self.materials.append(Material("default"))
         self._material_names = Names()
-        self.walls: list[Wall] = []
-        self.colliders: list[Collider] = []
-        self.embedded_surfaces: list[EmbeddedSurface] = []
         self.groups = Groups()
         self._settings: dict[str, Any] = {}
         self._output: dict[str, Any] = {}
         self.locate: Callable[[SceneError], SceneError] | None = None  # where in its file an error's path stands
         self.tables = tables_of(type(self), dim)  # of the balls, springs, triangles, cells and bending elements
         self._bodies = 0
-        self._begin_elements()
+        self._begin_pins()
+        self._begin_motors()
+        self._begin_probes()
+        self._begin_objects()
 
     # What there is -------------------------------------------------------------------------------------------------
 
@@ -538,7 +549,7 @@ class Scene(Elements):
 
     def grown_since(self, held: Scene) -> str:
         """What this scene has more of than `held`, a frozen copy of it, in words; "" where nothing was added."""
-        return ", ".join(part.name for part in PARTS if part.is_simulated and part.count(self) > part.count(held))
+        return ", ".join(part.words for part in PARTS if part.is_simulated and part.count(self) > part.count(held))
 
     def _may_change(self, name: str) -> None:
         if isinstance(getattr(self, "walls", None), tuple):

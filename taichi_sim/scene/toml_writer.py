@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from taichi_sim.common.atomic_file import replacing, require_name
 from taichi_sim.common.plain import plain
 from taichi_sim.scene.document import saved
-from taichi_sim.scene.parts import PARTS, Part, Row, group_keys
+from taichi_sim.scene.part import Columns, Part, Row, group_keys
+from taichi_sim.scene.parts import PARTS
 
 __all__ = ["save_scene"]
 
@@ -77,7 +78,7 @@ def _plain(value: Any) -> Any:
 def _short(part: Part, scene: Any, row: Row) -> Row:
     """A row with one value for a column where all are the same, and without what the method assumes."""
     parameters = inspect.signature(getattr(scene, part.method)).parameters
-    short = {key: _one(value) if part.is_table else value for key, value in row.items()}
+    short = {key: _one(value) if isinstance(part, Columns) else value for key, value in row.items()}
     assumed = {key: one.default for key, one in parameters.items() if isinstance(one.default, (bool, int, float))}
     return {
         key: value for key, value in short.items() if isinstance(value, np.ndarray) or value != assumed.get(key, ...)

@@ -10,8 +10,8 @@ import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.forces.wind import GUST_WAVES, SIDEWAYS_GUSTS, axes
+from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.scene.document import document
-from taichi_sim.scene.elements import cell_volumes
 
 pytestmark = pytest.mark.long_in("f32")
 
