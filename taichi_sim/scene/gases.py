@@ -70,6 +70,7 @@ class GasMethods:
 
 class _Gases(Listed, Element):
     name, method, counted = "gases", "add_gas", ("triangles",)
+    gives_energy = True  # as far as the energy monitor knows, which does not count it: it may be negative
 
     def row(self, scene: Any, one: Gas) -> Row:
         return {"triangles": one.triangles, "pressure": one.pressure, "outside": one.outside, "volume": one.volume}

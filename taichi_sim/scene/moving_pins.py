@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.plain import plain
 from taichi_sim.scene.columns import Marked, sealed
 from taichi_sim.scene.motion import Keyframe, Motion, plain_path
 
@@ -65,23 +66,13 @@ class PinMethods:
             k = int(both[0]) if len(both) else int(np.sort(index)[:-1][np.diff(np.sort(index)) == 0][0])
             says = f"ball {k} is named twice; a ball can be led along one path only"
             raise SceneError(f"{where}.balls", says=says)
-        given = {
-            "velocity": None
-            if velocity is None
-            else validation.vector(f"{where}.velocity", velocity, self.dim).tolist(),
-            "rotation_rate": None if rotation_rate is None else validation.as_array(rotation_rate).tolist(),
-            "pivot": None if pivot is None else validation.vector(f"{where}.pivot", pivot, self.dim).tolist(),
-            "path": path,
-            "repeat": repeat,
-        }
+        moves = {"velocity": velocity, "rotation_rate": rotation_rate, "pivot": pivot, "path": path, "repeat": repeat}
         centre = self.position[index].mean(axis=0)
-        motion = Motion.of(where, self.dim, centre, {**given, "rotation": None}, named=False)
-        if path is not None:
-            given["path"] = plain_path(path)
+        motion = Motion.of(where, self.dim, centre, {**moves, "rotation": None}, named=False)
         if not motion.moves:
             says = "does not move; give a velocity, a rotation_rate or a path, or use `pinned`"
             raise SceneError(where, says=says)
         self.tables["balls"].replace(index, pinned=True, velocity=0.0)
-        self.moving_pins.append(
-            MovingPins(sealed(index), sealed(motion), {k: v for k, v in given.items() if v is not None})
-        )
+        given: dict[str, Any] = {key: value for key, value in moves.items() if value is not None}
+        given |= {} if path is None else {"path": plain_path(path)}
+        self.moving_pins.append(MovingPins(sealed(index), sealed(motion), plain(given)))

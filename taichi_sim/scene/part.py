@@ -99,6 +99,8 @@ class Element(Part):
     # whether a scene has what kernels are compiled for, in words
     features: ClassVar[Mapping[str, Callable[[Any], Any]]] = {}
 
+    gives_energy: bool = False  # or takes it: the energy of a scene with one does not stay
+
     def acts(self, scene: Any) -> bool:
         """Whether there is one that exerts a force."""
         return self.count(scene) > 0

@@ -66,8 +66,7 @@ class _Colliders(Listed):
     name, method = "colliders", "add_collider"
 
     def row(self, scene: Any, one: Any) -> Row:
-        plain = {key: value for key, value in one.given.items() if key != "mesh"}
-        return plain | ({"vertices": one.vertices, "triangles": one.triangles} if one.is_meshed else {})
+        return one.given | ({"vertices": one.vertices, "triangles": one.triangles} if one.is_meshed else {})
 
     def add(self, scene: Any, row: Mapping[str, Any]) -> Any:
         return scene.add_collider(shape_of(row))

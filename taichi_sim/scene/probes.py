@@ -55,14 +55,6 @@ class Probe:
         """Judge the arguments, those that were given. Raises SceneError."""
         return cls(name, dict(asked))
 
-    def arrays(self) -> dict[str, NDArray]:
-        """The arrays among its arguments."""
-        return {key: value for key, value in self.given.items() if isinstance(value, np.ndarray)}
-
-    def plain(self) -> dict[str, Any]:
-        """The other arguments."""
-        return {key: value for key, value in self.given.items() if not isinstance(value, np.ndarray)}
-
     def numbers(self, dim: int) -> tuple[str, ...]:
         """Names of its numbers."""
         return (*"xyz"[:dim], "magnitude") if self.vector else tuple(self.units)

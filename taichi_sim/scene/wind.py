@@ -71,7 +71,7 @@ class WindMethods:
 
 class _Wind(Element):
     name, method, has_file = "wind", "add_wind", False
-    is_one = is_single = True
+    is_one = is_single = gives_energy = True
     features: ClassVar = {
         "wind": lambda scene: scene.wind is not None and bool(np.any(np.asarray(scene.wind.velocity) != 0)),
         "gusts": lambda scene: scene.wind is not None and scene.wind.gust > 0,
