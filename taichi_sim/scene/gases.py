@@ -12,7 +12,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.columns import sealed
-from taichi_sim.scene.part import Element, Listed, Quadratic, Row
+from taichi_sim.scene.part import Element, Listed, Quadratic
 
 __all__ = ["GASES", "Gas", "GasMethods", "enclosed"]
 
@@ -71,9 +71,7 @@ class GasMethods:
 class _Gases(Listed, Element):
     name, method, counted = "gases", "add_gas", ("triangles",)
     gives_energy = True  # as far as the energy monitor knows, which does not count it: it may be negative
-
-    def row(self, scene: Any, one: Gas) -> Row:
-        return {"triangles": one.triangles, "pressure": one.pressure, "outside": one.outside, "volume": one.volume}
+    keys = ("triangles", "pressure", "outside", "volume")
 
     def corners(self, scene: Any) -> NDArray[np.int32]:
         return np.concatenate([np.zeros((0, 3), dtype=np.int32), *(gas.triangles for gas in scene.gases)])

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 class Part:
-    """One kind of thing that a scene holds. A subclass says how many there are, and what adds them again."""
+    """One kind of thing that a scene holds, made of these attributes; those that a subclass does not set are given by name."""
 
     name: str  # of its table in a file
     method: str  # of Scene, which adds it; its signature and docstring are the schema of the table
@@ -30,6 +30,11 @@ class Part:
     is_single: bool = False  # whether a file has one table at most
     is_simulated: bool = True  # whether a simulation depends on it by itself
     title: str = ""  # in words and in the plural, where that is not the name
+    keys: tuple[str, ...] = ()  # what is read of each item of a list, and is an argument where it is not None
+    assumed: ClassVar[Mapping[str, float]] = {}  # values that an array may be left out for, where all are that
+
+    def __init__(self, **attributes: Any) -> None:
+        vars(self).update(attributes)
 
     @property
     def words(self) -> str:
@@ -57,24 +62,22 @@ class Columns(Part):
     """A part in a table of the scene: one row, of all its columns."""
 
     is_one = True
-    assumed: ClassVar[Mapping[str, float]] = {}  # values that a column may be left out for, where all are that
 
     def rows(self, scene: Any) -> list[Row]:
         table = scene.tables[self.name]
-        columns = {key: table[key] for key in table.names}
-        row = {key: column for key, column in columns.items() if np.any(column != self.assumed.get(key, np.nan))}
-        return [row] if table.rows else []
+        return [_without(self.assumed, {key: table[key] for key in table.names})] if table.rows else []
 
     def count(self, scene: Any) -> int:
         return int(scene.tables[self.name].rows)
 
 
 class Listed(Part):
-    """A part in a list of the scene, which has its name."""
+    """A part in a list of the scene, which has its name. Items may have more arguments, in `given`."""
 
     def row(self, scene: Any, one: Any) -> Row:
         """Arguments that add one of them again."""
-        raise NotImplementedError
+        own = {key: value for key in self.keys if (value := getattr(one, key)) is not None}
+        return _without(self.assumed, own) | dict(getattr(one, "given", {}))
 
     def rows(self, scene: Any) -> list[Row]:
         return [self.row(scene, one) for one in getattr(scene, self.name)]
@@ -124,6 +127,11 @@ class Element(Part):
     def further_rates(self, scene: Any) -> tuple[float, float]:
         """What is to be added to the largest eigenvalues of M^-1 K [1/s^2] and M^-1 D [1/s] of these."""
         return 0.0, 0.0
+
+
+def _without(assumed: Mapping[str, float], row: Row) -> Row:
+    """A row without the arrays all of whose values are those that are assumed."""
+    return {key: value for key, value in row.items() if key not in assumed or np.any(value != assumed[key])}
 
 
 def group_keys(scene: Any, group: int, mask: int) -> Row:

@@ -2,8 +2,7 @@
 copies of scenes and what is said of them are loops over these."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
-from typing import Any, ClassVar
+from typing import Any
 
 from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.elements import ELEMENTS
@@ -12,49 +11,12 @@ from taichi_sim.scene.part import Columns, Listed, Part, Row, group_keys
 __all__ = ["LISTS", "PARTS"]
 
 
-class _Materials(Listed):
-    name, method, has_file, is_simulated = "materials", "add_material", False, False
-
-    def row(self, scene: Any, one: Any) -> Row:
-        return {key: value for key, value in asdict(one).items() if value is not None}
-
-
 class _Balls(Columns):
-    name, method = "balls", "add_balls"
-
     def restorer(self, scene: Any) -> Callable[..., Any]:
         return scene._add_ball_columns  # type: ignore[no-any-return]
 
 
-class _Springs(Columns):
-    name, method, counted = "springs", "add_springs", ("pairs",)
-    assumed: ClassVar = {"break_strain": float("inf")}
-
-
-class _Attachments(Part):
-    """Springs, which the scene holds as such."""
-
-    name, method, has_file = "attachments", "attach", False
-    chosen: ClassVar = {"one": "one_members", "other": "other_members"}
-
-
-class _MovingPins(Listed):
-    name, method, chosen = "moving_pins", "add_moving_pins", {"balls": "members"}
-
-    def row(self, scene: Any, one: Any) -> Row:
-        return {"balls": one.balls, **one.given}
-
-
-class _Motors(Listed):
-    name, method, chosen = "motors", "add_motor", {"balls": "members"}
-
-    def row(self, scene: Any, one: Any) -> Row:
-        return {"springs": one.springs, **({"phase": one.phase} if one.phase.any() else {}), **one.given}
-
-
 class _Walls(Listed):
-    name, method, has_file = "walls", "add_wall", False
-
     def row(self, scene: Any, one: Any) -> Row:
         own = {"normal": one.normal, "offset": one.offset, "material": scene.materials[one.material].name}
         return own | group_keys(scene, one.group, one.mask)
@@ -62,8 +24,6 @@ class _Walls(Listed):
 
 class _Colliders(Listed):
     """Those of the user's own as they are drawn, which no shape that can be added is: see `Collider.saved`."""
-
-    name, method = "colliders", "add_collider"
 
     def row(self, scene: Any, one: Any) -> Row:
         return one.given | ({"vertices": one.vertices, "triangles": one.triangles} if one.is_meshed else {})
@@ -75,48 +35,30 @@ class _Colliders(Listed):
         return lambda **row: self.add(scene, row)
 
 
-class _Triangles(Columns):
-    name, method, counted = "triangles", "add_triangles", ("triangles",)
-
-
-class _Objects(Listed):
-    name, method, is_simulated = "objects", "set_name", False
-
-    def row(self, scene: Any, one: Any) -> Row:
-        return {"name": one.name, "balls": one.balls} | ({} if one.uv is None else {"uv": one.uv})
-
-
-class _EmbeddedSurfaces(Listed):
-    name, method, counted = "embedded_surfaces", "add_embedded_surface", ("corners", "covers")
-    is_simulated = False
-
-    def row(self, scene: Any, one: Any) -> Row:
-        own = {key: getattr(one, key) for key in ("corners", "weights", "triangles", "colour")}
-        own |= {"covers": one.covers} if len(one.covers) else {}
-        return {key: value for key, value in own.items() if value is not None}
-
-
-class _Probes(Listed):
-    name, method, chosen = "probes", "add_probe", {"balls": "members"}
-
-    def row(self, scene: Any, one: Any) -> Row:
-        return {"name": one.name, "kind": one.kind, **one.given}
-
-
-# in the order in which a file's tables are added; shapes come after the balls
+MATERIAL = ("name", "restitution", "friction", "viscous_friction", "colour")
+SURFACE = ("corners", "weights", "triangles", "covers", "colour")
+MEMBERS = {"balls": "members"}
+# in the order in which a file's tables are added; shapes come after the balls. Attachments become springs
 PARTS: tuple[Part, ...] = (
-    _Materials(),
-    _Balls(),
-    _Springs(),
-    _Attachments(),
+    Listed(name="materials", method="add_material", keys=MATERIAL, has_file=False, is_simulated=False),
+    _Balls(name="balls", method="add_balls"),
+    Columns(name="springs", method="add_springs", counted=("pairs",), assumed={"break_strain": float("inf")}),
+    Part(name="attachments", method="attach", has_file=False, chosen={"one": "one_members", "other": "other_members"}),
     *ELEMENTS,
-    _MovingPins(),
-    _Motors(),
-    _Walls(),
-    _Colliders(),
-    _Triangles(),
-    _Objects(),
-    _EmbeddedSurfaces(),
-    _Probes(),
+    Listed(name="moving_pins", method="add_moving_pins", keys=("balls",), chosen=MEMBERS),
+    Listed(name="motors", method="add_motor", keys=("springs", "phase"), assumed={"phase": 0.0}, chosen=MEMBERS),
+    _Walls(name="walls", method="add_wall", has_file=False),
+    _Colliders(name="colliders", method="add_collider"),
+    Columns(name="triangles", method="add_triangles", counted=("triangles",)),
+    Listed(name="objects", method="set_name", keys=("name", "balls", "uv"), is_simulated=False),
+    Listed(
+        name="embedded_surfaces",
+        method="add_embedded_surface",
+        keys=SURFACE,
+        assumed={"covers": -1},
+        counted=("corners", "covers"),
+        is_simulated=False,
+    ),
+    Listed(name="probes", method="add_probe", keys=("name", "kind"), chosen=MEMBERS),
 )
 LISTS = tuple(part.name for part in PARTS if isinstance(part, Listed))
