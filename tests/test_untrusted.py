@@ -19,6 +19,7 @@ from taichi_sim.geometry.mesh import read_surface
 from taichi_sim.reports.speed_error import command
 from taichi_sim.scene.columns import Table
 from taichi_sim.scene.document import document, fill
+from taichi_sim.scene.parts import PARTS
 
 pytestmark = pytest.mark.once
 
@@ -372,6 +373,9 @@ def everything():
     scene.add_wind((1, 0, 0))
     scene.add_wall((0, 1, 0), -3.0, material="rubber", collides_with="a")
     scene.add_moving_pins([3], velocity=(1, 0, 0))
+    scene.add_motor([0], amplitude=0.1, frequency=2.0, phase=90.0)
+    scene.add_collider(ts.Box((9, 0, 0), (1, 1, 1), path=[(0, (0, 0, 0)), (1, (1, 0, 0))]))
+    scene.set_name([0, 1], "ends", uv=[[0, 0], [1, 1]])
     scene.add_probe("load", "strain", springs=[0, 1])
     return scene
 
@@ -390,6 +394,7 @@ def again(arrays=None, values=None):
 
 
 def test_a_scene_comes_back_from_its_document():
+    assert {part.name for part in PARTS} - VALUES.keys() == {"attachments"}  # which become springs
     scene = again()
     values, arrays = document(scene)
     assert values == VALUES
