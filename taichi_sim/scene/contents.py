@@ -18,7 +18,13 @@ def contents_of(scene: Any) -> dict[str, Any]:
     values, arrays = document(scene)
     parts: dict[str, Any] = {}
     for name, value in values.items():
-        if isinstance(value, list) and value and isinstance(value[0], dict):
+        if isinstance(value, dict):
+            plain = {key: one for key, one in value.items() if f"{name}.{key}" not in arrays}
+            parts |= {name: plain} if plain else {}
+        elif value and isinstance(value, list) and isinstance(value[0], dict):
+            parts |= (
+                {"materials": [row["name"] for row in value]} if name == "materials" else {}
+            )  # balls have their numbers
             parts |= {f"{name}.{row['name']}" if "name" in row else f"{name}[{k}]": row for k, row in enumerate(value)}
         else:
             parts[name] = value
