@@ -22,9 +22,8 @@ def contents_of(scene: Any) -> dict[str, Any]:
             plain = {key: one for key, one in value.items() if f"{name}.{key}" not in arrays}
             parts |= {name: plain} if plain else {}
         elif value and isinstance(value, list) and isinstance(value[0], dict):
-            parts |= (
-                {"materials": [row["name"] for row in value]} if name == "materials" else {}
-            )  # balls have their numbers
+            if name == "materials":  # in their order: balls have their numbers
+                parts[name] = [row["name"] for row in value]
             parts |= {f"{name}.{row['name']}" if "name" in row else f"{name}[{k}]": row for k, row in enumerate(value)}
         else:
             parts[name] = value
