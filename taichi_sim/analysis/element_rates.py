@@ -101,7 +101,7 @@ def pushing_gas(scene: Scene) -> float:
         side = np.linalg.norm(x[np.roll(t, -1, axis=1)] - x[t], axis=2)
         for one in (t, np.roll(t, -1, axis=1)):
             np.minimum.at(edge, one.ravel(), side.ravel())
-        rate = np.where(scene.pinned, 0.0, gas.pressure * np.linalg.norm(push, axis=1) / (scene.mass * edge))
+        rate = np.where(scene.pinned, 0.0, abs(gas.pressure) * np.linalg.norm(push, axis=1) / (scene.mass * edge))
         if rate.max() > 0.0:
             least = min(least, float(np.sqrt(PUSH / rate.max())))
     return least

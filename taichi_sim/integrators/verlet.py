@@ -38,6 +38,7 @@ class Verlet(Integrator):
 
     method = VERLET
     relaxes = True
+    reflects = True
 
     def fit(self, scene: Scene) -> None:
         """Choose how damping acts."""
@@ -59,7 +60,7 @@ class Verlet(Integrator):
         self.pull = fields.vectors(self.model.n if self.predicts or self.delayed else 0, self.model.dim)
         self.kick: Any = None
         if self.splits:
-            self.kick = DampedKick(self.model, self.state, self.forces, fields)
+            self.kick = DampedKick(self.model, self.state, self.forces, self.contacts, fields)
         self.network = self.splits and self.kick.network
         self.has_corners = self.network and self.pins is not None
         if self.has_corners:
@@ -184,8 +185,8 @@ class Verlet(Integrator):
     def _move(self, h, time):
         """The end of the first half, contacts, drift, and the first stage of the second half."""
         if ti.static(not self.network):
-            self.kick.undamped(h, self.pull, self.delayed)
-        self.kick.lone_springs(h, self.pull, self.delayed)
+            self.kick.undamped(0, h, self.pull, self.delayed)
+        self.kick.lone_springs(0, h, self.pull, self.delayed)
         self.contacts.advance(self.ball, self, h, 0.5 * h)
         self.forces.flex(1.0)
         if ti.static(self.network):
@@ -195,12 +196,12 @@ class Verlet(Integrator):
                 self.corners.renew(self.kick.brake)
         else:
             self.forces.elastic(self.ball, h, time + h)
-            self.kick.undamped(h, self.pull, False)
+            self.kick.undamped(1, h, self.pull, False)
 
     @ti.func
     def _close(self, h):
         """The end of the second half."""
-        self.kick.lone_springs(h, self.pull, False)
+        self.kick.lone_springs(1, h, self.pull, False)
         if ti.static(self.delayed):
             self._note_pull(h)
 
@@ -210,7 +211,7 @@ class Verlet(Integrator):
         if ti.static(self.contacts.active):
             self.contacts.advance(self.ball, self, h, 0.5 * h)
             for i in range(self.model.n):
-                self.state.kick(i, 0.5 * h * self.pull[i])
+                self.state.kick(i, self.contacts.second_half(i, 0.5 * h * self.pull[i]))
         else:
             for i in range(self.model.n):
                 change = h * self.pull[i]
@@ -224,7 +225,7 @@ class Verlet(Integrator):
             self.pins.set_velocities(False)
         for i in range(self.model.n):
             a = self.forces.change(i, h) / h
-            self.state.kick(i, 0.5 * h * (a - self.pull[i]))
+            self.state.kick(i, self.contacts.second_half(i, 0.5 * h * (a - self.pull[i])))
             self.pull[i] = a
 
     @ti.func
@@ -234,4 +235,4 @@ class Verlet(Integrator):
         self.forces.flex(1.0)
         self.forces.elastic(self.ball, h, time + h)
         for i in range(self.model.n):
-            self.state.kick(i, 0.5 * self.forces.change(i, h))
+            self.state.kick(i, self.contacts.second_half(i, 0.5 * self.forces.change(i, h)))

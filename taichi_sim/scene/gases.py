@@ -42,8 +42,9 @@ class GasMethods:
 
         Args:
             triangles: (t, 3) balls, counter-clockwise seen from outside, that enclose a volume without a hole.
-            pressure: over that outside, at that volume [Pa]; outside: pressure around it [Pa]. With 0 outside the gas is as soft
-                as it can be; air at 101325 Pa hardly lets the volume change, and wants short steps.
+            pressure: over that outside, at `volume` [Pa]; negative where the gas is thinner, at least -outside, a vacuum.
+            outside: pressure around it [Pa]. With 0 outside the gas is as soft as it can be; air at 101325 Pa hardly lets the
+                volume change, and wants short steps.
             volume: at which it has this pressure [m^3]; None: the present one.
         """
         if self.dim != 3:
@@ -62,8 +63,8 @@ class GasMethods:
         if present <= 0.0:
             says = f"enclose {present:.4g} m^3; give them counter-clockwise seen from outside"
             raise SceneError("gases.triangles", says=says)
-        p = validation.number("gases.pressure", pressure, low=0)
         around = validation.number("gases.outside", outside, low=0)
+        p = validation.number("gases.pressure", pressure, low=0.0 - around)
         first = present if volume is None else validation.number("gases.volume", volume, positive=True)
         self.gases.append(sealed(Gas(t, p, around, first)))
 
@@ -82,7 +83,9 @@ class _Gases(Listed, Element):
         for gas in scene.gases:
             now = enclosed(x, gas.triangles) / gas.volume
             inside = (gas.pressure + gas.outside) * gas.volume
-            terms.append(gas.outside * gas.volume * (now - 1.0) - (inside * float(np.log(now)) if now > 0 else -np.inf))
+            terms.append(gas.outside * gas.volume * (now - 1.0))
+            if inside:
+                terms.append(-inside * float(np.log(now)) if now > 0 else np.inf)
         return terms
 
     def stiffness(self, scene: Any) -> list[Quadratic]:
@@ -102,7 +105,7 @@ class _Gases(Listed, Element):
             x, t = scene.position, gas.triangles
             edge = np.linalg.norm(x[np.roll(t, -1, axis=1)] - x[t], axis=2)  # from corner k to the next
             length = np.bincount(t.ravel(), (edge + np.roll(edge, 1, axis=1)).ravel(), scene.n_balls)
-            press += float((gas.pressure * length / 6.0 * root).max()) * float(root.max())
+            press += float((abs(gas.pressure) * length / 6.0 * root).max()) * float(root.max())
         return press, 0.0
 
 
