@@ -17,7 +17,7 @@ from taichi_sim.geometry.outlines import drawing_outlines, text_outlines
 from taichi_sim.outputs import open_output
 from taichi_sim.outputs.records import Records
 from taichi_sim.outputs.table import write_row
-from taichi_sim.reports.speed_error.plot import svg
+from taichi_sim.studies.figure import svg
 from taichi_sim.sweeps import figures
 from taichi_sim.sweeps.design import Axis
 from taichi_sim.sweeps.effects import Group

@@ -73,7 +73,7 @@ def bench(
     **options: Any,
 ) -> None:
     """Run the benchmark, beside its reference implementations: on the CPU, or the device that --arch names."""
-    from taichi_sim.reports.bench import main as benchmark
+    from taichi_sim.benchmark import main as benchmark
 
     arch = options["arch"] or "cpu"
     if not benchmark.main(names or [], quick=quick, arch=arch, file=json, checks=checks):

@@ -56,9 +56,9 @@ def report(
         if scene is not None:
             raise ValueError(f"report: --hard-cases takes no scene, but {scene!r} was given")
         takes_only(context, ("hard_cases", "scene"), "report: --hard-cases takes no other option")
-        from taichi_sim.reports.hard_cases import contacts as cases
+        from taichi_sim.benchmark.hard_cases import contact_cases
 
-        if not cases.main():
+        if not contact_cases.main():
             raise typer.Exit(FAILED)
         return
     if scene is None:

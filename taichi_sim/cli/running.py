@@ -143,7 +143,7 @@ def _drawn_apart(
     from taichi_sim.outputs.base import require_alpha
     from taichi_sim.outputs.quick import picture
     from taichi_sim.outputs.recording import require_drawable
-    from taichi_sim.sweeps.cluster import require_workers
+    from taichi_sim.studies.workers import require_workers
     from taichi_sim.sweeps.pictures import draw
 
     first = Path(out[0])

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from datetime import timedelta
 from typing import Any, TextIO
 
-__all__ = ["EVERY", "Work", "log_to", "showing"]
+__all__ = ["EVERY", "Counted", "Work", "log_to", "showing"]
 
 EVERY = 5.0  # s, between two lines of a log
 
@@ -72,6 +72,15 @@ class Work:
         count = f"{self.done}" if self.total is None else f"{self.done} of {'about ' * self.about}{self.total}"
         counted = f"{count} {self.what}" if self.what else ""
         return ", ".join(part for part in (counted, self.words()) if part)
+
+
+class Counted(Work):
+    """Work whose steps take about as long as each other: its line says how many failed, and the time left."""
+
+    def __init__(self, total: int, what: str, done: int = 0) -> None:
+        super().__init__(total, what, done)
+        self.failed = 0
+        self.words = lambda: ", ".join(filter(None, (f"{self.failed} failed" if self.failed else "", self.remaining)))
 
 
 @contextmanager

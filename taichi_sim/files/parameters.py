@@ -2,7 +2,8 @@
 
 import inspect
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from operator import eq
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +13,7 @@ from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name
 from taichi_sim.files.toml_schema import Document
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["changed_scene", "put", "python_scene_with"]
+__all__ = ["changed_scene", "changing", "put", "python_scene_with"]
 
 SINGLE = (("simulation",), ("output",), ("wind",), ("output", "camera"))  # tables that a file has once, or not at all
 PATH = re.compile(r"[^.\[\]]+(\.[^.\[\]]+|\[[0-9]{1,18}\])*")
@@ -23,10 +24,17 @@ def changed_scene(file: Path, parameters: Mapping[str, Any], allow_outside: bool
     from taichi_sim.files.toml_reader import Reader, parsed
 
     text, document = parsed(file)
+    with changing(file, document, parameters):
+        return Reader(file, text, document, None, allow_outside).scene()
+
+
+@contextmanager
+def changing(file: Path, document: dict[str, Any], parameters: Mapping[str, Any]) -> Iterator[None]:
+    """Set values in what a file says. Errors meanwhile name the file, and no line of it where another value stands."""
     changed = []
     try:
         changed += [put(document, path, value) for path, value in parameters.items()]
-        return Reader(file, text, document, None, allow_outside).scene()
+        yield
     except SceneError as error:
         error.file = file
         if error.path and any(all(map(eq, error.path, path)) for path in changed):

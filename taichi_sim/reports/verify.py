@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from taichi_sim import __version__, shapes
 from taichi_sim.common.errors import UnstableError
+from taichi_sim.common.machine import processor
 from taichi_sim.device import backend
 from taichi_sim.integrators import ImplicitEuler
-from taichi_sim.reports.machine import processor
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.simulation import Simulation
 

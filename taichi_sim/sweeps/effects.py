@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.quantities import measured
+from taichi_sim.studies.intervals import CONFIDENCE, half_width
 from taichi_sim.sweeps.design import Design
 from taichi_sim.sweeps.points import Point, Row
 
-__all__ = ["Effect", "Group", "grouped", "half_width", "main_effects", "parameters_in_words", "sobol"]
+__all__ = ["Effect", "Group", "grouped", "main_effects", "parameters_in_words", "sobol"]
 
-CONFIDENCE = 0.95
 LARGEST_VALUE = 1e100  # of a measure: beyond it sums of squares overflow; such a value is counted as failed
 BINS = 8  # of a parameter that was sampled
 Floats = NDArray[np.float64]
@@ -52,16 +52,6 @@ def grouped(rows: Sequence[Row], measure: str) -> list[Group]:
 def parameters_in_words(parameters: Mapping[str, Any]) -> list[str]:
     """Values of parameters as texts."""
     return [f"{value:.6g}" if isinstance(value, float) else str(value) for value in parameters.values()]
-
-
-def half_width(values: Floats) -> float:
-    """Half of the interval in which the mean lies, by Student's distribution; nan for fewer than two values."""
-    from scipy.stats import t
-
-    n = len(values)
-    if n < 2:
-        return float("nan")
-    return float(t.ppf(0.5 + CONFIDENCE / 2.0, n - 1) * values.std(ddof=1) / np.sqrt(n))
 
 
 class Effect(NamedTuple):

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from taichi_sim.reports.speed_error.plot import INK, literal, styled
+from taichi_sim.studies.figure import INK, dress, literal, styled
+from taichi_sim.studies.intervals import half_width
 from taichi_sim.sweeps.design import Axis
-from taichi_sim.sweeps.effects import Group, half_width
+from taichi_sim.sweeps.effects import Group
 
 __all__ = ["draw", "is_logarithmic"]
 
@@ -42,16 +43,6 @@ def draw(groups: Sequence[Group], axes: Sequence[Axis], measure: str) -> Any:
     return figure
 
 
-def _dress(axis: Any, grid: bool = True) -> None:
-    axis.patch.set_alpha(0.0)
-    axis.tick_params(which="both", colors=INK, labelcolor=INK)
-    if grid:
-        axis.grid(True, which="major", color=INK, alpha=0.13, lw=0.6)
-    for side, spine in axis.spines.items():
-        spine.set_color(INK)
-        spine.set_visible(side in ("left", "bottom"))
-
-
 def _histogram(axis: Any, group: Group, measure: str) -> None:
     """All seeds, their mean and its interval."""
     values = group.values
@@ -62,7 +53,7 @@ def _histogram(axis: Any, group: Group, measure: str) -> None:
     axis.set_xlabel(measure, color=INK)
     axis.set_ylabel("seeds", color=INK)
     axis.set_title(f"{group.in_words()}", color=INK, fontsize=11)
-    _dress(axis)
+    dress(axis)
 
 
 def _places(axis: Axis, groups: Sequence[Group]) -> tuple[np.ndarray, list[Any] | None]:
@@ -95,7 +86,7 @@ def _curve(axis: Any, groups: Sequence[Group], along: Axis, measure: str) -> Non
     if len(axis.collections):
         for text in axis.legend(frameon=False, fontsize=9).get_texts():
             text.set_color(INK)
-    _dress(axis)
+    dress(axis)
 
 
 def is_logarithmic(along: Axis, x: np.ndarray) -> bool:
@@ -138,7 +129,7 @@ def _map(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Axis], 
     _ticks(axis, axes[1], y_words, y, "y")
     axis.set_xlabel(literal(axes[0].path), color=INK)
     axis.set_ylabel(literal(axes[1].path), color=INK)
-    _dress(axis, grid=False)
+    dress(axis, grid=False)
     _bar(figure, axis, shown, measure)
 
 
@@ -183,6 +174,6 @@ def _parallel(figure: Any, axis: Any, groups: Sequence[Group], axes: Sequence[Ax
     axis.set_xticks(range(len(names)), names)
     axis.tick_params(axis="x", length=0, pad=18)
     _bar(figure, axis, scale, measure)
-    _dress(axis, grid=False)
+    dress(axis, grid=False)
     for spine in axis.spines.values():
         spine.set_visible(False)

@@ -1,21 +1,18 @@
 """report.html of a sweep: pictures, effects, means over seeds, and what failed."""
 
-import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import date
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.quantities import measured
-from taichi_sim.common.version import __version__
-from taichi_sim.reports.machine import processor
-from taichi_sim.reports.speed_error.pages import HTML, Table, html_table
-from taichi_sim.reports.speed_error.plot import svg
+from taichi_sim.studies.figure import svg
+from taichi_sim.studies.intervals import half_width
+from taichi_sim.studies.page_parts import Part, Table, as_html, made_with
 from taichi_sim.sweeps import figures
-from taichi_sim.sweeps.effects import Group, grouped, half_width, main_effects, parameters_in_words, sobol
+from taichi_sim.sweeps.effects import Group, grouped, main_effects, parameters_in_words, sobol
 
 __all__ = ["write_page"]
 
@@ -32,22 +29,14 @@ SPREAD = (
 def write_page(sweep: Any, name: str) -> Path:
     """Write the page, whole when it appears, and return its path."""
     path: Path = sweep.folder / "report.html"
-    forms: dict[str, Callable[[Any], str]] = {
-        **HTML,
-        "table": partial(html_table, of="numbers"),
-    }  # all but the first column
-    content = "".join(forms[kind](value) for kind, value in _content(sweep, name))
     with replacing(path) as file:
-        file.write(content.encode() + b"</body></html>\n")
+        file.write(as_html(_content(sweep, name)))
     return path
 
 
-def _content(sweep: Any, name: str) -> Iterator[tuple[str, Any]]:
+def _content(sweep: Any, name: str) -> Iterator[Part]:
     yield "title", f"Sweep of {name}"
-    yield (
-        "small",
-        f"{date.today().isoformat()}, taichi_sim {__version__}, Python {platform.python_version()}, {processor()}",
-    )
+    yield "small", f"{date.today().isoformat()}, {made_with()}"
     yield "list", list(_about(sweep))
     rows = {row.key: row for row in sweep.rows}
     paths = [axis.path for axis in sweep.axes]
@@ -60,10 +49,10 @@ def _content(sweep: Any, name: str) -> Iterator[tuple[str, Any]]:
             yield "picture", svg(figure)
         if len(paths) > 1 and len(groups) > 2:
             yield "small", "What each parameter does, the strongest first."
-            yield "table", _effects(groups, paths, sobol(sweep.design, sweep.points, rows, measure))
+            yield "numbers", _effects(groups, paths, sobol(sweep.design, sweep.points, rows, measure))
         if any(len(group.values) > 1 for group in groups):
             yield "small", "Each combination, over its seeds."
-            yield "table", _means(groups, paths)
+            yield "numbers", _means(groups, paths)
     if len(sweep.measures) > MOST_MEASURES:
         yield "small", f"{len(sweep.measures) - MOST_MEASURES} more measures are in table.csv."
     if len(paths) > 1:

@@ -2,10 +2,11 @@
 
 import io
 import os
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import CancelledError
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing
+from functools import partial
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.errors import BackendError, SceneError
+from taichi_sim.common.progress import Counted, showing
 from taichi_sim.outputs import Output, open_outputs
 from taichi_sim.outputs.base import require_alpha
 from taichi_sim.outputs.recording import Recording
 from taichi_sim.outputs.resumable import abandon
 from taichi_sim.outputs.whole_run import is_drawn_last
-from taichi_sim.sweeps.cluster import LOST, MOST_REPEATS, connected, place
-from taichi_sim.sweeps.sweep import bar
+from taichi_sim.studies.workers import MOST_REPEATS, connected, forget, kept, place
 
 __all__ = ["draw"]
 
@@ -109,59 +110,43 @@ def _drawn(
             engine = stack.enter_context(connected(*where, say))
             images = _images(engine, (str(frames.path.resolve()), size, dict(style), precision), len(frames))
             stack.callback(images.close)
-        advance = stack.enter_context(bar(0, len(frames), progress, "frames drawn"))
+        work = Counted(len(frames), "frames drawn")
+        stack.enter_context(showing(work, progress))
         for index, frame in enumerate(frames):
             image = next(images) if images is not None else None
             for one in [one for one in outputs if one.wants(index)]:
                 one.write(index, frame, image if one.needs_image else None)
                 one.frames += 1
-            advance(1, 0)
+            work.done += 1
     return len(frames)
 
 
 def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray[np.uint8]]:
     """All pictures, in order."""
     length = max(1, min(MOST_IN_CHUNK, -(-count // (CHUNKS * engine.number))))
-    chunks = [(begin, min(count, begin + length)) for begin in range(0, count, length)]
-    client = getattr(engine, "client", None)
-    if client is None:
-        try:
-            for chunk in chunks:
-                yield from _draw_chunk(task, *chunk)
-        finally:
-            _forget()
-        return
-    waiting, running = deque(chunks), deque[Any]()
+    chunks = ((begin, min(count, begin + length)) for begin in range(0, count, length))
+    waiting = deque(islice(chunks, AHEAD * engine.number))
+    drawn: dict[int, Images] = {}  # what cannot be asked for yet, by its first frame
+    ended, following = Counter[int](), 0
+    work = partial(_packed_chunk if engine.apart else _draw_chunk, task)
     try:
-        while waiting or running:
-            while waiting and len(running) < AHEAD * engine.number:
-                chunk = waiting.popleft()
-                running.append((chunk, _submitted(client, task, chunk)))
-            chunk, future = running.popleft()
-            yield from map(_unpacked, _result(client, task, chunk, future))
+        with closing(engine.run(work, waiting, "pictures")) as results:
+            for (begin, end), images in results:
+                if images is None:
+                    ended[begin] += 1
+                    if ended[begin] > MOST_REPEATS:
+                        times = ended[begin]
+                        raise BackendError(f"pictures {begin} to {end - 1}: their workers ended {times} times")
+                    waiting.appendleft((begin, end))
+                    continue
+                drawn[begin] = images
+                while following in drawn:
+                    ready = drawn.pop(following)
+                    following += len(ready)
+                    waiting.extend(islice(chunks, 1))
+                    yield from map(_unpacked, ready)
     finally:
-        with suppress(Exception):  # the scheduler may have gone
-            client.cancel([future for _, future in running])
-
-
-def _result(client: Any, task: tuple[Any, ...], chunk: tuple[int, int], future: Any) -> list[bytes]:
-    """A chunk, drawn elsewhere where its worker ended. Raises BackendError where it cannot be had."""
-    from distributed import KilledWorker
-    from distributed.comm import CommClosedError
-
-    for repeats in range(MOST_REPEATS + 1):
-        try:
-            return future.result()  # type: ignore[no-any-return]
-        except KilledWorker:
-            if repeats < MOST_REPEATS:
-                future = _submitted(client, task, chunk)
-        except (CancelledError, CommClosedError) as error:
-            raise BackendError(f"pictures {chunk[0]} to {chunk[1] - 1}: {LOST} ({error})") from None
-    raise BackendError(f"pictures {chunk[0]} to {chunk[1] - 1}: their workers ended {MOST_REPEATS + 1} times")
-
-
-def _submitted(client: Any, task: tuple[Any, ...], chunk: tuple[int, int]) -> Any:
-    return client.submit(_packed_chunk, task, *chunk, pure=False, retries=0)
+        forget()
 
 
 class _Painter:
@@ -177,6 +162,7 @@ class _Painter:
         if is_drawn_last(self.frames.scene, len(self.frames), style):
             self.renderer.fit(self.frames)
         self.start, self.next = self.renderer.memory(), 0
+        self.close = self.renderer.close
 
     def draw(self, begin: int, end: int) -> Images:
         if begin < self.next:
@@ -189,27 +175,13 @@ class _Painter:
         return images
 
 
-_painter: tuple[str, _Painter] | None = None  # of this process, and what it draws
-
-
-def _draw_chunk(task: tuple[Any, ...], begin: int, end: int) -> Images:
-    global _painter
+def _draw_chunk(task: tuple[Any, ...], chunk: tuple[int, int]) -> Images:
     status = Path(task[0]).stat()
-    drawn = repr((task, status.st_mtime_ns, status.st_size))
-    if _painter is None or _painter[0] != drawn:
-        _forget()
-        _painter = (drawn, _Painter(*task))
-    return _painter[1].draw(begin, end)
+    painter = kept(repr((task, status.st_mtime_ns, status.st_size)), lambda: _Painter(*task))
+    return painter.draw(*chunk)
 
 
-def _forget() -> None:
-    global _painter
-    if _painter is not None:
-        _painter[1].renderer.close()
-        _painter = None
-
-
-def _packed_chunk(task: tuple[Any, ...], begin: int, end: int) -> list[bytes]:
+def _packed_chunk(task: tuple[Any, ...], chunk: tuple[int, int]) -> list[bytes]:
     """Without loss, for the way to another process. A worker has one thread, as in a sweep."""
     from PIL import Image
 
@@ -219,18 +191,21 @@ def _packed_chunk(task: tuple[Any, ...], begin: int, end: int) -> list[bytes]:
     try:
         backend.start(*given)
     except BackendError:  # it was another task's
-        _forget()
+        forget()
         backend.stop()
         backend.start(*given)
     packed = []
-    for image in _draw_chunk(task, begin, end):
+    for image in _draw_chunk(task, chunk):
         file = io.BytesIO()
         Image.fromarray(image).save(file, "png", compress_level=1)
         packed.append(file.getvalue())
     return packed
 
 
-def _unpacked(data: bytes) -> NDArray[np.uint8]:
+def _unpacked(image: bytes | NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A picture of this process as it is, or one that came packed."""
     from PIL import Image
 
-    return np.asarray(Image.open(io.BytesIO(data), formats=("PNG",)))
+    if not isinstance(image, bytes):
+        return image
+    return np.asarray(Image.open(io.BytesIO(image), formats=("PNG",)))

@@ -5,8 +5,7 @@ import json
 import time
 import uuid
 import warnings
-import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,14 @@ from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError, words_of
 from taichi_sim.common.version import __version__
 from taichi_sim.scene.scene import Scene
+from taichi_sim.studies.records import lines_of
+from taichi_sim.studies.workers import kept
 from taichi_sim.sweeps.measures import Measures
 from taichi_sim.sweeps.subject import Subject
 
 __all__ = ["Job", "Point", "Row", "Runner", "batch_file", "run_batch"]
 
 FPS, DURATION = 60.0, 5.0  # where neither the scene nor the user says it
-KINDS: dict[str, Any] = {  # of what a row holds
-    "key": str, "parameters": dict, "seed": int | None, "measures": dict, "error": str, "warning": str, "version": str,
-    "wall": int | float, "compiled": bool,
-}  # fmt: skip
-CHECK = "crc32"  # beside what a row holds
 MOST_SAID = 300  # characters of a warning or an error
 RELEASE_BYTES = 1 << 30  # of memory in use by a worker, from which on it begins anew
 
@@ -117,6 +113,13 @@ class Runner:
             compiled=self.made > made,
         )
 
+    def batch(self, points: Sequence[Point]) -> list[Row]:
+        """Points one after another, whose rows go into a file of their own where the folder is seen from here."""
+        rows = [self.run(point) for point in points]
+        if self.job.folder is not None and Path(self.job.folder).is_dir():
+            keep_batch(Path(self.job.folder), rows, self.job.mark)
+        return rows
+
     def measured(self, scene: Scene) -> dict[str, float]:
         """Run a scene."""
         simulation = self._simulation(scene)
@@ -164,20 +167,11 @@ def _cut(text: str) -> str:
     return text if len(text) <= MOST_SAID else f"{text[:MOST_SAID]}..."
 
 
-_runner: Runner | None = None  # of this process: a worker's tasks share one
-
-
 def run_batch(job: Job, points: Sequence[Point]) -> list[Row]:
-    """A task: run points in a worker, and keep their rows in a file of their own."""
-    global _runner
-    if _runner is None or _runner.job.known_by != job.known_by:
-        if _runner is not None:
-            _runner.close()
-        _runner = Runner(job)
-    rows = [_runner.run(point) for point in points]
-    if job.folder is not None and Path(job.folder).is_dir():
-        keep_batch(Path(job.folder), rows, job.mark)
-    _runner.relieve()
+    """A task of a worker, see `Runner.batch`."""
+    runner = kept(job.known_by, lambda: Runner(job))
+    rows = runner.batch(points)
+    runner.relieve()
     return rows
 
 
@@ -190,33 +184,3 @@ def keep_batch(folder: Path, rows: Sequence[Row], mark: str) -> None:
     """Write rows to a file of their own, which appears whole."""
     with replacing(batch_file(folder, rows, mark), swept=True) as file:
         file.write(lines_of(rows))
-
-
-def lines_of(rows: Iterable[Row]) -> bytes:
-    """A line of JSON for each row."""
-    return "".join(json.dumps({**vars(row), CHECK: _check(vars(row))}) + "\n" for row in rows).encode()
-
-
-def _check(values: Mapping[str, Any]) -> int:
-    return zlib.crc32(json.dumps(values).encode())
-
-
-def rows_of(data: bytes) -> list[Row]:
-    """The reverse. Raises ValueError, TypeError or RecursionError for what is damaged."""
-    rows = []
-    for line in data.decode().splitlines():
-        values = json.loads(line)
-        if not isinstance(values, dict):
-            raise ValueError("a line is no table")
-        check = values.pop(CHECK, None)
-        rows.append(row := Row(**values))
-        if check != _check(values):
-            raise ValueError(f"the checksum of the point {row.key} does not fit")
-        for name, kind in KINDS.items():
-            if not isinstance(getattr(row, name), kind):
-                raise ValueError(f"{name} is {getattr(row, name)!r}")
-        if not all(isinstance(value, (int, float)) for value in row.measures.values()):
-            raise ValueError(f"measures are {row.measures}, not all numbers")
-        if row.key != Point(row.parameters, row.seed).key:
-            raise ValueError(f"parameters {row.parameters} are not those of the point {row.key}")
-    return rows

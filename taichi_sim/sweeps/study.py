@@ -1,8 +1,10 @@
 """Study: a scene of which points are run and measured, and the rows that a folder keeps of them. Sweeps and fits are studies."""
 
 import tempfile
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,15 +13,16 @@ from taichi_sim.common import validation
 from taichi_sim.common.version import __version__
 from taichi_sim.files.source import checked_output
 from taichi_sim.scene.scene import Scene
-from taichi_sim.sweeps.cluster import BATCH, connected, place, require_workers
+from taichi_sim.studies.workers import MOST_REPEATS, connected, place, require_workers
 from taichi_sim.sweeps.design import Axis
-from taichi_sim.sweeps.folder import Folder
+from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import Measures, measures_of
-from taichi_sim.sweeps.points import Job, Point, Row
+from taichi_sim.sweeps.points import Job, Point, Row, Runner, batch_file, keep_batch, run_batch
 from taichi_sim.sweeps.subject import Subject, lasting, subject_of
 
 __all__ = ["Study", "open_study"]
 
+BATCH = 20  # points of a task
 MOST_TRIED = 200  # values of an axis that are looked at before anything runs
 FEW_TASKS = 4  # for each worker, at least: so that all have work until the end
 
@@ -31,15 +34,16 @@ class Study:
         self,
         subject: Subject,
         measures: Measures,
-        job: Job,
-        kept: Folder,
+        runner: Runner,
+        kept: SweepFolder,
         kinds: Mapping[str, Mapping[str, int]],
         connect: Callable[[], Any],
         say: Callable[[str], None],
     ) -> None:
         self.subject, self.measures, self.kept = subject, measures, kept
-        self._job, self._kinds, self._connect, self._say = job, kinds, connect, say
+        self._runner, self._kinds, self._connect, self._say = runner, kinds, connect, say
         self._engine: Any = None
+        self._repeated: Counter[str] = Counter()  # points whose worker ended, by key
 
     @property
     def rows(self) -> dict[str, Row]:
@@ -67,9 +71,29 @@ class Study:
             more = f", then those that the search asks for, at most {at_most}" if at_most else ""
             self._say(f"{len(missing)} points to run{more}, {already} done before; {self._engine.said}")
         size = max(1, min(BATCH, -(-len(missing) // (FEW_TASKS * self._engine.number))))
-        for rows in self._engine.run(self._job, [missing[k : k + size] for k in range(0, len(missing), size)]):
+        work = partial(run_batch, self._runner.job) if self._engine.apart else self._runner.batch
+        waiting: deque[Sequence[Point]] = deque(missing[k : k + size] for k in range(0, len(missing), size))
+        for batch, rows in self._engine.run(work, waiting, "sweep"):
+            if rows is None:
+                rows = self._again(batch, waiting)
+            elif not batch_file(
+                self.kept.batches, rows, self.kept.mark
+            ).is_file():  # its worker does not see the folder
+                keep_batch(self.kept.batches, rows, self.kept.mark)
             self.kept.add(rows)
             yield rows
+
+    def _again(self, batch: Sequence[Point], waiting: deque[Sequence[Point]]) -> list[Row]:
+        """Let points whose worker ended be repeated, each by itself; rows that say so of those that ended it again and again."""
+        ended = []
+        for point in batch:
+            self._repeated[point.key] += 1
+            times = self._repeated[point.key]
+            if times > MOST_REPEATS:
+                ended.append(Row.of(point, error=f"its worker ended {times} times: killed, or out of memory"))
+            else:
+                waiting.append([point])
+        return ended
 
 
 @contextmanager
@@ -109,7 +133,7 @@ def open_study(
         kinds, first = _tried(subject, axes, seeds, given)
         measures = measures_of(measure, first)
         home = aside / "study" if folder is None else Path(folder)
-        kept = Folder(
+        kept = SweepFolder(
             home,
             {
                 "scene": subject.name,
@@ -133,9 +157,10 @@ def open_study(
             kept.rows = {key: row for key, row in kept.rows.items() if not row.error}
         if isinstance(scene, Scene) and folder is not None:  # from now on the folder is this study's
             subject = subject_of(scene, home)
-        job = Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart, kept.mark)
+        runner = Runner(Job(subject, measures, given, duration, fps, str(kept.batches.resolve()), apart, kept.mark))
+        stack.callback(runner.close)
         yield Study(
-            subject, measures, job, kept, kinds, lambda: stack.enter_context(connected(scheduler, workers, say)), say
+            subject, measures, runner, kept, kinds, lambda: stack.enter_context(connected(scheduler, workers, say)), say
         )
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.common.errors import SceneError, did_you_mean
-from taichi_sim.files.parameters import put
+from taichi_sim.files.parameters import changing
 from taichi_sim.files.source import python_scene, resolve
 from taichi_sim.files.toml_reader import Reader, parsed
 from taichi_sim.scene.contents import contents_of
@@ -62,18 +62,13 @@ class FileSubject(Subject):
 
     def _made(self, parameters: Mapping[str, Any], seed: int | None) -> Scene:
         document = deepcopy(self.document)
-        for path, value in parameters.items():
-            try:
-                put(document, path, value)
-            except SceneError as error:
-                error.file = self.file
-                raise
-        if seed is not None and self.seeded:
-            piles = document["pile"] if isinstance(document["pile"], list) else []
-            for pile in piles:
-                if isinstance(pile, dict) and isinstance(pile.get("seed", 0), int):  # else it is refused as it is
-                    pile["seed"] = pile.get("seed", 0) + seed
-        return Reader(self.file, self.text, document, None, self.allow_outside).scene()
+        with changing(self.file, document, parameters):
+            if seed is not None and self.seeded:
+                piles = document["pile"] if isinstance(document["pile"], list) else []
+                for pile in piles:
+                    if isinstance(pile, dict) and isinstance(pile.get("seed", 0), int):  # else it is refused as it is
+                        pile["seed"] = pile.get("seed", 0) + seed
+            return Reader(self.file, self.text, document, None, self.allow_outside).scene()
 
     def identity(self) -> str:
         """Of what the file says, comments apart, and of all that it reads: arrays, meshes."""

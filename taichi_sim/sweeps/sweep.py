@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.progress import Work, showing
+from taichi_sim.common.progress import Counted, showing
 from taichi_sim.sweeps.design import MOST_POINTS, Axis, Design, axes_of
 from taichi_sim.sweeps.effects import grouped, parameters_in_words
 from taichi_sim.sweeps.folder import columns_of
@@ -177,9 +176,11 @@ def _run(study: Study, points: Sequence[Point], progress: bool) -> None:
     """All that is missing; the table every few seconds."""
     missing, total = len(study.missing(points)), len({point.key for point in points})
     written = time.monotonic()
-    with bar(total - missing, total, progress) as advance:
+    work = Counted(total, "points", total - missing)
+    with showing(work, progress):
         for rows in study.run(points):
-            advance(len(rows), sum(bool(row.error) for row in rows))
+            work.done += len(rows)
+            work.failed += sum(bool(row.error) for row in rows)
             if time.monotonic() - written > TABLE_EVERY:
                 study.kept.finish(points)
                 written = time.monotonic()
@@ -194,21 +195,3 @@ def seeds_of(seeds: int | Sequence[int] | None) -> list[int | None]:
     if not found:
         raise SceneError("seeds", says="are none; give a number of them")
     return list(dict.fromkeys(found))
-
-
-@contextmanager
-def bar(done: int, total: int, shown: bool, what: str = "points") -> Iterator[Callable[[int, int], None]]:
-    """Show how many points, or what else is counted, are done, and how many of them failed."""
-    work, failed = Work(total, what, done), 0
-
-    def words() -> str:
-        return ", ".join(part for part in (f"{failed} failed" if failed else "", work.remaining) if part)
-
-    work.words = words
-
-    def advance(more: int, wrong: int) -> None:
-        nonlocal failed
-        work.done, failed = work.done + more, failed + wrong
-
-    with showing(work, shown):
-        yield advance

@@ -15,8 +15,8 @@ from taichi_sim.common import atomic_file
 from taichi_sim.common.atomic_file import PartFile, locked, replacing, sweep
 from taichi_sim.outputs import export, open_output
 from taichi_sim.outputs.kept_files import read_kept, write_kept
-from taichi_sim.reports.speed_error.folder import Folder as ReportFolder
-from taichi_sim.sweeps.folder import Folder
+from taichi_sim.reports.speed_error.report_folder import ReportFolder
+from taichi_sim.sweeps.folder import SweepFolder
 
 pytestmark = [pytest.mark.once, pytest.mark.skipif(os.name != "posix", reason="links and pipes")]
 
@@ -152,55 +152,55 @@ def test_a_checkpoint_names_files_of_its_own_folder_alone(tmp_path):
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_link_in_place_of_the_batches_of_a_sweep(tmp_path, precious, overwrite):
     about = {"scene": {"name": "a"}}
-    first = Folder(tmp_path / "swept", about)
+    first = SweepFolder(tmp_path / "swept", about)
     first.begin()
     first.close()
     (tmp_path / "swept" / "batches").rmdir()
     (tmp_path / "swept" / "batches").symlink_to(precious, target_is_directory=True)
     with pytest.raises(OSError, match=r"batches: is a link; .* remove it"):
-        Folder(tmp_path / "swept", about, overwrite)
+        SweepFolder(tmp_path / "swept", about, overwrite)
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_what_others_put_into_the_batches_of_a_sweep_stays(tmp_path, overwrite):
     about = {"scene": {"name": "a"}}
-    first = Folder(tmp_path / "swept", about)
+    first = SweepFolder(tmp_path / "swept", about)
     first.begin()
     first.close()
     (tmp_path / "swept" / "batches" / "mine.jsonl").write_text("mine")
     (tmp_path / "swept" / "batches" / "folder").mkdir()
-    again = Folder(tmp_path / "swept", about, overwrite)
+    again = SweepFolder(tmp_path / "swept", about, overwrite)
     again.begin()
     again.close()
     assert (tmp_path / "swept" / "batches" / "mine.jsonl").read_text() == "mine"
 
 
-@pytest.mark.parametrize("kind", [Folder, ReportFolder])
+@pytest.mark.parametrize("kind", [SweepFolder, ReportFolder])
 def test_a_lock_is_no_link(tmp_path, kind):
     folder = tmp_path / "out"
     folder.mkdir()
-    (folder / ("sweep.json" if kind is Folder else "report.json")).write_text('{"key": "a"}')
+    (folder / kind.record).write_text('{"a": 1}')
     (folder / "lock").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="lock: is a link"):
-        Folder(folder, {}, True).begin() if kind is Folder else ReportFolder(folder, "a", True)
+        kind(folder, {}, True).begin()
     assert not (tmp_path / "elsewhere").exists()
 
 
-@pytest.mark.parametrize("kind", [Folder, ReportFolder])
+@pytest.mark.parametrize("kind", [SweepFolder, ReportFolder])
 def test_a_folder_of_a_study_that_was_killed_at_its_start_is_used_again(tmp_path, kind):
     (tmp_path / "lock").touch()
-    kind(tmp_path, {"a": 1} if kind is Folder else "a").close()
+    kind(tmp_path, {"a": 1}).close()
 
 
 def test_two_reports_do_not_write_into_one_folder(tmp_path):
-    first = ReportFolder(tmp_path / "r", "a")
-    first.write("budget.json", b"{}")
+    first = ReportFolder(tmp_path / "r", {"a": 1})
+    first.write("budget.npz", b"{}")
     with pytest.raises(OSError, match="another report is writing it"):
-        ReportFolder(tmp_path / "r", "a", overwrite=True)
-    assert (tmp_path / "r" / "budget.json").read_bytes() == b"{}"
+        ReportFolder(tmp_path / "r", {"a": 1}, overwrite=True)
+    assert (tmp_path / "r" / "budget.npz").read_bytes() == b"{}"
     first.close()
-    ReportFolder(tmp_path / "r", "a", overwrite=True).close()
-    assert not any((tmp_path / "r").iterdir())
+    ReportFolder(tmp_path / "r", {"a": 1}, overwrite=True).close()
+    assert [file.name for file in (tmp_path / "r").iterdir()] == ["report.json"]
 
 
 # Two at once -------------------------------------------------------------------------------------------------------

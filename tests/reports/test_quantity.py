@@ -11,7 +11,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.reports.speed_error import budget, command, report, resolution, tune
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS
-from taichi_sim.reports.speed_error.worker import Outcome
+from taichi_sim.reports.speed_error.trial_process import Outcome
 
 pytestmark = pytest.mark.once
 
@@ -47,7 +47,7 @@ def test_what_has_a_zero_counts_from_there_and_a_place_from_where_it_starts():
 def test_a_report_is_of_the_quantity(tmp_path, monkeypatch):
     """Of which MadeUp knows the error: k (h w)^2, relative to k 0.1 max |sin|."""
     scene = loaded()
-    monkeypatch.setattr(report, "Workers", lambda *_: MadeUp(scene))
+    monkeypatch.setattr(report, "TrialProcesses", lambda *_: MadeUp(scene))
     findings = report.main(scene, plan(quantity="load"), tmp_path / "r", **NONE)
     row = next(row for row in findings.rows if row.method == "verlet")
     largest = STIFFNESS * 0.1 * np.abs(np.sin(np.arange(1, PARTS + 1))).max()
@@ -107,7 +107,7 @@ def test_methods_that_cannot_win_are_not_compiled(monkeypatch):
     workers = MadeUp(scene)
     run = workers.run
     workers.run = lambda precision, trial: run(precision, trial)._replace(passes=0.4 / trial.step.seconds)
-    monkeypatch.setattr(tune, "Workers", lambda *_: workers)
+    monkeypatch.setattr(tune, "TrialProcesses", lambda *_: workers)
     chosen = plan(quantity="load", tolerance=0.2, methods=("rk4", "verlet", "implicit_euler"))
     assert tune.main(scene, chosen, **NONE)["integrator"] == "verlet"
     assert {trial.method for _, trial in workers.trials if trial.timed} == {"verlet"}
@@ -289,7 +289,7 @@ def test_a_report_has_the_error_of_the_mesh(tmp_path, monkeypatch):
         workers.run = run if given.n_balls == 2 else finer_run
         return workers
 
-    monkeypatch.setattr(report, "Workers", made_up)
+    monkeypatch.setattr(report, "TrialProcesses", made_up)
     findings = report.main(scene, plan(resolutions=True), tmp_path / "r", meshes=finer, progress=False, say=said.append)
     assert findings.budget.mesh == pytest.approx(0.04, rel=1e-3)
     assert findings.budget.order == pytest.approx(2.0, abs=1e-2)

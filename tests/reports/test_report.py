@@ -1,5 +1,7 @@
 """`taichi-sim report SCENE`: errors against a closed solution, orders, what is cheapest, pages, resuming, and what is refused."""
 
+import csv
+import json
 import re
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -13,9 +15,10 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.files.source import open_scene, resolve
 from taichi_sim.reports.speed_error import budget, report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings, choice, equal
-from taichi_sim.reports.speed_error.folder import Folder, parsed
-from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
+from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, about, duration_of, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
+from taichi_sim.reports.speed_error.report_folder import ReportFolder
+from taichi_sim.studies import records
 
 pytestmark = pytest.mark.once
 
@@ -34,7 +37,7 @@ def made_up(monkeypatch):
 
     def install(scene, **options):
         workers = MadeUp(scene, **options)
-        monkeypatch.setattr(report, "Workers", lambda *_: workers)
+        monkeypatch.setattr(report, "TrialProcesses", lambda *_: workers)
         return workers
 
     return install
@@ -95,7 +98,7 @@ def test_both_precisions_have_all_rows_with_costs(made):
 def test_pages(made):
     folder, findings, said = made
     names = {p.name for p in folder.iterdir()}
-    made_of = "report.md report.html rows.csv error.svg error.png reference.npz budget.json report.json"
+    made_of = "report.md report.html rows.csv rows.jsonl error.svg error.png reference.npz budget.npz report.json"
     assert names == set(made_of.split())
     page, text = (folder / "report.html").read_text(), (folder / "report.md").read_text()
     assert re.search(
@@ -114,7 +117,11 @@ def test_pages(made):
 
 
 def rows_of(folder):
-    return parsed((folder / "rows.csv").read_text(), rows.Row)
+    """The rows that are kept; the table for other programs has the same."""
+    kept = records.rows_of((folder / "rows.jsonl").read_bytes(), rows.Row)
+    table = list(csv.DictReader((folder / "rows.csv").read_text().splitlines()))
+    assert table == [{name: "" if value is None else str(value) for name, value in vars(row).items()} for row in kept]
+    return kept
 
 
 def sorted_as(folder, found):
@@ -205,9 +212,9 @@ def test_duration_is_short_where_a_scene_is_expensive():
 def test_key_knows_the_scene():
     other = pair()
     other.add_wall((0, 1), -1.0)
-    keys = {key_of(scene, p) for scene in (pair(), other) for p in (plan(), plan(duration=0.5))}
+    keys = {json.dumps(about(scene, p)) for scene in (pair(), other) for p in (plan(), plan(duration=0.5))}
     assert len(keys) == 4
-    assert key_of(pair(), plan()) == key_of(pair(), plan(methods=("rk4",), precisions=("f32",)))
+    assert about(pair(), plan()) == about(pair(), plan(methods=("rk4",), precisions=("f32",)))
 
 
 @pytest.mark.parametrize("verdict", ["stable", "unstable", "left out"])
@@ -269,7 +276,9 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
         with pytest.raises(OSError, match=words):
             report.main(scene, plan(), tmp_path / path, progress=False, say=say)
     report.main(scene, plan(), tmp_path / "r", progress=False, say=say)
-    with pytest.raises(FileExistsError, match="another scene or with other settings"):
+    with pytest.raises(
+        FileExistsError, match=r"holds another report, which differs in plan\.duration \(0\.4 then, 0\.5 now\)"
+    ):
         report.main(scene, plan(duration=0.5), tmp_path / "r", progress=False, say=say)
     findings = report.main(scene, plan(duration=0.5), tmp_path / "r", overwrite=True, progress=False, say=say)
     assert len(rows_of(tmp_path / "r")) == len(findings.rows)
@@ -281,10 +290,11 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
     [
         ("report.json", 0, b"rubbish"),
         ("report.json", 0, b"[]"),
-        ("rows.csv", 0, b""),
-        ("rows.csv", 500, b""),
-        ("rows.csv", 500, b"\n"),
-        ("seeds.csv", 100, b"\n"),
+        ("rows.jsonl", 0, b""),
+        ("rows.jsonl", 500, b""),
+        ("rows.jsonl", 500, b"\n"),
+        ("seeds.jsonl", 100, b"\n"),
+        ("budget.npz", 100, b""),
         ("reference.npz", 0, b""),
         ("reference.npz", 0, b"rubbish"),
         ("reference.npz", 1000, b""),
@@ -295,7 +305,7 @@ def test_a_damaged_folder_is_refused_by_name(tmp_path, made_up, name, keep, data
     made_up(scene, grows=15.0)
     report.main(scene, plan(), folder, progress=False, say=say)
     (folder / name).write_bytes((folder / name).read_bytes()[:keep] + data)
-    with pytest.raises(SceneError, match=rf"r/{name}: is damaged, use --overwrite or another --out"):
+    with pytest.raises(SceneError, match=rf"r/{name}: is damaged; use --overwrite or another --out"):
         report.main(scene, plan(), folder, progress=False, say=say)
     report.main(scene, plan(), folder, overwrite=True, progress=False, say=say)
 
@@ -437,7 +447,7 @@ def test_a_scene_that_the_reference_cannot_follow_says_so(tmp_path, made_up, mon
 
 
 def test_another_folder_key_does_not_touch_the_disk(tmp_path):
-    Folder(tmp_path / "r", "a")
+    ReportFolder(tmp_path / "r", {"a": 1})
     assert list(tmp_path.iterdir()) == []
 
 

@@ -38,7 +38,7 @@ rest_length = 1.0
 def tuned(monkeypatch, tolerance, said, cost=None, grows=1.0, **other):
     """What tune finds with made-up runs."""
     scene = pair()
-    monkeypatch.setattr(tune, "Workers", lambda *_: MadeUp(scene, cost=cost, grows=grows))
+    monkeypatch.setattr(tune, "TrialProcesses", lambda *_: MadeUp(scene, cost=cost, grows=grows))
     chosen = plan(methods=("verlet", "symplectic_euler", "rk4"), tolerance=tolerance, **other)
     return tune.main(scene, chosen, progress=False, say=said.append)
 
@@ -82,7 +82,7 @@ def test_the_longest_safe_step_is_tried_first_and_an_unstable_one_is_not_the_las
         return outcome._replace(position=[], unstable="left") if trial.step.seconds > 0.8 * safe else outcome
 
     workers.run = shakes
-    monkeypatch.setattr(tune, "Workers", lambda *_: workers)
+    monkeypatch.setattr(tune, "TrialProcesses", lambda *_: workers)
     chosen = plan(methods=("verlet",), tolerance=0.05)
     settings = tune.main(scene, chosen, progress=False, say=lambda line: None)
     steps = [trial.step.seconds for _, trial in workers.trials if trial.timed]

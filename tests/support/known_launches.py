@@ -8,9 +8,9 @@ import sys
 
 import numpy as np
 
+from taichi_sim.benchmark.launch_counts import count
 from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
-from taichi_sim.device.launch_counts import count
 
 N = 100
 

@@ -4,7 +4,7 @@ import numpy as np
 
 import taichi_sim as ts
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
-from taichi_sim.reports.speed_error.worker import Outcome
+from taichi_sim.reports.speed_error.trial_process import Outcome
 
 STIFFNESS, STRETCH = 100.0, 0.1
 RATE = np.sqrt(2 * STIFFNESS)  # 1/s, of two balls of 1 kg
@@ -29,7 +29,7 @@ def plan(**other):
 
 
 class MadeUp:
-    """Stands for Workers: the pair's solution with an error of (h RATE)^order, and a cost of 1 ms a step (RK4 4 ms).
+    """Stands for TrialProcesses: the pair's solution with an error of (h RATE)^order, and a cost of 1 ms a step (RK4 4 ms).
 
     grows: how many times a difference at the start is larger at each part. fail: after so many runs comes a Ctrl-C.
     """

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from taichi_sim.sweeps import cluster
+from taichi_sim.studies import workers as cluster
 
 pytestmark = pytest.mark.once
 

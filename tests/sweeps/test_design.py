@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
+from taichi_sim.studies.intervals import half_width
 from taichi_sim.sweeps.design import Design, axes_of, axis_of
-from taichi_sim.sweeps.effects import Group, grouped, half_width, main_effects, sobol
+from taichi_sim.sweeps.effects import Group, grouped, main_effects, sobol
 from taichi_sim.sweeps.points import Point, Row
 
 pytestmark = pytest.mark.once

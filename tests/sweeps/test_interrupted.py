@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from sweep_kills import rows_so_far, table, workers_of
 
-from taichi_sim.sweeps.folder import Folder
+from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.sweep import sweep
 
 pytestmark = [pytest.mark.slow, pytest.mark.once]
@@ -117,13 +117,13 @@ def test_ctrl_c_at_any_moment(tmp_path):
 def test_ctrl_c_before_the_first_point(tmp_path, monkeypatch):
     """Once the folder says that it is this sweep's it has a table, too."""
     (tmp_path / "heap.toml").write_text(SCENE)
-    compact, given = Folder._compact, {"seeds": 2, "measure": "energy.kinetic.max", "workers": 0}
+    compact, given = SweepFolder._compact, {"seeds": 2, "measure": "energy.kinetic.max", "workers": 0}
 
     def interrupt(folder):
-        monkeypatch.setattr(Folder, "_compact", compact)
+        monkeypatch.setattr(SweepFolder, "_compact", compact)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Folder, "_compact", interrupt)
+    monkeypatch.setattr(SweepFolder, "_compact", interrupt)
     with pytest.raises(KeyboardInterrupt):
         sweep(tmp_path / "heap.toml", folder=tmp_path / "swept", **given)
     assert table(tmp_path / "swept") == []
@@ -140,7 +140,7 @@ def test_ctrl_c_before_another_sweep_is_gone_leaves_it(tmp_path, monkeypatch):
     def interrupt(folder):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Folder, "_empty", interrupt)
+    monkeypatch.setattr(SweepFolder, "empty", interrupt)
     with pytest.raises(KeyboardInterrupt):
         sweep(tmp_path / "heap.toml", seeds=3, duration=0.1, overwrite=True, **given)
     assert (tmp_path / "swept" / "table.csv").read_bytes() == before

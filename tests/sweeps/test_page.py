@@ -58,7 +58,7 @@ def test_a_sweep_says_means_with_their_intervals():
     done = Sweep(SimpleNamespace(name="s"), (), SimpleNamespace(kind="product"), points, rows, {}, measures, None)
     assert list(done.lines()) == [
         "probes.load  3 +- 2 N (mean of 3 seeds, 95% interval) at radius 0.1",
-        "probes.load  7 N, exact to rounding (mean of 3 seeds, 95% interval) at radius 0.2",
+        "probes.load  7 N, exact to rounding at radius 0.2",
     ]
     assert next(done.lines(most=0)) == "probes.load  and 2 combinations more, see the table"
     single = Sweep(SimpleNamespace(name="s"), (), SimpleNamespace(kind="product"), points[:1], rows, {}, measures, None)

@@ -6,7 +6,6 @@ import time
 import zipfile
 from concurrent.futures import CancelledError
 from importlib.util import find_spec
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +18,8 @@ from taichi_sim import outputs
 from taichi_sim.common.atomic_file import lock
 from taichi_sim.files.checkpoint import FORMAT
 from taichi_sim.outputs.recording import Recording, require_drawable
-from taichi_sim.sweeps import cluster, pictures
+from taichi_sim.studies import workers as cluster
+from taichi_sim.sweeps import pictures
 from taichi_sim.sweeps.pictures import draw
 
 pytestmark = pytest.mark.slow
@@ -359,15 +359,29 @@ def test_the_wall_time_counts_what_was_drawn(tmp_path, monkeypatch, capfd):
 # Schedulers --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.once
-def test_a_scheduler_that_is_lost_is_said():
-    pytest.importorskip("distributed")
-    from distributed.comm import CommClosedError
+class Mortal:
+    """Workers of which some end: the first `ends` times that a chunk is drawn."""
 
-    for error in (CancelledError("its future"), CommClosedError("in <TCP>")):
-        future = SimpleNamespace(result=lambda error=error: (_ for _ in ()).throw(error))
-        with pytest.raises(ts.BackendError, match="pictures 3 to 5: the scheduler was lost"):
-            pictures._result(SimpleNamespace(), (), (3, 6), future)
+    apart, number = True, 1
+
+    def __init__(self, ends):
+        self.ends, self.asked = ends, []
+
+    def run(self, work, waiting, what):
+        while waiting:
+            begin, end = waiting.popleft()
+            self.asked.append(begin)
+            yield (begin, end), None if self.asked.count(begin) <= self.ends else list(np.arange(begin, end))
+
+
+@pytest.mark.once
+def test_a_chunk_whose_worker_ended_is_drawn_by_another_in_its_place(monkeypatch):
+    monkeypatch.setattr(pictures, "MOST_IN_CHUNK", 3)
+    workers = Mortal(cluster.MOST_REPEATS)
+    assert list(pictures._images(workers, (), 32)) == list(range(32))
+    assert workers.asked.count(6) == cluster.MOST_REPEATS + 1
+    with pytest.raises(ts.BackendError, match="pictures 0 to 2: their workers ended 4 times"):
+        list(pictures._images(Mortal(cluster.MOST_REPEATS + 1), (), 32))
 
 
 class Client:

@@ -4,6 +4,7 @@ import csv
 import gc
 import json
 import pickle
+from collections import deque
 from contextlib import closing
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from threading import Thread
@@ -17,10 +18,11 @@ from sweep_scenes import both, heap, hostile, mortal, slow, springs, top
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
 from taichi_sim.files.parameters import put
-from taichi_sim.sweeps.cluster import Workers, _answers
-from taichi_sim.sweeps.folder import Folder
+from taichi_sim.studies.workers import Workers, _answers
+from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
+from taichi_sim.sweeps.study import Study
 from taichi_sim.sweeps.subject import FileSubject, subject_of
 
 pytestmark = pytest.mark.once
@@ -288,7 +290,7 @@ def test_folders_that_cannot_be_used(tmp_path):
 
 def test_batches_become_one_file_and_damage_is_told(tmp_path):
     about = {"scene": "x"}
-    folder = Folder(tmp_path / "s", about)
+    folder = SweepFolder(tmp_path / "s", about)
     folder.begin()
     points = [Point({"a": k}) for k in range(4)]
     for k in (0, 2):
@@ -296,7 +298,7 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
             folder.batches, [Row.of(point, measures={"m": float("nan")}) for point in points[k : k + 2]], folder.mark
         )
     folder.close()
-    again = Folder(tmp_path / "s", about)
+    again = SweepFolder(tmp_path / "s", about)
     assert len(again.rows) == 4
     again.begin()
     assert not list(again.batches.iterdir())
@@ -319,12 +321,12 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
         assert damage != text
         (tmp_path / "s" / "rows.jsonl").write_text(damage)
         with pytest.raises(ts.SceneError, match=r"rows\.jsonl: is damaged; delete it"):
-            Folder(tmp_path / "s", about)
+            SweepFolder(tmp_path / "s", about)
     (tmp_path / "s" / "rows.jsonl").write_text(text)
     for damage in ("[1]", "[" * 50_000, "{", "null"):
         (tmp_path / "s" / "sweep.json").write_text(damage)
-        with pytest.raises(ts.SceneError, match=r"sweep\.json: is damaged .*; use --overwrite or another folder"):
-            Folder(tmp_path / "s", about)
+        with pytest.raises(ts.SceneError, match=r"sweep\.json: is damaged; use --overwrite or another folder"):
+            SweepFolder(tmp_path / "s", about)
 
 
 @pytest.mark.parametrize("number", [9, 300])
@@ -346,7 +348,7 @@ def test_points_of_a_scene_are_opened_without_a_folder(number):
 
 
 def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
-    folder = Folder(tmp_path / "s", {"scene": "x"})
+    folder = SweepFolder(tmp_path / "s", {"scene": "x"})
     folder.begin()
     points = [Point({"a": k}) for k in range(3)]
     keep_batch(folder.batches, [Row.of(point) for point in points[:2]], folder.mark)
@@ -354,22 +356,22 @@ def test_rows_that_workers_wrote_are_kept_before_they_come_in(tmp_path):
     folder.finish(points)
     folder.close()
     assert len(table(tmp_path / "s")) == 3
-    assert len(Folder(tmp_path / "s", {"scene": "x"}).rows) == 3
+    assert len(SweepFolder(tmp_path / "s", {"scene": "x"}).rows) == 3
 
 
 @pytest.mark.once
 def test_batches_of_another_sweep_and_rows_without_a_file(tmp_path):
     """What a worker of an overwritten sweep writes late is not this one's; a row that says its worker was killed is kept."""
-    before = Folder(tmp_path / "s", {"duration": 1})
+    before = SweepFolder(tmp_path / "s", {"duration": 1})
     before.begin()
     before.close()
-    now = Folder(tmp_path / "s", {"duration": 2}, overwrite=True)
+    now = SweepFolder(tmp_path / "s", {"duration": 2}, overwrite=True)
     now.begin()
     keep_batch(now.batches, [Row.of(Point({"a": 1}), measures={"m": 1.0})], before.mark)
     now.add([Row.of(Point({"a": 2}), error="its worker ended 4 times")])
     now.finish([Point({"a": 1}), Point({"a": 2})])
     now.close()
-    again = Folder(tmp_path / "s", {"duration": 2})
+    again = SweepFolder(tmp_path / "s", {"duration": 2})
     assert [row.parameters["a"] for row in again.rows.values()] == [2]
     again.begin()
     assert not list(again.batches.iterdir())
@@ -419,12 +421,12 @@ def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(t
     class Slow:
         """Leaves a batch while it closes, as workers do that end in peace."""
 
-        said, number = "slow", 1
+        said, number, apart = "slow", 1, True
 
-        def run(self, job, batches):
-            self.batches, self.folder, self.mark = batches, tmp_path / "s" / "batches", job.mark
-            keep_batch(self.folder, rows := [Row.of(point) for point in batches[0]], job.mark)
-            yield rows
+        def run(self, work, waiting, what):
+            self.batches, self.folder, self.mark = list(waiting), tmp_path / "s" / "batches", work.args[0].mark
+            keep_batch(self.folder, rows := [Row.of(point) for point in self.batches[0]], self.mark)
+            yield self.batches[0], rows
             raise KeyboardInterrupt
 
         def close(self):
@@ -494,11 +496,11 @@ def test_a_scheduler_that_is_lost_ends_a_sweep_in_a_sentence(monkeypatch, status
             raise OSError("no scheduler")
 
     monkeypatch.setattr(distributed, "as_completed", Done)
-    with pytest.raises(ts.BackendError, match="sweep: the scheduler was lost; the same command goes on"):
-        list(Workers(Client(), 1, False).run(SimpleNamespace(folder=None), [[Point({"a": 1})]]))
+    with pytest.raises(ts.BackendError, match="sweep: the scheduler was lost; give the same command again"):
+        list(Workers(Client(), 1, False).run(len, deque(["task"]), "sweep"))
 
 
-def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(monkeypatch):
+def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     comm = pytest.importorskip("distributed.comm")
     batches = []
@@ -527,7 +529,7 @@ def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(
     class Client:
         status = "running"
 
-        def submit(self, function, job, points, **_):
+        def submit(self, work, points, **_):
             batches.append(len(points))
             return Future(points)
 
@@ -536,14 +538,19 @@ def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(
 
     monkeypatch.setattr(distributed, "as_completed", Done)
     points = [Point({"a": k}) for k in range(3)]
-    rows = [row for some in Workers(Client(), 1, False).run(SimpleNamespace(folder=None), [points]) for row in some]
+    folder = SweepFolder(tmp_path / "s", {})
+    folder.begin()
+    study = Study(None, None, SimpleNamespace(job=None), folder, {"a": {}}, lambda: Workers(Client(), 1, False), print)
+    monkeypatch.setattr("taichi_sim.sweeps.study.FEW_TASKS", 1)
+    rows = [row for some in study.run(points) for row in some]
     assert batches == [3, 1, 1, 1]
     assert [row.parameters["a"] for row in rows] == [0, 1, 2]
+    assert len(list(folder.batches.glob("*.jsonl"))) == 3  # which a worker elsewhere could not write
 
 
 def test_no_folder_is_made_where_no_scheduler_answers(tmp_path, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("taichi_sim.sweeps.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("taichi_sim.studies.workers.PATIENCE", 0.5)
     with pytest.raises(ts.SceneError, match="no scheduler answers there"):
         ts.sweep(heap, folder=tmp_path / "s", scheduler="tcp://127.0.0.1:9")
     assert not (tmp_path / "s").exists()
@@ -573,7 +580,7 @@ def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path
         ts.sweep(heap(restitution=0.9), {"gravity[1]": [-9.0]}, duration=0.02, folder=folder, **HERE)
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
     about = json.loads((folder / "sweep.json").read_text())
-    writing = Folder(folder, about)
+    writing = SweepFolder(folder, about)
     writing.begin()
     with pytest.raises(OSError, match="another sweep is writing it"):
         ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)
@@ -583,3 +590,14 @@ def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path
     assert list(writing.batches.glob("*.jsonl"))
     writing.close()
     assert len(ts.sweep(scene, {"gravity[1]": [-8.0]}, duration=0.02, folder=folder, **HERE)) == 1
+
+
+@pytest.mark.once
+def test_a_value_that_is_refused_is_not_looked_for_in_the_file(tmp_path):
+    """Where another value stands."""
+    text = 'format = 1\ndim = 2\ngravity = [0.0, -9.0]\n[[materials]]\nname = "slate"\nfriction = 0.4\n'
+    (tmp_path / "slate.toml").write_text(text + "[[balls]]\nposition = [[0.0, 1.0]]\nradius = 0.1\n")
+    with pytest.raises(ts.SceneError, match=r"friction: -3\.0 is not allowed") as refused:
+        ts.sweep(str(tmp_path / "slate.toml"), {"materials.slate.friction": [0.2, -3.0]}, **HERE)
+    assert refused.value.file == tmp_path / "slate.toml"
+    assert refused.value.line is None

@@ -4,15 +4,13 @@ import pytest
 from physics_support import PRECISION
 
 from taichi_sim import Scene
-from taichi_sim.reports.hard_cases import case as hard_case
-from taichi_sim.reports.hard_cases import contacts as hard_cases
-from taichi_sim.reports.hard_cases import springs
+from taichi_sim.benchmark.hard_cases import contact_cases, spring_cases, verdicts
 
 pytestmark = pytest.mark.long_in("f32")
 
 QUICK = (("everything pinned", 2), ("empty scene", 2), ("corner of three walls", 2), ("negative coordinates", 1))
-CASES = {case.name: case for case in hard_cases.CASES}
-SPRINGS = {case.name: case for case in springs.CASES}
+CASES = {case.name: case for case in contact_cases.CASES}
+SPRINGS = {case.name: case for case in spring_cases.CASES}
 QUICK_SPRINGS = {
     "K h^2 = 1e6": ("explicit_euler", "symplectic_euler", "verlet", "rk4", "xpbd"),
     "C h = 1e6": ("verlet", "tr_bdf2"),
@@ -32,8 +30,8 @@ REFUSED |= {("chain of 20, the last 1e4 times heavier", "xpbd")}
 def test_quick_hard_cases():
     """Each of the quick ones, in its short form."""
     for name, rules in QUICK:
-        for contacts in hard_cases.RULES[:rules]:
-            verdict = hard_case.judge(CASES[name], contacts, short=True)
+        for contacts in contact_cases.RULES[:rules]:
+            verdict = verdicts.judge(CASES[name], contacts, short=True)
             assert verdict.passed, f"{name}, {contacts}: {verdict.figure:.3g} {verdict.words}"
 
 
@@ -42,7 +40,7 @@ def test_quick_hard_cases_of_springs():
     """Each of the quick ones, in its short form: explicit methods say which step is safe, the others go on."""
     for name, methods in QUICK_SPRINGS.items():
         for method in methods:
-            verdict = hard_case.judge(SPRINGS[name], method, short=True)
+            verdict = verdicts.judge(SPRINGS[name], method, short=True)
             assert verdict.passed or verdict.refused, f"{name}, {method}: {verdict.figure:.3g} {verdict.words}"
             assert verdict.refused == ((name, method) in REFUSED), f"{name}, {method}: {verdict.words}"
             assert "safe" in verdict.words or "shorter steps" in verdict.words or not verdict.refused
@@ -52,9 +50,9 @@ def test_an_error_before_the_first_step_refuses():
     def unsafe(method, short):
         scene = Scene(dim=2)
         scene.add_springs([scene.add_balls([[0, 0], [1, 0]], radius=0.1)], stiffness=1.0)
-        hard_case.heeding(scene, method)
+        verdicts.heeding(scene, method)
 
-    verdict = hard_case.judge(hard_case.Case("unsafe", "refused", unsafe), "explicit_euler")
+    verdict = verdicts.judge(verdicts.Case("unsafe", "refused", unsafe), "explicit_euler")
     assert verdict.refused
     assert not verdict.passed
     assert verdict.figure == 0.0
@@ -64,31 +62,31 @@ def test_a_case_that_raises_has_failed():
     def broken(contacts, short):
         raise ZeroDivisionError("of zero")
 
-    verdict = hard_case.judge(hard_case.Case("broken", "nothing", broken), "jacobi")
+    verdict = verdicts.judge(verdicts.Case("broken", "nothing", broken), "jacobi")
     assert not verdict.passed
     assert verdict.words == "ZeroDivisionError: of zero"
 
 
 def test_the_table_fails_when_a_case_fails_with_every_rule(capsys):
-    one = hard_case.Case("one", "pass once", lambda contacts, short: hard_case.Verdict(contacts == "jacobi", 1.0, "a"))
-    none = hard_case.Case("none", "pass", lambda contacts, short: hard_case.Verdict(False, 2.0, "b"))
-    endless = hard_case.Case("endless", "end", lambda contacts, short: hard_case.Verdict(True, float("nan"), "c"))
-    assert hard_cases.main([one], [])
-    assert not hard_cases.main([one, none], [])
-    assert not hard_cases.main([endless], [])
-    assert not hard_cases.main([], [none])
+    one = verdicts.Case("one", "pass once", lambda contacts, short: verdicts.Verdict(contacts == "jacobi", 1.0, "a"))
+    none = verdicts.Case("none", "pass", lambda contacts, short: verdicts.Verdict(False, 2.0, "b"))
+    endless = verdicts.Case("endless", "end", lambda contacts, short: verdicts.Verdict(True, float("nan"), "c"))
+    assert contact_cases.main([one], [])
+    assert not contact_cases.main([one, none], [])
+    assert not contact_cases.main([endless], [])
+    assert not contact_cases.main([], [none])
     shown = capsys.readouterr().out
     assert "pass once" in shown
     assert "FAIL" in shown
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("contacts", hard_cases.RULES)
+@pytest.mark.parametrize("contacts", contact_cases.RULES)
 @pytest.mark.parametrize("name", [name for name in CASES if name != "1e6 balls in one cell"])
 def test_hard_case(name, contacts):
     if PRECISION == "f32" and name in ("radius 1e-4 m in a 1e4 m world",):
         pytest.skip("single precision tells such places 1e-3 m apart, and says so")
-    verdict = hard_case.judge(CASES[name], contacts)
+    verdict = verdicts.judge(CASES[name], contacts)
     if missed := MISSED.get((name, contacts, PRECISION)):
         most, words = missed
         assert not verdict.passed, "no longer missed: take it from the list"
@@ -98,9 +96,9 @@ def test_hard_case(name, contacts):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("method", springs.METHODS)
+@pytest.mark.parametrize("method", spring_cases.METHODS)
 @pytest.mark.parametrize("name", SPRINGS)
 def test_hard_case_of_springs(name, method):
     """In its short form: passed, or refused before the first step. Each case passes with TR-BDF2."""
-    verdict = hard_case.judge(SPRINGS[name], method, short=True)
+    verdict = verdicts.judge(SPRINGS[name], method, short=True)
     assert verdict.passed or (verdict.refused and method != "tr_bdf2"), f"{verdict.figure:.3g} {verdict.words}"

@@ -5,7 +5,7 @@ import pytest
 from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
-from taichi_sim.reports.bench.stiff_cloth import SIDE, T, converged
+from taichi_sim.benchmark.stiff_cloth import SIDE, T, converged
 
 
 def hanging_cloth():

@@ -11,8 +11,8 @@ from taichi_sim.common.quantities import EXACT, measured
 from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.plan import PARTS, Step
 from taichi_sim.reports.speed_error.reference import Reference
-from taichi_sim.reports.speed_error.study import Study
-from taichi_sim.reports.speed_error.worker import Outcome
+from taichi_sim.reports.speed_error.trial_process import Outcome
+from taichi_sim.reports.speed_error.trials import Trials
 
 ASSUMED_ORDER = 1.0  # where there is one difference only
 HIDING_MESH = 10.0  # times the error of the step: that of the mesh hides it
@@ -34,7 +34,7 @@ class Budget:
     time: float  # s
     method: str
     step_length: float  # s
-    step: float | None
+    step: float | None = None
     mesh: float | None = None
     order: float | None = None
     single: float | None = None
@@ -72,10 +72,10 @@ class Budget:
 
 
 def made(
-    study: Study, reference: Reference, method: str, step: Step, double: Outcome, single: Outcome | None
+    trials: Trials, reference: Reference, method: str, step: Step, double: Outcome, single: Outcome | None
 ) -> Budget | None:
     """The error of the step, and of single precision, from runs with the scene's own settings; None without a reference."""
-    parts, compared = reference.parts, study.compared
+    parts, compared = reference.parts, trials.compared
     if not parts or not reference.motion:
         return None
     off = rounded = None
@@ -88,8 +88,8 @@ def made(
         value, name = float(np.max(reference.displacement[:parts])), f"motion of {compared.name}"
     elif compared.quantity is not None:
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
-    until = study.plan.duration * parts / PARTS
-    meshed = bool(study.scene.n_springs or len(study.scene.cells))
+    until = trials.plan.duration * parts / PARTS
+    meshed = bool(trials.scene.n_springs or len(trials.scene.cells))
     return Budget(name, compared.unit, value, until, method, step.seconds, off, single=rounded, meshed=meshed)
 
 

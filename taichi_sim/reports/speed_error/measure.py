@@ -8,33 +8,33 @@ from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.plan import PARTS, Step
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, STABLE, UNSTABLE, Row
-from taichi_sim.reports.speed_error.study import Study
-from taichi_sim.reports.speed_error.worker import Outcome
+from taichi_sim.reports.speed_error.trial_process import Outcome
+from taichi_sim.reports.speed_error.trials import Trials
 
 GAIN = 1.0  # of the largest kinetic and spring energy: more motion than that is not the scene's
 
 
 def measure(
-    study: Study, reference: Reference, precision: str, method: str, step: Step, most: float | None = None
+    trials: Trials, reference: Reference, precision: str, method: str, step: Step, most: float | None = None
 ) -> Row:
     """Run one method with one step for at most so many seconds, and say what it cost and how far it was off."""
-    outcome = study.run(precision, method, step, most=most or study.plan.most, timed=True)
-    return row_of(study, reference, outcome, precision, method, step)
+    outcome = trials.run(precision, method, step, most=most or trials.plan.most, keep=False, timed=True)
+    return row_of(trials, reference, outcome, precision, method, step)
 
 
-def row_of(study: Study, reference: Reference, outcome: Outcome, precision: str, method: str, step: Step) -> Row:
+def row_of(trials: Trials, reference: Reference, outcome: Outcome, precision: str, method: str, step: Step) -> Row:
     """What an outcome says beside the reference. A run that ended early has no error, and for its cost what its first
     step promised."""
-    scene, duration = study.scene, study.plan.duration
+    scene, duration = trials.scene, trials.plan.duration
     safe = stability(scene, named(method)).dt_any_shape
     verdict, reason = _verdict(reference, outcome)
     known = verdict != LEFT_OUT and len(outcome.position) == PARTS
-    errors = study.compared.errors(outcome, reference)[: reference.parts] if known else []
+    errors = trials.compared.errors(outcome, reference)[: reference.parts] if known else []
     off = worst(errors) if errors else None
     seconds = None if verdict == LEFT_OUT or outcome.seconds is None else outcome.seconds / duration
     ball_steps = step.number * PARTS * max(1, scene.n_balls)
     return Row(
-        scene=study.plan.name,
+        scene=trials.plan.name,
         balls=scene.n_balls,
         springs=scene.n_springs,
         precision=precision,

@@ -1,7 +1,5 @@
 """The plan of a report: which methods, steps and precisions, for how long, and the key that tells it from another."""
 
-import hashlib
-import json
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -123,13 +121,12 @@ def size_of(scene: Scene) -> float:
     return float(np.linalg.norm((scene.position + reach).max(axis=0) - (scene.position - reach).min(axis=0)))
 
 
-def key_of(scene: Scene, plan: Plan) -> str:
-    """A digest of the scene's content and of all of the plan that rows depend on; methods and precisions may be added later."""
-    about: dict[str, Any] = {
+def about(scene: Scene, plan: Plan) -> dict[str, Any]:
+    """The scene's content and all of the plan that rows depend on; methods and precisions may be added later."""
+    return {
         "version": __version__,
         "scene": contents_of(scene),
         "settings": scene.settings,
         "plan": {"duration": plan.duration, "arch": plan.arch, "threads": plan.threads, "most": plan.most}
         | ({} if plan.quantity is None else {"quantity": plan.quantity}),
     }
-    return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()

@@ -1,44 +1,20 @@
 """The plot: error against wall time, one curve for each method over its steps, a panel for each precision."""
 
-import functools
-import io
-import re
-from collections.abc import Callable
 from typing import Any
 
 from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.plan import METHODS
 from taichi_sim.reports.speed_error.rows import CLEAR_OF_REFERENCE, STABLE, UNSTABLE, Row
+from taichi_sim.studies.figure import INK, dress, literal, styled
 
 COLOURS = ("#3d85c6", "#d99a1c", "#2a9d78", "#8c8c8c", "#c5689c", "#d4623a", "#8a6fd6")  # seen on white and on black
 MARKERS = ("o", "s", "D", "x", "^", "v", "P")
-INK = "#010203"  # of words and axes; becomes the page's own colour
 READ = "Each mark is a run with one step. Further left is more accurate, further down is faster."
 FRONT = "no run is both faster\nand more accurate"
 BROKEN = "unstable, error unknown"
 FLOOR = "least error in\nsingle precision"
 UNTOLD = "too near to the reference\nto tell the error"
 NAMES = {"f64": "double precision (f64)", "f32": "single precision (f32)"}
-
-
-def styled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Let a function draw in matplotlib's own style: a file `matplotlibrc` in the working folder, which may be anybody's, could
-    have it start LaTeX."""
-
-    @functools.wraps(function)
-    def call(*args: Any) -> Any:
-        import matplotlib
-
-        usual = {name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")}
-        with matplotlib.rc_context(usual):
-            return function(*args)
-
-    return call
-
-
-def literal(text: str) -> str:
-    """For a name in a figure: a $ in it begins no formula."""
-    return text.replace("$", r"\$")
 
 
 @styled
@@ -87,12 +63,7 @@ def _frame(axis: Any, title: str, name: str) -> None:
     axis.set_yscale("log")
     axis.set_title(title, color=INK, fontsize=11)
     axis.set_xlabel(f"relative error of {literal(name)}", color=INK)
-    axis.patch.set_alpha(0.0)
-    axis.tick_params(which="both", colors=INK, labelcolor=INK)
-    axis.grid(True, which="major", color=INK, alpha=0.13, lw=0.6)
-    for side, spine in axis.spines.items():
-        spine.set_color(INK)
-        spine.set_visible(side in ("left", "bottom"))
+    dress(axis)
 
 
 def _curve(axis: Any, findings: Findings, rows: list[Row], margin: float) -> None:
@@ -118,23 +89,3 @@ def _front(axis: Any, findings: Findings, precision: str) -> None:
         own = [(row.relative_error, row.seconds) for row in front if row.precision == precision] or [(None, None)]
         axis.plot(*zip(*points), color=INK, lw=7, alpha=0.13, solid_capstyle="round", solid_joinstyle="round", zorder=0)
         axis.plot(*zip(*own), color=INK, lw=0, marker="o", ms=11, mfc="none", mew=0.9, label=FRONT, zorder=0)
-
-
-@styled
-def svg(figure: Any) -> str:
-    """For a page: words and axes in the colour of its text, no background, no header."""
-    import matplotlib
-
-    text = io.StringIO()
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "taichi_sim", "font.family": "sans-serif"}):
-        figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    body = text.getvalue()
-    return re.sub(INK, "currentColor", body[body.index("<svg") :], flags=re.IGNORECASE)
-
-
-@styled
-def png(figure: Any) -> bytes:
-    """For Markdown, on white."""
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=130, facecolor="white")
-    return data.getvalue()

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.methods import RK4
 from taichi_sim.reports.speed_error.compared import rms
 from taichi_sim.reports.speed_error.plan import FRAME, PARTS, WORK, Step, fitting, halved, limit, own_step
-from taichi_sim.reports.speed_error.study import Study
-from taichi_sim.reports.speed_error.worker import Outcome
+from taichi_sim.reports.speed_error.trial_process import Outcome
+from taichi_sim.reports.speed_error.trials import Trials
 from taichi_sim.scene.scene import Scene
 
 REFERENCE = RK4.name
@@ -95,55 +95,55 @@ def _largest(energy: Floats) -> float:
     return float(np.abs(energy[:, :2]).sum(axis=1).max(initial=0.0)) or 1.0  # that of a gas may be negative
 
 
-def make(study: Study, enough: float | None = None) -> Reference:
+def make(trials: Trials, enough: float | None = None) -> Reference:
     """Run what the reference needs in double precision. enough: part of the motion to which it must be known; then the scene's
     own method is tried first, which is compiled anyway."""
-    own, step = own_step(study.scene)
+    own, step = own_step(trials.scene)
     if enough is not None and own != REFERENCE:
-        quick = _by(study, own, step / 4.0, enough, QUICK * WORK)
+        quick = _by(trials, own, step / 4.0, enough, QUICK * WORK)
         if len(quick.position) and quick.known <= enough * quick.motion:
             return quick
-    reference = _by(study, REFERENCE, min(FRAME, limit(study.scene, REFERENCE)) / 4.0, enough or FINE)
+    reference = _by(trials, REFERENCE, min(FRAME, limit(trials.scene, REFERENCE)) / 4.0, enough or FINE)
     if own == REFERENCE:
         return reference
     none = not len(reference.position)
     if enough is not None:
         return quick if len(quick.position) and not reference.known < quick.known else reference
     if none or (reference.touch and reference.known > GOOD * reference.motion):
-        other = _by(study, own, step / 4.0, FINE)
+        other = _by(trials, own, step / 4.0, FINE)
         if len(other.position) and (none or other.known < reference.known):
             return other
     return reference
 
 
-def _by(study: Study, method: str, seconds: float, fine_enough: float, work: float = WORK / 8) -> Reference:
-    duration = study.plan.duration
+def _by(trials: Trials, method: str, seconds: float, fine_enough: float, work: float = WORK / 8) -> Reference:
+    duration = trials.plan.duration
     step = fitting(duration, seconds)
     for _ in range(ATTEMPTS):
-        coarse = study.run("f64", method, step)
-        fine = study.run("f64", method, halved(duration, step), contacts=True)
+        coarse = trials.run("f64", method, step)
+        fine = trials.run("f64", method, halved(duration, step), contacts=True)
         why = coarse.unstable or fine.unstable or coarse.left_out or fine.left_out
         if not why:
-            parting = _parting(study, coarse, study.run("f64", method, step, start=study.apart(APART, 0)))
+            parting = _parting(trials, coarse, trials.run("f64", method, step, start=trials.apart(APART, 0)))
             while True:
-                found = _reference(study, method, step, coarse, fine, parting)
-                if found.known <= fine_enough * found.motion or _work(study.scene, step) >= work or not found.parts:
+                found = _reference(trials, method, step, coarse, fine, parting)
+                if found.known <= fine_enough * found.motion or _work(trials.scene, step) >= work or not found.parts:
                     return found
                 step = halved(duration, step)
-                coarse, fine = fine, study.run("f64", method, halved(duration, step), contacts=True)
+                coarse, fine = fine, trials.run("f64", method, halved(duration, step), contacts=True)
         step = halved(duration, step)
-    return Reference(method, step.seconds, study.size, why=why)
+    return Reference(method, step.seconds, trials.size, why=why)
 
 
-def _parting(study: Study, one: Outcome, other: Outcome) -> Floats:
+def _parting(trials: Trials, one: Outcome, other: Outcome) -> Floats:
     """What `Reference.parting` is, of two runs."""
-    unit = study.size if study.compared.quantity is None else _motion(study, one).max() or 1.0
-    parting = [rms(error) / unit for error in study.compared.errors(one, other)]
+    unit = trials.size if trials.compared.quantity is None else _motion(trials, one).max() or 1.0
+    parting = [rms(error) / unit for error in trials.compared.errors(one, other)]
     return np.array(parting + [np.inf] * (PARTS - len(parting)))
 
 
-def _motion(study: Study, outcome: Outcome) -> Floats:
-    return study.compared.motion(outcome, _largest(np.array(outcome.energy)))
+def _motion(trials: Trials, outcome: Outcome) -> Floats:
+    return trials.compared.motion(outcome, _largest(np.array(outcome.energy)))
 
 
 def _work(scene: Scene, step: Step) -> float:
@@ -151,17 +151,17 @@ def _work(scene: Scene, step: Step) -> float:
     return 4.0 * 4.0 * step.number * PARTS * (scene.n_balls + scene.n_springs)
 
 
-def _reference(study: Study, method: str, step: Step, coarse: Outcome, fine: Outcome, parting: Floats) -> Reference:
+def _reference(trials: Trials, method: str, step: Step, coarse: Outcome, fine: Outcome, parting: Floats) -> Reference:
     return Reference(
         method,
         step.seconds / 2.0,
-        study.size,
+        trials.size,
         position=np.array(fine.position),
-        quantity=np.array(fine.quantity) if fine.quantity else np.zeros((PARTS, 0)),
+        quantity=np.array(fine.quantity) if len(fine.quantity) else np.zeros((PARTS, 0)),
         energy=np.array(fine.energy),
-        difference=np.array([rms(error) for error in study.compared.errors(coarse, fine)]),
-        displacement=_motion(study, fine),
+        difference=np.array([rms(error) for error in trials.compared.errors(coarse, fine)]),
+        displacement=_motion(trials, fine),
         parting=parting,
-        contacts=max(number for number, _ in fine.contacts),
+        contacts=int(max(number for number, _ in fine.contacts)),
         touch=fine.touch,
     )

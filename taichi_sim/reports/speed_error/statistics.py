@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from taichi_sim.reports.speed_error.plan import PARTS, Step, halved
-from taichi_sim.reports.speed_error.study import Study
+from taichi_sim.reports.speed_error.trials import Trials
+from taichi_sim.studies.intervals import half_width
 
 SEEDS = 8
 STARTS_APART = 1e-6  # of the size, between the starts
@@ -57,16 +58,16 @@ class Interval:
     failed: str = ""
 
 
-def steps_of_seeds(study: Study) -> list[tuple[str, Step]]:
+def steps_of_seeds(trials: Trials) -> list[tuple[str, Step]]:
     """Each method at the step that the scene would be run with, and last the scene's own at half of it, for comparison."""
-    own, step = study.own_step()
-    return [*map(study.own_step, study.plan.methods), (own, halved(study.plan.duration, step))]
+    own, step = trials.own_step()
+    return [*map(trials.own_step, trials.plan.methods), (own, halved(trials.plan.duration, step))]
 
 
-def one_seed(study: Study, precision: str, method: str, step: Step, seed: int) -> Seed:
+def one_seed(trials: Trials, precision: str, method: str, step: Step, seed: int) -> Seed:
     """Run one method from one start."""
-    start, scene = study.apart(STARTS_APART, seed), study.scene
-    outcome = study.run(precision, method, step, start=start, most=study.plan.most, contacts=True)
+    start, scene = trials.apart(STARTS_APART, seed), trials.scene
+    outcome = trials.run(precision, method, step, keep=False, start=start, most=trials.plan.most, contacts=True)
     failed = outcome.unstable or outcome.left_out
     if failed:
         return Seed(precision, method, step.seconds, seed, np.nan, np.nan, np.nan, np.nan, failed)
@@ -88,8 +89,7 @@ def intervals(seeds: Sequence[Seed]) -> list[Interval]:
     found = []
     for key, own in groups.items():
         values = {name: _values(own, name) for name in QUANTITIES}
-        width = stats.t.ppf(0.975, SEEDS - 1)
-        half = {n: float(width * stats.sem(v)) if len(v) == SEEDS else np.nan for n, v in values.items()}
+        half = {n: half_width(v) if len(v) == SEEDS else np.nan for n, v in values.items()}
         failed = next((seed.failed for seed in own if seed.failed), "")
         differs = tuple(name for name in QUANTITIES if least[key, name] < FALSE_FINDINGS)
         found.append(Interval(*key, {n: float(v.mean()) for n, v in values.items()}, half, differs, failed))

@@ -24,8 +24,8 @@ from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
 from taichi_sim.reports.speed_error.runs import Runs, progress_bar
-from taichi_sim.reports.speed_error.study import Study
-from taichi_sim.reports.speed_error.worker import Workers
+from taichi_sim.reports.speed_error.trial_process import TrialProcesses
+from taichi_sim.reports.speed_error.trials import Trials
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings, part_of_bound
 
@@ -51,14 +51,14 @@ def main(
 
     Raises ValueError, OSError, BackendError.
     """
-    with progress_bar(progress) as runs, Workers(scene, plan, runs) as workers:
+    with progress_bar(progress) as runs, TrialProcesses(scene, plan, runs) as processes:
         runs.expect(references.RUNS + len(plan.methods) * len(plan.precisions))
-        study = Study(scene, plan, workers)
-        reference = references.make(study, plan.tolerance / WELL_KNOWN)
-        _require(study, reference)
-        study = replace(study, plan=_without_coarse(scene, plan, reference, say))
-        rows, untried = _find(study, reference, MOST_METHODS if plan.methods == METHODS else len(METHODS), runs)
-    compared = study.compared
+        trials = Trials(scene, plan, processes)
+        reference = references.make(trials, plan.tolerance / WELL_KNOWN)
+        _require(trials, reference)
+        trials = replace(trials, plan=_without_coarse(scene, plan, reference, say))
+        rows, untried = _find(trials, reference, MOST_METHODS if plan.methods == METHODS else len(METHODS), runs)
+    compared = trials.compared
     allowed = measured(plan.tolerance * reference.motion, unit=compared.unit)
     until = plan.duration * reference.parts / len(reference.parting)
     if not rows:
@@ -111,9 +111,9 @@ def _without_coarse(scene: Scene, plan: Plan, reference: Reference, say: Callabl
     return replace(plan, precisions=left)
 
 
-def _require(study: Study, reference: Reference) -> None:
+def _require(trials: Trials, reference: Reference) -> None:
     """Raises SceneError where there is nothing to tune by."""
-    scene, plan = study.scene, study.plan
+    scene, plan = trials.scene, trials.plan
     if reference.why:
         raise SceneError(f"{plan.name}: there is no reference to measure errors from: {reference.why}")
     if not reference.moves(scene):
@@ -124,7 +124,7 @@ def _require(study: Study, reference: Reference) -> None:
             " `taichi-sim report` compares statistics"
         )
     if not reference.motion:
-        name = study.compared.name
+        name = trials.compared.name
         raise SceneError(f"{plan.name}: {name} stays 0 in the first {plan.duration:g} s: there is nothing to compare")
     if reference.known > plan.tolerance * reference.motion:
         raise SceneError(
@@ -133,7 +133,7 @@ def _require(study: Study, reference: Reference) -> None:
         )
 
 
-def _find(study: Study, reference: Reference, most: int, runs: Runs) -> tuple[list[Row], list[str]]:
+def _find(trials: Trials, reference: Reference, most: int, runs: Runs) -> tuple[list[Row], list[str]]:
     """The cheapest rows that meet the tolerance, see `cheapest`, and the methods that were not tried, once one meets it, because
     `most` were compiled.
 
@@ -141,11 +141,11 @@ def _find(study: Study, reference: Reference, most: int, runs: Runs) -> tuple[li
     over: where even the longest step goes through the forces too often. What precision changes is a factor of two at most, so
     the second is tried of the methods that come near the best in the first.
     """
-    plan = study.plan
+    plan = trials.plan
     good: list[Row] = []
     untried: list[str] = []
-    compiled = {study.own_step()[0], reference.method}
-    methods = sorted(plan.methods, key=lambda method: (method not in compiled, _least_passes(study, method)))
+    compiled = {trials.own_step()[0], reference.method}
+    methods = sorted(plan.methods, key=lambda method: (method not in compiled, _least_passes(trials, method)))
     for precision in plan.precisions:
         if precision != plan.precisions[0]:
             best = min((row.seconds or 0.0 for row in good), default=0.0)
@@ -154,30 +154,30 @@ def _find(study: Study, reference: Reference, most: int, runs: Runs) -> tuple[li
         for method in methods:
             fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
             if fastest is not None and fastest.passes and method != fastest.method:
-                if _least_passes(study, method) > LIKELY_PASSES * fastest.passes:
+                if _least_passes(trials, method) > LIKELY_PASSES * fastest.passes:
                     continue
             if good and method not in compiled and len(compiled) >= most:
                 untried.append(f"{method} in {precision}")
                 continue
             compiled.add(method)
             first = next((row.step for row in good if row.method == method), np.inf)
-            row = _longest(study, reference, precision, method, fastest, first)
+            row = _longest(trials, reference, precision, method, fastest, first)
             if row is not None:
                 good.append(row)
     return cheapest(good, plan.tolerance, reference.motion, reference.known), untried
 
 
 def _longest(
-    study: Study, reference: Reference, precision: str, method: str, best: Row | None, first: float
+    trials: Trials, reference: Reference, precision: str, method: str, best: Row | None, first: float
 ) -> Row | None:
     """The row of the longest step, of at most `first` [s], with which a method meets the tolerance; None where that costs more
     than the best so far, for smaller steps cost more still."""
-    plan = study.plan
-    for step in _steps(study, method):
+    plan = trials.plan
+    for step in _steps(trials, method):
         if step.seconds > first * (1.0 + 1e-9):
             continue
         most = plan.most if best is None else min(plan.most, SPARE_TIME * (best.seconds or 0.0) * plan.duration + 1e-3)
-        row = measure(study, reference, precision, method, step, most)
+        row = measure(trials, reference, precision, method, step, most)
         if row.verdict == LEFT_OUT or (best and not as_fast(row, best)):
             return None
         if row.verdict != UNSTABLE and cheapest([row], plan.tolerance, reference.motion, reference.known):
@@ -185,15 +185,15 @@ def _longest(
     return None
 
 
-def _least_passes(study: Study, method: str) -> float:
+def _least_passes(trials: Trials, method: str) -> float:
     """Over the forces, per simulated second, with the longest step."""
-    step = next(_steps(study, method), None)
-    return np.inf if step is None else named(method).passes(study.scene, step.seconds) / step.seconds
+    step = next(_steps(trials, method), None)
+    return np.inf if step is None else named(method).passes(trials.scene, step.seconds) / step.seconds
 
 
-def _steps(study: Study, method: str) -> Iterator[Step]:
+def _steps(trials: Trials, method: str) -> Iterator[Step]:
     """The longest step that is safe in the long run, the steps of a report below it, and more halvings."""
-    scene, plan = study.scene, study.plan
+    scene, plan = trials.scene, trials.plan
     most = part_of_bound(scene, named(method)) * stability(scene, named(method)).dt_any_shape
     steps = steps_of(scene, method, plan)
     if plan.steps is None:
