@@ -8,6 +8,7 @@ import pytest
 import taichi as ti
 
 import taichi_sim as ts
+from taichi_sim.scene.document import document
 
 pytestmark = pytest.mark.once
 
@@ -153,11 +154,11 @@ def test_arguments_of_an_export(output, given, message):
 )
 def test_shapes_are_added_whole_or_not_at_all(add, message):
     scene = three_balls()
-    before = {key: value.copy() for key, value in scene.to_arrays().items()}
+    before = {key: value.copy() for key, value in document(scene)[1].items()}
     with pytest.raises(ts.SceneError) as caught:
         add(scene)
     assert str(caught.value).startswith(message)
-    after = scene.to_arrays()
+    after = document(scene)[1]
     assert before.keys() == after.keys()
     for key, value in before.items():
         np.testing.assert_array_equal(value, after[key], err_msg=key)

@@ -18,6 +18,8 @@ from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.geometry.mesh import read_surface
 from taichi_sim.reports.speed_error import command
 from taichi_sim.scene.columns import Table
+from taichi_sim.scene.document import document, fill
+from taichi_sim.scene.parts import PARTS
 
 pytestmark = pytest.mark.once
 
@@ -371,6 +373,9 @@ def everything():
     scene.add_wind((1, 0, 0))
     scene.add_wall((0, 1, 0), -3.0, material="rubber", collides_with="a")
     scene.add_moving_pins([3], velocity=(1, 0, 0))
+    scene.add_motor([0], amplitude=0.1, frequency=2.0, phase=90.0)
+    scene.add_collider(ts.Box((9, 0, 0), (1, 1, 1), path=[(0, (0, 0, 0)), (1, (1, 0, 0))]))
+    scene.set_name([0, 1], "ends", uv=[[0, 0], [1, 1]])
     scene.add_probe("load", "strain", springs=[0, 1])
     return scene
 
@@ -378,31 +383,30 @@ def everything():
 WHOLE = everything()
 
 
-def again(arrays=None, plain=None, about=None):
-    """The scene, from its arrays and plain values with some of them in the place of others; None: gone."""
+VALUES, ARRAYS = document(WHOLE)
+
+
+def again(arrays=None, values=None):
+    """The scene, from its document with some arrays and plain values in the place of others; None: gone."""
     scene = ts.Scene(dim=3)
-    scene.set_plain(WHOLE.plain() | (plain or {}))
-    changed = WHOLE.to_arrays() | WHOLE.element_arrays() | (arrays or {})
-    changed = {name: array for name, array in changed.items() if array is not None}
-    scene.from_arrays(changed)
-    scene.set_elements(WHOLE.elements() | (about or {}), changed)
+    fill(scene, VALUES | (values or {}), {k: one for k, one in (ARRAYS | (arrays or {})).items() if one is not None})
     return scene
 
 
-def test_a_scene_comes_back_from_its_arrays():
+def test_a_scene_comes_back_from_its_document():
+    assert {part.name for part in PARTS} - VALUES.keys() == {"attachments"}  # which become springs
     scene = again()
-    assert scene.plain() == WHOLE.plain()
-    assert str(scene.elements()) == str(WHOLE.elements())
-    for before, after in ((WHOLE.to_arrays(), scene.to_arrays()), (WHOLE.element_arrays(), scene.element_arrays())):
-        assert before.keys() == after.keys()
-        for name in before:
-            np.testing.assert_array_equal(before[name], after[name], err_msg=name)
-            assert before[name].dtype == after[name].dtype
+    values, arrays = document(scene)
+    assert values == VALUES
+    assert arrays.keys() == ARRAYS.keys()
+    for name, before in ARRAYS.items():
+        np.testing.assert_array_equal(before, arrays[name], err_msg=name)
+        assert before.dtype == arrays[name].dtype
     assert scene.new_body() == WHOLE.new_body()
 
 
 def item(name, index, value):
-    array = (WHOLE.to_arrays() | WHOLE.element_arrays())[name].copy()
+    array = ARRAYS[name].copy()
     array[index] = value
     return {name: array}
 
@@ -422,18 +426,18 @@ def item(name, index, value):
         (item("springs.break_strain", 0, -1.0), "springs.break_strain[0]: -1.0 is not allowed"),
         (item("triangles.triangles", (2, 0), 9), "triangles.triangles[2]: [9, 2, 3] is not allowed"),
         (item("cells.rest_volume", 0, 0.0), "cells.rest_volume[0]: 0.0 is not allowed; it must be greater than 0"),
-        (item("bends.weights", (0, 0), 3.0), "bends.weights[0]: "),
+        (item("bending.weights", (0, 0), 3.0), "bending.weights[0]: "),
         (item("embedded_surfaces.0.weights", (0, 0), 3.0), "embedded_surfaces[0].weights[0]: "),
         (item("gases.0.triangles", (0, 0), -1), "gases[0].triangles[0]: [-1, 2, 1] is not allowed"),
         (item("moving_pins.0.balls", 0, 4), "moving_pins[0].balls[0]: 4 is not allowed"),
-        (item("probes.load.springs", 1, 2), "probes[0].springs[1]: 2 is not allowed"),
+        (item("probes.0.springs", 1, 2), "probes[0].springs[1]: 2 is not allowed"),
         ({"balls.mass": np.ones((4, 1))}, "balls.mass: shape (4, 1) does not fit; it must be one number or 4 of them"),
-        ({"balls.mass": np.ones(3)}, "balls.mass: shape (3,) does not fit; it must have as many rows as balls.position, (4,)"),
-        ({"balls.mass": np.array(1.0)}, "balls.mass: shape () does not fit"),
+        ({"balls.mass": np.ones(3)}, "balls.mass: shape (3,) does not fit; it must be one number or 4 of them"),
+        ({"balls.body": np.ones(3, dtype=int)}, "balls.body: shape (3,) does not fit; it must have as many rows"),
         ({"balls.mass": np.array(list("1234"))}, "balls.mass: ['1', '2', '3', '4'] is not a number or a list of numbers"),
         ({"balls.pinned": np.zeros(4)}, "balls.pinned: [0.0, 0.0, 0.0, 0.0] does not fit"),
         ({"balls.material": np.zeros(4)}, "balls.material: [0.0, 0.0, 0.0, 0.0] is not a list of integers"),
-        ({"balls.radius": None}, "balls.radius: is missing; balls.position is there"),
+        ({"balls.radius": None}, "balls.radius: is missing; there is no array 'balls.radius'"),
         ({"embedded_surfaces.0.corners": None}, "embedded_surfaces[0].corners: is missing"),
         ({"gases.0.triangles": None}, "gases[0].triangles: is missing; there is no array 'gases.0.triangles'"),
     ],
@@ -445,16 +449,17 @@ def test_every_array_is_judged(arrays, message):
     assert str(caught.value).startswith(message)
 
 
-WALL, GAS, PINS = WHOLE.plain()["walls"][0], WHOLE.elements()["gases"][0], WHOLE.elements()["moving_pins"][0]
+WALL, GAS, PINS = (VALUES[name][0] for name in ("walls", "gases", "moving_pins"))
 
 
 @pytest.mark.parametrize(
     ("plain", "message"),
     [
-        ({"walls": [WALL | {"material": 5}]}, "walls[0].material: 5 is not allowed; it must be a whole number from 0 to 1"),
-        ({"walls": [WALL | {"normal": [0, 2, 0]}]}, "walls[0].normal: [0, 2, 0] is not allowed; it must be a vector of length 1"),
+        ({"walls": [WALL | {"material": 5}]}, "walls[0].material: 5 is not a material of this scene"),
+        ({"walls": [WALL | {"normal": [0, 0, 0]}]}, "walls[0].normal: [0.0, 0.0, 0.0] is not allowed; it must be a vector"),
         ({"walls": [WALL | {"offset": np.nan}]}, "walls[0].offset: nan is not allowed"),
         ({"walls": [WALL | {"group": -2}]}, "walls[0].group: -2 is not allowed"),
+        ({"walls": [WALL, WALL | {"offset": np.nan}]}, "walls[1].offset: nan is not allowed"),
         ({"walls": [WALL | {"more": 1}]}, "walls[0]: got an unexpected keyword argument 'more'"),
         ({"walls": 3}, "walls: 3 is not allowed; it must be a list of tables"),
         ({"materials": [{"name": "default", "friction": -1}]}, "materials[0].friction: -1.0 is not allowed"),
@@ -466,7 +471,7 @@ WALL, GAS, PINS = WHOLE.plain()["walls"][0], WHOLE.elements()["gases"][0], WHOLE
 )  # fmt: skip
 def test_every_plain_value_is_judged(plain, message):
     with pytest.raises(ts.SceneError) as caught:
-        again(plain=plain)
+        again(values=plain)
     assert str(caught.value).startswith(message)
 
 
@@ -476,9 +481,13 @@ def test_every_plain_value_is_judged(plain, message):
         ({"gases": [GAS | {"volume": 0}]}, "gases[0].volume: 0.0 is not allowed"),
         ({"gases": [GAS | {"pressure": -1}]}, "gases[0].pressure: -1.0 is not allowed"),
         ({"gases": [{"volume": 1.0}]}, "gases[0]: missing a required "),
+        (
+            {"gases": [GAS | {"triangles": {"array": "none"}}]},
+            "gases[0].triangles: is missing; there is no array 'none'",
+        ),
         ({"gases": None}, "gases: None is not allowed; it must be a list of tables"),
         ({"moving_pins": [PINS | {"speed": 1}]}, "moving_pins[0]: got an unexpected keyword argument 'speed'"),
-        ({"moving_pins": [{"rotation_rate": [[1], [2, 3]]}]}, "moving_pins[0].rotation_rate: "),
+        ({"moving_pins": [PINS | {"rotation_rate": [[1], [2, 3]]}]}, "moving_pins[0].rotation_rate: "),
         ({"wind": 3}, "wind: "),
         ({"wind": {"velocity": [1, 2]}}, "wind.velocity: shape (2,) does not fit"),
         ({"probes": [{"kind": "strain"}]}, "probes[0]: missing a required "),
@@ -488,7 +497,7 @@ def test_every_plain_value_is_judged(plain, message):
 )
 def test_every_element_is_judged(about, message):
     with pytest.raises(ts.SceneError) as caught:
-        again(about=about)
+        again(values=about)
     assert str(caught.value).startswith(message)
 
 

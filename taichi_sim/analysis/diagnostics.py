@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Contacts
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.scene.colliders import Collider
-from taichi_sim.scene.elements import CRUSHED, cell_volumes
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -21,7 +22,6 @@ __all__ = [
     "collider_depth",
     "contacts",
     "cut",
-    "enclosed",
     "energy",
     "inertia",
     "inverted",
@@ -74,30 +74,12 @@ def energy(
 
 
 def _elements(scene: Scene, x: Floats, torn: NDArray) -> float:
-    """Energy of cells, bending and gas [J]; that of a gas is 0 at its first volume. torn: (k, 2) balls of torn springs."""
+    """Energy of all elements [J]. torn: (k, 2) balls of torn springs."""
     total = 0.0
-    if len(scene.cells):
-        whole = ~cut(scene.cells, torn, scene.n_balls)
-        cells = np.where(scene.cells_together < 0, np.arange(len(scene.cells)), len(scene.cells) + scene.cells_together)
-        one = np.unique(cells, return_inverse=True)[1]
-        volume = np.bincount(one, cell_volumes(x, scene.cells) * whole)
-        rest = np.bincount(one, scene.rest_volume * whole)
-        part = np.divide(volume, rest, out=np.ones_like(rest), where=rest > 0)
-        for modulus, strain in (
-            (scene.bulk_modulus, part - 1.0),
-            (scene.crush_modulus, np.minimum(part - CRUSHED, 0.0)),
-        ):
-            total += 0.5 * float(np.sum(np.bincount(one, modulus * scene.rest_volume * whole) * strain**2))
-    if len(scene.bends):
-        curve = np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends] - x[scene.bends[:, :1]])
-        whole = ~cut(scene.bends, torn, scene.n_balls)
-        total += 0.5 * float(np.sum((scene.held_bending()[0] * np.sum(curve**2, axis=1))[whole]))
-    for gas in scene.gases:
-        now = enclosed(x, gas.triangles) / gas.volume
-        inside = (gas.pressure + gas.outside) * gas.volume
-        total += gas.outside * gas.volume * (now - 1.0)
-        if inside:
-            total -= inside * float(np.log(now)) if now > 0 else -np.inf
+    for element in ELEMENTS:
+        if element.count(scene):
+            for term in element.energies(scene, x, ~cut(element.corners(scene), torn, scene.n_balls)):
+                total += term
     return total
 
 
@@ -107,12 +89,6 @@ def _custom(scene: Scene, force: Any, x: Floats, v: Floats, torn: NDArray) -> fl
         whole = ~cut(np.asarray(force.balls), torn, scene.n_balls)
         return float(np.sum(np.asarray(force.energies(x))[whole]))
     return float(force.energy(x, v)) if hasattr(force, "energy") else 0.0
-
-
-def enclosed(x: Floats, triangles: NDArray) -> float:
-    """Volume [m^3] in a closed surface of triangles (t, 3) of the balls at x (n, 3)."""
-    a, b, c = (x[triangles[:, k]] - x[triangles[0, 0]] for k in range(3))
-    return float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
 
 
 def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:

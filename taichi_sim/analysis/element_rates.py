@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
+from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.gases import GASES, volume_gradient
+from taichi_sim.scene.part import Quadratic
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["NO_RATES", "Rates", "declared_rates", "element_rates", "largest_rate", "pushing_gas", "undeclared"]
 
-ROOM = 2.0  # times the stiffness at rest: cells that are stretched by a fifth in all directions
 PUSH = 0.001  # of the shortest side at a ball: what a gas may move it by in a step of xpbd; a hung balloon is then right to 1 %
 ROUNDS, MARGIN = 30, 1.1  # of power iteration, which after ten comes to nine tenths of what it seeks
 
@@ -35,15 +37,6 @@ class Rates(NamedTuple):
 NO_RATES = Rates(0.0, 0.0)
 
 
-class _Kind(NamedTuple):
-    """Elements of one kind: balls (e, k) and the gradient (e, k, dim) of what each stores the square of, times its strength (e,).
-    A gradient (e, k, 1) stands for the same in all directions."""
-
-    corners: NDArray
-    gradient: Floats
-    strength: Floats
-
-
 def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
     """Rates of all elements together, or of all but gas.
 
@@ -53,30 +46,12 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
     that of its volume now, and its pressure on top, which turns with the surface: p times the edges at a ball over six.
     """
     root = np.where(scene.pinned, 0.0, 1.0 / np.sqrt(scene.mass))
-    kinds, press = [], 0.0
-    if len(scene.cells):
-        kinds.append(
-            _Kind(scene.cells, _gradients(scene), (ROOM * scene.bulk_modulus + scene.crush_modulus) / scene.rest_volume)
-        )
-    bends = scene.bend_weights[:, :, None]
-    stiffness, loss = scene.held_bending()
-    if len(scene.bends):
-        kinds.append(_Kind(scene.bends, bends, stiffness))
-    for gas in scene.gases if with_gas else ():
-        x, t = scene.position, gas.triangles
-        area = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) / 6.0
-        balls = np.unique(t)
-        sums = [np.bincount(t.ravel(), np.repeat(area[:, a], 3), scene.n_balls) for a in range(3)]
-        gradient = np.stack(sums, axis=1).astype(np.float64)
-        strength = ROOM * (gas.pressure + gas.outside) / gas.volume
-        kinds.append(_Kind(balls[None], gradient[balls][None], np.array([strength])))
-        edge = np.linalg.norm(x[np.roll(t, -1, axis=1)] - x[t], axis=2)  # from corner k to the next
-        length = np.bincount(t.ravel(), (edge + np.roll(edge, 1, axis=1)).ravel(), scene.n_balls)
-        press += float((abs(gas.pressure) * length / 6.0 * root).max()) * float(root.max())
-    elastic = _largest(kinds, root, scene.dim) + press
-    damping = _largest([_Kind(scene.bends, bends, loss)], root, scene.dim) if len(scene.bends) else 0.0
-    drag = _drag(scene)
-    return Rates(elastic, damping + drag, drag)
+    there = [one for one in ELEMENTS if one.count(scene) and (with_gas or one is not GASES)]
+    further = [one.further_rates(scene) for one in there]
+    elastic = _largest([kind for one in there for kind in one.stiffness(scene)], root, scene.dim)
+    damping = _largest([kind for one in there for kind in one.damping(scene)], root, scene.dim)
+    drag = sum((rate for _, rate in further), 0.0)
+    return Rates(elastic + sum((rate for rate, _ in further), 0.0), damping + drag, drag)
 
 
 def declared_rates(scene: Scene, forces: Sequence[Any]) -> Rates:
@@ -109,23 +84,8 @@ def largest_rate(scene: Scene, balls: ArrayLike, gradient: Floats, strength: Flo
     strengths = validation.per_item("strength", strength, len(corners), low=0)
     g = np.asarray(gradient, dtype=np.float64)
     g = g if g.ndim == 3 else np.broadcast_to(g, corners.shape)[:, :, None]
-    kind = _Kind(corners, g, strengths)
+    kind = Quadratic(corners, g, strengths)
     return _largest([kind], np.where(scene.pinned, 0.0, 1.0 / np.sqrt(scene.mass)), scene.dim)
-
-
-def _drag(scene: Scene) -> float:
-    """Of the wind [1/s]: the drag of a triangle changes with the speed u past it by density drag A u, and lambda is at most the
-    largest of that times D = sum over its corners w_j t_j / 9, t_j the triangles at ball j. u: of the strongest gust, and of the
-    fastest ball at the start."""
-    if scene.wind is None or not len(scene.triangles):
-        return 0.0
-    wind, t, x = scene.wind, scene.triangles, scene.position
-    w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
-    give = (w * np.bincount(t.ravel(), minlength=scene.n_balls))[t].sum(axis=1) / 9.0
-    area = 0.5 * np.linalg.norm(np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]), axis=1)
-    speed = float(np.linalg.norm(wind.velocity)) * (1.0 + wind.gust)
-    speed += float(np.linalg.norm(scene.velocity, axis=1).max(initial=0.0))
-    return wind.density * max(wind.drag, wind.skin_friction) * speed * float((give * area).max())
 
 
 def pushing_gas(scene: Scene) -> float:
@@ -136,8 +96,7 @@ def pushing_gas(scene: Scene) -> float:
     least = np.inf
     for gas in scene.gases:
         x, t = scene.position, gas.triangles
-        area = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) / 6.0
-        push = np.stack([np.bincount(t.ravel(), np.repeat(area[:, a], 3), scene.n_balls) for a in range(3)], axis=1)
+        push = volume_gradient(x, t)
         edge = np.full(scene.n_balls, np.inf)
         side = np.linalg.norm(x[np.roll(t, -1, axis=1)] - x[t], axis=2)
         for one in (t, np.roll(t, -1, axis=1)):
@@ -148,7 +107,7 @@ def pushing_gas(scene: Scene) -> float:
     return least
 
 
-def _largest(kinds: list[_Kind], root: Floats, dim: int) -> float:
+def _largest(kinds: list[Quadratic], root: Floats, dim: int) -> float:
     """The largest eigenvalue of sum k g g^T, both sides times `root` (n,)."""
     kinds = [kind for kind in kinds if np.any(kind.strength > 0)]
     if not kinds:
@@ -170,7 +129,7 @@ def _largest(kinds: list[_Kind], root: Floats, dim: int) -> float:
     return min(MARGIN * value, bound)
 
 
-def _product(kind: _Kind, p: Floats) -> Floats:
+def _product(kind: Quadratic, p: Floats) -> Floats:
     """sum k g g^T p, (n, dim)."""
     whole = kind.gradient.shape[2] == 1
     terms = kind.gradient * p[kind.corners]
@@ -178,20 +137,3 @@ def _product(kind: _Kind, p: Floats) -> Floats:
     force = kind.strength[:, None, None] * inner * kind.gradient
     flat = kind.corners.ravel()
     return np.stack([np.bincount(flat, force[..., a].ravel(), len(p)) for a in range(p.shape[1])], axis=1)
-
-
-def _gradients(scene: Scene) -> Floats:
-    """Gradients (c, dim + 1, dim) of each cell's volume, scaled to its volume at rest."""
-    x = scene.position[scene.cells]
-    if scene.dim == 2:
-        sides = [x[:, (k + 2) % 3] - x[:, (k + 1) % 3] for k in range(3)]
-        gradient = 0.5 * np.stack([np.stack([-s[:, 1], s[:, 0]], axis=1) for s in sides], axis=1)
-        now = 0.5 * np.abs(np.linalg.det(x[:, 1:] - x[:, :1]))
-    else:
-        faces = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
-        normals = [np.cross(x[:, b] - x[:, a], x[:, c] - x[:, a]) for a, b, c in faces]
-        gradient = np.stack(normals, axis=1) / -6.0
-        now = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6.0
-    # the rest shape is not known, only its volume: the present one, as much larger or smaller
-    ratio = np.divide(scene.rest_volume, now, out=np.ones_like(now), where=now > 0)
-    return gradient * ratio[:, None, None] ** ((scene.dim - 1) / scene.dim)

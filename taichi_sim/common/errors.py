@@ -102,11 +102,14 @@ class UnstableError(RuntimeError):
 
 @contextmanager
 def about(place: str) -> Iterator[None]:
-    """Let errors speak of `place` instead of the first name in their paths: cloth.pinned[3] in place of balls.pinned[3]."""
+    """Let errors speak of `place` instead of the first name in their paths: cloth.pinned[3] in place of balls.pinned[3]; also
+    instead of its number, where that name is the one of the place: walls[2].offset in place of walls[0].offset."""
     try:
         yield
     except SceneError as error:
-        error.path = path_of(place) + error.path[1:]
+        here, path = path_of(place), error.path
+        numbered = path[:1] == here[:1] and len(path) > 1 and isinstance(path[1], int) and len(here) > 1
+        error.path = here + path[1 + numbered :]
         raise
 
 

@@ -11,7 +11,7 @@ from taichi_sim.kernels.contacts import colliders as geometry
 from taichi_sim.kernels.contacts import kinds
 from taichi_sim.kernels.contacts.collision_groups import meets
 from taichi_sim.scene.colliders import BOX, CUSTOM, MESH, ROUND
-from taichi_sim.scene.keyframes import TICKS
+from taichi_sim.scene.motion import TICKS
 
 __all__ = ["Colliders"]
 

@@ -1,5 +1,7 @@
 """The order in which balls are stored: neighbours in space near each other in memory, whatever order the scene has."""
 
+from copy import copy
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,14 +34,9 @@ def spatial_order(scene: Scene) -> NDArray[np.int64] | None:
 
 def in_order(scene: Scene, order: NDArray[np.int64]) -> Scene:
     """A copy of a scene without springs or triangles, its balls in this order."""
-    copy = Scene(scene.dim, scene.gravity)
-    copy.materials[:] = scene.materials
-    copy.walls.extend(scene.walls)
-    copy.colliders.extend(scene.colliders)
-    copy.groups = scene.groups
-    copy.probes.extend(scene.probes)
-    arrays = scene.to_arrays()
-    balls = {name: column[order] for name, column in arrays.items() if name.startswith("balls.")}
-    empty = {name: column[:0] for name, column in arrays.items() if not name.startswith("balls.")}
-    copy.from_arrays(balls | empty)
-    return copy
+    balls = scene.tables["balls"].copy()
+    balls.replace(slice(None), **{name: balls[name][order] for name in balls.names})
+    made = copy(scene)
+    made.tables = Scene(scene.dim).tables | {"balls": balls}
+    made.objects, made.embedded_surfaces = [], []
+    return made

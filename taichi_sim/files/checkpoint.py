@@ -16,14 +16,13 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.common.npz import read_npz
 from taichi_sim.common.plain import plain
 from taichi_sim.files.source import checked_output
-from taichi_sim.scene.colliders import shape_of
+from taichi_sim.scene.document import document, fill, saved
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["FORMAT", "digest", "parts_of", "restore_state", "save_state", "scene_of", "text_of"]
 
-FORMAT = 5
-MESH = ("vertices", "triangles")
+FORMAT = 6
 
 
 def save_state(simulation: Any, path: str | PathLike[str]) -> None:
@@ -68,23 +67,8 @@ def text_of(about: Mapping[str, Any]) -> NDArray[np.str_]:
 def parts_of(scene: Scene) -> tuple[dict[str, Any], dict[str, Any]]:
     """All that a scene is: plain values, and arrays. Raises SceneError for a user-defined collider that cannot be
     written, and for what `Scene.output` may not hold."""
-    colliders = [collider.saved(f"colliders[{k}]") for k, collider in enumerate(scene.colliders)]
-    about = {
-        "format": FORMAT,
-        "dim": scene.dim,
-        "gravity": scene.gravity.tolist(),
-        **scene.plain(),
-        "colliders": [{k: v for k, v in collider.given.items() if k != "mesh"} for collider in colliders],
-        "output": checked_output(scene),
-        "elements": scene.elements(),
-    }
-    meshes = {
-        f"colliders.{k}.{name}": getattr(collider, name)
-        for k, collider in enumerate(colliders)
-        if "mesh" in collider.given
-        for name in MESH
-    }
-    return about, {**meshes, **scene.to_arrays(), **scene.element_arrays()}
+    about, arrays = document(saved(scene))
+    return {"format": FORMAT, **about, "output": checked_output(scene)}, arrays
 
 
 def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, Any]) -> Any:
@@ -135,13 +119,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
 def scene_of(about: Mapping[str, Any], arrays: Mapping[str, Any]) -> Scene:
     """The reverse of `parts_of`. Raises what the parts of a scene raise, and KeyError, TypeError, ... for what is damaged."""
     scene = Scene(about["dim"], about["gravity"])
-    scene.set_plain(about)
-    for k, given in enumerate(about["colliders"]):
-        mesh = {name: arrays[f"colliders.{k}.{name}"] for name in MESH} if given["shape"] == "mesh" else {}
-        scene.add_collider(shape_of(given | mesh))
-    scene.from_arrays(arrays)
-    if "elements" in about:
-        scene.set_elements(about["elements"], arrays)
+    fill(scene, about, arrays)
     scene.output = about["output"]
     checked_output(scene)
     return scene

@@ -11,7 +11,6 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +25,9 @@ from taichi_sim.common.npz import read_npz
 from taichi_sim.files.toml_lines import deepest_line, line_of
 from taichi_sim.geometry.outlines import FONT_FILES
 from taichi_sim.scene.camera_path import CameraPath
-from taichi_sim.scene.colliders import shape_of
 from taichi_sim.scene.looks import Look
+from taichi_sim.scene.part import Part
+from taichi_sim.scene.parts import PARTS
 from taichi_sim.scene.pins import chosen as chosen_balls
 from taichi_sim.scene.pins import is_described
 from taichi_sim.scene.scene import Scene
@@ -136,55 +136,21 @@ class Reader:
         self.groups: dict[str, NDArray[np.int32]] = {}
 
     def scene(self) -> Scene:
-        from taichi_sim.files.toml_schema import SHAPES
-
         self._spell()
         model: Any = self._validated()
         with self._at():
             scene = Scene(model.dim, model.gravity)
             scene.locate = partial(located, self.file, self.text)
             scene.settings, scene.output = _given(model.simulation), _given(model.output)
-        for index, table in enumerate(model.materials):
-            with self._at("materials", index):
-                scene.add_material(**_given(table))
-        self._balls(scene, model.balls)
-        for name, add in SHAPES.items():
-            for index, table in enumerate(getattr(model, name)):
-                with self._at(name, index):
-                    arguments = _given(table)
-                    group = arguments.pop("name", None)
-                    for key in ("mesh", "file", "font"):
-                        named = arguments.get(key)
-                        if isinstance(named, str) and (key != "font" or named.lower().endswith(FONT_FILES)):
-                            arguments[key] = self._beside(key, named)
-                    self._name(scene, group, add(scene, **arguments).balls)
-        self._user_defined(scene)
-        self._lists(scene, model, "springs", "pairs", 2, scene.add_springs, "stiffness")
-        self._elements(scene, model)
-        self._walls(scene, model.walls)
-        for index, table in enumerate(model.colliders):
-            with self._at("colliders", index):
-                arguments = self._with_file(("colliders", index), table, ())
-                if "mesh" in arguments:
-                    arguments["mesh"] = self._beside("mesh", arguments["mesh"])
-                scene.add_collider(shape_of(arguments))
-        self._lists(scene, model, "triangles", "triangles", 3, scene.add_triangles)
-        for index, table in enumerate(model.objects):
-            with self._at("objects", index):
-                scene.set_name(**self._with_file(("objects", index), table, ("balls",)))
-        for index, table in enumerate(model.embedded_surfaces):
-            with self._at("embedded_surfaces", index):
-                arguments = self._with_file(("embedded_surfaces", index), table, ("corners", "weights", "triangles"))
-                balls = self._group(scene, arguments)
-                for name in ("corners", "covers"):
-                    if name in arguments:
-                        arguments[name] = _within(balls, f"embedded_surfaces.{name}", arguments[name])
-                scene.add_embedded_surface(**arguments)
-        for index, table in enumerate(model.probes):
-            with self._at("probes", index):
-                arguments = self._with_file(("probes", index), table, ())
-                self._choose_if_given(scene, "probes.balls", arguments)
-                scene.add_probe(**arguments)
+        for part in PARTS:
+            for place, table in _tables(model, part.name):
+                with self._at(*place):
+                    arguments = self._arguments(scene, part, table)
+                    group = arguments.pop("name", None) if part.name == "balls" else None
+                    self._name(scene, group, part.add(scene, arguments))
+            if part.name == "balls":
+                self._shapes(scene, model)
+                self._user_defined(scene)
         with self._at("output", "camera"):
             self._camera(scene)
         self._looks(scene)
@@ -193,20 +159,15 @@ class Reader:
             raise SceneError((), says=says, file=self.file)
         return scene
 
-    def _balls(self, scene: Scene, tables: "Sequence[BaseModel]") -> None:
-        for index, table in enumerate(tables):
-            with self._at("balls", index):
-                arguments = self._with_file(("balls", index), table, ("position", "radius"))
-                group = arguments.pop("name", None)
-                self._name(scene, group, scene.add_balls(**arguments))
+    def _shapes(self, scene: Scene, model: Any) -> None:
+        from taichi_sim.files.toml_schema import SHAPES
 
-    def _lists(self, scene: Scene, model: Any, name: str, key: str, width: int, add: Any, *needed: str) -> None:
-        """Tables whose `key` is a list of so many balls each, within their group."""
-        for index, table in enumerate(getattr(model, name)):
-            with self._at(name, index):
-                arguments = self._with_file((name, index), table, (key, *needed))
-                arguments[key] = self._members(scene, f"{name}.{key}", arguments, width)
-                add(**arguments)
+        for name, add in SHAPES.items():
+            for place, table in _tables(model, name):
+                with self._at(*place):
+                    arguments = self._with_files(_given(table))
+                    group = arguments.pop("name", None)
+                    self._name(scene, group, add(scene, **arguments).balls)
 
     def _user_defined(self, scene: Scene) -> None:
         for name, function in self.tables.items():
@@ -232,38 +193,22 @@ class Reader:
                     elif group is not None:
                         raise SceneError("table.name", says="is not allowed; what this table adds is no shape")
 
-    def _elements(self, scene: Scene, model: Any) -> None:
-        for index, table in enumerate(model.attachments):
-            with self._at("attachments", index):
-                arguments = _given(table)
-                for side in ("one", "other"):
-                    arguments[side] = self._chosen(scene, f"attachments.{side}", arguments, side, f"{side}_members")
-                scene.attach(**arguments)
-        self._lists(scene, model, "cells", "corners", scene.dim + 1, scene.add_cells, "bulk_modulus")
-        self._lists(scene, model, "bending", "corners", 4, scene.add_bending, "weights", "stiffness")
-        self._lists(scene, model, "gases", "triangles", 3, scene.add_gas)
-        for index, table in enumerate(model.moving_pins):
-            with self._at("moving_pins", index):
-                arguments = self._with_file(("moving_pins", index), table, ("balls",))
-                arguments["balls"] = self._chosen(scene, "moving_pins.balls", arguments, "balls", "members")
-                scene.add_moving_pins(**arguments)
-        for index, table in enumerate(model.motors):
-            with self._at("motors", index):
-                arguments = self._with_file(("motors", index), table, ())
-                self._choose_if_given(scene, "motors.balls", arguments)
-                scene.add_motor(**arguments)
-        if model.wind is not None:
-            with self._at("wind"):
-                scene.add_wind(**_given(model.wind))
-
-    def _choose_if_given(self, scene: Scene, where: str, arguments: dict[str, Any]) -> None:
-        """Let `balls`, where a table may do without, be those that it and `members` name."""
-        if "balls" in arguments:
-            arguments["balls"] = self._chosen(scene, where, arguments, "balls", "members")
-        elif "members" in arguments:
-            raise SceneError(
-                ("table", "members"), says="count within `balls`, which is missing; it must be the name of a group"
-            )
+    def _arguments(self, scene: Scene, part: Part, table: "BaseModel") -> dict[str, Any]:
+        """What a table of a part says, with the scene's numbers of balls, and files beside the scene's."""
+        arguments = self._with_arrays(part, table)
+        if part.counted:
+            group = arguments.pop("balls", None)
+            balls = np.arange(scene.n_balls, dtype=np.int32) if group is None else self._named("table.balls", group)
+            for key in part.counted:
+                if key in arguments:
+                    arguments[key] = _within(balls, f"{part.name}.{key}", arguments[key])
+        for key, members in part.chosen.items():
+            if key in arguments:
+                arguments[key] = self._chosen(scene, f"{part.name}.{key}", arguments, key, members)
+            elif members in arguments:
+                says = f"count within `{key}`, which is missing; it must be the name of a group"
+                raise SceneError(("table", members), says=says)
+        return self._with_files(arguments)
 
     def _chosen(self, scene: Scene, where: str, arguments: dict[str, Any], key: str, members: str) -> NDArray[np.int32]:
         """The balls that `key` names, a group or numbers in the scene, or of a group those of `members`."""
@@ -288,15 +233,6 @@ class Reader:
         if name not in self.groups:
             raise SceneError(where, name, says=f"is not a name in this file; {did_you_mean(name, self.groups)}")
         return self.groups[name]
-
-    def _walls(self, scene: Scene, tables: "Sequence[BaseModel]") -> None:
-        for index, table in enumerate(tables):
-            with self._at("walls", index):
-                arguments = _given(table)
-                scene.add_wall(**arguments)
-                normal = np.asarray(arguments["normal"], dtype=np.float64)
-                if abs(np.linalg.norm(normal) - 1.0) < 4e-16:  # unit to rounding: a saved scene comes back bit for bit
-                    scene.walls[-1] = replace(scene.walls[-1], normal=tuple(normal.tolist()))
 
     def _camera(self, scene: Scene) -> None:
         """Check [output.camera]; a name to follow becomes its balls."""
@@ -328,26 +264,20 @@ class Reader:
         scene.set_name(balls, name)
         self.groups[name] = balls
 
-    def _members(self, scene: Scene, where: str, arguments: dict[str, Any], width: int) -> NDArray[np.int32]:
-        """The scene's balls that a table of springs or triangles names within its group."""
-        balls = self._group(scene, arguments)
-        value = arguments[where.partition(".")[2]]
-        if width == 2 and np.shape(value) == (2,):
-            value = [value]
-        return balls[validation.indices(where, value, len(balls), width=width)]
+    def _with_files(self, arguments: dict[str, Any]) -> dict[str, Any]:
+        """Arguments whose files lie beside the scene's."""
+        for key in ("mesh", "file", "font"):
+            named = arguments.get(key)
+            if isinstance(named, str) and (key != "font" or named.lower().endswith(FONT_FILES)):
+                arguments[key] = self._beside(key, named)
+        return arguments
 
-    def _group(self, scene: Scene, arguments: dict[str, Any]) -> NDArray[np.int32]:
-        """The balls that a table counts within: its group's, or all."""
-        group = arguments.pop("balls", None)
-        return np.arange(scene.n_balls, dtype=np.int32) if group is None else self._named("table.balls", group)
-
-    def _with_file(self, place: KeyPath, table: "BaseModel", needed: Sequence[str]) -> dict[str, Any]:
+    def _with_arrays(self, part: Part, table: "BaseModel") -> dict[str, Any]:
         """The keys of a table, together with the arrays from the .npz that its `file` names."""
         arguments = _given(table)
         name, prefix = arguments.pop("file", None), arguments.pop("prefix", "")
         if name is not None:
-            named = place[0] in ("moving_pins", "motors", "probes", "objects")  # there `balls` may be numbers
-            own = ("file", "prefix", "name") if named else ("file", "prefix", "name", "balls")
+            own = ("file", "prefix", "name", *(["balls"] if part.counted else []))
             known = [key for key in type(table).model_fields if key not in own]
             for key, array in self._arrays(name, prefix).items():
                 if key not in known:
@@ -356,7 +286,8 @@ class Reader:
                 if key in arguments:
                     raise SceneError(("table", key), says=f"stands in the table and in {name!r}; give it once")
                 arguments[key] = array
-        for key in needed:
+        needed: Any = type(table).model_config.get("json_schema_extra", {})
+        for key in needed.get("x-in-file", ()):
             if arguments.get(key) is None:
                 raise SceneError(("table", key), says="is missing; give it here or in a `file`")
         return arguments
@@ -467,6 +398,15 @@ def located(file: Path, text: str, error: SceneError) -> SceneError:
 
 
 # Data --------------------------------------------------------------------------------------------------------------
+
+
+def _tables(model: Any, name: str) -> Iterator[tuple[KeyPath, Any]]:
+    """The tables of that name, each with its place in the file."""
+    tables = getattr(model, name)
+    if isinstance(tables, tuple):
+        yield from (((name, index), table) for index, table in enumerate(tables))
+    elif tables is not None:
+        yield (name,), tables
 
 
 def _given(table: Any) -> dict[str, Any]:

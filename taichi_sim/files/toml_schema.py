@@ -34,6 +34,8 @@ from taichi_sim.common.docstrings import described, unit_of
 from taichi_sim.scene import colliders
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.looks import Look
+from taichi_sim.scene.part import Part
+from taichi_sim.scene.parts import PARTS
 from taichi_sim.scene.pins import Members
 from taichi_sim.scene.scene import Scene
 
@@ -45,7 +47,6 @@ __all__ = [
     "Document",
     "Output",
     "Simulation",
-    "Wind",
     "keys_at",
     "what_is_allowed",
 ]
@@ -280,21 +281,6 @@ _group: dict[str, Any] = {
         _key(None, "a name, of a shape or of balls, within which balls are counted; all balls otherwise"),
     )
 }
-_led: dict[str, Any] = {
-    "balls": (str | tuple[int, ...] | None, _key(None, "a name, of a shape or of balls, or ball numbers in the scene")),
-    "members": (
-        _typed(Members | None),
-        _key(None, "those of the named balls that are meant: numbers within them, or words or shapes, as for `pinned`"),
-    ),
-}
-_joined: dict[str, Any] = {
-    key: (kind, _key(default, says))
-    for side in ("one", "other")
-    for key, kind, default, says in (
-        (side, str | tuple[int, ...], ..., "a name, of a shape or of balls, or ball numbers in the scene"),
-        (f"{side}_members", _typed(Members | None), None, f"those of the balls named by `{side}` that are meant"),
-    )
-}
 _body: dict[str, Any] = {
     "body": (
         Annotated[int, Ge(0), Le(MOST_BODIES)],
@@ -305,6 +291,22 @@ _many = {
     "vertices": (_typed(ArrayLike | None), _key(None, "(v, 3) of a mesh given by hand [m]")),
     "triangles": (_typed(ArrayLike | None), _key(None, "(t, 3) vertices of its triangles")),
 }
+
+
+def _chosen(key: str, members: str, needed: bool) -> dict[str, Any]:
+    """Keys that name balls, and those of them that are meant."""
+    named: Any = str | tuple[int, ...]
+    says = (
+        f"those of the balls named by `{key}` that are meant: numbers within them, or words or shapes, as for `pinned`"
+    )
+    return {
+        key: (
+            named if needed else named | None,
+            _key(... if needed else None, "a name, of a shape or of balls, or ball numbers in the scene"),
+        ),
+        members: (_typed(Members | None), _key(None, says)),
+    }
+
 
 COLLIDERS: Mapping[str, type[BaseModel]] = {
     name: _arguments(
@@ -317,37 +319,44 @@ COLLIDERS: Mapping[str, type[BaseModel]] = {
     for name, kind in colliders.SHAPES.items()
 }
 
-TABLES: Mapping[str, type[BaseModel]] = {
-    "materials": _arguments("materials", Scene.add_material),
-    "balls": _arguments("balls", Scene.add_balls, ("position", "radius"), **_name, **_file, **_body),
-    **{name: _arguments(name, function, **_name) for name, function in SHAPES.items()},
-    "springs": _arguments("springs", Scene.add_springs, ("pairs", "stiffness"), **_group, **_file),
-    "attachments": _arguments("attachments", Scene.attach, **_joined),
-    "cells": _arguments("cells", Scene.add_cells, ("corners", "bulk_modulus"), **_group, **_file),
-    "bending": _arguments("bending", Scene.add_bending, ("corners", "weights", "stiffness"), **_group, **_file),
-    "gases": _arguments("gases", Scene.add_gas, ("triangles",), **_group, **_file),
-    "moving_pins": _arguments("moving_pins", Scene.add_moving_pins, **_led, **_file),
-    "motors": _arguments("motors", Scene.add_motor, **_led, **_file),
-    "walls": _arguments("walls", Scene.add_wall),
-    "colliders": _colliders(),
-    "triangles": _arguments("triangles", Scene.add_triangles, ("triangles",), **_group, **_file),
-    "probes": _arguments("probes", Scene.add_probe, **_led, **_file),
-    "objects": _arguments("objects", Scene.set_name, ("balls",), **_file),
-    "embedded_surfaces": _arguments(
-        "embedded_surfaces", Scene.add_embedded_surface, ("corners", "weights", "triangles"), **_group, **_file
-    ),
-}
 
-Wind = _arguments("wind", Scene.add_wind)
+def _table(part: Part) -> type[BaseModel]:
+    """The model of a part's table. Arrays without a default may lie in its file, if it has one."""
+    method = getattr(Scene, part.method)
+    more: dict[str, Any] = _group if part.counted else {}
+    for key, members in part.chosen.items():
+        more = more | _chosen(key, members, needed=not part.has_file)
+    if part.name == "balls":
+        more = _name | more | _body
+    if not part.has_file:
+        return _arguments(part.name, method, **more)
+    arrays = [one.name for one in inspect.signature(method, eval_str=True).parameters.values() if _is_needed_array(one)]
+    return _arguments(part.name, method, arrays, **more, **_file)
 
+
+def _is_needed_array(parameter: inspect.Parameter) -> bool:
+    return parameter.default is inspect.Parameter.empty and parameter.annotation is ArrayLike
+
+
+TABLES: dict[str, type[BaseModel]] = {}
+for _part in PARTS:
+    TABLES[_part.name] = _colliders() if _part.name == "colliders" else _table(_part)
+    if _part.name == "balls":  # shapes are added after them
+        TABLES |= {name: _arguments(name, function, **_name) for name, function in SHAPES.items()}
+
+SINGLE = {part.name for part in PARTS if part.is_single}
 _document: dict[str, Any] = {
     "format": (Literal[1], _key(..., "of the file: 1")),
     "dim": (Literal[2, 3], _key(2, "dimensions of the scene")),
     "gravity": (_typed(ArrayLike | None), _key(None, "acceleration (dim,) [m/s^2]; none by default")),
     "simulation": (Simulation, Field(default_factory=Simulation, description=Simulation.__doc__)),
     "output": (Output, Field(default_factory=Output, description=Output.__doc__)),
-    "wind": (Wind | None, _key(None, Wind.__doc__ or "")),
-    **{name: (tuple[model, ...], _key((), model.__doc__ or "")) for name, model in TABLES.items()},  # type: ignore[valid-type]
+    **{
+        name: (model | None, _key(None, model.__doc__ or ""))
+        if name in SINGLE
+        else (tuple[model, ...], _key((), model.__doc__ or ""))  # type: ignore[valid-type]
+        for name, model in TABLES.items()
+    },
 }
 Document: type[BaseModel] = create_model("Document", __base__=Strict, **_document)
 
@@ -385,6 +394,6 @@ def what_is_allowed(problem: Mapping[str, Any]) -> str:
 
 def keys_at(path: Sequence[str | int]) -> list[str]:
     """The keys that the table has in which the last name of a path stands."""
-    tables: dict[str, Any] = {"simulation": Simulation, "output": Output, "wind": Wind, **TABLES}
+    tables: dict[str, Any] = {"simulation": Simulation, "output": Output, **TABLES}
     model = tables.get(str(path[0])) if len(path) > 1 else Document
     return [] if model is None else list(model.model_fields)

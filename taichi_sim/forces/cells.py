@@ -6,7 +6,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
-from taichi_sim.scene.elements import CRUSHED
+from taichi_sim.scene.cells import CRUSHED
 
 __all__ = ["Cells"]
 

@@ -8,7 +8,7 @@ from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels.vectors import unit
-from taichi_sim.scene.keyframes import TICKS, moments
+from taichi_sim.scene.motion import TICKS, moments
 
 __all__ = ["DrivenPinSlopes", "DrivenPins"]
 

@@ -8,7 +8,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import NUMPY_TYPES, Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.springs import Springs
-from taichi_sim.scene.keyframes import TICKS, moments
+from taichi_sim.scene.motion import TICKS, moments
 
 __all__ = ["Motors"]
 

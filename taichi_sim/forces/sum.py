@@ -25,7 +25,7 @@ It may have, too,
 h c / m < 1.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from taichi_sim.analysis.element_rates import declared_rates
@@ -42,9 +42,17 @@ from taichi_sim.forces.incidence import Corners
 from taichi_sim.forces.motors import motors_of
 from taichi_sim.forces.springs import Springs
 from taichi_sim.forces.wind import Wind
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["TotalForce", "checked_forces"]
+
+KERNELS: Mapping[str, Any] = {
+    "cells": Cells,
+    "bending": Bending,
+    "gases": Gases,
+    "wind": Wind,
+}  # by the names of elements
 
 
 @ti.data_oriented
@@ -55,7 +63,7 @@ class TotalForce:
     def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
         self.model, self.n = model, model.n
         self.declared = declared_rates(model.scene, extra)
-        elements = [kind(model, fields) for kind in _elements(model)]
+        elements = [KERNELS[one.name](model, fields) for one in ELEMENTS if one.acts(model.scene)]
         self.springs, self.extra = springs, [*elements, *extra]
         self.external_forces = self.extra  # those that `external` sums
         self.elements = [*elements, *(force for force in extra if isinstance(force, Corners))]
@@ -167,15 +175,3 @@ def checked_forces(scene: Scene, forces: Sequence[Any]) -> Sequence[Any]:
         else:
             validation.taichi_function("forces", force, "accumulate", "model, ball, impulse, h, time")
     return forces
-
-
-def _elements(model: Model) -> list[Any]:
-    """The kinds of force that the scene has besides gravity and springs."""
-    scene = model.scene
-    wanted = (
-        (Cells, scene.cells_act()),
-        (Bending, len(scene.bends)),
-        (Gases, len(scene.gases)),
-        (Wind, scene.wind is not None and len(scene.triangles)),
-    )
-    return [kind for kind, there in wanted if there]

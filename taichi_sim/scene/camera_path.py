@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, Literal, TypedDict
 
 import numpy as np
@@ -9,12 +10,12 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
+from taichi_sim.scene.keyframes import Checks, keyframes
 
 __all__ = ["CameraPath", "eased"]
 
 Vector = tuple[float, ...]
 KEYS_IN_2D = ("centre", "width", "follow", "fit")
-KEYFRAME = ("time", "eye", "target", "fov")
 
 
 class _Time(TypedDict):
@@ -147,31 +148,17 @@ def _value(key: str, value: Any, dim: int, n_balls: int) -> Any:
     return _keyframes(where, value)
 
 
-def _keyframes(where: str, value: Any) -> tuple[CameraKey, ...]:
-    if not isinstance(value, (list, tuple)) or len(value) < 2:
-        raise SceneError(where, value, "two keyframes or more")
-    frames: list[CameraKey] = []
-    for k, key in enumerate(value):
-        place = f"{where}[{k}]"
-        if not isinstance(key, Mapping):
-            raise SceneError(place, key, "a table of time, eye, target and, if all have it, fov")
-        for name in key:
-            if name not in KEYFRAME:
-                raise unknown_key(f"{place}.{name}", KEYFRAME)
-        for name in KEYFRAME[:3]:
-            if name not in key:
-                raise SceneError(f"{place}.{name}", says="is missing; each keyframe needs it")
-        frame: Any = {"time": validation.number(f"{place}.time", key["time"])}
-        frame |= {
-            name: tuple(validation.vector(f"{place}.{name}", key[name], 3).tolist()) for name in ("eye", "target")
-        }
+def _keyframes(where: str, value: Any) -> tuple[Any, ...]:
+    point, angle = partial(_vector, dim=3), partial(validation.number, low=1, high=170)
+    checks: Checks = {"time": validation.number, "eye": point, "target": point, "fov": angle}
+    frames = keyframes(where, value, checks, ("time", "eye", "target"))
+    for k, frame in enumerate(frames):
         if frame["eye"] == frame["target"]:
-            raise SceneError(f"{place}.target", list(frame["target"]), "another point than eye")
-        if "fov" in key:
-            frame["fov"] = validation.number(f"{place}.fov", key["fov"], low=1, high=170)
-        if frames and frame["time"] <= frames[-1]["time"]:
-            raise SceneError(f"{place}.time", frame["time"], "later than the one before")
-        if frames and ("fov" in frame) != ("fov" in frames[0]):
-            raise SceneError(f"{place}.fov", says="give one to all keyframes or to none")
-        frames.append(frame)
+            raise SceneError(f"{where}[{k}].target", list(frame["target"]), "another point than eye")
+        if ("fov" in frame) != ("fov" in frames[0]):
+            raise SceneError(f"{where}[{k}].fov", says="give one to all keyframes or to none")
     return tuple(frames)
+
+
+def _vector(where: str, value: Any, dim: int) -> Vector:
+    return tuple(validation.vector(where, value, dim).tolist())

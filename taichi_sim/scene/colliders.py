@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
+from taichi_sim.common.plain import plain
 from taichi_sim.geometry.mesh import Surface, area_distance, given_surface, holes, mesh_distance, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
-from taichi_sim.scene.keyframes import Keyframe, Motion, plain_keyframe, turn_matrix
+from taichi_sim.scene.motion import Keyframe, Motion, plain_path, turn_matrix
 
 __all__ = [
     "BOX",
@@ -52,7 +53,8 @@ class Collider:
     kind ROUND: all points within `radius` [m] of the stretch from -half[0] to half[0] of the local x axis; BOX: |x| <= half
     (dim,) [m]; MESH: vertices (v, 3) [m] and triangles (t, 3); CUSTOM: what the distance function of `shape` says, drawn as
     vertices (v, dim) [m] and triangles (t, 3), in 2D those that fill it. hollow > 0 [m]: what is given is the room inside a shell
-    that thick. given: the arguments as plain lists and numbers, which build the same collider again, unless it is CUSTOM.
+    that thick. given: the arguments as plain lists and numbers; with the vertices and triangles of a MESH they build the same
+    collider again, unless it is CUSTOM.
     """
 
     name: str
@@ -288,8 +290,7 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
         resolution = validation.whole(f"{where}.resolution", shape.resolution, 4, MOST_CELLS)
         if shape.position is not None:
             centre = validation.vector(f"{where}.position", shape.position, 3)
-        given["mesh"] = surface  # scaled already
-        given |= {"scale": 1.0, "up": None}
+        given |= {"scale": 1.0, "up": None}  # as its vertices are
     elif isinstance(shape, ColliderShape):
         kind, surface = CUSTOM, _drawn(shape, dim, where)
     else:
@@ -316,9 +317,10 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     if shape.name is not None and (not isinstance(shape.name, str) or not shape.name):
         raise SceneError(f"{where}.name", shape.name, "a text")
     if len(motion.times) > 1:
-        given["path"] = [plain_keyframe(key) for key in shape.path]
-    plain = {"shape": name} | {key: _plain(value) for key, value in given.items() if not _left_out(shape, key, value)}
-    collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface[:2], plain)
+        given["path"] = plain_path(shape.path)
+    given = {key: value for key, value in given.items() if key != "mesh" and not _left_out(shape, key, value)}
+    own = plain({"shape": name} | given)
+    collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface[:2], own)
     return replace(collider, label=shape.name or "", shape=shape if kind == CUSTOM else None)
 
 
@@ -391,17 +393,6 @@ def _left_out(shape: Any, key: str, value: Any) -> bool:
     """Whether an argument has its default."""
     default = next(f.default for f in fields(shape) if f.name == key)
     return value is default or (isinstance(value, (int, float, str, tuple)) and value == default)
-
-
-def _plain(value: Any) -> Any:
-    """Lists, numbers and texts; a mesh stays a pair of arrays."""
-    if isinstance(value, Surface):
-        return value
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
-    return [_plain(item) for item in value] if isinstance(value, Sequence) and not isinstance(value, str) else value
 
 
 def shape_of(given: Mapping[str, Any]) -> Any:

@@ -1,4 +1,8 @@
-"""Tables: columns of one length that grow, and cannot be written to when read; and names of what is in a list that grows."""
+"""Tables: columns of one length that grow, and cannot be written to when read; and names of what is in a list that grows.
+
+class Scene:
+    mass = Column("balls", "mass", "(n,) kg")
+"""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -7,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Names", "Table", "sealed"]
+__all__ = ["Column", "Marked", "Names", "Table", "sealed", "tables_of"]
 
 ROOM = 1.5  # times as many rows as there are: a table that grows has room for, so that it is copied seldom
 Held = TypeVar("Held")
@@ -83,6 +87,29 @@ class Table:
         return view
 
 
+class Column(property):
+    """A column of one of the tables of a scene, as the scene hands it out. `tables_of` makes the tables.
+
+    table, name: of the column; doc: its shape, unit and meaning; row: shape of a row, a name for what depends on the dimensions.
+    """
+
+    def __init__(self, table: str, name: str, doc: str, row: Sequence[int | str] = (), dtype: Any = float) -> None:
+        super().__init__(lambda scene: scene.tables[table][name], doc=doc)
+        self.table, self.name, self.row, self.dtype = table, name, row, dtype
+
+
+def tables_of(kind: type, dim: int) -> dict[str, Table]:
+    """The tables of a scene, without rows, with the columns that its class and those that it is made of declare."""
+    sizes = {"dim": dim, "dim + 1": dim + 1}
+    columns: dict[str, dict[str, NDArray]] = {}
+    for base in reversed(kind.__mro__):
+        for one in vars(base).values():
+            if isinstance(one, Column):
+                shape = (0, *(sizes[n] if isinstance(n, str) else n for n in one.row))
+                columns.setdefault(one.table, {})[one.name] = np.zeros(shape, dtype=one.dtype)
+    return {name: Table(**own) for name, own in columns.items()}
+
+
 class Names:
     """The names of the items of a list that grows, each looked at once: many are added in as many steps."""
 
@@ -100,3 +127,24 @@ class Names:
         self._seen = len(items)
         found = self._numbers.get(name)
         return found if found is not None and items[found].name == name else None
+
+
+class Marked:
+    """Which of many things the items of a list that grows name, each looked at once: many are added in as many steps."""
+
+    def __init__(self, key: str) -> None:
+        """key: of an item, the numbers that it names."""
+        self._key, self._marked = key, np.zeros(0, dtype=bool)
+        self._items: Sequence[Any] = ()
+        self._seen = 0
+
+    def by(self, items: Sequence[Any], n: int) -> NDArray[np.bool_]:
+        """A bool for each of n things."""
+        if items is not self._items or self._seen > len(items):  # another list, or some were taken back
+            self._marked, self._items, self._seen = self._marked[:0], items, 0
+        if len(self._marked) < n:
+            self._marked = np.concatenate([self._marked, np.zeros(n - len(self._marked), dtype=bool)])
+        for item in items[self._seen :]:
+            self._marked[getattr(item, self._key)] = True
+        self._seen = len(items)
+        return self._marked

@@ -2,28 +2,32 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from os import PathLike, fspath
 from typing import Any
 
 import numpy as np
 
-from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.document import document
 
 __all__ = ["contents_of", "described"]
 
 
-def contents_of(scene: Scene) -> dict[str, Any]:
+def contents_of(scene: Any) -> dict[str, Any]:
     """Values by the names of the parts that they are of, `balls.mass`, `walls[0]`. How it is shown is no part of it."""
-    parts: dict[str, Any] = {"dim": scene.dim, "gravity": scene.gravity.tolist(), "groups": scene.groups.names}
-    parts["materials"] = [one.name for one in scene.materials]
-    parts |= {f"materials.{one.name}": asdict(one) for one in scene.materials}
-    parts |= {f"walls[{k}]": asdict(wall) for k, wall in enumerate(scene.walls)}
-    for k, collider in enumerate(scene.colliders):
-        given = {name: value for name, value in collider.given.items() if name != "mesh"}
-        parts[f"colliders[{k}]"] = given | ({"mesh": collider.vertices} if collider.is_meshed else {})
-    parts |= scene.elements() | scene.to_arrays() | scene.element_arrays()
-    return {name: described(value) for name, value in parts.items()}
+    values, arrays = document(scene)
+    parts: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            plain = {key: one for key, one in value.items() if f"{name}.{key}" not in arrays}
+            parts |= {name: plain} if plain else {}
+        elif value and isinstance(value, list) and isinstance(value[0], dict):
+            if name == "materials":  # in their order: balls have their numbers
+                parts[name] = [row["name"] for row in value]
+            parts |= {f"{name}.{row['name']}" if "name" in row else f"{name}[{k}]": row for k, row in enumerate(value)}
+        else:
+            parts[name] = value
+    return {name: described(value) for name, value in (parts | arrays).items()}
 
 
 def described(value: Any) -> Any:

@@ -1,8 +1,6 @@
 """Embedded surfaces: pictures show them; their vertices follow balls, finer than the springs and tetrahedra simulated."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,9 +9,8 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import sealed
 
-__all__ = ["EmbeddedSurface", "build_surface", "surfaces_from", "surfaces_to"]
+__all__ = ["EmbeddedSurface", "build_surface"]
 
-COLUMNS = ("corners", "weights", "triangles", "covers", "colour")
 SUM_TOLERANCE = 1e-6  # how far the weights of a vertex may sum up to something else than 1
 
 
@@ -61,31 +58,3 @@ def build_surface(
     faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the surface")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
     return sealed(EmbeddedSurface(balls, shares, faces, hidden, colour))
-
-
-def surfaces_to(surfaces: Sequence[EmbeddedSurface]) -> dict[str, NDArray]:
-    """All columns of surfaces under "embedded_surfaces.0.corners" and the like."""
-    columns = {}
-    for k, surface in enumerate(surfaces):
-        for name in COLUMNS[:-1]:
-            columns[f"embedded_surfaces.{k}.{name}"] = getattr(surface, name)
-        columns[f"embedded_surfaces.{k}.colour"] = np.array(
-            () if surface.colour is None else surface.colour, dtype=np.float64
-        )
-    return columns
-
-
-def surfaces_from(arrays: Mapping[str, NDArray]) -> list[dict[str, Any]]:
-    """Arguments of `Scene.add_embedded_surface` for each of the surfaces that `surfaces_to` wrote. Raises SceneError where one
-    is missing."""
-    surfaces: list[dict[str, Any]] = []
-    while any(f"embedded_surfaces.{len(surfaces)}.{name}" in arrays for name in COLUMNS):
-        place = f"embedded_surfaces.{len(surfaces)}"
-        for name in COLUMNS:
-            if f"{place}.{name}" not in arrays:
-                raise SceneError(
-                    ("embedded_surfaces", len(surfaces), name), says="is missing, and others of it are there"
-                )
-        own: dict[str, Any] = {name: arrays[f"{place}.{name}"] for name in COLUMNS}
-        surfaces.append(own if np.size(own["colour"]) else own | {"colour": None})
-    return surfaces

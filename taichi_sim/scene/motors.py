@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError, path_of, unknown_key
-from taichi_sim.scene.columns import sealed
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import Marked, sealed
+from taichi_sim.scene.keyframes import Checks, check_repeat, keyframes
 
 __all__ = ["Motor", "MotorKeyframe", "Motorised"]
 
@@ -76,9 +78,10 @@ class Motor:
 class Motorised:
     """The part of a Scene that holds motors."""
 
+    motors: list[Motor]
+
     def _begin_motors(self) -> None:
-        self.motors: list[Motor] = []
-        self._motored_of = 0, np.zeros(0, dtype=bool)  # the first so many of them drive these springs
+        self._motored = Marked("springs")
 
     def add_motor(
         self: Any,
@@ -111,8 +114,9 @@ class Motorised:
         """
         where = f"motors[{len(self.motors)}]"
         index = _moved(self, where, springs, balls)
+        check_repeat(where, path, repeat)
         if path is None:
-            plain = _sine(where, amplitude, frequency, repeat)
+            plain = _sine(where, amplitude, frequency)
             angles = validation.per_item(f"{where}.phase", phase, len(index))
             keys = np.zeros((0, 2))
         else:
@@ -124,27 +128,15 @@ class Motorised:
         sine = plain.get("amplitude", 0.0), plain.get("frequency", 0.0)
         self.motors.append(sealed(Motor(index, angles, *sine, keys[:, 0], keys[:, 1], repeat, plain)))
 
-    def _motored(self: Any) -> NDArray[np.bool_]:
-        """Which springs (m,) motors drive. It grows with them, so that many are added in as many steps."""
-        of, driven = self._motored_of
-        if of > len(self.motors):  # some were taken back
-            of, driven = 0, driven[:0]
-        if len(driven) < self.n_springs:
-            driven = np.concatenate([driven, np.zeros(self.n_springs - len(driven), dtype=bool)])
-        for motor in self.motors[of:]:
-            driven[motor.springs] = True
-        self._motored_of = len(self.motors), driven
-        return driven
-
     def at(self: Any, time: float) -> Any:
         """This scene with the rest lengths that its motors give it at a time [s]: to look at, not to change."""
         if not self.motors:
             return self
         now = copy(self)
-        now._springs = self._springs.copy()
+        now.tables = self.tables | {"springs": self.tables["springs"].copy()}
         for motor in self.motors:
             length = self.rest_length[motor.springs]
-            now._springs.replace(motor.springs, rest_length=length * (1.0 + motor.strain(time)))
+            now.tables["springs"].replace(motor.springs, rest_length=length * (1.0 + motor.strain(time)))
         return now
 
 
@@ -164,7 +156,7 @@ def _moved(scene: Any, where: str, springs: Any, balls: Any) -> NDArray[np.int32
         )
         if not len(index):
             raise SceneError(f"{where}.springs", says="is empty; name at least one spring")
-    both, ordered = index[scene._motored()[index]], np.sort(index)
+    both, ordered = index[scene._motored.by(scene.motors, scene.n_springs)[index]], np.sort(index)
     again = both if len(both) else ordered[1:][np.diff(ordered) == 0]
     if len(again):
         raise SceneError(where, says=f"spring {again[0]} is driven twice; a spring can have one motor only")
@@ -174,12 +166,10 @@ def _moved(scene: Any, where: str, springs: Any, balls: Any) -> NDArray[np.int32
     return index
 
 
-def _sine(where: str, amplitude: Any, frequency: Any, repeat: Any) -> dict[str, Any]:
+def _sine(where: str, amplitude: Any, frequency: Any) -> dict[str, Any]:
     if amplitude is None or frequency is None:
         name = "amplitude" if amplitude is None else "frequency"
         raise SceneError(f"{where}.{name}", says="is missing; a motor has amplitude and frequency, or a path")
-    if repeat is not False:
-        raise SceneError(f"{where}.repeat", says="there is no path to repeat; give `path`, or leave `repeat` out")
     part = validation.number(f"{where}.amplitude", amplitude)
     if not 0.0 < abs(part) < 1.0:
         raise SceneError(f"{where}.amplitude", amplitude, "between -1 and 1, and not 0: a part of the rest length")
@@ -188,41 +178,16 @@ def _sine(where: str, amplitude: Any, frequency: Any, repeat: Any) -> dict[str, 
 
 def _keys(where: str, path: Any, repeat: Any) -> Floats:
     """Keyframes (f, 2): times and strains, judged."""
-    if not isinstance(repeat, bool):
-        raise SceneError(f"{where}.repeat", repeat, "true or false")
-    if not isinstance(path, (list, tuple)) or len(path) < 2:
-        raise SceneError(f"{where}.path", says="must be a list of at least two keyframes")
-    found: list[tuple[float, float]] = []
-    for k, given in enumerate(path):
-        place = f"{where}.path[{k}]"
-        time, strain = _keyframe(place, given)
-        if found and time <= found[-1][0]:
-            raise SceneError(f"{place}.time", time, f"later than {found[-1][0]:g} s; times must rise")
-        if not -1.0 < strain <= MOST_STRAIN:
-            allowed = f"more than -1 and at most {MOST_STRAIN:g}: a part of the rest length"
-            raise SceneError(f"{place}.strain", strain, allowed)
-        found.append((time, strain))
-    for k in (0, -1) if repeat else (0,):
+    checks: Checks = {"time": partial(validation.number, low=0), "strain": _strain}
+    found = [[key["time"], key["strain"]] for key in keyframes(f"{where}.path", path, checks, KEYS)]
+    for k in (0, len(found) - 1) if repeat else (0,):
         if found[k][1] != 0.0:
-            place = f"{where}.path[{k % len(found)}].strain"
-            raise SceneError(place, found[k][1], "0, or the rest length would jump")
-    if found[0][0] < 0.0:
-        raise SceneError(f"{where}.path[0].time", found[0][0], "0 or more")
+            raise SceneError(f"{where}.path[{k}].strain", found[k][1], "0, or the rest length would jump")
     return np.array(found)
 
 
-def _keyframe(place: str, given: Any) -> tuple[float, float]:
-    if isinstance(given, Mapping):
-        unknown = [key for key in given if key not in KEYS]
-        if unknown:
-            raise unknown_key((*path_of(place), unknown[0]), KEYS)
-        for key in KEYS:
-            if key not in given:
-                raise SceneError(f"{place}.{key}", says="is missing; every keyframe needs it")
-        values = tuple(given[key] for key in KEYS)
-    elif isinstance(given, (list, tuple)) and len(given) == len(KEYS):
-        values = tuple(given)
-    else:
-        raise SceneError(place, given, says="is not a keyframe; it must have time and strain")
-    time, strain = (validation.number(f"{place}.{key}", value) for key, value in zip(KEYS, values))
-    return time, strain
+def _strain(place: str, value: Any) -> float:
+    strain = validation.number(place, value)
+    if not -1.0 < strain <= MOST_STRAIN:
+        raise SceneError(place, strain, f"more than -1 and at most {MOST_STRAIN:g}: a part of the rest length")
+    return strain

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import sealed
 
 __all__ = ["LOOSE", "Objects", "SceneObject", "mapped", "named"]
 
@@ -47,8 +48,9 @@ def mapped(objects: Iterable[SceneObject], triangles: NDArray) -> Iterator[tuple
 class Objects:
     """The part of a Scene that holds them."""
 
+    objects: list[SceneObject]
+
     def _begin_objects(self) -> None:
-        self.objects: list[SceneObject] = []
         self._names: dict[str, int] = {}  # their numbers by name, and by the first of their balls
         self._firsts: dict[int, int] = {}
         self._counts: dict[str, int] = {}  # by kind: numbers that are in use below this one
@@ -99,7 +101,7 @@ class Objects:
     def _put(self, number: int, one: SceneObject) -> None:
         if number < len(self.objects):
             self._names.pop(self.objects[number].name)
-        self.objects[number : number + 1] = [one]
+        self.objects[number : number + 1] = [sealed(one)]
         self._names[one.name] = number
         if len(one.balls):
             self._firsts[int(one.balls[0])] = number

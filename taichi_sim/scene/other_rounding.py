@@ -34,8 +34,8 @@ def rounded_otherwise(scene: Scene) -> Scene:
     something else, as shapes at rest into cells, that stays."""
     made = copy(scene.frozen())
     made._gravity = sealed(other_neighbour(scene.gravity))
+    made.tables = {name: table.copy() for name, table in made.tables.items()}
     for name, columns in ROUNDED.items():
-        table = made._tables()[name].copy()
+        table = made.tables[name]
         table.replace(slice(None), **{key: other_neighbour(table[key], times) for key, times in columns.items()})
-        setattr(made, f"_{name}", table)
     return made

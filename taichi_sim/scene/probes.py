@@ -55,14 +55,6 @@ class Probe:
         """Judge the arguments, those that were given. Raises SceneError."""
         return cls(name, dict(asked))
 
-    def arrays(self) -> dict[str, NDArray]:
-        """The arrays among its arguments."""
-        return {key: value for key, value in self.given.items() if isinstance(value, np.ndarray)}
-
-    def plain(self) -> dict[str, Any]:
-        """The other arguments."""
-        return {key: value for key, value in self.given.items() if not isinstance(value, np.ndarray)}
-
     def numbers(self, dim: int) -> tuple[str, ...]:
         """Names of its numbers."""
         return (*"xyz"[:dim], "magnitude") if self.vector else tuple(self.units)
@@ -318,8 +310,9 @@ def bodies_of(scene: Any) -> list[tuple[str, int]]:
 class Probed:
     """The part of a Scene that holds its probes."""
 
+    probes: list[Probe]
+
     def _begin_probes(self) -> None:
-        self.probes: list[Probe] = []
         self.probe_names = Names()
 
     def add_probe(

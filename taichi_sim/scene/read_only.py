@@ -9,7 +9,7 @@ from taichi_sim.common.errors import SceneError
 __all__ = ["read_only", "refuse"]
 
 
-def refuse(name: str, *_: object, **__: object) -> NoReturn:
+def refuse(name: str, /, *_: object, **__: object) -> NoReturn:
     """Raise SceneError: the scene of a simulation is not changed."""
     says = "this scene belongs to a simulation and stays as it is; change your own, and make another simulation"
     raise SceneError(name, says=says)

@@ -18,26 +18,29 @@ from taichi_sim.common.errors import SceneError, did_you_mean
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.scene.colliders import Collider, build
 from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
-from taichi_sim.scene.columns import Names, Table, sealed
+from taichi_sim.scene.columns import Column, Names, sealed, tables_of
 from taichi_sim.scene.elements import Elements
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface, build_surface
 from taichi_sim.scene.materials import Material, Wall, max_restitution, used_materials
+from taichi_sim.scene.motors import Motorised
+from taichi_sim.scene.moving_pins import PinMethods
+from taichi_sim.scene.objects import Objects
+from taichi_sim.scene.parts import LISTS, PARTS
 from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.presets import PRESETS, Preset
+from taichi_sim.scene.probes import Probed
 from taichi_sim.scene.read_only import read_only, refuse
-from taichi_sim.scene.stored import MOST_BODY, Stored
 from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.scene.toml_writer import save_scene
 
 __all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
 
 
-# what a scene holds in lists
-LISTS = ("materials", "walls", "colliders", "embedded_surfaces", "gases", "moving_pins", "motors", "probes", "objects")
-UNSIMULATED = ("materials", "embedded_surfaces", "objects")  # of them, what no simulation depends on by itself
+MOST_BODY = 2**31 - 1
+UNIT = 4e-16  # how far from 1 rounding leaves the length of a unit vector
 
 
-class Scene(Stored, Elements):
+class Scene(Elements, PinMethods, Motorised, Probed, Objects):
     """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
     Args:
@@ -48,44 +51,31 @@ class Scene(Stored, Elements):
     Raises SceneError for anything that is not allowed, naming the field and the index; the scene is then unchanged.
     """
 
+    materials: list[Material]
+    walls: list[Wall]
+    colliders: list[Collider]
+    embedded_surfaces: list[EmbeddedSurface]
+
     def __init__(self, dim: int = 2, gravity: ArrayLike | None = None) -> None:
         if isinstance(dim, bool) or dim not in (2, 3):
             raise SceneError("dim", dim, "2 or 3")
         self.dim = int(dim)
         dim = self.dim
         self.gravity = np.zeros(dim) if gravity is None else gravity
-        self.materials: list[Material] = [Material("default")]
+        for name in LISTS:
+            setattr(self, name, [])
+        self.materials.append(Material("default"))
         self._material_names = Names()
-        self.walls: list[Wall] = []
-        self.colliders: list[Collider] = []
-        self.embedded_surfaces: list[EmbeddedSurface] = []
         self.groups = Groups()
         self._settings: dict[str, Any] = {}
         self._output: dict[str, Any] = {}
         self.locate: Callable[[SceneError], SceneError] | None = None  # where in its file an error's path stands
-        self._balls = Table(
-            position=np.zeros((0, dim)),
-            velocity=np.zeros((0, dim)),
-            mass=np.zeros(0),
-            radius=np.zeros(0),
-            pinned=np.zeros(0, dtype=bool),
-            material=np.zeros(0, dtype=np.int32),
-            body=np.zeros(0, dtype=np.int32),
-            group=np.zeros(0, dtype=np.int32),
-            mask=np.zeros(0, dtype=np.int32),
-            colour=np.zeros((0, 3)),
-        )
-        self._springs = Table(
-            pairs=np.zeros((0, 2), dtype=np.int32),
-            stiffness=np.zeros(0),
-            damping=np.zeros(0),
-            rest_length=np.zeros(0),
-            collides=np.zeros(0, dtype=bool),
-            break_strain=np.zeros(0),
-        )
-        self._triangles = Table(triangles=np.zeros((0, 3), dtype=np.int32), collides=np.zeros(0, dtype=bool))
+        self.tables = tables_of(type(self), dim)  # of the balls, springs, triangles, cells and bending elements
         self._bodies = 0
-        self._begin_elements(dim)
+        self._begin_pins()
+        self._begin_motors()
+        self._begin_probes()
+        self._begin_objects()
 
     # What there is -------------------------------------------------------------------------------------------------
 
@@ -122,33 +112,31 @@ class Scene(Stored, Elements):
     @property
     def n_balls(self) -> int:
         """Number of balls."""
-        return self._balls.rows
+        return self.tables["balls"].rows
 
     @property
     def n_springs(self) -> int:
         """Number of springs, sticks included."""
-        return self._springs.rows
+        return self.tables["springs"].rows
 
-    position = property(lambda self: self._balls["position"], doc="(n, dim) m")
-    velocity = property(lambda self: self._balls["velocity"], doc="(n, dim) m/s; 0 for pinned balls")
-    mass = property(lambda self: self._balls["mass"], doc="(n,) kg")
-    radius = property(lambda self: self._balls["radius"], doc="(n,) m")
-    pinned = property(lambda self: self._balls["pinned"], doc="(n,) bool")
-    material = property(lambda self: self._balls["material"], doc="(n,) index into materials")
-    body = property(lambda self: self._balls["body"], doc="(n,) balls of one body > 0 do not collide; 0: no body")
-    group = property(lambda self: self._balls["group"], doc="(n,) bits of the groups each is in, see groups.names")
-    mask = property(lambda self: self._balls["mask"], doc="(n,) bits of the groups each collides with; -1: all")
-    colour = property(lambda self: self._balls["colour"], doc="(n, 3) sRGB in 0..1; nan: the renderer chooses")
-    pairs = property(lambda self: self._springs["pairs"], doc="(m, 2) the balls of each spring")
-    stiffness = property(lambda self: self._springs["stiffness"], doc="(m,) N/m")
-    damping = property(lambda self: self._springs["damping"], doc="(m,) N s/m")
-    rest_length = property(lambda self: self._springs["rest_length"], doc="(m,) m")
-    collides = property(lambda self: self._springs["collides"], doc="(m,) bool; True: a stick that balls bounce off")
-    break_strain = property(lambda self: self._springs["break_strain"], doc="(m,) strain at which it tears; inf: never")
-    triangles = property(lambda self: self._triangles["triangles"], doc="(t, 3) balls, counter-clockwise from outside")
-    solid = property(
-        lambda self: self._triangles["collides"], doc="(t,) bool; True: triangles that nothing goes through"
-    )
+    position = Column("balls", "position", "(n, dim) m", ("dim",))
+    velocity = Column("balls", "velocity", "(n, dim) m/s; 0 for pinned balls", ("dim",))
+    mass = Column("balls", "mass", "(n,) kg")
+    radius = Column("balls", "radius", "(n,) m")
+    pinned = Column("balls", "pinned", "(n,) bool", dtype=bool)
+    material = Column("balls", "material", "(n,) index into materials", dtype=np.int32)
+    body = Column("balls", "body", "(n,) balls of one body > 0 do not collide; 0: no body", dtype=np.int32)
+    group = Column("balls", "group", "(n,) bits of the groups each is in, see groups.names", dtype=np.int32)
+    mask = Column("balls", "mask", "(n,) bits of the groups each collides with; -1: all", dtype=np.int32)
+    colour = Column("balls", "colour", "(n, 3) sRGB in 0..1; nan: the renderer chooses", (3,))
+    pairs = Column("springs", "pairs", "(m, 2) the balls of each spring", (2,), np.int32)
+    stiffness = Column("springs", "stiffness", "(m,) N/m")
+    damping = Column("springs", "damping", "(m,) N s/m")
+    rest_length = Column("springs", "rest_length", "(m,) m")
+    collides = Column("springs", "collides", "(m,) bool; True: a stick that balls bounce off", dtype=bool)
+    break_strain = Column("springs", "break_strain", "(m,) strain at which it tears; inf: never")
+    triangles = Column("triangles", "triangles", "(t, 3) balls, counter-clockwise from outside", (3,), np.int32)
+    solid = Column("triangles", "collides", "(t,) bool; True: triangles that nothing goes through", dtype=bool)
 
     # What can be added ---------------------------------------------------------------------------------------------
 
@@ -239,9 +227,46 @@ class Scene(Stored, Elements):
             columns[name] = np.full(n, bits, dtype=np.int32)
         columns["material"] = np.full(n, self._material("balls.material", material), dtype=np.int32)
         first = self.n_balls
-        self._balls.append(n, **columns)
+        self.tables["balls"].append(n, **columns)
         self._bodies = max(self._bodies, body)
         return np.arange(first, first + n, dtype=np.int32)
+
+    def _add_ball_columns(
+        self,
+        position: NDArray,
+        velocity: NDArray,
+        mass: NDArray,
+        radius: NDArray,
+        pinned: NDArray,
+        material: NDArray,
+        body: NDArray,
+        group: NDArray,
+        mask: NDArray,
+        colour: NDArray,
+    ) -> None:
+        """Add balls from all columns of their table; materials and groups are there already."""
+        n = len(validation.vectors("balls.position", position, None, self.dim))
+        columns: dict[str, NDArray] = {
+            "position": validation.vectors("balls.position", position, n, self.dim),
+            "velocity": validation.vectors("balls.velocity", velocity, n, self.dim),
+            "mass": validation.per_item("balls.mass", mass, n, positive=True),
+            "radius": validation.per_item("balls.radius", radius, n, positive=True),
+            "pinned": validation.flags("balls.pinned", pinned, n),
+            "material": validation.indices("balls.material", material, len(self.materials), what="material"),
+            "body": validation.indices("balls.body", body, MOST_BODY + 1, what="body"),
+            "group": validation.bits("balls.group", group),
+            "mask": validation.bits("balls.mask", mask),
+            "colour": validation.colours("balls.colour", colour),
+        }
+        for name, column in columns.items():
+            if len(column) != n:
+                says = f"shape {column.shape} does not fit; it must have as many rows as balls.position, {n}"
+                raise SceneError(f"balls.{name}", says=says)
+        loose = ~columns["pinned"][:, None]
+        validation.require("balls.velocity", columns["velocity"], loose | (columns["velocity"] == 0), "0, it is pinned")
+        self.groups.check_bits("balls", columns["group"], columns["mask"])
+        self.tables["balls"].append(n, **columns)
+        self._bodies = max(self._bodies, int(columns["body"].max(initial=0)))
 
     def add_springs(
         self,
@@ -283,7 +308,7 @@ class Scene(Stored, Elements):
         }
         self._may_tear(columns["collides"], columns["break_strain"], rest)
         first = self.n_springs
-        self._springs.append(m, **columns)
+        self.tables["springs"].append(m, **columns)
         return np.arange(first, first + m, dtype=np.int32)
 
     def add_wall(
@@ -303,13 +328,12 @@ class Scene(Stored, Elements):
             collides_with: names of the groups that it collides with; None: all.
         """
         n = validation.direction("walls.normal", normal, self.dim)
-        n = n / float(np.max(np.abs(n)))  # so that squares of huge or tiny numbers stay finite
-        length = float(np.linalg.norm(n))
+        if abs(float(np.linalg.norm(n)) - 1.0) >= UNIT:  # else a saved scene would not come back bit for bit
+            n = n / float(np.max(np.abs(n)))  # so that squares of huge or tiny numbers stay finite
+            n = n / float(np.linalg.norm(n))
         distance = validation.number("walls.offset", offset)
         bits = self._groups("walls", group, collides_with)
-        self.walls.append(
-            Wall(tuple((n / length).tolist()), distance, self._material("walls.material", material), *bits)
-        )
+        self.walls.append(Wall(tuple(n.tolist()), distance, self._material("walls.material", material), *bits))
 
     def add_collider(self, shape: Any) -> int:
         """Add a solid body of infinite mass, a Sphere, Box, Capsule, Mesh or a ColliderShape of your own, and return its number.
@@ -341,7 +365,7 @@ class Scene(Stored, Elements):
         for k in np.flatnonzero(solid & np.any(t == np.roll(t, 1, axis=1), axis=1)):
             says = "may not collide; it must be three different balls"
             raise SceneError(f"triangles.triangles[{k}]", t[k], says=says)
-        self._triangles.append(len(t), triangles=t, collides=solid)
+        self.tables["triangles"].append(len(t), triangles=t, collides=solid)
 
     @takes_color
     def add_embedded_surface(
@@ -424,7 +448,7 @@ class Scene(Stored, Elements):
             )
             v[held] = 0.0
             new |= {"pinned": held, "velocity": v}
-        self._balls.replace(index, **new)
+        self.tables["balls"].replace(index, **new)
 
     def set_springs(
         self,
@@ -454,7 +478,7 @@ class Scene(Stored, Elements):
             new.get("break_strain", self.break_strain[index]),
             new.get("rest_length", self.rest_length[index]),
         )
-        self._springs.replace(index, **new)
+        self.tables["springs"].replace(index, **new)
 
     def set_group(
         self, balls: ArrayLike, group: str | Sequence[str], collides_with: str | Sequence[str] | None = None
@@ -462,7 +486,7 @@ class Scene(Stored, Elements):
         """Put balls (k,) that were added before, a shape's for instance, into other collision groups."""
         index = validation.indices("balls", np.atleast_1d(validation.as_array(balls)), self.n_balls)
         group_bits, mask_bits = self._groups("balls", group, collides_with)
-        self._balls.replace(index, group=group_bits, mask=mask_bits)
+        self.tables["balls"].replace(index, group=group_bits, mask=mask_bits)
 
     def has_groups(self) -> bool:
         """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
@@ -478,7 +502,7 @@ class Scene(Stored, Elements):
     def all_or_nothing(self) -> Iterator[None]:
         """What the block adds to this scene is taken back where it raises: for shapes, which add several things."""
         self._may_change("anything")
-        tables = [(table, table.rows) for table in self._tables().values()]
+        tables = [(table, table.rows) for table in self.tables.values()]
         lists: list[Any] = [self.groups.names, *(getattr(self, name) for name in LISTS)]
         lengths, bodies = [len(one) for one in lists], self._bodies
         try:
@@ -513,8 +537,7 @@ class Scene(Stored, Elements):
         if isinstance(self.walls, tuple):
             return self
         held = copy(self)
-        for name, table in self._tables().items():
-            setattr(held, f"_{name}", table.copy())
+        held.tables = {name: table.copy() for name, table in self.tables.items()}
         for name in LISTS:
             setattr(held, name, tuple(getattr(self, name)))
         held.groups, held._material_names = Groups(self.groups.names), Names()
@@ -526,11 +549,7 @@ class Scene(Stored, Elements):
 
     def grown_since(self, held: Scene) -> str:
         """What this scene has more of than `held`, a frozen copy of it, in words; "" where nothing was added."""
-        rows = {name: (table.rows, held._tables()[name].rows) for name, table in self._tables().items()}
-        rows |= {
-            name: (len(getattr(self, name)), len(getattr(held, name))) for name in LISTS if name not in UNSIMULATED
-        }
-        return ", ".join(name for name, (now, then) in rows.items() if now > then)
+        return ", ".join(part.words for part in PARTS if part.is_simulated and part.count(self) > part.count(held))
 
     def _may_change(self, name: str) -> None:
         if isinstance(getattr(self, "walls", None), tuple):
@@ -539,10 +558,6 @@ class Scene(Stored, Elements):
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene as TOML; large arrays go to an .npz beside it."""
         save_scene(self, path)
-
-    def _tables(self) -> dict[str, Table]:
-        tables = {"balls": self._balls, "springs": self._springs, "triangles": self._triangles}
-        return tables | {"cells": self._cells, "bends": self._bends}
 
     def __repr__(self) -> str:
         return f"<{in_words(self)}>"

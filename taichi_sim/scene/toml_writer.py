@@ -1,6 +1,8 @@
 """Scene to TOML, with the large arrays in an .npz beside it. The scene that comes back is the same, bit for bit."""
 
+import inspect
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,56 +11,36 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.atomic_file import replacing, require_name
 from taichi_sim.common.plain import plain
-from taichi_sim.scene.collision_groups import EVERY, ONLY
-from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
+from taichi_sim.scene.document import saved
+from taichi_sim.scene.part import Columns, Part, Row, group_keys
+from taichi_sim.scene.parts import PARTS
 
 __all__ = ["save_scene"]
 
 MOST_INLINE = 200  # numbers; a longer array goes to the .npz
 
 
-class _Arrays:
-    """The arrays that go to the .npz, and the rule which they are."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.arrays: dict[str, NDArray] = {}
-
-    def table(self, prefix: str, columns: dict[str, NDArray], **plain: Any) -> dict[str, Any]:
-        """One TOML table: plain keys, short columns in place, long ones in the file under prefix + key."""
-        table, long = dict(plain), False
-        for key, column in columns.items():
-            if column.size > MOST_INLINE:
-                self.arrays[prefix + key] = column
-                long = True
-            else:
-                table[key] = column.tolist()
-        return table | ({"file": self.name, "prefix": prefix} if long else {})
-
-
 def save_scene(scene: Any, path: str | os.PathLike[str]) -> None:
     """Write a scene file; arrays of more than 200 numbers go to `<stem>_arrays.npz` beside it. Each is replaced whole.
 
     Springs and triangles are written as they are, not as the shapes that made them, textures in its folder by their place
-    there. Raises OSError where the file
-    cannot be written.
+    there. Raises OSError where the file cannot be written.
     """
     import tomli_w
 
     file = Path(path)
     require_name(file)
     arrays_file = file.with_name(file.stem + "_arrays.npz")  # not x.npz, which `run -o` may be asked to write
-    store = _Arrays(arrays_file.name)
-    document = _document(scene, store)
+    document, long = _document(saved(scene), arrays_file.name)
     for look in document.get("output", {}).get("looks") or ():
         if "texture" in look:
             look["texture"] = _from(file, look["texture"])
     text = tomli_w.dumps(document).encode()
     with replacing(file) as out:
         out.write(text)
-        if store.arrays:
+        if long:
             with replacing(arrays_file) as arrays:
-                np.savez(arrays, **store.arrays)  # type: ignore[arg-type]
+                np.savez(arrays, **long)  # type: ignore[arg-type]
 
 
 def _from(file: Path, name: str) -> str:
@@ -67,38 +49,22 @@ def _from(file: Path, name: str) -> str:
     return place.relative_to(folder).as_posix() if place.is_relative_to(folder) else name
 
 
-def _document(scene: Any, store: _Arrays) -> dict[str, Any]:
+def _document(scene: Any, arrays_file: str) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """What the file says, and the arrays that go to the .npz of this name."""
     document: dict[str, Any] = {"format": 1, "dim": scene.dim, "gravity": scene.gravity.tolist()}
-    for name, table in (("simulation", scene.settings), ("output", scene.output)):
-        if table:
-            document[name] = {key: _plain(value) for key, value in table.items() if value is not None}
-    tables = {
-        "materials": _materials(scene),
-        "balls": _balls(scene, store),
-        "springs": _springs(scene, store),
-        **_elements(scene, store),
-        "walls": [
-            {"normal": list(wall.normal), "offset": wall.offset, "material": scene.materials[wall.material].name}
-            | _groups(scene, wall.group, wall.mask)
-            for wall in scene.walls
-        ],
-    }
-    tables["colliders"] = [
-        _collider(collider.saved(f"colliders[{k}]").given, store, k) for k, collider in enumerate(scene.colliders)
-    ]
-    if len(scene.triangles):
-        columns = {"triangles": scene.triangles, "collides": _one(scene.solid)}
-        tables["triangles"] = [store.table("triangles_", columns)]
-    tables["objects"] = [
-        store.table(f"objects_{k}_", {"balls": one.balls} | ({} if one.uv is None else {"uv": one.uv}), name=one.name)
-        for k, one in enumerate(scene.objects)
-    ]
-    tables["embedded_surfaces"] = [_surface(surface, store, k) for k, surface in enumerate(scene.embedded_surfaces)]
-    tables["probes"] = [
-        store.table(f"probes_{k}_", probe.arrays(), name=probe.name, kind=probe.kind, **probe.plain())
-        for k, probe in enumerate(scene.probes)
-    ]
-    return document | {name: rows for name, rows in tables.items() if rows}
+    document |= {"simulation": _plain(scene.settings), "output": _plain(scene.output)}
+    arrays: dict[str, NDArray] = {}
+    for part in PARTS:
+        tables = []
+        for k, row in enumerate(_runs(scene) if part.name == "balls" else part.rows(scene)):
+            row = _short(part, scene, row)
+            long = {key: one for key, one in row.items() if isinstance(one, np.ndarray) and one.size > MOST_INLINE}
+            prefix = f"{part.name}_{k}_"
+            arrays |= {prefix + key: one for key, one in long.items()}
+            table = _plain({key: value for key, value in row.items() if key not in long})
+            tables.append(table | ({"file": arrays_file, "prefix": prefix} if long else {}))
+        document[part.name] = tables[0] if part.is_single and tables else tables
+    return {name: value for name, value in document.items() if isinstance(value, int) or len(value)}, arrays
 
 
 def _plain(value: Any) -> Any:
@@ -109,117 +75,34 @@ def _plain(value: Any) -> Any:
     return [_plain(one) for one in value] if isinstance(value, list) else value
 
 
-def _materials(scene: Any) -> list[dict[str, Any]]:
-    rows = []
-    for material in scene.materials:
-        row: dict[str, Any] = {
-            "name": material.name,
-            "restitution": material.restitution,
-            "friction": material.friction,
-            "viscous_friction": material.viscous_friction,
-        }
-        rows.append(row if material.colour is None else row | {"colour": list(material.colour)})
-    return rows
+def _short(part: Part, scene: Any, row: Row) -> Row:
+    """A row with one value for a column where all are the same, and without what the method assumes."""
+    parameters = inspect.signature(getattr(scene, part.method)).parameters
+    short = {key: _one(value) if isinstance(part, Columns) else value for key, value in row.items()}
+    assumed = {key: one.default for key, one in parameters.items() if isinstance(one.default, (bool, int, float))}
+    return {
+        key: value for key, value in short.items() if isinstance(value, np.ndarray) or value != assumed.get(key, ...)
+    }
 
 
-def _collider(given: dict[str, Any], store: _Arrays, number: int) -> dict[str, Any]:
-    """The arguments of a collider; a mesh as the triangles that it has, not as the file that they came from."""
-    plain = {key: value for key, value in given.items() if key != "mesh"}
-    if "mesh" not in given:
-        return plain
-    return store.table(
-        f"colliders_{number}_", {k: getattr(given["mesh"], k) for k in ("vertices", "triangles")}, **plain
-    )
+def _one(column: Any) -> Any:
+    """Its one value, where a column of quantities or flags has no other; whole numbers count things."""
+    many = isinstance(column, np.ndarray) and column.ndim == 1 and column.dtype.kind in "fb" and len(column) > 0
+    return column[0] if many and np.all(column == column[0]) else column
 
 
-def _surface(surface: EmbeddedSurface, store: _Arrays, number: int) -> dict[str, Any]:
-    columns = {name: getattr(surface, name) for name in ("corners", "weights", "triangles")}
-    if len(surface.covers):
-        columns["covers"] = surface.covers
-    return store.table(
-        f"embedded_surfaces_{number}_", columns, **({} if surface.colour is None else {"colour": list(surface.colour)})
-    )
-
-
-def _groups(scene: Any, group: int, mask: int) -> dict[str, Any]:
-    """The keys for collision groups, where they are not the default."""
-    keys: dict[str, Any] = {} if group == ONLY else {"group": scene.groups.listed(group)}
-    return keys if mask == EVERY else keys | {"collides_with": scene.groups.listed(mask)}
-
-
-def _balls(scene: Any, store: _Arrays) -> list[dict[str, Any]]:
-    """One table for each run of balls that share material, body, groups and colour, which a table has once."""
-    shared = np.column_stack(
-        [scene.material, scene.body, scene.group, scene.mask, np.nan_to_num(scene.colour, nan=-1.0)]
-    )
+def _runs(scene: Any) -> Iterator[Row]:
+    """Rows of balls: one for each run of them that share material, body, groups and colour, which a table has once."""
+    groups = [scene.material, scene.body, scene.group, scene.mask, np.nan_to_num(scene.colour, nan=-1.0)]
+    shared = np.column_stack(groups)
     starts = np.flatnonzero(np.any(shared[1:] != shared[:-1], axis=1)) + 1
-    rows = []
-    for number, run in enumerate(np.split(np.arange(scene.n_balls), starts)):
-        if not len(run):
-            continue
+    for run in np.split(np.arange(scene.n_balls), starts) if scene.n_balls else ():
         first = run[0]
-        plain: dict[str, Any] = {"material": scene.materials[scene.material[first]].name}
-        if scene.body[first]:
-            plain["body"] = int(scene.body[first])
-        plain |= _groups(scene, int(scene.group[first]), int(scene.mask[first]))
+        row: Row = {"material": scene.materials[scene.material[first]].name, "body": scene.body[first]}
+        row |= group_keys(scene, int(scene.group[first]), int(scene.mask[first]))
         if not np.isnan(scene.colour[first]).any():
-            plain["colour"] = scene.colour[first].tolist()
-        if scene.pinned[run].all():
-            plain["pinned"] = True
-        columns = {"position": scene.position[run], "mass": _one(scene.mass[run]), "radius": _one(scene.radius[run])}
-        if np.any(scene.velocity[run]):
-            columns["velocity"] = scene.velocity[run]
-        if scene.pinned[run].any() and "pinned" not in plain:
-            columns["pinned"] = np.flatnonzero(scene.pinned[run])
-        rows.append(store.table(f"balls_{number}_", columns, **plain))
-    return rows
-
-
-def _springs(scene: Any, store: _Arrays) -> list[dict[str, Any]]:
-    if not scene.n_springs:
-        return []
-    columns = {"pairs": scene.pairs, "rest_length": scene.rest_length}
-    columns |= {name: _one(getattr(scene, name)) for name in ("stiffness", "damping", "collides")}
-    if np.isfinite(scene.break_strain).any():
-        columns["break_strain"] = _one(scene.break_strain)
-    return [store.table("springs_", columns)]
-
-
-def _elements(scene: Any, store: _Arrays) -> dict[str, Any]:
-    about = scene.elements()
-    tables: dict[str, Any] = {} if about["wind"] is None else {"wind": {k: _plain(v) for k, v in about["wind"].items()}}
-    if len(scene.cells):
-        columns = {"corners": scene.cells, "rest_volume": scene.rest_volume, "bulk_modulus": _one(scene.bulk_modulus)}
-        if scene.crush_modulus.any():
-            columns["crush_modulus"] = _one(scene.crush_modulus)
-        if np.any(scene.cells_together >= 0):
-            columns["together"] = scene.cells_together
-        tables["cells"] = [store.table("cells_", columns)]
-    if len(scene.bends):
-        columns = {"corners": scene.bends, "weights": scene.bend_weights}
-        columns |= {"stiffness": _one(scene.bend_stiffness), "damping": _one(scene.bend_damping)}
-        if scene.bend_hinge.any():
-            columns["hinge"] = _one(scene.bend_hinge)
-        tables["bending"] = [store.table("bending_", columns)]
-    tables["gases"] = [
-        store.table(f"gases_{k}_", {"triangles": gas.triangles}, pressure=gas.pressure, outside=gas.outside)
-        for k, gas in enumerate(scene.gases)
-    ]
-    tables["moving_pins"] = [
-        store.table(f"moving_pins_{k}_", {"balls": pins.balls}, **{key: _plain(v) for key, v in pins.given.items()})
-        for k, pins in enumerate(scene.moving_pins)
-    ]
-    tables["motors"] = [
-        store.table(
-            f"motors_{k}_",
-            {"springs": motor.springs} | ({"phase": _one(motor.phase)} if motor.phase.any() else {}),
-            **{key: _plain(v) for key, v in motor.given.items()},
-        )
-        for k, motor in enumerate(scene.motors)
-    ]
-    return tables
-
-
-def _one(column: NDArray) -> NDArray:
-    """One value where all are the same, for the file to be short."""
-    return column[0] if len(column) and np.all(column == column[0]) else column
+            row["colour"] = scene.colour[first]
+        held, moves = scene.pinned[run], np.any(scene.velocity[run])
+        row |= {"position": scene.position[run], "mass": scene.mass[run], "radius": scene.radius[run]}
+        row |= {"velocity": scene.velocity[run]} if moves else {}
+        yield row | {"pinned": bool(held.all()) if held.all() == held.any() else np.flatnonzero(held)}

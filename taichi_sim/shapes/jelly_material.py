@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface
-from taichi_sim.scene.elements import cell_volumes
+from taichi_sim.scene.cells import cell_volumes
 
 __all__ = [
     "Solid",

@@ -37,7 +37,7 @@ from taichi_sim.forces.tearing import Tearing
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.contacts import contact_law, statistics
 from taichi_sim.kernels.contacts.pairs import ENDLESS
-from taichi_sim.scene.keyframes import TICKS
+from taichi_sim.scene.motion import TICKS
 from taichi_sim.scene.motors import Motor
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials

@@ -5,7 +5,7 @@ scenes run up to a hundred times faster fused; both give the same bits where sum
 from typing import Any
 
 from taichi_sim.device.engine import ti
-from taichi_sim.scene.keyframes import counted
+from taichi_sim.scene.motion import counted
 
 __all__ = ["Drivers"]
 

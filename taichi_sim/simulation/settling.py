@@ -64,12 +64,12 @@ def still(scene: Scene) -> Scene:
     if not (gusts or moving or scene.moving_pins or scene.motors):
         return scene
     about, arrays = parts_of(scene.at(0.0))
-    for given in about["colliders"]:
+    for given in about.get("colliders", ()):
         for key in ("path", "velocity", "rotation_rate"):
             given.pop(key, None)
-    about["elements"] |= {"moving_pins": [], "motors": []}
+    about |= {"moving_pins": [], "motors": []}
     if wind is not None:
-        about["elements"]["wind"]["gust"] = 0.0
+        about["wind"]["gust"] = 0.0
     made = scene_of(about, arrays)
     made.settings = dict(scene.settings)
     return made

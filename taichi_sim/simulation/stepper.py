@@ -20,6 +20,7 @@ from taichi_sim.analysis.stability import Stability, present_limit
 from taichi_sim.analysis.touching import overlap
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.assembly import Assembly, ContactCapacity
@@ -77,7 +78,8 @@ class Stepper:
         self._looks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
-        driven = bool(scene.moving_pins or scene.motors or scene.gases or scene.wind is not None)
+        given = any(element.gives_energy and element.count(scene) for element in ELEMENTS)
+        driven = bool(scene.moving_pins or scene.motors or given)
         self.driven, self.size = own or moves or driven, size(scene)
         self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
         self.moved = False  # by steps, since places were set

@@ -5,27 +5,30 @@ from typing import Any
 
 import numpy as np
 
+from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.parts import PARTS
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
 
 __all__ = ["difference", "kind_of"]
 
+COUNTED = (
+    "balls",
+    "springs",
+    "moving_pins",
+    "motors",
+    "walls",
+    "colliders",
+    "materials",
+    *(one.name for one in ELEMENTS),
+)
 COUNTS: dict[str, Callable[[Scene], Any]] = {
     "dimensions": lambda scene: scene.dim,
-    "balls": lambda scene: scene.n_balls,
-    "springs": lambda scene: scene.n_springs,
+    **{part.words: part.count for part in PARTS if part.name in COUNTED},
     "sticks": lambda scene: int(scene.collides.sum()),
     "triangles that collide": lambda scene: int(scene.solid.sum()),
-    "cells": lambda scene: len(scene.cells),
-    "bends": lambda scene: len(scene.bends),
-    "gases": lambda scene: len(scene.gases),
-    "moving pins": lambda scene: len(scene.moving_pins),
-    "motors": lambda scene: len(scene.motors),
     "springs with motors": lambda scene: sum(len(motor.springs) for motor in scene.motors),
-    "walls": lambda scene: len(scene.walls),
-    "colliders": lambda scene: len(scene.colliders),
     "colliders that move": lambda scene: sum(collider.motion.moves for collider in scene.colliders),
-    "materials": lambda scene: len(scene.materials),
     "walls and colliders with probes": lambda scene: len(bodies_of(scene)),
 }
 THERE: dict[str, Callable[[Scene], Any]] = {
@@ -33,13 +36,10 @@ THERE: dict[str, Callable[[Scene], Any]] = {
     "friction": lambda scene: any(m.friction > 0 or m.viscous_friction > 0 for m in used_materials(scene)),
     "viscous friction": lambda scene: any(m.viscous_friction > 0 for m in used_materials(scene)),
     "restitution": lambda scene: any(m.restitution > 0 for m in used_materials(scene)),
-    "wind": lambda scene: scene.wind is not None and bool(np.any(np.asarray(scene.wind.velocity) != 0)),
-    "gusts": lambda scene: scene.wind is not None and scene.wind.gust > 0,
     "springs that tear": lambda scene: np.isfinite(scene.break_strain).any(),
     "collision groups": lambda scene: scene.has_groups(),
-    "cells that act": lambda scene: scene.cells_act(),
     "damping": lambda scene: np.any(scene.damping > 0),
-    "damping of bends": lambda scene: np.any(scene.bend_damping > 0),
+    **{words: feature for element in ELEMENTS for words, feature in element.features.items()},
 }
 
 

@@ -10,7 +10,8 @@ import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.forces.wind import GUST_WAVES, SIDEWAYS_GUSTS, axes
-from taichi_sim.scene.elements import cell_volumes
+from taichi_sim.scene.cells import cell_volumes
+from taichi_sim.scene.document import document
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -363,10 +364,10 @@ def test_a_gas_keeps_pressure_times_volume(pressure):
 def test_wrong_arguments_are_named(change, words):
     scene = ts.Scene(dim=3)
     scene.add_balls([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], radius=0.1)
-    before = {name: array.copy() for name, array in scene.to_arrays().items()}
+    before = {name: array.copy() for name, array in document(scene)[1].items()}
     with pytest.raises(ts.SceneError, match=words):
         change(scene)
-    after = scene.to_arrays()
+    after = document(scene)[1]
     assert all(len(after[name]) == len(before[name]) for name in before)
 
 

@@ -9,6 +9,7 @@ from scene_files import assert_refused
 
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
+from taichi_sim.scene.document import document
 
 K, M, LENGTH, PART, FREQUENCY = 40.0, 0.5, 1.0, 0.1, 0.8  # N/m, kg, m, 1, 1/s
 RATE = 2.0 * np.pi * FREQUENCY
@@ -178,10 +179,11 @@ def test_scene_files_name_the_springs_of_motors(tmp_path):
     assert "2 motors" in repr(scene)
     scene.save(tmp_path / "again.toml")
     again = ts.load_scene(tmp_path / "again.toml")
-    assert again.elements() == scene.elements()
-    assert json.loads(json.dumps(scene.elements())) == scene.elements()  # as a state file keeps them
-    for name, array in (scene.to_arrays() | scene.element_arrays()).items():
-        np.testing.assert_array_equal(array, (again.to_arrays() | again.element_arrays())[name], err_msg=name)
+    assert document(again)[0] == document(scene)[0]
+    values = document(scene)[0]
+    assert json.loads(json.dumps(values)) == values  # as a state file keeps them
+    for name, array in document(scene)[1].items():
+        np.testing.assert_array_equal(array, document(again)[1][name], err_msg=name)
 
 
 @pytest.mark.parametrize(

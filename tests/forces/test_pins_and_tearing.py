@@ -10,6 +10,7 @@ from physics_support import EPS, PRECISION, simulate, vector
 from scene_files import assert_refused
 
 import taichi_sim as ts
+from taichi_sim.scene.document import document
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -477,9 +478,9 @@ def test_scene_files_name_groups_and_members(tmp_path):
     assert scene.wind.velocity == (1.0, 0.0, 0.0)
     scene.save(tmp_path / "again.toml")
     again = ts.load_scene(tmp_path / "again.toml")
-    assert again.elements() == scene.elements()
-    for name, array in (scene.to_arrays() | scene.element_arrays()).items():
-        np.testing.assert_array_equal(array, (again.to_arrays() | again.element_arrays())[name], err_msg=name)
+    assert document(again)[0] == document(scene)[0]
+    for name, array in document(scene)[1].items():
+        np.testing.assert_array_equal(array, document(again)[1][name], err_msg=name)
 
 
 def test_many_moving_pins_come_back_from_a_file(tmp_path):
@@ -490,8 +491,9 @@ def test_many_moving_pins_come_back_from_a_file(tmp_path):
     scene.save(tmp_path / "scene.toml")
     again = ts.load_scene(tmp_path / "scene.toml")
     np.testing.assert_array_equal(again.moving_pins[0].balls, scene.moving_pins[0].balls)
-    assert again.elements() == scene.elements()
-    assert json.loads(json.dumps(scene.elements())) == scene.elements()  # as a state file keeps them
+    assert document(again)[0] == document(scene)[0]
+    values = document(scene)[0]
+    assert json.loads(json.dumps(values)) == values  # as a state file keeps them
 
 
 @pytest.mark.parametrize(

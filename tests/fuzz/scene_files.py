@@ -11,6 +11,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.collider_checks import check_colliders
 from taichi_sim.analysis.stability import stability
 from taichi_sim.files.source import checked_output
+from taichi_sim.scene.document import document, fill
 from taichi_sim.simulation.settings import Settings
 
 from .documents import changed, damaged, mostly
@@ -114,8 +115,5 @@ def judge(folder, data):
         safe = stability(scene, settings.integrator.method)
         seconds, parts = settings.time_step(scene, safe)
         check_colliders(scene, seconds / parts)
-    again = ts.Scene(scene.dim, scene.gravity)
-    again.set_plain(scene.plain())
-    again.from_arrays(scene.to_arrays())
-    again.set_elements(scene.elements(), scene.element_arrays())
+    fill(ts.Scene(scene.dim, scene.gravity), *document(scene))
     return scene

@@ -45,7 +45,7 @@ def test_another_run_is_refused_and_what_differs_is_named(tmp_path, name):
     before = files(tmp_path)
     says = rf"{name.strip('/')}: what is kept of it is of another run, which differs in "
     for kind, differs in (
-        (Elsewhere, r"gravity \(\[0.0, 0.0\] then, \[0.0, -3.0\] now\), materials .*, balls.velocity and \d+ more;"),
+        (Elsewhere, r"gravity \(\[0.0, 0.0\] then, \[0.0, -3.0\] now\), materials .*, balls.position and \d+ more;"),
         (Longer, r"contact_iterations \('auto' then, 7 now\);"),
         (Later, r"start.time \(0.0 then, 0.03+ now\), start.position, start.velocity;"),
     ):

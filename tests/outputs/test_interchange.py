@@ -19,6 +19,7 @@ from taichi_sim.outputs import CODECS, OTHERS, Output, export, open_output, open
 from taichi_sim.outputs.parts import Parts
 from taichi_sim.outputs.usd_stage import ROD
 from taichi_sim.render.palette import to_linear
+from taichi_sim.scene.document import document, fill
 from taichi_sim.scene.objects import named
 
 pytestmark = pytest.mark.once
@@ -425,17 +426,18 @@ def test_names_come_from_scene_files_and_go_back(tmp_path):
     assert number.tolist() == [0, 0, 1, 1, 1, 1, 2, 2, 2, 2]
     scene.save(tmp_path / "b.toml")
     again = ts.load_scene(tmp_path / "b.toml")
-    assert again.elements() == scene.elements()
+    assert document(again)[0] == document(scene)[0]
     assert named(again.n_balls, again.objects)[1] == names
     assert [one.label for one in again.colliders] == ["moon"]
     kept = ts.Scene(dim=3)  # as a state file has it
-    kept.from_arrays(scene.to_arrays())
-    kept.set_elements(json.loads(json.dumps(scene.elements())), scene.element_arrays())
+    values, arrays = document(scene)
+    fill(kept, json.loads(json.dumps(values)), arrays)
     assert named(kept.n_balls, kept.objects)[1] == names
-    kept.objects.clear()
-    for damaged in ({"objects.0.balls": np.array([99])}, {"objects.0.uv": np.zeros((1, 3))}):
-        with pytest.raises(ts.SceneError, match=r"objects\[0\].(balls|uv)"):
-            kept.set_elements(scene.elements(), scene.element_arrays() | damaged)
+    with pytest.raises(ts.SceneError, match=r"objects\[0\].balls"):
+        fill(ts.Scene(dim=3), values, arrays | {"objects.0.balls": np.array([99])})
+    values["objects"][0]["uv"] = [[0, 0, 0]]
+    with pytest.raises(ts.SceneError, match=r"objects\[0\].uv"):
+        fill(ts.Scene(dim=3), values, arrays)
 
 
 def test_a_name_that_a_shape_took_by_itself_can_be_given():

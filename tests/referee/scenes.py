@@ -210,9 +210,8 @@ class _Adding:
                     given[key] = given[key] * c.length
             if "size" in given:
                 given["size"] = np.abs(c.direction(given["size"])) * c.length
-            if "mesh" in given:
-                vertices, triangles = given["mesh"].vertices, given["mesh"].triangles
-                given["mesh"] = (c.direction(vertices) * c.length, triangles)
+            if given["shape"] == "mesh":
+                given["mesh"] = (c.direction(collider.vertices) * c.length, collider.triangles)
                 given["position"] = c.place(given.get("position") or np.zeros(3))
             given["material"] = self.material(collider.material)
             to.add_collider(shape_of(given))

@@ -256,7 +256,7 @@ BAD = [
     ),
     ({"follow": []}, r"camera\.follow: \[\] is not allowed; it must be one ball or more"),
     ({"path": KEYS[:1]}, r"camera\.path: .* two keyframes or more"),
-    ({"path": KEYS[::-1]}, r"camera\.path\[1\]\.time: 1\.5 is not allowed; it must be later than the one before"),
+    ({"path": KEYS[::-1]}, r"camera\.path\[1\]\.time: 1\.5 is not allowed; it must be later than 4 s, the one before"),
     ({"path": [KEYS[0], KEYS[1] | {"fov": 3}]}, r"camera\.path\[1\]\.fov: give one to all keyframes or to none"),
     ({"path": [KEYS[0], {"time": 1.0}]}, r"camera\.path\[1\]\.eye: is missing"),
     ({"path": [KEYS[0], KEYS[1] | {"roll": 3}]}, r"camera\.path\[1\]\.roll: is not a known key"),

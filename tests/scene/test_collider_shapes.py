@@ -9,7 +9,7 @@ from physics_support import PRECISION
 
 import taichi_sim as ts
 from taichi_sim.geometry.mesh import Surface, holes, mesh_distance, volume
-from taichi_sim.scene.keyframes import turn_matrix, turn_vector
+from taichi_sim.scene.motion import turn_matrix, turn_vector
 
 pytestmark = pytest.mark.long_in("f64")
 

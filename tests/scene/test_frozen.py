@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
+from taichi_sim.scene.document import document, fill
 
 pytestmark = pytest.mark.once
 
@@ -26,7 +27,7 @@ def world():
 
 
 def arrays_of(scene):
-    yield from ((name, array) for name, array in scene.to_arrays().items() if not name.endswith("0.colour"))
+    yield from ((name, array) for name, array in document(scene)[1].items())
     yield "gravity", scene.gravity
     held = [
         *scene.colliders,
@@ -44,13 +45,18 @@ def arrays_of(scene):
 def test_no_array_of_a_scene_can_be_written_to():
     scene = world()
     named = dict(arrays_of(scene))
-    assert {"balls.mass", "cells.corners", "bends.weights", "Motion.times", "MovingPins.balls", "Motor.springs"} <= set(
-        named
-    )
+    assert {
+        "balls.mass",
+        "cells.corners",
+        "bending.weights",
+        "Motion.times",
+        "MovingPins.balls",
+        "Motor.springs",
+    } <= set(named)
     for name, array in named.items():
         with pytest.raises(ValueError, match="read-only"):
             array[...] = array
-        if "." in name and name.split(".")[0] in ("balls", "springs", "triangles", "cells", "bends"):
+        if "." in name and name.split(".")[0] in ("balls", "springs", "triangles", "cells", "bending"):
             with pytest.raises(ValueError, match="WRITEABLE"):
                 array.flags.writeable = True
 
@@ -62,9 +68,10 @@ def test_the_arrays_given_stay_the_callers():
     x[:], pairs[:] = 7.0, 0
     assert scene.position[1, 0] == 1.0
     assert scene.pairs[0, 1] == 1
-    columns = {name: array.copy() for name, array in scene.to_arrays().items()}
+    values, columns = document(scene)
+    columns = {name: array.copy() for name, array in columns.items()}
     other = ts.Scene(dim=2)
-    other.from_arrays(columns)
+    fill(other, values, columns)
     columns["balls.mass"][:] = -1.0
     assert np.all(other.mass == 1.0)
 
@@ -116,10 +123,10 @@ def test_what_balls_and_springs_are_can_be_changed():
 )
 def test_a_change_is_checked_and_a_bad_one_changes_nothing(change, place):
     scene = world()
-    before = scene.to_arrays()
+    before = document(scene)[1]
     with pytest.raises(ts.SceneError, match=place.replace(".", r"\.")):
         change(scene)
-    after = scene.to_arrays()
+    after = document(scene)[1]
     assert all(np.array_equal(before[name], after[name], equal_nan=True) for name in before)
 
 
@@ -156,7 +163,7 @@ def test_what_a_frozen_copy_says_of_its_pictures_stays():
 def test_a_frozen_copy_stays_as_it_is():
     scene = world()
     held = scene.frozen()
-    before = held.to_arrays()
+    before = document(held)[1]
     scene.add_balls([[5, 5, 5]], radius=0.1)
     scene.set_balls(mass=9.0)
     scene.gravity = (1, 0, 0)
@@ -176,7 +183,7 @@ def test_a_frozen_copy_stays_as_it_is():
         lambda: held.set_group([0], "a"),
         lambda: held.new_body(),
         lambda: setattr(held, "gravity", (0, 0, 0)),
-        lambda: held.from_arrays(before),
+        lambda: fill(held, *document(scene)),
         lambda: ts.shapes.cloth(held, size=(1, 1), resolution=(3, 3)),
     ):
         with pytest.raises(ts.SceneError, match="belongs to a simulation"):
@@ -185,4 +192,4 @@ def test_a_frozen_copy_stays_as_it_is():
     with pytest.raises(ts.SceneError):
         again.add_balls([[0, 0, 0]], radius=1.0)
     for one in (held, again):
-        assert all(np.array_equal(array, before[name], equal_nan=True) for name, array in one.to_arrays().items())
+        assert all(np.array_equal(array, before[name], equal_nan=True) for name, array in document(one)[1].items())

@@ -6,7 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from taichi_sim import Scene, SceneError
+from taichi_sim import Scene, SceneError, load_scene
+from taichi_sim.scene.document import document, fill
 
 pytestmark = pytest.mark.once
 
@@ -146,3 +147,58 @@ def test_a_scene_says_what_it_holds():
     scene.add_springs([(0, 1)], stiffness=10.0)
     assert repr(scene) == "<Scene in 2D: 3 balls, 1 pinned, 1 spring; gravity (0, -9.81) m/s^2>"
     assert "<th>balls</th><td>3</td>" in scene._repr_html_()
+
+
+def tetrahedron():
+    scene = Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], radius=0.1)
+    scene.add_gas([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], pressure=7.0)
+    return scene
+
+
+def test_a_gas_comes_back_with_the_volume_at_which_it_has_its_pressure(tmp_path):
+    scene = tetrahedron()
+    scene.set_balls(3, position=[0.1, 0.2, 1.7])  # squeezed or stretched before the start
+    scene.save(tmp_path / "scene.toml")
+    for again in (load_scene(tmp_path / "scene.toml"), filled(scene)):
+        assert again.gases[0].volume == scene.gases[0].volume == 1 / 6
+    with pytest.raises(SceneError, match=r"gases\.volume: -1\.0 is not allowed"):
+        scene.add_gas(scene.gases[0].triangles, pressure=1.0, volume=-1.0)
+
+
+def filled(scene):
+    again = Scene(scene.dim, scene.gravity)
+    fill(again, *document(scene))
+    return again
+
+
+@pytest.mark.parametrize("angle", np.linspace(0.05, 6.2, 12))
+def test_a_wall_is_the_same_from_a_file_and_from_python(tmp_path, angle):
+    scene = Scene(dim=2)
+    scene.add_balls([[0, 1]], radius=0.1)
+    scene.add_wall((np.sin(angle), np.cos(angle)), offset=-1.0)
+    scene.add_wall(scene.walls[0].normal)
+    file = tmp_path / "scene.toml"
+    file.write_text(f"""
+format = 1
+[[balls]]
+position = [[0.0, 1.0]]
+radius = 0.1
+[[walls]]
+normal = [{float(np.sin(angle))!r}, {float(np.cos(angle))!r}]
+offset = -1.0
+""")
+    assert scene.walls[1].normal == scene.walls[0].normal == load_scene(file).walls[0].normal
+
+
+def test_what_an_object_holds_cannot_be_written_to():
+    scene = Scene(dim=2)
+    scene.set_name(scene.add_balls([[0, 0]], radius=0.1), "ball", uv=[[0.5, 0.5]])
+    for array in (scene.objects[0].balls, scene.objects[0].uv):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
+def test_a_frozen_scene_refuses_a_name_given_by_name():
+    with pytest.raises(SceneError, match="belongs to a simulation"):
+        Scene(dim=2).frozen().add_material(name="ice")

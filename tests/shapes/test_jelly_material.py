@@ -10,7 +10,7 @@ from statics import at_rest
 from taichi_sim import Scene, SceneError, shapes
 from taichi_sim.geometry.mesh import Surface, flaws, holes, volume
 from taichi_sim.geometry.spheres import icosphere
-from taichi_sim.scene.elements import cell_volumes
+from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.shapes.jelly_material import box_surface, connected, inside, skin_of_tetrahedra, springs_of
 
 pytestmark = pytest.mark.once

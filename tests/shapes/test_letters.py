@@ -9,7 +9,7 @@ import taichi_sim as ts
 from taichi_sim.geometry import mesh as meshes
 from taichi_sim.geometry.outlines import drawing_outlines, text_outlines
 from taichi_sim.geometry.polygon_mesh import extruded, filled, outer_edges
-from taichi_sim.scene.elements import cell_volumes
+from taichi_sim.scene.cells import cell_volumes
 
 shapely = pytest.importorskip("shapely")
 pytestmark = pytest.mark.once

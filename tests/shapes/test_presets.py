@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 
 import taichi_sim as ts
 from taichi_sim.cli.main import main
+from taichi_sim.scene.document import document
 from taichi_sim.scene.presets import PRESETS
 
 pytestmark = pytest.mark.once
@@ -28,8 +29,8 @@ def test_a_cloth_of_a_preset_is_the_one_with_its_numbers():
     keys = ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity")
     ts.shapes.cloth(given, resolution=(5, 5), material="silk", **{key: getattr(silk, key) for key in keys})
     assert named.materials == given.materials
-    for key, column in named.to_arrays().items():
-        np.testing.assert_array_equal(column, given.to_arrays()[key], err_msg=key)
+    for key, column in document(named)[1].items():
+        np.testing.assert_array_equal(column, document(given)[1][key], err_msg=key)
     assert named.mass.sum() == pytest.approx(0.069)
 
 

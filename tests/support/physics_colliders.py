@@ -6,7 +6,7 @@ import numpy as np
 from physics_support import vector
 
 import taichi_sim as ts
-from taichi_sim.scene.keyframes import rotation_matrix
+from taichi_sim.scene.motion import rotation_matrix
 
 H, G, R = 1e-3, 10.0, 0.05
 SHOTS, SPEED = 125, 10 * R / H  # bullets at each shape, of 10 radii a step

@@ -9,7 +9,7 @@ from taichi_sim import Box, Scene, shapes
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs.export import export
-from taichi_sim.scene.elements import cell_volumes
+from taichi_sim.scene.cells import cell_volumes
 from tests.support.drag import Drag
 
 pytestmark = pytest.mark.long_in("f32")

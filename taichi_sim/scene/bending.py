@@ -1,0 +1,104 @@
+"""Bending: elements of four balls that resist curvature."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import Column
+from taichi_sim.scene.part import Columns, Element, Quadratic
+
+__all__ = ["BENDING", "BendingMethods"]
+
+
+class BendingMethods:
+    """The part of a Scene that holds bending elements."""
+
+    bends = Column("bending", "corners", "(b, 4) balls of each bending element", (4,), np.int32)
+    bend_weights = Column("bending", "weights", "(b, 4) sum 0 for each", (4,))
+    bend_stiffness = Column("bending", "stiffness", "(b,) N/m")
+    bend_damping = Column("bending", "damping", "(b,) N s/m")
+    bend_hinge = Column("bending", "hinge", "(b,) bool; True: of two sides, one of which may be held", dtype=bool)
+
+    def add_bending(
+        self: Any,
+        corners: ArrayLike,
+        *,
+        weights: ArrayLike,
+        stiffness: ArrayLike,
+        damping: ArrayLike = 0.0,
+        hinge: bool | Sequence[bool] | NDArray = False,
+    ) -> None:
+        """Add b bending elements: forces -w_i sum_j w_j (stiffness x_j + damping v_j) on four balls each.
+
+        The energy is stiffness |sum w_j x_j|^2 / 2, 0 where the element is flat; quadratic, so its force is linear (Bergou et
+        al. 2006, "A quadratic bending model for inextensible surfaces"). An element of a rod through balls a, b, c has the
+        corners (b, b, a, c) and the weights (-1, -1, 1, 1).
+
+        Args:
+            corners: (b, 4) balls; weights: (b, 4) of them [1], the sum of each row 0.
+            stiffness: one or one per element, >= 0 [N/m]; damping: one or one per element, >= 0 [N s/m].
+            hinge: one or one per element: corners 0 and 1 are the hinge between two sides of a rod or sheet, corners 2 and 3
+                their far ends. A side whose balls are all pinned cannot bend. The other one then bears the whole change of
+                angle over its own length, so stiffness and damping rise to those of that side: twice, for equal sides. A rod
+                or sheet is thus clamped exactly at its last pinned balls.
+        """
+        ij = validation.indices("bending.corners", validation.many(corners, 1), self.n_balls, width=4)
+        w = validation.vectors("bending.weights", validation.many(weights, 1), None, 4)
+        if w.shape != ij.shape:
+            says = f"shape {w.shape} does not fit; it must be {ij.shape}, as corners"
+            raise SceneError("bending.weights", says=says)
+        off = np.abs(w.sum(axis=1)) > 1e-9 * np.abs(w).max(axis=1, initial=1e-300)
+        if off.any():
+            k = int(np.argmax(off))
+            raise SceneError(f"bending.weights[{k}]", w[k], "four numbers whose sum is 0")
+        strength = validation.per_item("bending.stiffness", stiffness, len(ij), low=0)
+        loss = validation.per_item("bending.damping", damping, len(ij), low=0)
+        sides = validation.flags("bending.hinge", hinge, len(ij))
+        ends = w[:, 2:][sides]
+        if np.any(ends[:, 0] * ends[:, 1] <= 0.0):
+            k = int(np.flatnonzero(sides)[np.argmax(ends[:, 0] * ends[:, 1] <= 0.0)])
+            raise SceneError(f"bending.weights[{k}]", w[k], "of a hinge: the last two of one sign, and not 0")
+        self.tables["bending"].append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss, hinge=sides)
+
+    def held_bending(self: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Stiffness (b,) [N/m] and damping (b,) [N s/m] of the bending elements as they act with the present pins, see
+        `add_bending`. The two sides of a hinge are as long as the inverse weights of their far ends."""
+        held = self.pinned[self.bends]
+        held[:, 2:] &= held[:, :1] & held[:, 1:2] & self.bend_hinge[:, None]
+        size = np.abs(self.bend_weights[:, [3, 2]])  # of side 2 and 3, as 1 / w2 : 1 / w3
+        free = np.where(held[:, 2:], 0.0, size).sum(axis=1)
+        rise = np.divide(size.sum(axis=1), free, out=np.ones(len(free)), where=free > 0.0)
+        return self.bend_stiffness * rise, self.bend_damping * rise
+
+    def set_bending(self: Any, *, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
+        """Change all b bending elements: stiffness [N/m], damping [N s/m], one or one per element; what is left None stays."""
+        new = {}
+        for name, given in (("stiffness", stiffness), ("damping", damping)):
+            if given is not None:
+                new[name] = validation.per_item(f"bending.{name}", given, len(self.bends), low=0)
+        self.tables["bending"].replace(slice(None), **new)
+
+
+class _Bending(Columns, Element):
+    name, method, counted, title = "bending", "add_bending", ("corners",), "bends"
+    features: ClassVar = {"damping of bends": lambda scene: np.any(scene.bend_damping > 0)}
+
+    def energies(self, scene: Any, x: NDArray[np.float64], whole: NDArray[np.bool_]) -> list[float]:
+        curve = np.einsum("bk,bki->bi", scene.bend_weights, x[scene.bends] - x[scene.bends[:, :1]])
+        return [0.5 * float(np.sum((scene.held_bending()[0] * np.sum(curve**2, axis=1))[whole]))]
+
+    def stiffness(self, scene: Any) -> list[Quadratic]:
+        """Exact: it is linear."""
+        return [Quadratic(scene.bends, scene.bend_weights[:, :, None], scene.held_bending()[0])]
+
+    def damping(self, scene: Any) -> list[Quadratic]:
+        return [Quadratic(scene.bends, scene.bend_weights[:, :, None], scene.held_bending()[1])]
+
+
+BENDING = _Bending()
