@@ -18,6 +18,8 @@ __all__ = ["BOTH", "PRIME", "STEP", "Chain", "Part", "run_parts"]
 STEP, PRIME = 1, 2  # roles: what a substep does, and what makes the state that it starts from
 BOTH = STEP | PRIME
 
+real_function = ti.real_func if IS_KNOWN else ti.func  # one that is not inlined
+
 
 class Part(NamedTuple):
     """A function `name(role, h, time)` of an object, `owner`, and the roles in which it runs."""
@@ -67,7 +69,7 @@ class Chain:
                 if role & part.roles != 0:
                     ti.static(getattr(part.owner, part.name))(role, h, time)
 
-    @ti.real_func
+    @real_function
     def link(self, number: ti.template(), role: int, h: float, time: float):
         """Part `number`, and all after it."""
         if role & self.parts[number].roles != 0:
