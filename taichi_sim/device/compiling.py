@@ -19,10 +19,19 @@ from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION
 __all__ = ["Expected", "count_time", "loaded", "seconds", "watched"]
 
 TABLE, MOST_REMEMBERED = "compile_times", 500  # scenes
-# Seconds that kernels take to compile at first, up to their first launch, measured with the demos on one core of an AMD EPYC;
-# a slower or busy machine takes a multiple. "": what all scenes have.
-AT_FIRST = {"": 4.0, "pictures": 4.0, "pairs": 9.0}
-AT_FIRST |= dict.fromkeys(("sticks", "colliders", "triangles", "integrator.implicit_euler", "integrator.tr_bdf2"), 4.0)
+# Seconds that kernels take to compile at first, up to their first launch, on a slow core; each machine takes its own multiple.
+# Six scenes of unlike kinds took 0.9 to 1.2 times their sums, but for one multiple. "": what all scenes have; pictures: of 3D
+# scenes, those of 2D take a tenth.
+AT_FIRST = {
+    "": 4.0,
+    "pictures": 4.0,
+    "pairs": 4.0,
+    "triangles": 7.0,
+    "sticks": 3.0,
+    "colliders": 3.0,
+    "springs.damping": 2.0,
+}
+AT_FIRST |= dict.fromkeys(("integrator.implicit_euler", "integrator.tr_bdf2"), 4.0)
 
 PACE = "pace"  # entry of the table: how many times AT_FIRST this machine takes, a mean of what it took lately
 LOADED_PART = 0.3  # of the time spent on kernels: where the compiler took less, most of them were in the cache
@@ -142,8 +151,10 @@ class Expected:
     def of(cls, simulation: Any, pictures: bool) -> "Expected":
         """Of a Simulation, from now on."""
         parts = simulation.parts
-        settings = (simulation.scene.dim, str(simulation.backend), parts.fields.layout)  # lengths are compiled in
-        one = cls(simulation.kernels(), settings, pictures)
+        dim = simulation.scene.dim
+        settings = (dim, str(simulation.backend), parts.fields.layout)  # lengths are compiled in
+        flat = ["pictures.flat"] if pictures and dim == 2 else []
+        one = cls([*simulation.kernels(), *flat], settings, pictures and dim == 3)
         one._again = one._key in _met and not parts.keeps_kernels
         _met.add(one._key)
         return one
