@@ -3,13 +3,16 @@
 import os
 import sys
 
-from taichi_sim.common.printable import settle_streams
-
 __all__ = ["main"]
+
+if __name__ == "__main__" and not getattr(sys.flags, "safe_path", False):  # Python 3.10 has none
+    del sys.path[0]  # the working folder, which may be that of a scene from elsewhere
 
 
 def main() -> None:
     """Run the command; whoever interrupts what it loads gets no traceback."""
+    from taichi_sim.common.printable import settle_streams
+
     settle_streams()
     # processes that this one starts take no modules from the working folder, which may be that of a scene from elsewhere
     os.environ.setdefault("PYTHONSAFEPATH", "1")

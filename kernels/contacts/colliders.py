@@ -5,7 +5,7 @@ pose at its end. All distances are signed: negative inside the solid.
 """
 
 from taichi_sim.kernels.contacts.kinds import BOX, MESH, ROUND
-from taichi_sim.kernels.contacts.triangle_tree import signed_distance
+from taichi_sim.kernels.contacts.triangle_tree import distance_by_leaves, signed_distance
 from taichi_sim.kernels.trigonometry import sine_cosine
 from taichi_sim.kernels.vectors import lever
 
@@ -156,12 +156,15 @@ def mesh_distance(colliders: ti.template(), shape, p):
     inner = ti.max(ti.min(g, top), 0.0)
     cell = ti.min(ti.cast(ti.floor(inner), ti.i32), shape.cells - 2)
     first = shape.first + (cell[2] * shape.cells[1] + cell[1]) * shape.cells[0] + cell[0]
-    near = colliders.near[first]
+    exact = colliders.exact[first]
     d, n = 0.0 * p[0], 0.0 * p
-    if near >= 0:
-        d, n, _ = signed_distance(
-            colliders.box, colliders.link, colliders.triangle, shape.first_node, shape.last_node, near, p
-        )
+    if exact >= 0:
+        box, link, triangle = ti.static(colliders.box, colliders.link, colliders.triangle)
+        near, begin, end = colliders.cell[2 * exact], colliders.cell[2 * exact + 1], colliders.cell[2 * exact + 3]
+        if begin < end:
+            d, n = distance_by_leaves(box, link, triangle, colliders.leaf, begin, end, near, p)
+        else:
+            d, n, _ = signed_distance(box, link, triangle, shape.first_node, shape.last_node, near, p)
     else:
         d, n = interpolated(
             colliders.grid, shape, first, inner - ti.cast(cell, float), (g - inner) / shape.inverse_cell

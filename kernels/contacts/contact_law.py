@@ -38,9 +38,9 @@ def normal_impulse(u, target, mass, accumulated):
 
 
 @ti.func
-def soft_impulse(u, target, mass, accumulated):
-    """The same for a soft contact; `target` holds the push-out speed as well."""
-    return ti.max(0.0, SOFT_MASS * accumulated + (target - u) * (SOFT_MASS * mass))
+def soft_impulse(u, target, mass, kept):
+    """The same for a soft contact, which has `kept` of what it accumulated; `target` holds the push-out speed as well."""
+    return ti.max(0.0, kept + (target - u) * (SOFT_MASS * mass))
 
 
 @ti.func

@@ -1,14 +1,17 @@
 """Distances from a closed triangle mesh on a regular grid: exact near the triangles, then handed on from corner to corner.
 
-Real numbers are of the type of the arrays handed in, best in double precision, whatever that of the run is. frame (7,): the
-lowest corner of the grid [m], the width of a cell [m], by which part of it `winding` shifts its lines, and two lengths, see
+Real numbers are of the type of the arrays handed in, best in double precision, whatever that of the run is. frame (8,): the
+lowest corner of the grid [m], the width of a cell [m], by which part of it `winding` shifts its lines, and three lengths, see
 `find_inexact`.
 """
 
 from taichi_sim.kernels.contacts.closest_points import on_triangle
-from taichi_sim.kernels.contacts.triangle_tree import signed_distance
+from taichi_sim.kernels.contacts.triangle_tree import entry, signed_distance
 
 from taichi_sim.device.engine import ti
+
+HALF_DIAGONAL, SLACK = 0.8660255, 1e-3  # of a cell, and for rounding
+UNSAFE = 0.2  # of a distance: an error that those who march along it, see ccd_colliders.MARCH_SAFETY, bear
 
 
 @ti.func
@@ -147,7 +150,8 @@ def find_inexact(
     frame: ti.types.ndarray(ndim=1),
 ):
     """A triangle near each cell (near, at its lowest corner) within frame[5] m of the mesh where the values at its corners would
-    be wrong by more than frame[6] m somewhere between, looked at halfway; else -1."""
+    be wrong somewhere between, looked at halfway; else -1. Wrong is more than frame[6] m at places within frame[7] m, where
+    balls touch, and farther away, where they only approach, more than a share of the distance."""
     low, cell = lowest(frame), frame[3]
     for k, j, i in ti.ndrange(value.shape[0] - 1, value.shape[1] - 1, value.shape[2] - 1):
         least = frame[5]
@@ -162,7 +166,43 @@ def find_inexact(
             d, _, t = signed_distance(box, link, triangle, 0, link[0], triangle_near, p)
             if place == 0:
                 triangle_near = t
-            wrong = ti.abs(interpolated(value, k, j, i, part) - d) > frame[6]
+            error = ti.abs(interpolated(value, k, j, i, part) - d)
+            wrong = error > frame[6] and (ti.abs(d) < frame[7] or error > UNSAFE * ti.abs(d))
             place += 1
         if wrong:
             near[k, j, i] = triangle_near
+
+
+@ti.kernel
+def list_leaves(
+    corner: ti.types.ndarray(ti.i32, 2),
+    box: ti.types.ndarray(ndim=1),
+    link: ti.types.ndarray(ti.i32, 1),
+    triangle: ti.types.ndarray(ndim=1),
+    near: ti.types.ndarray(ti.i32, 1),
+    start: ti.types.ndarray(ti.i32, 1),
+    leaf: ti.types.ndarray(ti.i32, 1),
+    frame: ti.types.ndarray(ndim=1),
+    most: int,
+):
+    """Count the leaves (start, one more than cells) that may hold the triangle closest to some point in each cell, whose lowest
+    corners (c, 3) are `corner`; 0 where there are more than `most`. With most = 0 write them (leaf) from `start` on instead."""
+    cell = frame[3]
+    for c in range(corner.shape[0]):
+        low = lowest(frame) + cell * ti.Vector([corner[c, 0], corner[c, 1], corner[c, 2]])
+        d, _, _ = signed_distance(box, link, triangle, 0, link[0], near[c], low + 0.5 * cell)
+        reach = (ti.abs(d) + HALF_DIAGONAL * cell) * (1.0 + SLACK)  # no point of the cell is farther from the mesh
+        found, k = 0, 0
+        room = ti.select(most > 0, most + 1, start[c + 1] - start[c])
+        while k < link[0] and found < room:
+            gap = ti.max(entry(box, 6 * k) - low - cell, low - entry(box, 6 * k + 3), 0.0)
+            if gap.dot(gap) < reach * reach:
+                if link[3 * k + 1] < link[3 * k + 2]:
+                    if most == 0:
+                        leaf[start[c] + found] = k
+                    found += 1
+                k += 1
+            else:
+                k = link[3 * k]
+        if most > 0:
+            start[c] = ti.select(found > most, 0, found)

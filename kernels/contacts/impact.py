@@ -2,6 +2,11 @@
 
 Within a step the path is a parabola from x with start velocity v - a h / 2 and acceleration a: exact for constant forces,
 so an elastic bounce loses nothing. A scheme without acceleration inside the step passes a = 0 and moves on a straight line.
+
+A force that changes within the step acts with the mean of its values at both ends, as it does without impacts: what it did before
+the impact is thrown back with the ball. So the second half of the kick, h a / 2, of a ball that met a wall after the time t is
+h a / 2 - m (m . h a / 2) with m = sqrt((1 + e) t / h) n, its `reflected`. Without m a ball on a spring k that bounces with the
+speed u would gain h^2 k u^2 / 6 on average, as the force changes with its way.
 """
 
 from taichi_sim.kernels.contacts.ccd_colliders import NOTHING, first_collider
@@ -77,6 +82,20 @@ def is_caught(law, u, press, threshold, h):
 
 
 @ti.func
+def note_reflection(walls: ti.template(), i, n, law, rests, part):
+    """Note that ball i met a surface with the normal n after this part of the step; the last one in a step counts."""
+    if not rests:
+        walls.reflected[i] = ti.sqrt((1.0 + law.restitution) * part) * n
+
+
+@ti.func
+def thrown_back(walls: ti.template(), i, kick):
+    """The second half of a kick, of a ball that may have met a wall in this step."""
+    m = walls.reflected[i]
+    return kick - m.dot(kick) * m
+
+
+@ti.func
 def surface(walls: ti.template(), key, x, after):
     """Direction from a collider, or a face of it, see ccd_colliders.first_collider, to a ball at x that touches it `after`
     seconds into the step, and its velocity there."""
@@ -148,6 +167,8 @@ def move(walls: ti.template(), i, x, v, a, h, threshold):
     """Displacement over h and drift velocity of ball i, given drift velocity v (at half the step) and acceleration a."""
     shift = h * v
     drift = v
+    if ti.static(walls.plan.reflects):
+        walls.reflected[i] = 0.0 * v
     way = ti.abs(shift).sum() + 0.5 * h * h * ti.abs(a).sum()  # at most
     near = True
     if ti.static(not walls.has_colliders):
@@ -200,9 +221,10 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 body = -1  # that has a probe
                 if other == NOTHING:
                     normal = walls.planes.wall[hit].normal
-                    speed, pull, rests = bounce(
-                        walls, i, normal, walls.law(i, hit), came, pull, threshold, h, remaining
-                    )
+                    law = walls.law(i, hit)
+                    speed, pull, rests = bounce(walls, i, normal, law, came, pull, threshold, h, remaining)
+                    if ti.static(walls.plan.reflects):
+                        note_reflection(walls, i, normal, law, rests, since / h)
                     if ti.static(walls.has_colliders):
                         if rests:
                             settled, floor, place = walls.colliders.count + hit, normal, x + shift
@@ -214,6 +236,9 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                         speed, pull, rests, n = hit_collider(
                             walls, i, other, x + shift, came, pull, since, threshold, h
                         )
+                        if ti.static(walls.plan.reflects):
+                            law = walls.law_of_material(i, walls.colliders.shape[k].surface)
+                            note_reflection(walls, i, n, law, rests, since / h)
                         if rests:
                             settled, floor, place = k, n, x + shift
                         if ti.static(walls.probed):
@@ -234,5 +259,8 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     if touched:
         if ti.static(walls.probed):
             record_pressed(walls, i, v)
-        drift = speed - 0.5 * h * pressed  # the next solve still has to bear the load on what it rested on
+        kick = 0.5 * h * pressed  # the second half
+        if ti.static(walls.plan.reflects):
+            kick = thrown_back(walls, i, kick)
+        drift = speed - kick  # the next solve still has to bear the load on what it rested on
     return shift, drift

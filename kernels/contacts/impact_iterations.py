@@ -9,8 +9,8 @@ of what is left. So each island of balls that touch goes on along the change tha
 contact would pull. An iteration takes the contacts of the balls that the one before still changed fast: where crowds flow, some
 contact far away goes on changing long after most are done.
 
-There these iterations are rigid and push nothing out: a soft contact gives way to what it bears, which should be a load; to an
-impact of heavy balls it would give way by their speed.
+There a soft contact yields to the load that it bears alone: to an impact of heavy balls it would yield by their speed. It pushes
+out what overlaps, as in all iterations: some contact of a pile at rest may close fast in each step, and rigid ones would sink.
 """
 
 from taichi_sim.kernels.contacts import pair_impacts, pair_solve, wall_impacts
@@ -314,8 +314,7 @@ def add_change(solver: ti.template(), i, j, c, r):
     solver.velocity_change[j] = solver.velocity_change[j] + solver.model.inverse_mass[j] * p
     if change < 0.0:
         solver.longest_extension[r] = ti.min(solver.longest_extension[r], accumulated / -change)
-    if ti.static(solver.plan.soft):
-        solver.slope[r] = solver.slope[r] - ti.min(0.0, solver.pairs.contact[c].depth * solver.rate[0]) * change
+    solver.slope[r] = solver.slope[r] - pair_solve.present_target(solver, i, j, c, accumulated) * change
 
 
 @ti.func

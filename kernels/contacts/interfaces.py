@@ -24,6 +24,7 @@ class Plan(Protocol):
     loaded: bool  # whether what forces add is told from impacts
     line_search: bool  # see impact_iterations
     limits_energy: bool  # see energy_limiter
+    reflects: bool  # whether impacts on walls throw back what forces did before them in the step
     gathers: bool  # whether both balls list a pair, and each sums what it gets
     by_colours: bool  # whether both list it, and pairs are solved in turn by colours
     atomic: bool  # whether impulses are added by atomics
@@ -38,7 +39,7 @@ class Iteration(NamedTuple):
     )
     impacts: bool = False  # of these, whether what closes fast is solved too, or left for the next solve
     stops_first: bool = False  # where the energy limiter compares both, what touches is stopped before it bounces
-    rigid: bool = False  # soft contacts are rigid and push nothing out
+    yields_to_loads_only: bool = False  # soft contacts let go of a part of their load, not of what an impact gave them
     takes_back: bool = False  # the speed with which the solve before the move pushed out overlap
     starts: bool = True  # this solve began with what contacts accumulated before; else that was applied before the move
 
@@ -406,7 +407,9 @@ class Colliders(Protocol):
     shape: "ColliderShape"  # (count)
     pose: "ColliderPose"  # (count)
     grid: Field  # m, distances from meshes, one grid behind the other
-    near: Field  # the same: a triangle near the cell that begins there, where distances are taken from triangles, or -1
+    exact: Field  # the same: number of the cell that begins there, of those where distances are taken from triangles, or -1
+    cell: Field  # (2 such cells) a triangle near it, and its first leaf in `leaf`; no leaves where there are too many
+    leaf: Field  # nodes of trees that are leaves and may hold the closest triangle
     box: Field  # m, (6 nodes) of the trees of meshes, see contacts.triangle_tree
     link: Field  # (3 nodes)
     triangle: Field  # (30 triangles)
@@ -511,6 +514,7 @@ class Walls(Protocol):
     touching: Field  # (n) number of surfaces that a ball touches: most touch none and are passed over
     crowded: Field  # (n) see kinds
     clearance: Field  # (n) m to the nearest wall, where there are no colliders: most balls cannot reach any in a step
+    reflected: Field  # vector (n) sqrt((1 + e) t / h) n of the last impact in this step, see impact
     rounding: float  # of a coordinate, as a part of it
     probed: bool  # whether probes ask for impulses
     received: "Received"  # these

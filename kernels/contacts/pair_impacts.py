@@ -208,6 +208,12 @@ def limit(solver: ti.template(), i):
 
 
 @ti.func
+def load_of(solver: ti.template(), i, j, c, accumulated):
+    """Of what contact c of balls i and j accumulated, what may be a load [N s]."""
+    return ti.min(accumulated, wall_impacts.largest_load(solver, solver.pairs.contact[c].starting_impulse, i, j))
+
+
+@ti.func
 def mark_arrivals_at_walls(solver: ti.template()):
     """Mark the blocks of balls that arrive fast at a wall among others."""
     for b in range(solver.pairs.blocks[0]):

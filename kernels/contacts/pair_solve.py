@@ -12,7 +12,7 @@ from taichi_sim.device.engine import ti
 
 FIRST = Iteration(prepares=True, impacts=True, stops_first=True)
 NEXT = Iteration(stops_first=True)
-AFTER_IMPACTS = Iteration(rigid=True)  # see impact_iterations
+AFTER_IMPACTS = Iteration(yields_to_loads_only=True)  # see impact_iterations
 BOUNCE = Iteration()  # where restitution is a matter of its own, see energy_limiter
 LAST = Iteration(prepares=True, takes_back=True)  # of the short solve at the end of a step
 RELAX = Iteration(prepares=True, takes_back=True, starts=False)  # the same where a method ends with the move
@@ -93,10 +93,8 @@ def further_impulse(solver: ti.template(), ball: ti.template(), i, j, c, v, spin
             prepare_after_impacts(solver, i, j, c, n, before, how)
         else:
             prepare(solver, i, j, c, n, how)
-    total = normal_impulse(solver, c, u.dot(n), before, how)
+    total = normal_impulse(solver, i, j, c, u.dot(n), before, how)
     solver.pairs.link[c].impulse = ti.max(0.0, total)
-    if ti.static(solver.plan.soft and how.rigid):  # it does not push out any more: nothing is to be taken back
-        solver.pairs.link[c].bias_velocity = ti.min(0.0, solver.pairs.link[c].bias_velocity)
     p = (before - total) * n
     if ti.static(solver.model.has_friction):
         mass = solver.pairs.contact[c].mass
@@ -207,8 +205,8 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
 
 
 @ti.func
-def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
-    """New accumulated normal impulse of pair c, which approaches with -u [m/s] and had accumulated `before`."""
+def normal_impulse(solver: ti.template(), i, j, c, u, before, how: ti.template()):
+    """New accumulated normal impulse of pair c of balls i and j, which approaches with -u [m/s] and had accumulated `before`."""
     mass = solver.pairs.contact[c].mass
     target = 0.0 * u
     if ti.static(solver.plan.impacts_in_turn):
@@ -219,7 +217,7 @@ def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
         if ti.static(solver.plan.limits_energy and how.stops_first):
             target = ti.select(solver.pairs.contact[c].depth > 0.0, 0.0, target)
     total = contact_law.normal_impulse(u, target, mass, before)
-    if ti.static(solver.plan.soft and not how.rigid):
+    if ti.static(solver.plan.soft):
         bias = solver.pairs.link[c].bias_velocity
         if ti.static(how.takes_back):
             least = -ti.min(before, mass * ti.max(0.0, bias))
@@ -227,8 +225,26 @@ def normal_impulse(solver: ti.template(), c, u, before, how: ti.template()):
                 least += before
             total = ti.max(least, before + (target - u) * mass)
         elif bias >= 0.0:
-            total = contact_law.soft_impulse(u, target + bias, mass, before)
+            kept = contact_law.SOFT_MASS * before
+            if ti.static(how.yields_to_loads_only):
+                kept = before - contact_law.SOFT_LEAK * pair_impacts.load_of(solver, i, j, c, before)
+            total = contact_law.soft_impulse(u, target + bias, mass, kept)
     return total
+
+
+@ti.func
+def present_target(solver: ti.template(), i, j, c, accumulated):
+    """Normal speed [m/s] at which an iteration that yields to loads only changes nothing of what pair c accumulated."""
+    target = 0.0 * accumulated
+    if ti.static(solver.plan.soft):
+        target = ti.min(target, solver.pairs.contact[c].depth * solver.rate[0])
+        bias = solver.pairs.link[c].bias_velocity
+        if bias >= 0.0:
+            yielding = (
+                contact_law.SOFT_LEAK / contact_law.SOFT_MASS * pair_impacts.load_of(solver, i, j, c, accumulated)
+            )
+            target += bias - yielding / solver.pairs.contact[c].mass
+    return target
 
 
 @ti.func

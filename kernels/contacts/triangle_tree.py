@@ -40,28 +40,64 @@ def from_triangle(triangle: ti.template(), t, p):
 
 
 @ti.func
+def is_within(box: ti.template(), k, p, square):
+    """Whether node k comes nearer to p than the root of `square`."""
+    gap = ti.max(entry(box, 6 * k) - p, p - entry(box, 6 * k + 3), 0.0)
+    return gap.dot(gap) < square
+
+
+@ti.func
+def nearest_of(link: ti.template(), triangle: ti.template(), k, p, r, feature, closest):
+    """The way to p from the closest of the triangles of node k and of the one known so far; its feature, and its number."""
+    best = r.dot(r)
+    for t in range(link[3 * k + 1], link[3 * k + 2]):
+        above = entry(triangle, WIDTH * t + 9).dot(p - entry(triangle, WIDTH * t))
+        if above * above < best:
+            q, on = from_triangle(triangle, t, p)
+            if q.dot(q) < best:
+                r, feature, best, closest = q, on, q.dot(q), t
+    return r, feature, closest
+
+
+@ti.func
 def signed_distance(box: ti.template(), link: ti.template(), triangle: ti.template(), first, last, near, p):
     """Signed distance [m] of p from the mesh whose nodes are `first` to before `last`, the direction out of it, and the closest
     triangle. near: a triangle that is not far."""
     r, feature = from_triangle(triangle, near, p)
-    best, closest = r.dot(r), near
+    closest = near
     k = first
     while k < last:
-        gap = ti.max(entry(box, 6 * k) - p, p - entry(box, 6 * k + 3), 0.0)
-        if gap.dot(gap) < best:
-            for t in range(link[3 * k + 1], link[3 * k + 2]):
-                above = entry(triangle, WIDTH * t + 9).dot(p - entry(triangle, WIDTH * t))
-                if above * above < best:
-                    q, on = from_triangle(triangle, t, p)
-                    if q.dot(q) < best:
-                        r, feature, best, closest = q, on, q.dot(q), t
+        if is_within(box, k, p, r.dot(r)):
+            r, feature, closest = nearest_of(link, triangle, k, p, r, feature, closest)
             k += 1
         else:
             k = link[3 * k]
+    d, n = signed(triangle, closest, feature, r)
+    return d, n, closest
+
+
+@ti.func
+def distance_by_leaves(
+    box: ti.template(), link: ti.template(), triangle: ti.template(), leaf: ti.template(), first, last, near, p
+):
+    """The same where only the leaves listed from `first` to before `last` can hold the closest triangle."""
+    r, feature = from_triangle(triangle, near, p)
+    closest = near
+    for e in range(first, last):
+        if is_within(box, leaf[e], p, r.dot(r)):
+            r, feature, closest = nearest_of(link, triangle, leaf[e], p, r, feature, closest)
+    d, n = signed(triangle, closest, feature, r)
+    return d, n
+
+
+@ti.func
+def signed(triangle: ti.template(), closest, feature, r):
+    """The length of the way r from a feature of the closest triangle, negative inside, and the direction out of the mesh."""
+    best = r.dot(r)
     n = entry(triangle, WIDTH * closest + 9 + 3 * feature)
     d = ti.sqrt(best)
     if r.dot(n) < 0.0:
         d = -d
     if best > 0.0:
         n = r / d
-    return d, n, closest
+    return d, n

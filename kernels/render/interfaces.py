@@ -48,7 +48,7 @@ class Surfaces(Protocol):
     style_of: Field  # (triangles) number of its style
     style: Field  # (styles) vector of 8 numbers, see render/styles.py
     is_patterned: bool  # whether any of them has a pattern
-    place: Field  # (vertices) vector, 0 to 1: where each lies in its pattern
+    place: Field  # (3 triangles) vector: where each corner lies in its pattern, of which 0 to 1 is a period
     texel: Field  # (texels) vector, colours of textures, row after row from the top, each followed by its smaller sizes
     rod: Field  # (rods) vector of two vertices
     rod_radius: Field  # (rods)

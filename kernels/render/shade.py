@@ -8,7 +8,7 @@ from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, rod_ends, ve
 from taichi_sim.device.engine import ti
 
 BESIDE = 0.01  # part of the distance that the centre of a pixel and its sample may differ in
-WITHIN = 1 - 1e-6  # of a texture: at 1 itself the next one begins, with the opposite border
+BEFORE = 1e-6  # the end of a texture, where the next one begins, with the opposite border
 STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
 
@@ -133,9 +133,12 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
                 if style[3] > 0 and total > ti.f32(1e-20):
                     inner = 1 / ti.max(ti.abs(det), ti.f32(1e-20))
                     tb, tc = winding * s.dot(h) * inner, winding * ray.dot(q) * inner  # also beside a thin triangle
-                    ab, ac = scene.place[k[1]] - scene.place[k[0]], scene.place[k[2]] - scene.place[k[0]]
-                    place = ti.max(scene.place[k[0]] + ab * tb + ac * tc, ti.f32(0.0))
-                    place = ti.min(place, ti.f32(WITHIN)) * style[7]
+                    pa, pb, pc = scene.place[3 * i], scene.place[3 * i + 1], scene.place[3 * i + 2]
+                    ab, ac = pb - pa, pc - pa
+                    first, last = ti.floor(ti.min(pa, pb, pc)), ti.ceil(ti.max(pa, pb, pc))
+                    last = ti.max(last, first + ti.f32(1.0))
+                    place = ti.max(pa + ab * tb + ac * tc, first)
+                    place = ti.min(place, last - ti.f32(BEFORE) * (ti.abs(last) + ti.f32(1.0))) * style[7]
                     size = ti.max(
                         ab.norm() / ti.max(e1.norm(), ti.f32(1e-20)), ac.norm() / ti.max(e2.norm(), ti.f32(1e-20))
                     )

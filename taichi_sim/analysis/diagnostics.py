@@ -95,7 +95,9 @@ def _elements(scene: Scene, x: Floats, torn: NDArray) -> float:
     for gas in scene.gases:
         now = enclosed(x, gas.triangles) / gas.volume
         inside = (gas.pressure + gas.outside) * gas.volume
-        total += gas.outside * gas.volume * (now - 1.0) - (inside * float(np.log(now)) if now > 0 else -np.inf)
+        total += gas.outside * gas.volume * (now - 1.0)
+        if inside:
+            total -= inside * float(np.log(now)) if now > 0 else -np.inf
     return total
 
 

@@ -72,7 +72,7 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
         kinds.append(_Kind(balls[None], gradient[balls][None], np.array([strength])))
         edge = np.linalg.norm(x[np.roll(t, -1, axis=1)] - x[t], axis=2)  # from corner k to the next
         length = np.bincount(t.ravel(), (edge + np.roll(edge, 1, axis=1)).ravel(), scene.n_balls)
-        press += float((gas.pressure * length / 6.0 * root).max()) * float(root.max())
+        press += float((abs(gas.pressure) * length / 6.0 * root).max()) * float(root.max())
     elastic = _largest(kinds, root, scene.dim) + press
     damping = _largest([_Kind(scene.bends, bends, loss)], root, scene.dim) if len(scene.bends) else 0.0
     drag = _drag(scene)
@@ -142,7 +142,7 @@ def pushing_gas(scene: Scene) -> float:
         side = np.linalg.norm(x[np.roll(t, -1, axis=1)] - x[t], axis=2)
         for one in (t, np.roll(t, -1, axis=1)):
             np.minimum.at(edge, one.ravel(), side.ravel())
-        rate = np.where(scene.pinned, 0.0, gas.pressure * np.linalg.norm(push, axis=1) / (scene.mass * edge))
+        rate = np.where(scene.pinned, 0.0, abs(gas.pressure) * np.linalg.norm(push, axis=1) / (scene.mass * edge))
         if rate.max() > 0.0:
             least = min(least, float(np.sqrt(PUSH / rate.max())))
     return least

@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from taichi_sim.analysis.methods import Method
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_cells", "of_depth", "of_energy", "takes_nothing"]
+__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_cells", "of_depth", "of_energy", "takers"]
 
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
@@ -17,43 +16,48 @@ KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
 
 class Scales(NamedTuple):
-    """What a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. closed: nothing works on the scene; lossless: nor
-    does anything but the method take energy. motion [J]: the largest kinetic and elastic energy seen. swing: the part of it
-    that the method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy itself."""
+    """What a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. closed: nothing works on it; takers: what of
+    the scene takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of it that the
+    method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy itself. touches: there
+    may be contacts."""
 
     slow: float
     closed: bool
-    lossless: bool
+    takers: tuple[str, ...]
     motion: float
     swing: float
     squeezes: bool
     damps: str = ""
+    touches: bool = True
 
 
-def takes_nothing(scene: Scene, method: Method) -> bool:
-    """Whether neither restitution, friction nor damping of a scene takes energy, nor the method: of two materials the larger
-    restitution and the geometric mean of frictions count, so those of the balls decide."""
-    made_of = [scene.materials[k] for k in np.unique(scene.material)]
-    elastic = all(m.restitution == 1.0 and m.friction == 0.0 and m.viscous_friction == 0.0 for m in made_of)
-    return elastic and method.conserves and not scene.damping.any() and not scene.bend_damping.any()
+def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
+    """Which of restitution, friction and damping take energy in a scene. touches: there may be contacts. Of two materials the
+    larger restitution and the geometric mean of frictions count, so those of the balls decide."""
+    made_of = [scene.materials[k] for k in np.unique(scene.material)] if touches else []
+    found = {
+        "restitution": any(m.restitution < 1.0 for m in made_of),
+        "friction": any(m.friction > 0.0 or m.viscous_friction > 0.0 for m in made_of),
+        "damping": bool(scene.damping.any() or scene.bend_damping.any()),
+    }
+    return tuple(name for name, takes in found.items() if takes)
 
 
 def _grade(value: float, good: float, wrong: float) -> str:
     return "good" if value <= good else "look at it" if value <= wrong else "wrong"
 
 
-def cure_of_depth(squeezes: bool, iterations: int) -> str:
-    """What to do where balls lie deep in something."""
-    steps = f"take shorter steps, or more contact_iterations than {iterations}"
+def cure_of_depth(squeezes: bool) -> str:
+    """Advice where balls lie deep in something: overlap falls with the step, and hardly with iterations."""
     if squeezes:
-        return f"where something that moves squeezes them, stop it sooner; else {steps}"
-    return steps
+        return "where something that moves squeezes them, stop it sooner; else take shorter steps"
+    return "take shorter steps"
 
 
-def of_depth(part: float, squeezes: bool, iterations: int) -> str:
+def of_depth(part: float, squeezes: bool) -> str:
     """Verdict on the largest overlap as a part of the smaller radius."""
     grade = _grade(part, SHALLOW, DEEP)
-    return grade if grade == "good" else f"{grade}; {cure_of_depth(squeezes, iterations)}"
+    return grade if grade == "good" else f"{grade}; {cure_of_depth(squeezes)}"
 
 
 def of_approach(left: float, scales: Scales, fastest: float, iterations: int) -> str:
@@ -61,7 +65,7 @@ def of_approach(left: float, scales: Scales, fastest: float, iterations: int) ->
     for a moment); fastest [m/s]: of a ball in the run."""
     slow = max(scales.slow, SLOW_PART * fastest)
     grade = _grade(left, slow, MANY * slow)
-    return grade if grade == "good" else f"{grade}; {cure_of_depth(False, iterations)}"
+    return grade if grade == "good" else f"{grade}; take shorter steps, or more contact_iterations than {iterations}"
 
 
 def of_cells(now: int, most: int) -> str:
@@ -84,13 +88,16 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     kept = max(KEPT, scales.swing)
     if part > kept:
         return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; nothing in the scene explains it: take shorter steps"
-    if scales.lossless:
-        grade = _grade(abs(part), kept, max(LOST, kept))
-        cure = "" if grade == "good" else "; only contacts can have changed it: take shorter steps, see `check`"
+    grade = _grade(abs(part), kept, max(LOST, kept))
+    if not scales.takers and not scales.damps:
+        who = "only contacts can have changed it" if scales.touches else "nothing in the scene takes energy"
+        cure = "" if grade == "good" else f"; {who}: take shorter steps, see `check`"
         return f"off by {much}: {grade}{cure}"
-    own = f", or into the damping of {scales.damps} itself" if scales.damps else ""
-    return (
-        f"{start - end:.4g} J of it went into restitution, friction and damping{own}, as expected"
-        if part < -kept
-        else ""
-    )
+    if part >= -kept:
+        return ""
+    lost = f"{start - end:.4g} J of it"
+    into = " and ".join(filter(None, [", ".join(scales.takers[:-1]), *scales.takers[-1:]]))
+    if not scales.takers:
+        return f"{lost} went into the own damping of {scales.damps}; shorter steps lose less"
+    own = f", or into the own damping of {scales.damps}: shorter steps tell" if scales.damps else ", as expected"
+    return f"{lost} went into {into}{own}"

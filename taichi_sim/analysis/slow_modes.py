@@ -13,7 +13,7 @@ from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import Method
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["Decay", "slow_decays"]
+__all__ = ["Decay", "not_worked_out", "slow_decays"]
 
 Floats = NDArray[np.float64]
 
@@ -31,11 +31,22 @@ class Decay(NamedTuple):
     found: float
 
 
+def not_worked_out(scene: Scene) -> str:
+    """Why the modes of a scene with springs are not worked out; empty where they are."""
+    free = int(np.count_nonzero(~scene.pinned))
+    if not scene.n_springs or not free:
+        return ""
+    if any(element_rates(scene)):
+        kinds = {"cells": scene.cells, "bending": scene.bends, "gas": scene.gases}
+        return f"only springs are analysed, and this scene has {', '.join(name for name, some in kinds.items() if len(some))}"
+    return f"{free} free balls are more than the {MOST // scene.dim} analysed" if free * scene.dim > MOST else ""
+
+
 def slow_decays(scene: Scene, method: Method, h: float, position: Floats) -> list[Decay]:
-    """The slowest modes at `position` (n, dim) [m] with steps of h seconds; none where the scene is too large to work them out,
-    has cells, bending or gas, which are left out here, or no springs, and none of a method that declares no amplification."""
+    """The slowest modes at `position` (n, dim) [m] with steps of h seconds; none of a scene that `not_worked_out` gives a reason
+    for, without springs or free balls, and of a method that declares no amplification."""
     free = np.flatnonzero(~scene.pinned)
-    if not scene.n_springs or any(element_rates(scene)) or not 0 < len(free) * scene.dim <= MOST:
+    if not scene.n_springs or not len(free) or not_worked_out(scene):
         return []
     k, dim = scene.stiffness, scene.dim
     r = position[scene.pairs[:, 1]] - position[scene.pairs[:, 0]]

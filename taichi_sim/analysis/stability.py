@@ -10,7 +10,7 @@ from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import Method
 from taichi_sim.analysis.spring_bounds import Network, largest_eigenvalue, present_eigenvalue
 from taichi_sim.geometry.graph import components
-from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = [
     "Sinking",
@@ -23,6 +23,7 @@ __all__ = [
     "without",
 ]
 
+MOST_BOUNCE = 0.85  # restitution at which springs solved one by one are known to gain nothing from a wall
 SINKING = 0.05  # of a rest length: what xpbd may leave a spring too long by
 HEAVY = 10.0  # times the mass of the other end: such a ball may not
 VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
@@ -64,7 +65,9 @@ def stability(
             pushed, pushed, None, None, "gas: each step leaves the springs of its surface a part of what it pushes"
         )
     if not limit.by_springs and not any(rates):
-        return _unlimited(f"{method} is stable at any step{limit.caution}")
+        bounces = method.single_pass and max_restitution(scene) > MOST_BOUNCE
+        caution = f"; bodies that bounce at a restitution above {MOST_BOUNCE:g} may gain energy" if bounces else ""
+        return _unlimited(f"{method} is stable at any step{limit.caution}{caution}")
     k, c = _whole(scene, torn)
     if not limit.by_springs or not np.any(k + c > 0):
         return _of_elements(method, limit, rates, custom)

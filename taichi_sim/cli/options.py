@@ -156,17 +156,23 @@ def paths_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
 
 
 def _value(option: str, text: str, value: str | None) -> Any:
-    """A value in TOML, or the words themselves. Raises SceneError for one too deep (None is)."""
+    """A value in TOML, or the words themselves. Raises SceneError for one too deep (None is), and for several."""
     from taichi_sim.common.errors import SceneError
     from taichi_sim.files.toml_reader import MOST_NESTED, nested, tomllib
 
     try:
         if value is not None:
-            plain = tomllib.loads(f"x = {value}")["x"]
-            if nested(plain) is None:
-                return plain
+            plain = tomllib.loads(f"x = {value}")
+            if len(plain) > 1:
+                raise SceneError(option, text, says=f"holds more than one value; give each a {option} of its own")
+            if nested(plain["x"]) is None:
+                return plain["x"]
+    except SceneError:
+        raise
     except ValueError:
-        return value
+        if value is not None and value.isprintable():
+            return value
+        raise SceneError(option, text, says="holds several lines, or characters that are not seen") from None
     except RecursionError:
         pass
     raise SceneError(option, text, says=f"has lists or tables within each other, more than {MOST_NESTED} deep")

@@ -58,7 +58,9 @@ def run(
     scheduler: Scheduler = None,
     error: Annotated[
         bool,
-        flag("error", "Run SCENE a second time at half the step, and give the results with the error of the step."),
+        flag(
+            "error", "Run SCENE a second time at half the step, and give results with the error of step and rounding."
+        ),
     ] = False,
     quiet: Quiet = False,
     **options: Any,

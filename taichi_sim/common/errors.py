@@ -23,6 +23,7 @@ __all__ = [
 ]
 
 KeyPath = tuple[str | int, ...]
+DIGITS = 18  # of an index; longer ones are no numbers
 RENAMED = {
     "contact_passes": "contact_iterations",
     "skins": "embedded_surfaces",
@@ -114,7 +115,7 @@ def path_of(place: str | Sequence[str | int]) -> KeyPath:
     if not isinstance(place, str):
         return tuple(place)
     parts = place.replace("[", ".").replace("]", "").split(".")
-    return tuple(int(part) if part.isdigit() else part for part in parts)
+    return tuple(int(part) if part.isascii() and part.isdigit() and len(part) <= DIGITS else part for part in parts)
 
 
 def key_name(path: Sequence[str | int]) -> str:

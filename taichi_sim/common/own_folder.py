@@ -13,8 +13,8 @@ LOCK = "lock"  # the first file that is made in one, and the last that is delete
 
 
 def require_own(folder: Path, record: str | None = None) -> None:
-    """Raises OSError, with one sentence, where a link or a file lies in place of the folder, where it holds a link, a pipe or a
-    device, and where it is not empty and has no `record`, the file that says what it is of."""
+    """Raises OSError, with one sentence, where a link or a file lies in place of the folder, where it holds a link, also
+    a hard one, a pipe or a device, and where it is not empty and has no `record`, the file that says what it is of."""
     does = f"{folder}: {{}}; this program makes such a folder itself: remove it, or give another name"
     if folder.is_symlink():
         raise FileExistsError(does.format("is a link"))
@@ -27,6 +27,8 @@ def require_own(folder: Path, record: str | None = None) -> None:
         kind = "link" if entry.is_symlink() else kind_of(entry)
         if kind in ("link", "pipe", "device"):
             raise FileExistsError(does.format(f"holds {entry.name!r}, which is a {kind}"))
+        if kind == "file" and entry.stat().st_nlink > 1:
+            raise FileExistsError(does.format(f"holds {entry.name!r}, which is also the file of another name"))
     if record is not None and not (folder / record).is_file() and not is_fresh(folder):
         raise FileExistsError(does.format("is a folder that this program did not make"))
 

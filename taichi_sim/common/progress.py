@@ -38,10 +38,10 @@ _log: TextIO | None = None  # where lines go instead of standard error
 
 class Work:
     """Work in progress. total: steps of it, None where that is not known; done: steps that are finished; what: the steps in
-    words, like "frames"; words: further text, made whenever it is shown."""
+    words, like "frames"; words: further text, made whenever it is shown; about: whether the total may turn out otherwise."""
 
-    def __init__(self, total: int | None = None, what: str = "", done: int = 0) -> None:
-        self.total, self.what, self.done = total, what, done
+    def __init__(self, total: int | None = None, what: str = "", done: int = 0, about: bool = False) -> None:
+        self.total, self.what, self.done, self.about = total, what, done, about
         self.words: Callable[[], str] = str
         self.begin(what)
 
@@ -56,16 +56,20 @@ class Work:
         return time.monotonic() - self._since
 
     @property
+    def pace(self) -> float:
+        """Steps a second in this phase."""
+        return (self.done - self._first) / max(1e-9, self.elapsed)
+
+    @property
     def remaining(self) -> str:
         """Time left at the pace of this phase, like `0:01:30 left`; empty while there is no pace."""
         if self.total is None or self.done <= self._first:
             return ""
-        each = self.elapsed / (self.done - self._first)
-        return f"{timedelta(seconds=round(each * (self.total - self.done)))} left"
+        return f"{timedelta(seconds=round((self.total - self.done) / self.pace))} left"
 
     def line(self) -> str:
         """Text of one line: `12 of 240 frames, 0:01:30 left`."""
-        count = f"{self.done}" if self.total is None else f"{self.done} of {self.total}"
+        count = f"{self.done}" if self.total is None else f"{self.done} of {'about ' * self.about}{self.total}"
         counted = f"{count} {self.what}" if self.what else ""
         return ", ".join(part for part in (counted, self.words()) if part)
 

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 __all__ = ["EXACT", "measured", "measures", "percent", "plain_number"]
 
 EXACT = 1e-12  # of a value: an uncertainty below that is rounding
+ROUNDED = "exact to rounding"
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 PREFIXED = ("m", "m/s", "N", "N s", "N/m", "J", "Pa", "s", "W")  # units that take a prefix
 
 
 def measured(value: float, uncertainty: float | None = None, unit: str = "", source: str = "") -> str:
     """A value with its uncertainty: `15.60 +- 0.09 kN (step)`; without one (None) three digits: `15.6 kN`."""
-    return f"{measures([value], [uncertainty], unit)[0]}{f' ({source})' if source else ''}"
+    words = measures([value], [uncertainty], unit)[0]
+    return f"{words} ({source})" if source and not words.endswith(ROUNDED) else words
 
 
 def measures(values: Sequence[float], uncertainties: Sequence[float | None], unit: str = "") -> list[str]:
@@ -57,7 +59,7 @@ def _one(value: float, uncertainty: float | None, unit: str) -> str:
     if uncertainty is None or math.isnan(uncertainty) or not math.isfinite(value):
         return f"{plain_number(value)}{shown}"
     if uncertainty <= EXACT * abs(value):
-        return f"{value:.6g}{shown}, exact to rounding"
+        return f"{value:.6g}{shown}, {ROUNDED}"
     if not math.isfinite(uncertainty):
         return f"{plain_number(value)}{shown}, uncertainty without bound"
     digits = 2 if f"{uncertainty:.0e}"[0] == "1" else 1

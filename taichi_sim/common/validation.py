@@ -51,10 +51,18 @@ def as_array(value: Any) -> NDArray[Any]:
         return array
 
 
+def _mixes(value: Any) -> bool:
+    """Truth values in a list, or in lists within it, which NumPy takes for numbers where there are others."""
+    if not isinstance(value, (list, tuple)):
+        return False
+    kinds = set(map(type, value))
+    return not kinds.isdisjoint((bool, np.bool_)) or (not kinds.isdisjoint((list, tuple)) and any(map(_mixes, value)))
+
+
 def _array(where: str, value: ArrayLike, what: str, most: float = MOST_MAGNITUDE) -> NDArray[np.float64]:
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in "iuf":
+        if array.dtype.kind not in "iuf" or _mixes(value):
             raise ValueError
         array = array.astype(np.float64)
     except (TypeError, ValueError):
@@ -200,7 +208,7 @@ def indices(
     array = as_array(value)
     if array.size == 0 and array.dtype != object:
         return np.zeros((0,) if width is None else (0, width), dtype=np.int32)
-    if array.dtype.kind not in "iu":
+    if array.dtype.kind not in "iu" or _mixes(value):
         raise SceneError(where, value, says="is not a list of integers")
     fits = array.ndim == 1 if width is None else array.ndim == 2 and array.shape[1] == width
     _shape(where, array, fits, "(k,)" if width is None else f"(k, {width})")

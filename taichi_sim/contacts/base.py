@@ -6,7 +6,7 @@ from taichi_sim.common import validation
 from taichi_sim.contacts.found_contacts import FoundContacts
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.device.engine import ti
-from taichi_sim.kernels.contacts import ccd_balls, pair_colours, pair_solve, pair_sweeps
+from taichi_sim.kernels.contacts import ccd_balls, impact, pair_colours, pair_solve, pair_sweeps
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["ContactRule"]
@@ -206,6 +206,14 @@ class ContactRule(FoundContacts):
         if ti.static(self.plan.neighbours):
             self.pairs.grid.watch(i, ball[i].x + shift)
         return shift, drift
+
+    @ti.func
+    def second_half(self, i, kick):
+        """What the second half of a step's kick does to ball i, which may have met a wall in this step."""
+        result = kick
+        if ti.static(self.plan.reflects):
+            result = impact.thrown_back(self.walls, i, kick)
+        return result
 
     @ti.func
     def _correct_positions(self, ball: ti.template(), h):

@@ -85,9 +85,16 @@ class Colliders:
             )
             data |= {"first_node": nodes[:-1], "last_node": nodes[1:]}
             columns |= {"first_node": ti.i32, "last_node": ti.i32}
-            near = [g.near.ravel() + np.where(g.near.ravel() < 0, 0, t) for g, t in zip(grids, triangles)]
+            cells, leaves = (
+                np.cumsum([0, *(len(part) for part in parts)])
+                for parts in ([g.cells for g in grids], [g.leaves for g in grids])
+            )
+            exact = [g.exact.ravel() + np.where(g.exact.ravel() < 0, 0, c) for g, c in zip(grids, cells)]
+            cell = [(g.cells + np.array([t, e])).ravel() for g, t, e in zip(grids, triangles, leaves)]
+            leaf = [g.leaves + k for g, k in zip(grids, nodes)]
             link = [(g.tree.links + np.array([k, t, t])).ravel() for g, k, t in zip(grids, nodes, triangles)]
-            self.near, self.link = fields.integers(np.concatenate(near)), fields.integers(np.concatenate(link))
+            tables = (exact, cell, leaf, link)
+            self.exact, self.cell, self.leaf, self.link = (fields.integers(np.concatenate(one)) for one in tables)
             self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))
             self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))
         self.shape = fields.table(columns, self.count, data)

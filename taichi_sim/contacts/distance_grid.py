@@ -22,17 +22,22 @@ __all__ = ["DistanceGrid", "distance_grid", "distance_grids"]
 MOST_CORNERS = 1 << 24
 CORNER_BYTES = 32  # while a grid is made; what it keeps is less than half of that
 BORDER = 2  # cells around what comes near the mesh
+MOST_LEAVES = 32  # of a cell; where there are more the tree is faster
 NEAR = 2.0  # cells: beyond, what lies between corners is as good as they are
 INEXACT = 0.02  # of a cell, and of the smallest diameter: the largest error of what lies between corners
+BETWEEN = 0.44  # of a cell: no place in one is farther from those that are looked at
 ROW_SHIFT = 1e-5  # of a cell, see `winding`
 
 
 class DistanceGrid(NamedTuple):
-    """value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k); near (nz, ny, nx): -1 where values
-    interpolate well in the cell that begins there, else the number of a triangle near it, of those of the tree."""
+    """value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k); exact (nz, ny, nx): -1 where values
+    interpolate well in the cell that begins there, else its number; of cells (c + 1, 2) with numbers a triangle of the tree near
+    it, and where those leaves of the tree begin among `leaves` that may hold the closest one: none where these are many."""
 
     value: NDArray[np.float64]
-    near: NDArray[np.int32]
+    exact: NDArray[np.int32]
+    cells: NDArray[np.int64]
+    leaves: NDArray[np.int32]
     low: NDArray[np.float64]
     cell: float
     tree: TriangleTree
@@ -62,7 +67,7 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     real = np.float64 if wide else np.float32
     origin = np.zeros(3) if wide else start  # single precision has digits to spare only near the grid
     tree = triangle_tree(Surface(collider.vertices, collider.triangles))
-    lengths = [cell, ROW_SHIFT, NEAR * cell, INEXACT * min(cell, finest)]
+    lengths = [cell, ROW_SHIFT, NEAR * cell, INEXACT * min(cell, finest), reach + BETWEEN * cell]
 
     def given(array: NDArray[Any], kind: Any = real) -> Any:
         array = np.ascontiguousarray(array, dtype=kind)
@@ -94,7 +99,21 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     grids = given(value), given(closest, np.int32)  # kept by name: a device may still read what is passed and forgotten
     loops.find_inexact(*grids, *tables, near, frame)
     ti.sync()
-    return DistanceGrid(value, _on_host(near), start, cell, tree)
+    near = _on_host(near)
+    at = np.argwhere(near >= 0)
+    exact = np.full(shape, -1, np.int32)
+    exact[tuple(at.T)] = np.arange(len(at))
+    near = near[near >= 0]
+    given_cells = given(at[:, ::-1], np.int32), *tables, given(near, np.int32)
+    begin, leaves = given(np.zeros(len(at) + 1), np.int32), given(np.zeros(1), np.int32)
+    loops.list_leaves(*given_cells, begin, leaves, frame, MOST_LEAVES)
+    ti.sync()
+    first = np.concatenate([[0], np.cumsum(_on_host(begin)[:-1])])
+    begin, leaves = given(first, np.int32), given(np.zeros(max(1, first[-1])), np.int32)
+    loops.list_leaves(*given_cells, begin, leaves, frame, 0)
+    ti.sync()
+    cells = np.stack([np.append(near, 0), first], axis=1)
+    return DistanceGrid(value, exact, cells, _on_host(leaves), start, cell, tree)
 
 
 def _facing_out(
@@ -129,7 +148,8 @@ def _on_device(array: NDArray[Any]) -> Any:
 def distance_grids(scene: Scene) -> list[DistanceGrid]:
     """One for each collider, empty for what is no mesh; to be made before the fields of a simulation are. Raises SceneError where
     they do not fit into memory together."""
-    none = DistanceGrid(np.zeros((0, 0, 0)), np.zeros((0, 0, 0), np.int32), np.zeros(3), 1.0, NO_TREE)
+    integers = np.zeros(0, np.int32)
+    none = DistanceGrid(np.zeros((0, 0, 0)), integers, np.zeros((0, 2), np.int64), integers, np.zeros(3), 1.0, NO_TREE)
     if all(collider.kind != MESH for collider in scene.colliders):
         return [none] * len(scene.colliders)
     reach = 2.0 * float(np.max(scene.radius, initial=0.0))

@@ -34,6 +34,9 @@ class ContactPlan:
     loaded: bool  # what forces add in a step is no impact
     line_search: bool  # see kernels.contacts.impact_iterations
     limits_energy: bool  # see kernels.contacts.energy_limiter
+    reflects: (
+        bool  # what forces did before an impact on a wall is thrown back with the ball, see kernels.contacts.impact
+    )
     iterations: int  # of the solve before the move
     gathers: bool  # both balls of a pair list it, and each sums what it gets: no order of pairs, and no atomics
     by_colours: bool  # both list it, and pairs are solved in turn by colours, see kernels.contacts.pair_colours
@@ -55,6 +58,7 @@ def plan_contacts(
     rule: Any,
     *,
     relaxes: bool,
+    reflects: bool,
     custom_method: bool,
     extra_forces: bool,
     iterations: int,
@@ -62,8 +66,8 @@ def plan_contacts(
     atomic: bool,
     serial: bool,
 ) -> ContactPlan:
-    """The plan of a scene whose contacts a ContactRule solves. relaxes, custom_method: of the integrator; extra_forces: there are
-    others than gravity and springs; parallel: as many threads as balls are to have work."""
+    """The plan of a scene whose contacts a ContactRule solves. relaxes, reflects, custom_method: of the integrator;
+    extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have work."""
     reasons: list[str] = []
     chosen: dict[str, Any] = {}
 
@@ -128,6 +132,11 @@ def plan_contacts(
     )
     restitution = any(material.restitution > 0 for material in used_materials(scene))
     bounces = decide("bounces", impacts_in_turn and restitution, "impacts in turn, and a material with restitution")
+    decide(
+        "reflects",
+        walls and restitution and pulls and reflects,
+        "walls, restitution, forces that change within a step, and a method that asks for them at its end",
+    )
     decide(
         "foresees",
         impacts_in_turn and soft and not bounces,

@@ -47,6 +47,8 @@ class Walls(Surfaces):
         if not self.has_colliders:
             self.clearance = fields.reals(model.n)
         self.touching = fields.integers(model.n)
+        if plan.reflects:
+            self.reflected = fields.vectors(model.n, model.dim)
 
     def names(self) -> list[str]:
         """What is compiled in, for `Simulation.kernels()`."""
@@ -175,8 +177,11 @@ class Walls(Surfaces):
                 self.contact[c].target = target
                 if ti.static(starts):
                     p = self.contact[c].impulse * n
-                    if ti.static(self.model.has_friction):
-                        p += self.contact[c].tangential_impulse
+                    if ti.static(self.model.has_friction):  # along a round surface the normal has turned since
+                        tangential = self.contact[c].tangential_impulse
+                        tangential -= tangential.dot(n) * n
+                        self.contact[c].tangential_impulse = tangential
+                        p += tangential
                     if ti.static(self.probed):
                         self.record(i, k, p)
                     solver.apply(i, p, -cross(n, p))

@@ -166,8 +166,8 @@ class Expected:
         if self._before is None:
             about = self._about() * _pace(recall(TABLE))
             if waited > about:
-                return f"compiling (first run, longer than the {about:.0f} s expected)"
-            return f"compiling (first run, about {about:.0f} s)"
+                return f"compiling kernels (longer than the {about:.0f} s expected)"
+            return f"compiling kernels (about {about:.0f} s, less where they are cached)"
         if waited > self._before:
             return f"loading kernels (longer than last time, {self._before:.0f} s)"
         return f"loading kernels (about {self._before:.0f} s)"

@@ -1,18 +1,21 @@
 """Parameters: values of a scene that are set by their paths, like `materials.rubber.restitution`, without editing its file."""
 
 import inspect
+import re
 from collections.abc import Mapping
+from operator import eq
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from taichi_sim.common.errors import SceneError, did_you_mean, key_name, path_of
+from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name, path_of
 from taichi_sim.files.toml_schema import Document
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["changed_scene", "put", "python_scene_with"]
 
-SINGLE = ("simulation", "output", "wind")  # tables that a file has once, or not at all
+SINGLE = (("simulation",), ("output",), ("wind",), ("output", "camera"))  # tables that a file has once, or not at all
+PATH = re.compile(r"[^.\[\]]+(\.[^.\[\]]+|\[[0-9]{1,18}\])*")
 
 
 def changed_scene(file: Path, parameters: Mapping[str, Any], allow_outside: bool = False) -> Scene:
@@ -20,13 +23,15 @@ def changed_scene(file: Path, parameters: Mapping[str, Any], allow_outside: bool
     from taichi_sim.files.toml_reader import Reader, parsed
 
     text, document = parsed(file)
-    for path, value in parameters.items():
-        try:
-            put(document, path, value)
-        except SceneError as error:
-            error.file = file
-            raise
-    return Reader(file, text, document, None, allow_outside).scene()
+    changed = []
+    try:
+        changed += [put(document, path, value) for path, value in parameters.items()]
+        return Reader(file, text, document, None, allow_outside).scene()
+    except SceneError as error:
+        error.file = file
+        if error.path and any(all(map(eq, error.path, path)) for path in changed):
+            error.line = None  # another value stands there
+        raise
 
 
 def python_scene_with(file: Path, made: Any, parameters: Mapping[str, Any]) -> Scene:
@@ -45,48 +50,53 @@ def python_scene_with(file: Path, made: Any, parameters: Mapping[str, Any]) -> S
             return changed_scene(saved, rest)
         except SceneError as error:
             error.file, error.line = file, None
-            if takes:
+            if takes and error.value is ...:
                 error.says += f"; arguments of scene(): {', '.join(takes)}"
             raise
 
 
-def put(document: dict[str, Any], path: str, value: Any) -> None:
-    """Set a value in what a scene file says. Raises SceneError, which says what there is, for a path that leads nowhere."""
+def put(document: dict[str, Any], path: str, value: Any) -> KeyPath:
+    """Set a value in what a scene file says; its path without names. Raises SceneError, which says what there is, for a path that
+    leads nowhere."""
+    if not (PATH.fullmatch(path) and path.isprintable()):
+        raise SceneError((), path, says="is no path; write it like materials.rubber.restitution or gravity[1]")
     parts = path_of(path)
     if len(parts) == 1 and parts[0] not in Document.model_fields:
         raise SceneError(parts, says=f"is not a known key; {did_you_mean(str(parts[0]), list(Document.model_fields))}")
     node: Any = document
-    for depth, part in enumerate(parts[:-1]):
-        node = _step(node, parts, depth, part)
-    last = parts[-1]
-    fits = isinstance(node, dict) and isinstance(last, str)
-    if not fits and not (isinstance(node, list) and isinstance(last, int) and last < len(node)):
-        raise _nowhere(node, parts, len(parts) - 1)
-    node[last] = value
+    keys = []
+    for depth in range(len(parts)):
+        keys.append(_key(node, parts, depth))
+        if depth < len(parts) - 1:
+            node = node.setdefault(keys[-1], {}) if isinstance(node, dict) else node[keys[-1]]
+    node[keys[-1]] = value
+    return tuple(keys)
 
 
-def _step(node: Any, parts: tuple[str | int, ...], depth: int, part: str | int) -> Any:
-    if isinstance(node, dict) and part in node:
-        return node[part]
-    if isinstance(node, dict) and depth == 0 and part in SINGLE:
-        return node.setdefault(part, {})
+def _key(node: Any, parts: KeyPath, depth: int) -> str | int:
+    """Where the part at that depth stands in a table or a list."""
+    part, last = parts[depth], depth == len(parts) - 1
+    if isinstance(node, dict) and isinstance(part, str) and (part in node or last or parts[: depth + 1] in SINGLE):
+        return part
     if isinstance(node, list) and isinstance(part, int) and part < len(node):
-        return node[part]
-    if isinstance(node, list) and isinstance(part, str):
-        for entry in node:
+        return part
+    if isinstance(node, list):
+        for k, entry in enumerate(node):
             if isinstance(entry, dict) and entry.get("name") == part:
-                return entry
+                return k
     raise _nowhere(node, parts, depth)
 
 
-def _nowhere(node: Any, parts: tuple[str | int, ...], depth: int) -> SceneError:
+def _nowhere(node: Any, parts: KeyPath, depth: int) -> SceneError:
     here = key_name(parts[:depth]) or "the file"
     if isinstance(node, dict):
         for table, entries in node.items() if depth == 0 else ():
             if isinstance(entries, list) and any(isinstance(e, dict) and e.get("name") == parts[0] for e in entries):
                 rest = [part for part in parts[1:] if part != 0]
                 meant = key_name([table, *parts[:1], *rest])
-                return SceneError(parts, says=f"is no table of this scene, but a {table} has that name: {meant}")
+                return SceneError(
+                    parts, says=f"is no table of a scene; {parts[0]} is a name in {table}; did you mean {meant}?"
+                )
         return SceneError(parts, says=f"is not in this scene; {did_you_mean(str(parts[depth]), list(node))}")
     if isinstance(node, list):
         names = [str(one["name"]) for one in node if isinstance(one, dict) and "name" in one]

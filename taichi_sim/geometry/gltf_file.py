@@ -11,57 +11,43 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.common.atomic_file import require_file
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.atomic_file import kind_of
+from taichi_sim.common.errors import SceneError, short
+from taichi_sim.geometry.gltf_rules import COMPONENTS, WIDTHS, check
 from taichi_sim.geometry.ply_file import unrolled
-from taichi_sim.geometry.polygons import Polygons
+from taichi_sim.geometry.polygons import FormatError, Polygons
 
 __all__ = ["header_of", "outer_files", "read"]
 
 HEADER = struct.Struct("<4sIIII")  # magic, version, length; of the first chunk its length and kind
 CHUNK = struct.Struct("<II")
-COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 COMPRESSIONS = {
     "KHR_draco_mesh_compression": "Draco",
     "EXT_meshopt_compression": "meshopt",
     "KHR_meshopt_compression": "meshopt",
 }
 INSTANCES = "EXT_mesh_gpu_instancing"
-# what names another part by its number, or counts
-WHOLE = {"mesh", "indices", "POSITION", "TEXCOORD_0", "bufferView", "buffer", "scene", "count", "byteOffset", "byteStride",
-    "nodes", "children"}  # fmt: skip
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives; others are points and lines
 
 
 def header_of(data: bytes, kind: str) -> dict[str, Any]:
-    """Return the JSON of a glTF file, kind "glb" or "gltf". Raises ValueError."""
-    if kind == "gltf":
+    """Return the JSON of a glTF file, kind "glb" or "gltf", of which what is read keeps the rules. Raises FormatError."""
+    if kind == "glb":
+        if len(data) < HEADER.size or data[:4] != b"glTF":
+            raise FormatError("it does not begin with glTF")
+        data = data[HEADER.size : HEADER.size + HEADER.unpack_from(data)[3]]
+    try:
         header = json.loads(data)
-    elif len(data) < HEADER.size or data[:4] != b"glTF":
-        raise ValueError("it does not begin with glTF")
-    else:
-        header = json.loads(data[HEADER.size : HEADER.size + HEADER.unpack_from(data)[3]])
+    except (ValueError, RecursionError) as error:
+        at = f" at line {error.lineno}, column {error.colno}" if isinstance(error, json.JSONDecodeError) else ""
+        raise FormatError(f"its JSON is damaged{at}") from None
     if not isinstance(header, dict):
-        raise ValueError("its JSON is no table")
-    version = str(header.get("asset", {}).get("version", "2.0"))
+        raise FormatError("its JSON is no table")
+    check(header)
+    version = header.get("asset", {}).get("version", "2.0")
     if not version.startswith("2."):
-        raise ValueError(f"it is glTF of version {version}; version 2 is read")
-    _check_whole(header)
+        raise FormatError(f"it is glTF of version {version[:9]}; version 2 is read")
     return header
-
-
-def _check_whole(part: Any, name: str = "") -> None:
-    """Raise ValueError for a number or count that is negative or no whole number."""
-    if isinstance(part, dict):
-        for key, value in part.items():
-            if key not in ("extras", "extensions"):
-                _check_whole(value, key)
-    elif isinstance(part, list):
-        for value in part:
-            _check_whole(value, name)
-    elif name in WHOLE and (type(part) is not int or part < 0):
-        raise ValueError(f"{name!r} is {part!r}; it must be a whole number of at least 0")
 
 
 def outer_files(file: Path, header: Mapping[str, Any]) -> dict[int, Path]:
@@ -71,15 +57,19 @@ def outer_files(file: Path, header: Mapping[str, Any]) -> dict[int, Path]:
     for number, buffer in enumerate(header.get("buffers", ())):
         name = unquote(buffer.get("uri", ""))
         if name and not name.startswith("data:"):
+            if not name.isprintable():
+                raise SceneError("mesh", file, says=f"names {short(name)}, which no file is called")
             found[number] = (folder / name).resolve()
             if not found[number].is_relative_to(folder):
-                raise SceneError("mesh", file, says=f"names {name!r}, which lies outside its folder")
-            require_file(found[number])
+                raise SceneError("mesh", file, says=f"names {short(name)}, which lies outside its folder")
+            if (kind := kind_of(found[number])) != "file":
+                is_a = f"is a {kind}, and no file" if kind else "is not there"
+                raise SceneError("mesh", file, says=f"names {short(name)}, which {is_a}")
     return found
 
 
 def read(file: Path, data: bytes, header: Mapping[str, Any], kind: str) -> Polygons:
-    """Return the triangles of a glTF file. Raises ValueError and SceneError."""
+    """Return the triangles of a glTF file. Raises FormatError and SceneError."""
     _refuse_compressed(file, header)
     buffers = _buffers(file, data, header, kind)
     accessors = _Accessors(header, buffers)
@@ -89,10 +79,15 @@ def read(file: Path, data: bytes, header: Mapping[str, Any], kind: str) -> Polyg
         for part in header["meshes"][mesh]["primitives"]:
             if part.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN) or "POSITION" not in part["attributes"]:
                 continue
-            x = accessors.at(part["attributes"]["POSITION"]).astype(np.float64)
+            x = accessors.at(part["attributes"]["POSITION"], "VEC3").astype(np.float64)
             index = np.arange(len(x))
             if "indices" in part:
-                index = accessors.at(part["indices"]).astype(np.int64).ravel()
+                found = accessors.at(part["indices"], "SCALAR")
+                if found.dtype.kind != "u":
+                    raise FormatError(
+                        f"accessors[{part['indices']}] holds indices; they must be whole and not negative"
+                    )
+                index = found.astype(np.int64).ravel()
             triangles = _triangles(index, part.get("mode", TRIANGLES))
             if np.linalg.det(matrix[:3, :3]) < 0.0:  # a mirror
                 triangles = triangles[:, ::-1]
@@ -102,7 +97,10 @@ def read(file: Path, data: bytes, header: Mapping[str, Any], kind: str) -> Polyg
                 and triangles.size
                 and 0 <= triangles.min() <= triangles.max() < len(x)
             ):
-                uv = accessors.at(part["attributes"]["TEXCOORD_0"])[triangles.ravel()] * [1.0, -1.0] + [0.0, 1.0]
+                uv = accessors.at(part["attributes"]["TEXCOORD_0"], "VEC2")[triangles.ravel()] * [1.0, -1.0] + [
+                    0.0,
+                    1.0,
+                ]
             vertices.append(x @ matrix[:3, :3].T + matrix[:3, 3])
             corners.append(first + triangles.ravel())
             places.append(uv)
@@ -130,8 +128,6 @@ def _buffers(file: Path, data: bytes, header: Mapping[str, Any], kind: str) -> l
     for number, buffer in enumerate(header.get("buffers", ())):
         uri = buffer.get("uri", "")
         if number in outside:
-            if not outside[number].is_file():
-                raise SceneError("mesh", file, says=f"names {unquote(uri)!r}, which is not there")
             found.append(outside[number].read_bytes())
         elif uri:
             found.append(base64.b64decode(uri.partition(",")[2]))
@@ -156,20 +152,24 @@ class _Accessors:
         self._accessors, self._views = header.get("accessors", ()), header.get("bufferViews", ())
         self._buffers = buffers
 
-    def at(self, number: int) -> NDArray:
-        """The array (count, width); whole numbers that stand for 0..1 or -1..1 as such."""
+    def at(self, number: int, type: str) -> NDArray:
+        """The array (count, width) of an accessor of this type; whole numbers that stand for 0..1 or -1..1 as such."""
         one = self._accessors[number]
-        count, width, kind = int(one["count"]), WIDTHS[one["type"]], np.dtype(COMPONENTS[one["componentType"]])
+        if one["type"] != type:
+            raise FormatError(f"accessors[{number}].type is {one['type']!r}; it must be {type!r} there")
+        count, width, kind = one["count"], WIDTHS[type], np.dtype(COMPONENTS[one["componentType"]])
         found = np.zeros((count, width), kind)
         if "bufferView" in one:
             found = self._view(number, one["bufferView"], one.get("byteOffset", 0), count, width, kind)
         elif "sparse" not in one:
-            raise ValueError(f"accessor {number} has no data")
+            raise FormatError(f"accessors[{number}] has no data")
         if "sparse" in one:
             found, sparse = found.copy(), one["sparse"]
-            index, values, many = sparse["indices"], sparse["values"], int(sparse["count"])
+            index, values, many = sparse["indices"], sparse["values"], sparse["count"]
             of_index = np.dtype(COMPONENTS[index["componentType"]])
             at = self._view(number, index["bufferView"], index.get("byteOffset", 0), many, 1, of_index)[:, 0]
+            if (at >= count).any():
+                raise FormatError(f"accessors[{number}].sparse.indices names item {at.max()}, and there are {count}")
             found[at] = self._view(number, values["bufferView"], values.get("byteOffset", 0), many, width, kind)
         if one.get("normalized") and kind.kind in "iu":
             return np.maximum(found / float(np.iinfo(kind).max), -1.0)
@@ -181,8 +181,8 @@ class _Accessors:
         first, size = one.get("byteOffset", 0), width * kind.itemsize
         step = one.get("byteStride", size)
         last = offset + step * (count - 1) + size
-        if min(first, offset) < 0 or step < size or last > one["byteLength"] or first + last > len(buffer):
-            raise ValueError(f"accessor {number} reaches beyond its buffer")
+        if step < size or last > one["byteLength"] or first + last > len(buffer):
+            raise FormatError(f"accessors[{number}] reaches beyond its buffer")
         return (
             np.ndarray((count, width), kind, buffer, first + offset, (step, kind.itemsize))
             if count
@@ -216,7 +216,7 @@ def _shown(file: Path, header: Mapping[str, Any]) -> Iterator[tuple[int, NDArray
     while waiting:
         number, outer = waiting.pop()
         if number in seen:
-            raise ValueError(f"node {number} is shown more than once")
+            raise FormatError(f"node {number} is shown more than once")
         seen.add(number)
         node = nodes[number]
         if INSTANCES in node.get("extensions", {}):

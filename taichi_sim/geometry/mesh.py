@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from taichi_sim.common import validation
+from taichi_sim.common.atomic_file import kind_of
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.geometry.mesh_file import SUFFIXES, load, states_up
 from taichi_sim.geometry.polygons import triangulated, without_repeats
@@ -44,8 +45,9 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     file = Path(path)
     if file.suffix.lower() not in SUFFIXES:
         raise SceneError("mesh", file, f"a file that ends in {' '.join(SUFFIXES)}")
-    if not file.is_file():
-        raise SceneError("mesh", file, says=f"is not there; it must be an existing {file.suffix} file")
+    if (kind := kind_of(file)) != "file":
+        says = f"is a {kind}, and no file" if kind else f"is not there; it must be an existing {file.suffix} file"
+        raise SceneError("mesh", file, says=says)
     polygons = load(file)
     vertices, counts = polygons.vertices + 0.0, polygons.counts  # no negative zero
     if not (counts >= 3).any() or not len(vertices):

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.memory import available
 from taichi_sim.geometry import gltf_file, obj_file, ply_file, stl_file
-from taichi_sim.geometry.polygons import Polygons
+from taichi_sim.geometry.polygons import FormatError, Polygons
 
 __all__ = ["SUFFIXES", "load", "states_up"]
 
@@ -23,7 +22,6 @@ def load(file: Path) -> Polygons:
     """Return the polygons of a mesh file. Raises SceneError about `mesh`."""
     kind = file.suffix[1:].lower()
     try:
-        require_file(file)
         _affordable(file, READ_BYTES * file.stat().st_size)
         data = _without_mark(file.read_bytes(), kind)
         if kind in ("glb", "gltf"):
@@ -34,9 +32,8 @@ def load(file: Path) -> Polygons:
     except SceneError:
         raise
     except Exception as error:  # a damaged file may lead anywhere
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        reason = f"it has no {reason}" if isinstance(error, KeyError) else reason
-        says = f"cannot be read as {kind.upper()} with faces: {reason}"
+        reason = str(error) if isinstance(error, FormatError) else getattr(error, "strerror", None)
+        says = f"cannot be read as {kind.upper()} with faces: {reason or 'it is damaged'}"
         raise SceneError("mesh", file, says=says) from error
 
 
@@ -65,12 +62,12 @@ def _without_mark(data: bytes, kind: str) -> bytes:
 def _check_gltf(file: Path, header: Mapping[str, Any]) -> None:
     """Raise where it names files of other folders, or describes more than its bytes hold or the memory that is free."""
     outside = gltf_file.outer_files(file, header).values()
-    held = file.stat().st_size + sum(one.stat().st_size for one in outside if one.is_file())
+    held = file.stat().st_size + sum(one.stat().st_size for one in outside)
     _affordable(file, READ_BYTES * held)
     accessors = header.get("accessors", ())
     for number, accessor in enumerate(accessors):
-        if not 0 <= int(accessor["count"]) <= held:
-            raise ValueError(f"accessor {number} would have {accessor['count']} items in {held} bytes")
+        if accessor["count"] > held:
+            raise FormatError(f"accessors[{number}] would have {accessor['count']} items in {held} bytes")
     faces = [
         sum(accessors[part["indices"]]["count"] / 3 if "indices" in part else held for part in mesh["primitives"])
         for mesh in header.get("meshes", ())

@@ -1,11 +1,12 @@
 """PLY, as text or binary: vertices, faces of any number of corners, strips of triangles."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.geometry.polygons import Polygons
+from taichi_sim.geometry.polygons import FormatError, Polygons, real
 
 __all__ = ["read", "unrolled", "up_of"]
 
@@ -15,7 +16,10 @@ KINDS = {
 }  # fmt: skip
 ENDS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 PLACES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))  # names of a vertex' place on a texture
+NUMBERS = {"x", "y", "z", *sum(PLACES, ())}  # one for each vertex
 CORNERS = ("vertex_indices", "vertex_index")
+MOST_WHOLE = 1 << 53  # from here on not all whole numbers are numbers with a decimal point
+MOST_DIGITS = 18
 
 
 class Property(NamedTuple):
@@ -43,29 +47,47 @@ def up_of(data: bytes) -> str:
 
 
 def read(data: bytes) -> Polygons:
-    """Return the faces of a PLY file. Raises ValueError."""
+    """Return the faces of a PLY file. Raises FormatError."""
     form, elements, body = _head(data)
+    for name, _, columns in elements:
+        for one in columns:
+            if name == "vertex" and one.length and one.name in NUMBERS:
+                raise FormatError(f"its {one.name} is a list, and no number")
     rows: _Rows = _Text(body) if form == "ascii" else _Binary(body, ENDS[form])
     found = {name: rows.element(name, number, columns) for name, number, columns in elements}
     vertex = found.get("vertex", {})
     if not {"x", "y", "z"} <= set(vertex):
-        raise ValueError("it has no vertices with x, y and z")
-    x = np.stack([vertex[name].values.astype(np.float64) for name in "xyz"], axis=1)
+        raise FormatError("it has no vertices with x, y and z")
+    x = _table(vertex, "xyz")
     faces = [found["face"][name] for name in CORNERS if name in found.get("face", {})]
     faces += [_strips(found["tristrips"][name]) for name in CORNERS if name in found.get("tristrips", {})]
-    corners = np.concatenate([np.zeros(0, dtype=np.int64), *(one.values.astype(np.int64) for one in faces)])
+    corners = np.concatenate([np.zeros(0, dtype=np.int64), *(_whole(one.values) for one in faces)])
     counts = np.concatenate([np.zeros(0, dtype=np.int64), *(one.counts for one in faces)])
     uv = None
     for u, v in PLACES:
         if uv is None and {u, v} <= set(vertex) and ((corners >= 0) & (corners < len(x))).all():
-            uv = np.stack([vertex[u].values, vertex[v].values], axis=1).astype(np.float64)[corners]
+            uv = _table(vertex, (u, v))[corners]
     return Polygons(x, corners, counts, uv)
+
+
+def _table(columns: dict[str, Column], names: Iterable[str]) -> NDArray[np.float64]:
+    """Columns of one number a row, side by side."""
+    return np.stack([columns[name].values.astype(np.float64) for name in names], axis=1)
+
+
+def _whole(values: NDArray) -> NDArray[np.int64]:
+    """The numbers of vertices, or of what a list holds, which some write with a decimal point."""
+    if values.dtype.kind == "f":
+        wrong = ~(np.abs(values) < MOST_WHOLE) | (values != np.rint(values))
+        if wrong.any():
+            raise FormatError(f"{values[np.argmax(wrong)]:g} stands where a whole number must")
+    return values.astype(np.int64)
 
 
 def _strips(runs: Column) -> Column:
     """Triangles of strips, which -1 separates within a list."""
     cut = np.flatnonzero(runs.values == -1)
-    triangles = [unrolled(part[part >= 0]) for part in np.split(runs.values.astype(np.int64), cut)]
+    triangles = [unrolled(part[part >= 0]) for part in np.split(_whole(runs.values), cut)]
     corners = np.concatenate(triangles) if triangles else np.zeros((0, 3), dtype=np.int64)
     return Column(corners.ravel(), np.full(len(corners), 3))
 
@@ -81,7 +103,7 @@ def _head(data: bytes) -> tuple[str, list[tuple[str, int, list[Property]]], byte
     """The format, the elements with their number of rows and columns, and what follows the head."""
     end = data.find(b"end_header")
     if not data.startswith(b"ply") or end < 0:
-        raise ValueError("it has no head that begins with ply and ends with end_header")
+        raise FormatError("it has no head that begins with ply and ends with end_header")
     after = end + len(b"end_header")
     after += len(data[after : after + 2]) - len(data[after : after + 2].removeprefix(b"\r").removeprefix(b"\n"))
     form = ""
@@ -92,25 +114,33 @@ def _head(data: bytes) -> tuple[str, list[tuple[str, int, list[Property]]], byte
             case ["format", form, *_]:
                 pass
             case ["element", name, number]:
-                elements.append((name, _whole(number), []))
+                elements.append((name, _rows_of(number), []))
             case ["property", "list", count, kind, name] if elements:
-                elements[-1][2].append(Property(name, _kind(kind), _kind(count)))
+                _add(elements[-1][2], Property(name, _kind(kind), _kind(count)))
             case ["property", kind, name] if elements:
-                elements[-1][2].append(Property(name, _kind(kind)))
+                _add(elements[-1][2], Property(name, _kind(kind)))
+    if len({name for name, _, _ in elements}) < len(elements):
+        raise FormatError("it has two elements of one name")
     if form not in ENDS:
-        raise ValueError(f"its format {form!r} is none of {', '.join(ENDS)}")
+        raise FormatError(f"its format {form!r} is none of {', '.join(ENDS)}")
     return form, elements, data[after:]
 
 
-def _whole(word: str) -> int:
-    if not word.isascii() or not word.isdigit():
-        raise ValueError(f"{word!r} is not the number of rows of an element")
+def _add(columns: list[Property], one: Property) -> None:
+    if one.name in [other.name for other in columns]:
+        raise FormatError(f"an element has two properties {one.name}")
+    columns.append(one)
+
+
+def _rows_of(word: str) -> int:
+    if not word.isascii() or not word.isdigit() or len(word) > MOST_DIGITS:
+        raise FormatError(f"{word!r} is not the number of rows of an element")
     return int(word)
 
 
 def _kind(word: str) -> str:
     if word not in KINDS:
-        raise ValueError(f"{word!r} is not a type; there are {', '.join(KINDS)}")
+        raise FormatError(f"{word!r} is not a type; there are {', '.join(KINDS)}")
     return KINDS[word]
 
 
@@ -118,8 +148,12 @@ class _Rows:
     """Rows of elements, one element behind the other."""
 
     def read(self, name: str, kind: str, number: int) -> NDArray:
-        """The next values of element `name`, so many of this type. Raises ValueError."""
+        """The next values of element `name`, so many of this type. Raises FormatError."""
         raise NotImplementedError
+
+    def length(self, name: str, column: Property) -> int:
+        """How many values the column has in this row."""
+        return int(_whole(self.read(name, column.length, 1))[0]) if column.length else 1
 
     def alike(self, name: str, number: int, columns: list[Property]) -> dict[str, Column] | None:
         """Rows that all have as many values as the first one; None where they have not."""
@@ -135,8 +169,7 @@ class _Rows:
         found: dict[str, list] = {column.name: [] for column in columns}
         for _ in range(number):
             for column in columns:
-                length = int(self.read(name, column.length, 1)[0]) if column.length else 1
-                found[column.name].append(self.read(name, column.kind, length))
+                found[column.name].append(self.read(name, column.kind, self.length(name, column)))
         return {
             key: Column(np.concatenate(rows), np.array([len(row) for row in rows], dtype=np.int64))
             for key, rows in found.items()
@@ -152,7 +185,7 @@ class _Binary(_Rows):
     def read(self, name: str, kind: str, number: int) -> NDArray:
         made = np.dtype(self._end + kind)
         if number < 0 or number * made.itemsize > len(self._body) - self._at:
-            raise ValueError(f"it ends within its element {name}")
+            raise FormatError(f"it ends within its element {name}")
         part = np.frombuffer(self._body, made, number, self._at)
         self._at += number * made.itemsize
         return part
@@ -160,7 +193,7 @@ class _Binary(_Rows):
     def alike(self, name: str, number: int, columns: list[Property]) -> dict[str, Column] | None:
         here, kinds, lengths = self._at, list[tuple](), dict[str, int]()
         for column in columns:
-            length = int(self.read(name, column.length, 1)[0]) if column.length else 1
+            length = self.length(name, column)
             self.read(name, column.kind, length)
             kinds += [(f"{column.name} length", self._end + column.length)] * bool(column.length)
             kinds.append((column.name, self._end + column.kind, (length,)))
@@ -183,13 +216,13 @@ class _Text(_Rows):
 
     def read(self, name: str, kind: str, number: int) -> NDArray:
         if number < 0 or number > len(self._words) - self._at:
-            raise ValueError(f"it ends within its element {name}")
+            raise FormatError(f"it ends within its element {name}")
         words = self._words[self._at : self._at + number]
         self._at += number
         try:
-            return np.array([float(word) for word in words])
-        except ValueError as error:
-            raise ValueError(f"element {name}: {str(error).rpartition(': ')[2]} is not a number") from None
+            return np.array([real(word) for word in words])
+        except FormatError as error:
+            raise FormatError(f"element {name}: {error}") from None
 
     def alike(self, name: str, number: int, columns: list[Property]) -> dict[str, Column] | None:
         if any(column.length for column in columns):

@@ -5,11 +5,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Polygons", "triangulated", "without_repeats"]
+__all__ = ["FormatError", "Polygons", "real", "shown", "triangulated", "without_repeats"]
 
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 LEAST = 1e-9  # of a polygon's area: a triangle of less has none
+
+
+class FormatError(ValueError):
+    """A file that breaks the rules of its format; the message is for its user."""
 
 
 class Polygons(NamedTuple):
@@ -19,6 +23,21 @@ class Polygons(NamedTuple):
     corners: Whole  # (c,) vertices
     counts: Whole  # (p,)
     uv: Floats | None = None  # (c, 2) place of each corner on a texture, v upward; nan where it has none
+
+
+def real(word: bytes) -> float:
+    """Return the number that a word of a text is. Raises FormatError."""
+    try:
+        if b"_" not in word:  # which Python passes over
+            return float(word)
+    except ValueError:
+        pass
+    raise FormatError(f"{shown(word)} is not a number")
+
+
+def shown(word: bytes) -> str:
+    """Return a word of a file as messages show it."""
+    return repr(word.decode("utf-8", "replace")[:40])
 
 
 def triangulated(vertices: Floats, corners: Whole, counts: Whole) -> tuple[Whole, Whole]:

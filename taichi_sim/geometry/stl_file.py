@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.geometry.polygons import Polygons
+from taichi_sim.geometry.polygons import FormatError, Polygons, real
 
 __all__ = ["read"]
 
@@ -11,19 +11,19 @@ HEADER, ROW = 84, 50  # bytes of a binary file: of its head with the number of t
 
 
 def read(data: bytes) -> Polygons:
-    """Return the triangles of an STL file. Raises ValueError."""
-    number = int.from_bytes(data[HEADER - 4 : HEADER], "little")
-    size = HEADER + ROW * number
+    """Return the triangles of an STL file. Raises FormatError."""
+    count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
+    size = HEADER + ROW * count
     is_text = data.lstrip()[:5].lower() == b"solid" and len(data) != size and b"\0" not in data[:HEADER]
     if is_text:
         x = _text(data)
-    elif len(data) == size or (number and len(data) > size):
+    elif len(data) == size or (count and len(data) > size):
         rows = np.frombuffer(data, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")],
-                             count=number, offset=HEADER)  # fmt: skip
+                             count=count, offset=HEADER)  # fmt: skip
         x = rows["corners"].reshape(-1, 3).astype(np.float64)
     else:
-        raise ValueError(
-            f"it is no text, which begins with solid, and no binary one: of {number} triangles that would have"
+        raise FormatError(
+            f"it is no text, which begins with solid, and no binary one: of {count} triangles that would have"
             f" {size} bytes, and it has {len(data)}"
         )
     return Polygons(x, np.arange(len(x)), np.full(len(x) // 3, 3))
@@ -39,13 +39,8 @@ def _text(data: bytes) -> NDArray[np.float64]:
     at = np.flatnonzero(table == b"vertex")
     facets = int(np.count_nonzero(table == b"facet"))
     if len(at) != 3 * facets:
-        raise ValueError(f"it has {facets} facets, which must have three corners each, and {len(at)} corners")
+        raise FormatError(f"it has {facets} facets, which must have three corners each, and {len(at)} corners")
     if len(at) and at[-1] + 3 >= len(table):
-        raise ValueError("it ends within a corner")
-    numbers = []
-    for word in table[at[:, None] + np.arange(1, 4)].ravel() if len(at) else ():
-        try:
-            numbers.append(float(word))
-        except ValueError:
-            raise ValueError(f"{word.decode('utf-8', 'replace')[:40]!r} is not a number") from None
-    return np.reshape(np.array(numbers), (-1, 3))
+        raise FormatError("it ends within a corner")
+    words = table[at[:, None] + np.arange(1, 4)].ravel().tolist() if len(at) else []
+    return np.reshape([real(word) for word in words], (-1, 3))

@@ -25,9 +25,10 @@ class DampedKick:
     single precision keeps apart.
     """
 
-    def __init__(self, model: Model, state: State, forces: TotalForce, fields: Fields) -> None:
+    def __init__(self, model: Model, state: State, forces: TotalForce, contacts: Any, fields: Fields) -> None:
         scene = model.scene
         self.model, self.state, self.forces, self.ball = model, state, forces, state.ball
+        self.contacts = contacts
         alone = lone(scene)
         self.network = bool(np.any((scene.damping > 0) & ~alone))  # has damped springs that share balls
         self.n = model.n if self.network else 0
@@ -78,7 +79,7 @@ class DampedKick:
         for i in range(self.model.n):
             v = self.ball[i].v
             brake = self.model.inverse_mass[i] * self.forces.damping_impulse[i]
-            slope = self._free(i, h, pull, delayed) + brake
+            slope = self._free(i, half, h, pull, delayed) + brake
             y = weight[2] * slope
             if ti.static(half == 0):
                 y += weight[3] * (brake - 0.5 * h * self.brake[i])
@@ -107,7 +108,7 @@ class DampedKick:
         last = j + 1 == self.count[half]
         now, old = (j + 1) % 2 * self.n, j % 2 * self.n
         for i in range(self.model.n):
-            slope = self._free(i, h, pull, delayed) + self.model.inverse_mass[i] * self.forces.damping_impulse[i]
+            slope = self._free(i, half, h, pull, delayed) + self.model.inverse_mass[i] * self.forces.damping_impulse[i]
             y = (
                 weight[0] * self.change[now + i]
                 + weight[1] * self.change[old + i]
@@ -122,20 +123,20 @@ class DampedKick:
                 self.ball[i].v = self.began[i] + y
 
     @ti.func
-    def undamped(self, h, pull: ti.template(), delayed: ti.template()):
+    def undamped(self, half: ti.template(), h, pull: ti.template(), delayed: ti.template()):
         """All of a half in which no springs that share balls are damped."""
         for i in range(self.model.n):
-            self.state.kick(i, self._free(i, h, pull, delayed))
+            self.state.kick(i, self._free(i, half, h, pull, delayed))
 
     @ti.func
-    def lone_springs(self, h, pull: ti.template(), delayed: ti.template()):
+    def lone_springs(self, half: ti.template(), h, pull: ti.template(), delayed: ti.template()):
         """What damping takes from the kick that both balls of a lone spring have had, a of their relative velocity u:
         u(tau) = exp(-z) u + (1 - exp(-z)) / z a is (1 - exp(-z)) u + (1 - (1 - exp(-z)) / z) a less than u + a."""
         for e in range(self.m):
             spring = self.lone[e]
             i, j = spring.one, spring.other
             n, _ = unit(self.ball[j].x - self.ball[i].x, i, j)
-            a = (self._free(j, h, pull, delayed) - self._free(i, h, pull, delayed)).dot(n)
+            a = (self._free(j, half, h, pull, delayed) - self._free(i, half, h, pull, delayed)).dot(n)
             u = (self.ball[j].v - self.ball[i].v).dot(n) - a
             wi, wj = self.model.inverse_mass[i], self.model.inverse_mass[j]
             loss = (spring.lost * u + spring.late * a) / (wi + wj) * n
@@ -145,9 +146,11 @@ class DampedKick:
                 self.state.kick(j, -wj * loss)
 
     @ti.func
-    def _free(self, i, h, pull: ti.template(), delayed: ti.template()):
+    def _free(self, i, half: ti.template(), h, pull: ti.template(), delayed: ti.template()):
         """Velocity change of ball i over half a step without damping."""
         if ti.static(delayed):
             return 0.5 * h * pull[i]
+        elif ti.static(half == 1):
+            return self.contacts.second_half(i, 0.5 * self.forces.change(i, h))
         else:
             return 0.5 * self.forces.change(i, h)

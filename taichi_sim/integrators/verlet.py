@@ -40,6 +40,7 @@ class Verlet(Integrator):
     method = VERLET
     relaxes = True
     friction_part = 0.5
+    reflects = True
 
     def fit(self, scene: Scene) -> None:
         """Choose how damping acts."""
@@ -61,7 +62,7 @@ class Verlet(Integrator):
         self.pull = fields.vectors(self.model.n if self.predicts or self.delayed else 0, self.model.dim)
         self.kick: Any = None
         if self.splits:
-            self.kick = DampedKick(self.model, self.state, self.forces, fields)
+            self.kick = DampedKick(self.model, self.state, self.forces, self.contacts, fields)
         self.network = self.splits and self.kick.network
         self.has_corners = self.network and self.pins is not None
         if self.has_corners:
@@ -181,8 +182,8 @@ class Verlet(Integrator):
     @ti.func
     def _end_first_half(self, role: ti.template(), h, time):
         if ti.static(not self.network):
-            self.kick.undamped(h, self.pull, self.delayed)
-        self.kick.lone_springs(h, self.pull, self.delayed)
+            self.kick.undamped(0, h, self.pull, self.delayed)
+        self.kick.lone_springs(0, h, self.pull, self.delayed)
 
     @ti.func
     def _drift(self, role: ti.template(), h, time):
@@ -197,7 +198,7 @@ class Verlet(Integrator):
         """Predicted velocities, and springs as they are at the end of the step."""
         if ti.static(self.predicts and self.contacts.active):
             for i in range(self.model.n):
-                self.state.kick(i, 0.5 * h * self.pull[i])
+                self.state.kick(i, self.contacts.second_half(i, 0.5 * h * self.pull[i]))
         if ti.static(self.driven):  # what acts here acts half in this step and half in the next
             self.pins.set_velocities(True)
         self.forces.flex(1.0)
@@ -221,22 +222,22 @@ class Verlet(Integrator):
         if ti.static(self.predicts):
             for i in range(self.model.n):
                 a = self.forces.change(i, h) / h
-                self.state.kick(i, 0.5 * h * (a - self.pull[i]))
+                self.state.kick(i, self.contacts.second_half(i, 0.5 * h * (a - self.pull[i])))
                 self.pull[i] = a
         elif ti.static(self.network):
             self.kick.start(1, h, self.pull, False)
             if ti.static(self.has_corners):
                 self.corners.renew(self.kick.brake)
         elif ti.static(self.splits):
-            self.kick.undamped(h, self.pull, False)
+            self.kick.undamped(1, h, self.pull, False)
         else:
             for i in range(self.model.n):
-                self.state.kick(i, 0.5 * self.forces.change(i, h))
+                self.state.kick(i, self.contacts.second_half(i, 0.5 * self.forces.change(i, h)))
 
     @ti.func
     def _close(self, role: ti.template(), h, time):
         """The end of the second half where it is damped."""
         if ti.static(self.splits):
-            self.kick.lone_springs(h, self.pull, False)
+            self.kick.lone_springs(1, h, self.pull, False)
             if ti.static(self.delayed):
                 self._note_pull(h)

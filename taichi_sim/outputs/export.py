@@ -5,7 +5,6 @@ from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
-from datetime import timedelta
 from html import escape
 from pathlib import Path
 from typing import Any, Literal
@@ -32,7 +31,7 @@ from taichi_sim.outputs.resumable import Resumable
 from taichi_sim.outputs.run_log import CHECKPOINT, Checkpoint
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
-STEP = "step"  # the source of an uncertainty
+STEP = "step and rounding"  # the source of an uncertainty
 WATCHED_CELLS = 200_000  # in each frame; more are counted at the end alone
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
@@ -70,6 +69,7 @@ class Summary:
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
     step_error: StepError | None = None  # estimated by a second run, see Companion
+    left_out: list[str] = field(default_factory=list)  # other errors, which that does not tell
     rotation: str = ""  # angular momentum that the method took, where that shows
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
     settled: str = ""  # how well the scene was at rest at the start, where that was asked for
@@ -122,7 +122,7 @@ class Summary:
                 f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.iterations} iterations in each of"
                 f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
             )
-            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes, now.iterations)
+            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes)
             lines.append(
                 f"penetration  largest {self.penetration:.3g} m ({self.relative_penetration:.2g} of a radius),"
                 f" mean at the end {now.mean_penetration:.3g} m: {depth}"
@@ -194,12 +194,14 @@ class Summary:
             if self.probes and self.error is None:
                 yield f"{'uncertainty':12} not estimated; --error (in Python error=True) adds a second run at half the step"
             return
-        by = f"a second run at a step of {plain_number(found.step)} s"
+        by = f"a second run at a step of {plain_number(found.step)} s{' with other rounding' * found.rounded}"
         if found.why:
             yield f"{'uncertainty':12} not known: {by} failed: {found.why}"
             return
         rms, largest = measures([found.rms, found.largest], [None, None], "m")
-        yield f"{'uncertainty':12} of the step, from {by}: positions at the end +- {rms} rms, +- {largest} at most"
+        yield f"{'uncertainty':12} of {STEP}, from {by}: positions at the end +- {rms} rms, +- {largest} at most"
+        if self.left_out:
+            yield f"{'':12} not included: {'; '.join(self.left_out)}"
 
 
 def _shown(video: Path) -> str:
@@ -285,7 +287,7 @@ def export(
         progress: a bar on standard error with the time left and the speed against real time.
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
             where they would take over a fiftieth of it. "auto": 60 s, from the second minute on. None: none.
-        error: run the scene a second time at half the step, and give what is read with the error of the step that follows.
+        error: run the scene a second time at half the step, and give what is read with the error of step and rounding.
     Outputs are finished here, also when the simulation becomes unstable, and discarded on any other error.
 
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
@@ -416,6 +418,7 @@ def export(
         if companion is not None:
             bar.phase(lambda _: "compiling", "frames of the second run, at half the step")
             summary.step_error = companion.compare(simulation, bar.advance)
+            summary.left_out = list(_left_out(simulation))
             clock.charge("simulating")
     clock.charge("writing")
     return summary
@@ -432,6 +435,15 @@ def _rotation(simulation: Any, frame: Frame | None) -> str:
     if turn is None or not turn.shows(method, h):
         return ""
     return f"{turning.sentence(turn, method, h, simulation.time or 1.0)}; {turning.cure(turn, method, h)}"
+
+
+def _left_out(simulation: Any) -> Iterator[str]:
+    """Errors that a second run of the same scene does not show."""
+    scene, settled = simulation.scene, simulation.settled
+    if len(scene.pairs) or len(scene.cells):
+        yield "the mesh, see `taichi-sim report --resolutions`"
+    if settled is not None and settled.residual:
+        yield f"the net force of {measured(settled.residual, unit='N')} left at the start"
 
 
 def _own(summary: Summary, renderer: Any) -> dict[str, Any]:
@@ -505,23 +517,20 @@ class _Frames(Work):
     def phase(self, waiting: Callable[[float], str], what: str) -> None:
         """Begin to count what it names; what `waiting` makes of the seconds since then is said until the second frame."""
         self.done = 0
+        self._before: float | None = None  # seconds simulated by the first frame
         self.begin(what)
-        self._first_frame: tuple[int, float, float] | None = (
-            None  # frames, simulated and wall time after the first frame
-        )
-        self.words = lambda: waiting(self.elapsed)
+        start = time.monotonic()
+        self.words = lambda: waiting(time.monotonic() - start)
 
     def advance(self, done: int, simulated: float) -> None:
-        """So many frames are done, and so many seconds simulated since the beginning."""
-        now, self.done = time.perf_counter(), done
-        if self._first_frame is None:
-            self._first_frame = (done, simulated, now)
+        """So many frames are done, and so many seconds simulated since the beginning. The first one tells no pace."""
+        self.done = done
+        if self._before is None:
+            self.begin(self.what)
+            self._before = simulated
             return
-        frames, before, then = self._first_frame
-        passed = max(1e-9, now - then)
-        left = timedelta(seconds=round(passed / (done - frames) * ((self.total or done) - done)))
-        words = (
-            f"{left} left, {(simulated - before) / passed:.3g} x real time, t = {simulated:.4g} s,"
-            f" {(done - frames) / passed:.3g} frames/s"
+        before = self._before
+        self.words = lambda: (
+            f"{self.remaining}, {(simulated - before) / max(1e-9, self.elapsed):.3g} x real time, t = {simulated:.4g} s,"
+            f" {self.pace:.3g} frames/s"
         )
-        self.words = lambda: words

@@ -14,7 +14,7 @@ from taichi_sim.geometry.mesh import holes
 from taichi_sim.render.bodies import COLLIDER_GREY, Bodies
 from taichi_sim.render.palette import body_colours
 from taichi_sim.scene.colliders import BOX, ROUND, Collider
-from taichi_sim.scene.objects import named
+from taichi_sim.scene.objects import mapped, named
 
 __all__ = [
     "Body",
@@ -102,22 +102,18 @@ class Parts:
         self.hidden = hidden
         self.loose = np.flatnonzero(~hidden)
         uv = np.full((n, 2), np.nan)
-        mapped = dict[int, tuple[NDArray, NDArray]]()  # triangles and places of their corners, by object
         known = getattr(first, "scene", first).triangles.reshape(-1, 3)  # those, too, that have torn
         for thing in first.objects:
             if thing.is_sheet:
                 uv[thing.balls] = thing.uv
-            elif thing.uv is not None and len(thing.balls):
-                whole = known[np.isin(known, thing.balls).all(axis=1)]
-                if len(whole) == len(thing.uv):
-                    mapped[int(self.number[thing.balls[0]])] = whole, thing.uv
+        corners = {int(self.number[thing.balls[0]]): at for thing, *at in mapped(first.objects, known)}
         self.surfaces: list[Surface] = []
         self._vertex = np.full(n, -1, dtype=np.int64)  # which of its surface's vertices a ball is
         self._split = dict[int, dict[bytes, NDArray]]()  # of surfaces with seams: the vertices of each triangle
         for k, name in enumerate(self.names):
             mine = own[self.number[own[:, 0]] == k]
-            if len(mine) and k in mapped:
-                self.surfaces.append(self._mapped(k, name, *mapped[k]))
+            if len(mine) and k in corners:
+                self.surfaces.append(self._mapped(k, name, *corners[k]))
             elif len(mine):
                 balls = np.unique(mine)
                 self._vertex[balls] = np.arange(len(balls))

@@ -32,7 +32,7 @@ def video(
     duration: float | None = None,
     fps: float | None = None,
     size: tuple[int, int] | None = None,
-    progress: bool = False,
+    progress: bool = True,
     overwrite: bool = False,
     codec: str | None = None,
     style: dict[str, Any] | None = None,
@@ -45,7 +45,8 @@ def video(
         what: a Scene, or a Simulation, which goes on from where it is and stays open.
         duration [s], fps [1/s], size (width, height) [px], style (arguments of `Renderer`): what is left out is taken from
             `scene.output`, then 5 s, 60 frames a second, 1280 x 720.
-        progress: a bar on standard error. overwrite, codec: see `ts.open_output`. error: see `ts.export`.
+        progress: a bar on standard error, or a line every few seconds where that is no terminal; False: none.
+        overwrite, codec: see `ts.open_output`. error: see `ts.export`.
         settings: arguments of Simulation, where a Scene is given: dt, integrator, ...
 
     Returns what the run did; `print("\\n".join(summary.lines()))` says it in words, and a notebook shows it with the

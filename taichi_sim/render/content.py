@@ -14,10 +14,11 @@ from taichi_sim.render.bodies import Bodies
 from taichi_sim.render.palette import body_colours
 from taichi_sim.render.smoothing import CREASE, Smoothing
 from taichi_sim.render.styles import Styles
+from taichi_sim.render.subdivision import subdivided_corners
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 from taichi_sim.scene.looks import Look
-from taichi_sim.scene.objects import SceneObject
+from taichi_sim.scene.objects import SceneObject, mapped
 
 __all__ = ["Content"]
 
@@ -65,7 +66,8 @@ class Content:
         for one in frame.embedded_surfaces:
             covered |= one.covered(n)
         own = frame.triangles.reshape(-1, 3)
-        triangles, binding = Binding.finer(frame.embedded_surfaces, own[~covered[own].all(axis=1)], n, subdivide)
+        bare = own[~covered[own].all(axis=1)]
+        triangles, binding = Binding.finer(frame.embedded_surfaces, bare, n, subdivide)
         hidden = covered | enclosed(frame)
         hidden[own.ravel()] = True
         hidden[frame.torn_triangles.ravel()] = True  # threads and crumbs of what has torn are too fine to be seen
@@ -78,7 +80,11 @@ class Content:
             bodies = Bodies.of(frame, crease=crease)
             rest = frame.position if rest is None or rest.shape != frame.position.shape else rest
             smoothing = _smoothing(frame, triangles, binding, bodies, 180.0 if subdivide else crease, rest)
-            styles = Styles.of(frame, looks, triangles, binding, bodies, smoothing.sheet, rest)
+            uv = np.full((len(triangles) >> 2 * subdivide, 3, 2), np.nan)
+            uv[: len(bare)] = _on_texture(frame, bare)
+            for _ in range(subdivide):
+                uv = subdivided_corners(uv)
+            styles = Styles.of(frame, looks, triangles, binding, bodies, smoothing.sheet, rest, uv)
         stick = frame.sticks[rods] if len(frame.sticks) == len(springs) else np.zeros(len(rods), dtype=bool)
         return cls(
             source=_source(frame),
@@ -137,6 +143,17 @@ def _smoothing(
     points = np.concatenate([x, binding.apply(x)])
     own = Smoothing.of(points, triangles, crease, flat[triangles].all(axis=1))
     return own.joined(Smoothing.of(bodies.vertices, bodies.triangles, 180.0).closed())
+
+
+def _on_texture(frame: Frame, triangles: NDArray) -> NDArray[np.float64]:
+    """Places (t, 3, 2) of the corners of triangles of balls on a texture, as a mesh says them; nan where none does."""
+    found = np.full((len(triangles), 3, 2), np.nan)
+    whole = getattr(frame, "scene", frame).triangles.reshape(-1, 3)  # those, too, that have torn
+    for thing, own, uv in mapped(frame.objects, whole):
+        at = {row.tobytes(): k for k, row in enumerate(own.astype(np.int64))}
+        for k in np.flatnonzero(np.isin(triangles, thing.balls).all(axis=1)).tolist():
+            found[k] = uv[at[triangles[k].astype(np.int64).tobytes()]]
+    return found
 
 
 def _colliders(frame: Frame) -> tuple[Collider, ...]:

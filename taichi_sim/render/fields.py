@@ -37,7 +37,7 @@ class Buffers:
             assert content.styles is not None  # in 3D
             self.is_patterned, self.is_see_through = content.styles.are_patterned, content.styles.are_see_through
             self.style_of, self.style = fields.integers(t), fields.vectors(len(content.styles.rows), 8)
-            self.place = fields.vectors(n if self.is_patterned else 1, 3)
+            self.place = fields.vectors(3 * t if self.is_patterned else 1, 3)
             self.texel = fields.vectors(len(content.styles.texel), 3)
             self.incident = fields.integers(3 * t)
             self.start, self.normal = fields.integers(3 * t + 1), fields.vectors(3 * t, 3)
@@ -105,7 +105,7 @@ class Buffers:
         self.style.from_numpy(styles.rows)
         self.style_of.from_numpy(padded(styles.of_triangle, self.capacity[2]))
         if self.is_patterned:
-            self.place.from_numpy(styles.place)
+            self.place.from_numpy(padded(styles.place, 3 * self.capacity[2]))
         if len(styles.texel):
             self.texel.from_numpy(styles.texel)
 

@@ -24,7 +24,8 @@ WITHIN = 0.998  # of a place on a surface: whole numbers lie beside it, or its f
 class Styles(NamedTuple):
     """rows (s, 8): gloss, share of the light that comes through, opacity, number of the pattern, linear colour (3,) of every
     other field, or first texel, width and height of a texture, and how often it repeats; of_triangle (t,): the row of each;
-    place (v, 3) of each vertex in its pattern, 0 to 1, or (0, 3) where there is none; texel (k, 3): linear colours."""
+    place (3 t, 3) of each corner in its pattern, of which 0 to 1 is a period, or (0, 3) where there is none; texel (k, 3): linear
+    colours."""
 
     rows: NDArray[np.float32]
     of_triangle: NDArray[np.int32]
@@ -41,9 +42,11 @@ class Styles(NamedTuple):
         bodies: Bodies,
         sheet: NDArray,
         rest: NDArray,
+        uv: NDArray,
     ) -> "Styles":
-        """Of triangles of balls and what is bound to them, and of bodies; sheet (t,): those of a sheet; rest (n, 3) [m]: where
-        the balls show how patterns lie in what has no places on a texture of its own."""
+        """Of triangles (t, 3) of balls and what is bound to them, and of bodies; sheet: those of a sheet; rest (n, 3) [m]: where
+        the balls show how patterns lie in what has no places on a texture of its own; uv (t, 3, 2): such places of corners, or
+        nan."""
         texels, rows = [np.zeros((0, 3))], list[tuple[float, ...]]()
         for look in (PLAIN, *looks):
             pattern = (float(PATTERNS.index(look.pattern)), *to_linear(np.array(look.pattern_colour)))
@@ -70,7 +73,11 @@ class Styles(NamedTuple):
             for k in range(len(frame.colliders)):
                 mine = bodies.owner == k
                 own[mine] = _within(bodies.vertices[mine])
-            places = np.concatenate([place, binding.apply(place), own])
+            surfaces = np.concatenate([place, binding.apply(place)])[triangles]
+            on_image = np.array([row[3] == TEXTURE for row in rows])[of_triangle[: len(triangles)]]
+            mapped = on_image & np.isfinite(uv).all(axis=(1, 2))
+            surfaces[mapped, :, :2] = uv[mapped]
+            places = np.concatenate([surfaces.reshape(-1, 3), own[bodies.triangles].reshape(-1, 3)])
         return cls(
             np.array(rows, dtype=np.float32),
             of_triangle.astype(np.int32),

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array, csr_array
 
 from taichi_sim.geometry.mesh import Edges
 
-__all__ = ["subdivide"]
+__all__ = ["subdivide", "subdivided_corners"]
 
 
 def subdivide(triangles: NDArray, n: int) -> tuple[NDArray[np.int64], csr_array]:
@@ -38,3 +38,10 @@ def subdivide(triangles: NDArray, n: int) -> tuple[NDArray[np.int64], csr_array]
     ab, bc, ca = (n + edges.of_side).reshape(3, -1)
     finer = np.stack([np.stack(t, 1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]).reshape(-1, 3)
     return finer, weights
+
+
+def subdivided_corners(values: NDArray) -> NDArray[np.float64]:
+    """Values (4 t, 3, width) at the corners of finer triangles, from those (t, 3, width) of the old ones, linear between."""
+    a, b, c = (values[:, k] for k in range(3))
+    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+    return np.concatenate([np.stack(t, 1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))])

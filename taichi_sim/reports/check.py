@@ -17,8 +17,9 @@ from taichi_sim.analysis.methods import (
     XPBD,
     Method,
 )
-from taichi_sim.analysis.slow_modes import slow_decays
+from taichi_sim.analysis.slow_modes import not_worked_out, slow_decays
 from taichi_sim.analysis.stability import Stability, sinking_spring, stability, without
+from taichi_sim.common.quantities import EXACT
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, part_of_bound
 from taichi_sim.simulation.simulation import Simulation
@@ -41,8 +42,8 @@ def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64
         return
     decays = slow_decays(scene, method, h, position)
     if not decays:
-        if scene.n_springs and np.any(~scene.pinned):
-            yield "damping               not known with cells, bending, gas, or so many balls"
+        if why := not_worked_out(scene):
+            yield f"damping               not worked out: {why}"
         return
     worst = max(
         decays, key=lambda mode: abs(mode.found - mode.exact) / max(mode.exact, WRONG_IN_A_CYCLE * mode.frequency)
@@ -50,7 +51,8 @@ def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64
     of = f"the slowest motions of springs, {worst.frequency:.3g} Hz, decay by {worst.exact:.3g} a second"
     allowed = max(WRONG_DECAY * worst.exact, WRONG_IN_A_CYCLE * worst.frequency)
     good = abs(worst.found - worst.exact) <= allowed
-    yield f"damping               {of}; with this step by {worst.found:.3g}{': good' if good else ''}"
+    found = worst.found if abs(worst.found) > EXACT * worst.frequency else 0.0
+    yield f"damping               {of}; with this step by {found:.3g}{': good' if good else ''}"
     if not good:
         yield f"                      {method.damping_cure(2.0 * np.pi * worst.frequency, allowed)}"
 
@@ -67,11 +69,11 @@ def lines(sim: Simulation) -> Iterator[str]:
         f"{'' if tolerance is None else f' at first; the tolerance of {tolerance:g} chooses it'}"
     )
     if used.limit is not None:
-        yield f"safe for any shape    {_seconds(limits.dt_any_shape)}{_share(h, limits.dt_any_shape)}"
-        yield f"safe for this shape   {_seconds(limits.dt_present)}"
-    for name, index in (("spring", limits.spring), ("ball", limits.ball)):
-        if index is not None:
-            yield f"limited by            {name} {index}"
+        yield f"safe step             {_seconds(limits.dt_any_shape)}, however the scene deforms{_share(h, limits.dt_any_shape)}"
+        yield f"safe at present       {_seconds(limits.dt_present)}, at the present positions alone"
+    limiting = [f"{name} {one}" for name, one in (("spring", limits.spring), ("ball", limits.ball)) if one is not None]
+    if limiting:
+        yield f"limited by            {', '.join(limiting)}"
     yield f"why                   {limits.reason}"
     yield from damping(scene, used, h, sim.position)
     for finding in findings(scene, sim.setup):
@@ -84,15 +86,15 @@ def lines(sim: Simulation) -> Iterator[str]:
     longer = np.inf
     if limits.spring is not None:
         longer = without(scene, used, limits.spring, custom)
-        yield f"without that spring   {_seconds(longer)}"
+        yield f"{f'without spring {limits.spring}':22}{_seconds(longer)} would be the safe step"
     yield ""
     elements = any(element_rates(scene).plus(custom))  # explicit in every method
-    yield f"{'method':18} {'any shape':>11} {'this shape':>11} {'passes per simulated second':>28}"
+    yield f"{'method':18} {'safe step':>11} {'at present':>11} {'passes over the forces per simulated second':>44}"
     for method in dict.fromkeys((used, *EXPLICIT, *(STIFF if elements else ()))):
         found = limits if method is used else stability(scene, method, sim.position, custom)
         step = found.dt_any_shape
         cost = f"{method.passes(scene, step) / step:.3g}" if 0 < step < np.inf and method not in STIFF else "-"
-        yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>28}"
+        yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>44}"
     stiff = ", ".join(map(str, STIFF))
     if elements:
         yield f"{stiff}: springs do not limit the step; cells and bending do, and gas does except with {IMPLICIT_EULER}"
@@ -110,7 +112,7 @@ def _seconds(value: float) -> str:
 
 
 def _share(h: float, safe: float) -> str:
-    return f", of which {h / safe:.2g} is used" if 0 < safe < np.inf else ""
+    return f"; the step used is {h / safe:.2g} of that" if 0 < safe < np.inf else ""
 
 
 def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
@@ -138,4 +140,4 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return f'dt is close to the bound of {safe:.4g} s; take {good:.4g} s, or dt = "auto"'
     if used.passes(scene, safe) / safe > MANY_PASSES and not any(element_rates(scene)):
         return f"if an error of a hundredth of the size will do, {XPBD} or {IMPLICIT_EULER} may need fewer passes"
-    return f"{used} at {h:.4g} s is safe in every shape"
+    return f"{used} at {h:.4g} s is safe, however the scene deforms"

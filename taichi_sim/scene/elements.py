@@ -272,7 +272,8 @@ class Elements(Probed, Objects, Motorised):
 
         Args:
             triangles: (t, 3) balls, counter-clockwise seen from outside, that enclose a volume without a hole.
-            pressure: over that outside, now [Pa]; outside: pressure around it [Pa]. With 0 outside the gas is as soft as it can
+            pressure: over that outside, now [Pa]; negative where the gas is thinner, at least -outside, which is a vacuum.
+            outside: pressure around it [Pa]. With 0 outside the gas is as soft as it can
                 be; air at 101325 Pa hardly lets the volume change, and wants short steps.
         """
         if self.dim != 3:
@@ -291,8 +292,9 @@ class Elements(Probed, Objects, Motorised):
         if volume <= 0.0:
             says = f"enclose {volume:.4g} m^3; give them counter-clockwise seen from outside"
             raise SceneError("gases.triangles", says=says)
-        p = validation.number("gases.pressure", pressure, low=0)
-        self.gases.append(sealed(Gas(t, p, validation.number("gases.outside", outside, low=0), volume)))
+        around = validation.number("gases.outside", outside, low=0)
+        p = validation.number("gases.pressure", pressure, low=0.0 - around)
+        self.gases.append(sealed(Gas(t, p, around, volume)))
 
     def add_moving_pins(
         self: Any,

@@ -30,8 +30,8 @@ class Look:
         of: name of the shape or of the collider.
         pattern: plain, stripes or checks, which stay with the surface: as they lie on a rectangular cloth, and in a body.
         pattern_colour: sRGB in 0..1 of every other stripe or field [1].
-        texture: an image file (PNG, JPEG, WebP, GIF, BMP or TIFF), in place of a pattern; it lies upright on a body, as if shone
-            through it from the front.
+        texture: an image file (PNG, JPEG, WebP, GIF, BMP or TIFF), in place of a pattern; it lies on a cloth as its texture
+            coordinates say, upright on a body without any, as if shone through it from the front.
         repeat: how often the pattern repeats, along each side of a cloth, or along the longest side of a body [1]; 8 by default,
             once for a texture.
         gloss: of highlights, from 0, matt, to 1 [1].

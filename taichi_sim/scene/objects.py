@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["LOOSE", "Objects", "SceneObject", "named"]
+__all__ = ["LOOSE", "Objects", "SceneObject", "mapped", "named"]
 
 LOOSE = "balls"  # what balls of no object are called together
 
@@ -32,6 +32,16 @@ class SceneObject:
     def is_sheet(self) -> bool:
         """True where each of its balls has one place on a texture, as on a rectangular cloth."""
         return self.uv is not None and self.uv.ndim == 2
+
+
+def mapped(objects: Iterable[SceneObject], triangles: NDArray) -> Iterator[tuple[SceneObject, NDArray, NDArray]]:
+    """The objects whose triangles have places on a texture at their corners, these (t, 3), of all triangles of a scene, and the
+    places (t, 3, 2)."""
+    for one in objects:
+        if one.uv is not None and one.uv.ndim == 3 and len(one.balls):
+            own = triangles[np.isin(triangles, one.balls).all(axis=1)]
+            if len(own) == len(one.uv):
+                yield one, own, one.uv
 
 
 class Objects:

@@ -228,6 +228,7 @@ class Assembly:
             scene,
             rule,
             relaxes=settings.integrator.relaxes,
+            reflects=settings.integrator.reflects,
             custom_method=type(settings.integrator) not in BUILT_IN,  # it may move balls unseen
             extra_forces=bool(self.forces.extra),
             iterations=settings.iterations(scene, rule.in_turn, as_on_device and rule.by_colours),

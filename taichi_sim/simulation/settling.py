@@ -6,6 +6,7 @@ is added, so the state of rest is that of the scene itself.
 """
 
 import warnings
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,6 +35,16 @@ class Settled(NamedTuple):
     time: float
     stops: int
     reached: bool
+
+    @classmethod
+    def of(cls, plain: Sequence[Any] | None) -> "Settled | None":
+        """What a list of the five values says, as files hold it; None of None. Raises SceneError for anything else."""
+        kinds = (float, float, float, int, bool)
+        if plain is None:
+            return None
+        if not isinstance(plain, (list, tuple)) or tuple(map(type, plain)) != kinds or not np.isfinite(plain[:3]).all():
+            raise SceneError("settled", plain, "residual, load, time, stops and reached, or null")
+        return cls(*plain)
 
     def __str__(self) -> str:
         if not self.load:
@@ -93,7 +104,10 @@ def settle(simulation: Any, tolerance: float, longest: float) -> tuple[NDArray[n
         spent += (steps - 1) * dt
         chunk = max(1, steps // LOOKS)
     if not found.reached:
-        warnings.warn(f"settle: {found}; allowed is {percent(tolerance)}", stacklevel=4)
+        # stops that lower the residual no more, long before the time is up, end at what rounding leaves
+        rounded = simulation.parts.backend.precision == "f32" and since > PATIENCE
+        cure = '; single precision may be what stands in the way: try precision = "f64"' if rounded else ""
+        warnings.warn(f"settle: {found}; allowed is {percent(tolerance)}{cure}", stacklevel=4)
     return at_rest, found
 
 
@@ -121,10 +135,12 @@ def _to_the_peak(
 
 def require_tolerance(value: Any) -> float | None:
     """The tolerance of a setting: True is 1e-3, False and None are none. Raises SceneError."""
-    if value is None or value is False:
+    if value is None:
         return None
-    if value is True:
-        return 1e-3
-    if isinstance(value, (int, float)) and 0.0 < value < 1.0:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, (bool, np.bool_)):
+        return 1e-3 if value else None
+    if isinstance(value, (int, float, np.integer, np.floating)) and 0.0 < value < 1.0:
         return float(value)
-    raise SceneError("settle", value, "true, false, or the part of the load that may be left, from 0 to 1")
+    raise SceneError("settle", value, "true, false, or the part of the load that may be left, between 0 and 1")

@@ -26,7 +26,7 @@ from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.probe_readings import Reader
 from taichi_sim.analysis.stability import Stability, stability
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, about
 from taichi_sim.device import backend
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import checked_forces
@@ -41,7 +41,7 @@ from taichi_sim.simulation import structure
 from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import NO_CAPACITY_KNOWN, Assembly, OtherStructureError, compensates
 from taichi_sim.simulation.settings import Settings
-from taichi_sim.simulation.settling import Settled, settle, still
+from taichi_sim.simulation.settling import Settled, require_tolerance, settle, still
 from taichi_sim.simulation.stepper import Stepper
 
 __all__ = ["Simulation"]
@@ -64,9 +64,9 @@ class Simulation(Reader):
             "vulkan", "metal" ("auto": that which the process runs on; in its first simulation a GPU if one works).
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a
             GPU and with accumulate "gather" or "atomic").
-        contact_iterations: of each contact solve, or "auto": 2 by gauss_seidel (1 for more than 1000 balls of like mass), 4 to 8
-            by jacobi, 10 where surfaces collide; for restitutions above 0.5 up to 12 more by jacobi, 4 by gauss_seidel with
-            sticks or surfaces ("auto").
+        contact_iterations: of each contact solve, or "auto": gauss_seidel makes 2, and 1 for more than 1000 balls whose masses
+            differ up to tenfold; jacobi makes 4 to 8, more in larger scenes; both make at least 10 where surfaces collide. A
+            restitution above 0.5 adds up to 12 to jacobi, and up to 4 to gauss_seidel where sticks or surfaces collide ("auto").
         accumulate: "auto", "ordered", "gather", "atomic": in which order impulses are added, see docs/physics.md ("auto").
         driver: "auto", "fused", "parallel" ("auto": by size).
         spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
@@ -225,7 +225,8 @@ class Simulation(Reader):
         Returns what is left, which `settled` keeps. Raises UnstableError, and SceneError where something is driven after the
         start.
         """
-        tolerance = validation.number("tolerance", tolerance, positive=True)
+        with about("tolerance"):
+            tolerance = require_tolerance(tolerance) or validation.number("tolerance", tolerance, positive=True)
         longest = validation.number("longest", longest, positive=True)
         held = still(self.scene)
         if self.time != 0.0 and held is not self.scene:
@@ -244,6 +245,10 @@ class Simulation(Reader):
         self._write(position, np.zeros_like(position))
         self._begin_readings()
         return self.settled
+
+    def recall_settled(self, plain: Any) -> None:
+        """Take what `settled` was when this was saved, as `Settled.of` does."""
+        self.settled = Settled.of(plain)
 
     # Looking at it -------------------------------------------------------------------------------------------------
 
@@ -397,13 +402,13 @@ class Simulation(Reader):
         self._stepper = Stepper(self.scene, settings, parts, seconds, substeps, self._stability, self.has_custom_parts)
         self._stepper.set_time(time)
 
-    def at_half_step(self) -> Simulation:
-        """A new Simulation of this scene with the same arguments and half the step, at its start, where it does not
-        settle."""
+    def at_half_step(self, scene: Scene | None = None, half: float | None = None) -> Simulation:
+        """A new Simulation with the same arguments and half the step, at its start, where it does not settle. scene: one of the
+        same structure in place of this one's; half: a step [s] as good as equal to the half."""
         if self.settings.tolerance is not None:
             raise SceneError("dt", says="is chosen by the tolerance of this simulation and cannot be halved")
-        halved = {**self._given, "dt": self.dt / 2.0, "substeps": self.substeps, "settle": None}
-        return type(self)(self.scene, forces=self._forces, **halved)
+        halved = {**self._given, "dt": half or self.dt / 2.0, "substeps": self.substeps, "settle": None}
+        return type(self)(scene or self.scene, forces=self._forces, **halved)
 
     def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:
         """Add an impulse (dim,) or (k, dim) [N s] to the balls (k,). Pinned ones do not move."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.outcome import DEEP, Scales, cure_of_depth, takes_nothing
+from taichi_sim.analysis.outcome import DEEP, Scales, cure_of_depth, takers
 from taichi_sim.analysis.stability import Stability, present_limit
 from taichi_sim.analysis.touching import overlap
 from taichi_sim.common.errors import SceneError, UnstableError
@@ -266,7 +266,7 @@ class Stepper:
         if self.moved and part > DEEP:
             ball = int(totals[statistics.BALL])
             where = overlap(self.scene, self.parts.state.position, self.time, ball, part)
-            cure = cure_of_depth(self.squeezes, self.parts.contacts.iterations)
+            cure = cure_of_depth(self.squeezes)
             self._warn("depth", f"at t = {self.time:.6g} s {where}; {cure}", stacklevel)
         return totals
 
@@ -274,14 +274,16 @@ class Stepper:
         """What the run is judged by."""
         scene, monitor = self.scene, self.monitor
         part = self.h / self.safe.dt_any_shape if self.safe.dt_any_shape > 0 else 0.0
+        touches = self.parts.contacts.active
         return Scales(
             slow=2.0 * float(np.linalg.norm(scene.gravity)) * self.h,
             closed=monitor.closed,
-            lossless=monitor.closed and takes_nothing(scene, self.method),
+            takers=takers(scene, touches),
             motion=max(monitor.most, self.largest_motion),
             swing=1.0 - 1.0 / self.method.swing(min(part, LARGEST_PART)),
             squeezes=self.squeezes,
             damps="" if self.method.conserves else self.method.name,
+            touches=touches,
         )
 
     # When it goes wrong --------------------------------------------------------------------------------------------
@@ -403,6 +405,13 @@ class Stepper:
                     " steps",
                 )
             self.monitor.begin(sample)
+            return
+        if self.method.single_pass and self.h <= limit:
+            self._warn(
+                "growth",
+                f"energy grew {_from_to(growth)} by t = {time:.6g} s, as {self.method} goes through the springs twice in a step"
+                f" of {self.h:.6g} s and leaves them stretched; take shorter steps",
+            )
             return
         if limited:
             cure = f"; in this shape {_limiting(spring)} {self.method} to {limit:.6g} s, {self.h:.6g} s is used"

@@ -302,25 +302,28 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     assert "stop it sooner" in deep[0]
     text = "\n".join(summary.lines())
     assert f"({depth:.2g} of a radius)" in text
-    assert (
-        "at the end: wrong; where something that moves squeezes them, stop it sooner; else take shorter steps" in text
-    )
+    assert " m: wrong; where something that moves squeezes them, stop it sooner; else take shorter steps" in text
     assert "lost" not in text  # a piston works
     assert "at t = 0.9 s ball" in deep[0]
 
 
 def test_verdicts_go_with_the_scene():
-    scales = Scales(slow=0.02, closed=True, lossless=True, motion=10.0, swing=0.0, squeezes=False)
+    scales = Scales(slow=0.02, closed=True, takers=(), motion=10.0, swing=0.0, squeezes=False)
     assert of_approach(0.01, scales, 1.0, 2) == "good"
     assert of_approach(0.1, scales, 1.0, 2) == "look at it; take shorter steps, or more contact_iterations than 2"
     assert of_approach(1.0, scales, 1.0, 2).startswith("wrong")
     assert of_approach(1.0, scales, 100.0, 2) == "good"  # of a fast crowd
-    assert [of_depth(part, False, 2).split(";")[0] for part in (0.05, 0.3, 2.5)] == ["good", "look at it", "wrong"]
+    assert [of_depth(part, False).split(";")[0] for part in (0.05, 0.3, 2.5)] == ["good", "look at it", "wrong"]
     assert of_energy(0.0, -0.01, scales).endswith("good")
     assert "look at it" in of_energy(0.0, -0.3, scales)
     assert "nothing in the scene explains it" in of_energy(0.0, 1.0, scales)
-    assert "restitution, friction and damping" in of_energy(0.0, -3.0, scales._replace(lossless=False))
-    assert "or into the damping of xpbd itself" in of_energy(0.0, -3.0, scales._replace(lossless=False, damps="xpbd"))
+    assert "nothing in the scene takes energy" in of_energy(0.0, -0.3, scales._replace(touches=False))
+    lossy = scales._replace(takers=("restitution", "friction", "damping"))
+    assert of_energy(0.0, -3.0, lossy) == "3 J of it went into restitution, friction and damping, as expected"
+    words = "3 J of it went into damping, or into the own damping of xpbd: shorter steps tell"
+    assert of_energy(0.0, -3.0, scales._replace(takers=("damping",), damps="xpbd")) == words
+    words = "3 J of it went into the own damping of xpbd; shorter steps lose less"
+    assert of_energy(0.0, -3.0, scales._replace(damps="xpbd")) == words
     assert "no measure of the step error" in of_energy(0.0, 5.0, scales._replace(closed=False))
     assert of_energy(0.0, 0.0, scales._replace(closed=False)) == ""
 

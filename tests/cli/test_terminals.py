@@ -114,6 +114,14 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 always looks there")
+def test_the_package_as_a_command_takes_no_modules_from_the_working_folder(tmp_path):
+    for name in ("typer", "random", "numpy", "tempfile"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'taken')!r}, 'w').close()\n")
+    command = [sys.executable, "-m", "taichi_sim", "--version"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, (tmp_path / "taken").exists()) == (0, False), done.stderr
+
+
 def test_processes_that_are_started_take_no_modules_from_the_working_folder(tmp_path):
     """It may be that of a scene from elsewhere."""
     (tmp_path / "scene").mkdir()

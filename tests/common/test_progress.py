@@ -90,3 +90,14 @@ def test_lines_go_on_while_the_compiler_holds_all_threads_up():
     assert all(line.endswith("  0 of 9 frames") for line in lines[:-1])
     assert lines[-1] == "end"
     assert said.stderr == ""
+
+
+def test_a_total_that_is_about_and_a_pace(monkeypatch):
+    now = [50.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    work = progress.Work(12, "runs", about=True)
+    now[0] += 8.0
+    work.done = 4
+    assert work.line() == "4 of about 12 runs"
+    assert work.pace == 0.5
+    assert work.remaining == "0:00:16 left"

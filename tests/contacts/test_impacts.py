@@ -238,6 +238,36 @@ def test_neighbours_take_nothing_from_a_bounce():
         np.testing.assert_allclose(-sim.velocity[:, 0], e * rolls[:, 0], rtol=0.01)
 
 
+PILED, SIDE = 0.04, 0.4  # m: radius of the balls of a pile, width of its box
+
+
+def unequal_pile(seed, n=60):
+    """Balls of masses 1 to 120 that bounce and rub, above a box that is ten radii wide."""
+    rng, at = np.random.default_rng(seed), []
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_material("mix", restitution=0.5, friction=0.35)
+    for normal, offset in (((0, 1), 0.0), ((1, 0), 0.0), ((-1, 0), -SIDE)):
+        scene.add_wall(normal, offset, "mix")
+    while len(at) < n:
+        x = np.array([rng.uniform(1.01 * PILED, SIDE - 1.01 * PILED), rng.uniform(1.1 * PILED, 70 * PILED)])
+        if all(np.linalg.norm(x - y) > 2.02 * PILED for y in at):
+            at.append(x)
+    scene.add_balls(at, radius=PILED, mass=120.0 ** rng.uniform(0.0, 1.0, n), material="mix")
+    return scene
+
+
+@pytest.mark.slow
+def test_piles_of_unequal_masses_come_to_rest():
+    """In each of six starts nothing moves after 6 s, and nothing sinks into another."""
+    with simulate(unequal_pile(0), dt=1e-3) as sim:
+        for seed in (1, 8, 13, 22, 30, 40):
+            scene = unequal_pile(seed)
+            sim.reset(scene)
+            sim.run(6.0)
+            assert np.average((sim.velocity**2).sum(axis=1), weights=scene.mass) < 1e-6
+            assert sim.penetration() < 0.1 * PILED
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("e", "mu"), [(0.0, 0.0), (0.5, 0.0), (0.6, 0.2)])
 def test_crowds_of_unequal_balls_do_not_fall_through_each_other(e, mu):

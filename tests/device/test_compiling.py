@@ -31,7 +31,7 @@ def falling(mass=1.0):
 
 
 def test_a_scene_is_known_by_what_it_is_compiled_from():
-    assert expected("a", "b").words().startswith("compiling (first run, about ")
+    assert expected("a", "b").words().startswith("compiling kernels (about ")
     expected("a", "b").remember(20.4)
     assert expected("b", "a", "a").words() == "loading kernels (about 8 s)"  # which takes less than to compile them
     expected("a", "b").remember(7.4)
@@ -43,8 +43,8 @@ def test_a_scene_is_known_by_what_it_is_compiled_from():
 
 
 def test_an_estimate_that_has_passed_says_so():
-    assert expected("a").words(3.9) == "compiling (first run, about 4 s)"
-    assert expected("a").words(4.1) == "compiling (first run, longer than the 4 s expected)"
+    assert expected("a").words(3.9) == "compiling kernels (about 4 s, less where they are cached)"
+    assert expected("a").words(4.1) == "compiling kernels (longer than the 4 s expected)"
     expected("a").remember(50.0)
     assert expected("a").words(19.9) == "loading kernels (about 20 s)"
     assert expected("a").words(20.1) == "loading kernels (longer than last time, 20 s)"
@@ -53,11 +53,11 @@ def test_an_estimate_that_has_passed_says_so():
 def test_estimates_learn_how_fast_the_machine_is():
     """Kernels that took twice as long as they do elsewhere; the next scene's are expected to do so, too."""
     expected("a").remember(8.0)
-    assert expected("b").words() == "compiling (first run, about 8 s)"
+    assert expected("b").words() == "compiling kernels (about 8 s, less where they are cached)"
     expected("b").remember(4.5)  # between the last two, in the logarithm
-    assert expected("c").words() == "compiling (first run, about 6 s)"
+    assert expected("c").words() == "compiling kernels (about 6 s, less where they are cached)"
     expected("c").remember(0.3)  # another process had compiled it
-    assert expected("d").words() == "compiling (first run, about 6 s)"
+    assert expected("d").words() == "compiling kernels (about 6 s, less where they are cached)"
 
 
 def test_a_second_scene_of_its_kind_in_a_process_tells_nothing_of_the_next_process(monkeypatch):
@@ -65,7 +65,7 @@ def test_a_second_scene_of_its_kind_in_a_process_tells_nothing_of_the_next_proce
     monkeypatch.setattr(compiling, "_spent", 100.0)
     parts = SimpleNamespace(fields=SimpleNamespace(layout=(5,)), keeps_kernels="")
     kind = SimpleNamespace(kernels=lambda: ["a"], scene=SimpleNamespace(dim=2), backend="cpu", parts=parts)
-    for spent, words in ((20.0, "compiling (first run, about 4 s)"), (0.0, "starting")):
+    for spent, words in ((20.0, "compiling kernels (about 4 s, less where they are cached)"), (0.0, "starting")):
         one = compiling.Expected.of(kind, False)
         assert one.words() == words
         compiling._spent += spent
@@ -160,7 +160,7 @@ def test_the_bar_says_what_is_waited_for_and_the_summary_how_long_it_took(monkey
     with simulate(falling(2.0), dt=1e-3) as sim:
         summary = export(sim, None, fps=50, duration=0.1, progress=True)
     said = capsys.readouterr().err
-    assert "compiling (first run, about" in said
+    assert "compiling kernels (about" in said
     assert "x real time" in said
     assert summary.compiling > 0.0
     parts = summary.compiling + summary.starting + summary.simulating + summary.drawing + summary.writing
@@ -168,4 +168,4 @@ def test_the_bar_says_what_is_waited_for_and_the_summary_how_long_it_took(monkey
     assert ("(loading kernels" if summary.loaded else "(compiling") in summary.lines()[-1]
     with simulate(falling(3.0), dt=1e-3) as sim:
         export(sim, None, fps=50, duration=0.1, progress=True)
-    assert "first run" not in capsys.readouterr().err
+    assert "compiling kernels" not in capsys.readouterr().err

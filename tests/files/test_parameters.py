@@ -64,6 +64,10 @@ def test_values_are_as_in_a_scene_file():
         (["=3"], "PATH=VALUE"),
         (["a=1", "a=2"], "'a=2' is given twice; give a once"),
         ([f"a={'[' * 5000}"], "more than 16 deep"),
+        (["friction=0.25\ndim=3"], "holds more than one value; give each a --set of its own"),
+        (["friction=0.25\n[output]\nfps=3"], "holds more than one value"),
+        (["colour=blue\nfps=3 4"], "holds several lines"),
+        (["colour=\x1b[31m"], "characters that are not seen"),
     ],
 )
 def test_what_is_refused(texts, why):
@@ -92,12 +96,52 @@ def test_arguments_of_a_python_scene(files):
     [
         ("s.toml", "materials.ruber.restitution", r"s\.toml: materials\.ruber\.restitution: is not in this scene"),
         ("s.toml", "gravty", r"s\.toml: gravty: is not a known key; did you mean 'gravity'"),
+        ("s.toml", "gravity[³]", r"s\.toml: 'gravity\[³\]' is no path; write it like"),
+        ("s.toml", "gravity[\u0660]", "is no path"),
+        ("s.toml", "gravity[-2]", "is no path"),
+        ("s.toml", f"balls[{'7' * 4400}].radius", "is no path"),
+        ("s.toml", "gravity[0", "is no path"),
+        ("s.toml", "gravity.", "is no path"),
+        ("s.toml", "balls..radius", "is no path"),
+        ("s.toml", "balls.one.\x1b", "is no path"),
+        ("s.toml", "rubber.friction", r"rubber is a name in materials; did you mean materials\.rubber\.friction\?"),
         ("p.py", "heigth", r"p\.py: heigth: is not a known key.*; arguments of scene\(\): height"),
     ],
 )
 def test_a_path_that_leads_nowhere_is_named(files, name, path, why):
     with pytest.raises(SceneError, match=why):
         open_scene(files / name, parameters={path: 1.0})
+
+
+@pytest.mark.parametrize(
+    ("name", "path", "value", "why"),
+    [
+        ("s.toml", "gravity[0]", True, r"s\.toml: gravity: \(True, -10\.0\) is not a vector of 2 numbers"),
+        ("s.toml", "balls[0].position[0][1]", False, r"s\.toml: balls\[0\]\.position: .* is not a list"),
+        ("s.toml", "materials.rubber", 3, r"s\.toml: materials\[0\]: 3 is not allowed; it must be a table"),
+        ("s.toml", "balls.one.radius", -1, r"s\.toml: balls\[0\]\.radius: -1(\.0)? is not allowed; it must be greater"),
+        (
+            "p.py",
+            "balls[0].radius",
+            -1,
+            r"p\.py: balls\[0\]\.radius: -1(\.0)? is not allowed; it must be greater than 0$",
+        ),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_named_without_a_line_that_holds_another(files, name, path, value, why):
+    with pytest.raises(SceneError, match=why):
+        open_scene(files / name, parameters={path: value})
+
+
+@pytest.mark.parametrize("name", ["s.toml", "p.py"])
+def test_a_camera_can_be_given_where_there_is_none(files, name):
+    made = open_scene(files / name, parameters={"output.camera.width": 3.0, "output.camera.centre": [0, 1]})
+    assert made.output["camera"] == {"width": 3.0, "centre": (0, 1)}
+
+
+def test_names_may_hold_spaces(files):
+    (files / "s.toml").write_text(FILE.replace('"one"', '"one ball"'))
+    assert open_scene(files / "s.toml", parameters={"balls.one ball.radius": 0.3}).radius[0] == 0.3
 
 
 def test_commands_take_it(files):

@@ -95,6 +95,19 @@ def test_links_within_what_is_kept(tmp_path, precious, name, file):
         make(tmp_path, name, resume=True)
 
 
+@pytest.mark.parametrize(("name", "file"), [("x.gif", "pictures"), ("x.mp4", "run.json"), ("x.gif", "lock")])
+def test_hard_links_within_what_is_kept(tmp_path, precious, name, file):
+    """A second name of somebody else's file would be written into."""
+    cut_off(tmp_path, name)
+    inside = tmp_path / f".{name}.resume" / file
+    inside.unlink(missing_ok=True)
+    inside.hardlink_to(precious / "thesis.txt")
+    with pytest.raises(
+        OSError, match=rf"\.resume: holds {file!r}, which is also the file of another name; .* remove it"
+    ):
+        make(tmp_path, name, resume=True)
+
+
 def test_a_pipe_within_what_is_kept(tmp_path):
     cut_off(tmp_path, "x.gif")
     inside = tmp_path / ".x.gif.resume" / "pictures"

@@ -70,7 +70,7 @@ class FakeSimulation:
         """Nothing to solve."""
 
     def scales(self) -> Scales:
-        return Scales(slow=0.02, closed=True, lossless=False, motion=2.0, swing=0.0, squeezes=False)
+        return Scales(slow=0.02, closed=True, takers=("friction",), motion=2.0, swing=0.0, squeezes=False)
 
     def momentum(self) -> np.ndarray:
         return np.array([1.0, 2.0])
@@ -330,8 +330,8 @@ def test_summary():
         "11, 1 s simulated",
         "6 J at the start, 5 J at the end",
         "contacts     5 at the end, 7 at most; 2 iterations in each of 3 substeps, 11 searches; largest speed 4 m/s",
-        "1 J of it went into restitution, friction and damping, as expected",
-        "penetration  largest 0.25 m (2.5 of a radius), mean at the end 0.004 m: wrong; take shorter steps, or more",
+        "1 J of it went into friction, as expected",
+        "penetration  largest 0.25 m (2.5 of a radius), mean at the end 0.004 m: wrong; take shorter steps",
         "residual     approach speed left by the contact solver: 0.001 m/s typical, 0.025 m/s worst: good",
         f"device       cpu, 2 threads, f32, {ENGINE} {VERSION}",
         "per simulated second",

@@ -4,6 +4,7 @@ import pytest
 
 import taichi_sim as ts
 from taichi_sim.common.errors import SceneError
+from taichi_sim.outputs import quick
 
 pytestmark = pytest.mark.once
 
@@ -17,3 +18,14 @@ def test_a_word_that_is_no_argument_is_refused_with_what_was_meant(tmp_path, wor
     with pytest.raises(SceneError, match=f"^{word}: is not an argument of video; did you mean '{meant}'"):
         ts.video(scene, tmp_path / "x.mp4", **{word: 30})
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("given", "shown"), [({}, True), ({"progress": False}, False)])
+def test_a_video_shows_its_progress_unless_told_not_to(tmp_path, monkeypatch, given, shown):
+    seen = []
+    monkeypatch.setattr(quick, "export", lambda *_, progress, **__: seen.append(progress) or quick.Summary())
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0]], radius=0.1)
+    with ts.Simulation(scene, contacts="off") as sim:
+        ts.video(sim, tmp_path / "x.npz", duration=0.1, **given)
+    assert seen == [shown]

@@ -51,7 +51,7 @@ def reference(friction):
 def measure():
     """Speed along the ground in free flight; without friction also the cosine, which follows from it."""
     rows, distance = [], LARGE + SMALL
-    for name, friction in (("smooth", 0.0), ("rolling", 0.5)):
+    for name, friction in (("smooth", 0.0), ("rolling", 0.5), ("gripping", 10.0)):
         cosine, speed = reference(friction)
         for settings, sim in refined(lambda friction=friction: scene(friction), 4):
             while np.linalg.norm(sim.position[0]) < distance + 0.02:

@@ -289,6 +289,28 @@ def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
         picture(upright(), looks=[{"of": "flag", "gloss": 0.5}, {"of": "flag"}])
 
 
+def test_a_texture_lies_as_the_corners_of_a_mesh_say(tmp_path):
+    """Turned by a quarter, beyond 0..1, and with a seam along the middle."""
+    image = np.zeros((64, 64, 3), dtype=np.uint8)
+    image[:32, :32], image[:32, 32:], image[32:, :32], image[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255), 255
+    Image.fromarray(image).save(tmp_path / "four.png")
+    scene = Scene(dim=3)
+    sheet = shapes.cloth(scene, size=(2, 2), resolution=(9, 9), rotation=(90, 0, 0), position=(-1, 1, 0))
+    x = scene.position[sheet.triangles]
+    right, up = 0.5 * (x[..., 0] + 1), 0.5 * (x[..., 1] - x[..., 1].min())
+    uv = np.stack([1 - up, right], axis=2) + np.where(x[..., 0].mean(axis=1) < 0, 3.0, -2.0)[:, None, None]
+    scene.set_name(sheet.balls, "flag", uv)
+    frame = frame_of(scene)
+    frame.objects = tuple(scene.objects)
+    look = {"of": "flag", "texture": tmp_path / "four.png"}
+    drawn = picture(frame, camera=FRONT, shadow=False, looks=[look]).astype(int)
+    blue, red, white, green = (drawn[row, column] for row in (35, 55) for column in (70, 90))
+    assert blue[2] > 1.5 * max(blue[0], blue[1])
+    assert reddish(red)
+    assert white.min() > 100
+    assert greenish(green)
+
+
 @pytest.mark.long
 def test_a_see_through_collider_shows_what_is_behind_it():
     """Half of a green ball through a red box; in a picture with alpha half of nothing. It casts no shadow, and gloss shines."""

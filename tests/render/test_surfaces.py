@@ -11,7 +11,7 @@ from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.colouring import COLOUR_SCALE, Colouring
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import body_colours, to_linear
-from taichi_sim.render.subdivision import subdivide
+from taichi_sim.render.subdivision import subdivide, subdivided_corners
 
 pytestmark = pytest.mark.once
 
@@ -55,6 +55,20 @@ def test_weights_of_a_subdivision(triangles, n):
     assert matrix == pytest.approx(wanted, abs=1e-15)
     assert matrix.sum(axis=1) == pytest.approx(np.ones(len(wanted)), rel=1e-14)
     assert finer.shape == (4 * len(triangles), 3)
+
+
+def test_corners_of_finer_triangles_keep_their_places():
+    values = np.random.default_rng(3).uniform(size=(len(FAN), 3, 2))
+    finer, weights = subdivide(FAN, 6)
+    found = subdivided_corners(values)
+    for k, triangle in enumerate(finer.tolist()):
+        of = FAN[k % len(FAN)].tolist()
+        for corner, place in zip(triangle, found[k]):
+            if corner < 6:
+                assert place == pytest.approx(values[k % len(FAN), of.index(corner)])
+            else:  # of an edge, whose ends have the largest weights
+                ends = sorted(of, key=lambda v: weights[corner, v])[1:]
+                assert place == pytest.approx(values[k % len(FAN), [of.index(v) for v in ends]].mean(axis=0))
 
 
 def test_a_finer_surface_is_closed_and_faces_outwards():

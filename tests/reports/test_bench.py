@@ -8,6 +8,7 @@ from physics_support import F64
 
 from taichi_sim.reports.bench import cases, main
 from taichi_sim.reports.bench.piles import Lie, PileReport, overlaps
+from taichi_sim.reports.bench.stiff_cloth import stiff_scene
 from taichi_sim.reports.peers import PeerMissingError, granular_lammps
 
 pytestmark = pytest.mark.once
@@ -93,6 +94,13 @@ def test_grains_hardly_touch():
     assert np.sum(d < 2.05 * grains.radius) > 4 * 400  # each has 12 neighbours but for the borders
     assert x.min() > grains.radius
     assert x[:, [0, 2]].max() < grains.side - grains.radius
+
+
+def test_the_stiff_cloth_is_made_of_what_its_peers_and_its_reference_know():
+    scene = stiff_scene(500.0)
+    assert len(scene.pairs) == 1378
+    assert len(scene.bends) == 0
+    assert np.all(scene.stiffness == 500.0)
 
 
 def test_an_unknown_case_is_named():

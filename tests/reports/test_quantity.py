@@ -53,7 +53,7 @@ def test_a_report_is_of_the_quantity(tmp_path, monkeypatch):
     largest = STIFFNESS * 0.1 * np.abs(np.sin(np.arange(1, PARTS + 1))).max()
     assert row.relative_error == pytest.approx(STIFFNESS * (row.step * RATE) ** 2 / largest, rel=1e-2)
     page = (tmp_path / "r" / "report.md").read_text()
-    assert "Errors are of load.tension, as a part of the peak of load.tension: 9.894 N." in page
+    assert "Errors are of load.tension, relative to the peak of load.tension, 9.89 N." in page
     assert "rms error [N]" in page
     assert re.search(
         r"load.tension with verlet at .* s, the scene's own settings, at most until 0.4 s: [\d.]+ \+- [\d.]+ N \(step\)",
@@ -89,7 +89,7 @@ def test_tune_finds_the_tension_to_one_percent(tmp_path):
     lines = "\n".join(said).splitlines()
     assert any(re.match(r"value +peak of load.tension: 9\.5\d* \+- 0\.0\d+ N \(step\)", line) for line in lines)
     assert any(line.startswith("allowed      95.1 mN, 1.0 % of it") for line in lines)
-    assert any(re.match(r"found +[\d.]+ mN, 0?[\d.]+ % of it, the largest error at 8 times", line) for line in lines)
+    assert any(re.match(r"found +[\d.]+ mN, 0?[\d.]+ % of it, the largest of 8 sample times", line) for line in lines)
     with ts.Simulation(scene, **{**settings, "precision": None}) as sim:
         off = []
         for _ in range(round(0.4 / sim.dt)):
@@ -205,9 +205,64 @@ def test_what_cannot_be_refined(tmp_path, old, new, message):
         resolution.finer(tmp_path / "s.toml")
 
 
+CABLE = """format = 1
+dim = 2
+gravity = [0.0, -9.0]
+[[rope]]
+name = "cable"
+start = [0.0, 0.0]
+end = [2.0, 0.0]
+n = 5
+EA = 400.0
+mass = 1.2
+pinned = [0, 4]
+[[probes]]
+name = "middle"
+kind = "position"
+at = [1.0, 0.0]
+"""
+
+
+def test_a_finer_rope_is_the_same_rope(tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(CABLE)
+    coarse, (half, quarter) = ts.load_scene(file), resolution.finer(file)
+    for finer, balls in ((half, 9), (quarter, 17)):
+        fine = finer.scene
+        assert fine.n_balls == balls
+        assert fine.position[finer.balls] == pytest.approx(coarse.position)
+        assert fine.mass.sum() == pytest.approx(1.2)
+        assert np.flatnonzero(fine.pinned).tolist() == [0, balls - 1]
+        assert 1.0 / (1.0 / fine.stiffness).sum() == pytest.approx(400.0 / 2.0)
+        assert (fine.radius == coarse.radius[0]).all()
+        assert fine.probes[0].given["balls"].tolist() == [balls // 2]
+    file.write_text(CABLE.replace("EA = 400.0", "stiffness = 300.0"))
+    with pytest.raises(SceneError, match=r"rope\[0\]\.stiffness: is of each piece"):
+        resolution.finer(file)
+
+
+def test_a_preset_is_a_material(tmp_path):
+    (tmp_path / "s.toml").write_text(SHEET.replace("mass_per_area = 0.2", "material = 'silk'"))
+    half = resolution.finer(tmp_path / "s.toml", 1)[0]
+    assert half.scene.mass.sum() == pytest.approx(ts.load_scene(tmp_path / "s.toml").mass.sum())
+
+
+@pytest.mark.slow
+def test_finer_meshes_come_to_rest_by_themselves(tmp_path):
+    """Each is settled, not the coarse one's shape taken for all."""
+    file = tmp_path / "s.toml"
+    file.write_text(CABLE + "[simulation]\nsettle = 0.05\ncontacts = 'off'\n")
+    _, coarse, _ = command.read(str(file), resolutions=True, duration=0.1)
+    meshes = resolution.finer(file)
+    sags = [coarse.position[2, 1], *(fine.scene.position[fine.balls[2], 1] for fine in meshes)]
+    assert max(sags) < -0.05
+    assert sags == pytest.approx([sags[-1]] * 3, rel=0.1)
+    assert all("settle" not in fine.scene.settings for fine in meshes)
+
+
 def test_nothing_to_refine(tmp_path):
     loaded().save(tmp_path / "s.toml")
-    with pytest.raises(SceneError, match="has nothing to refine, that is"):
+    with pytest.raises(SceneError, match="has nothing to refine: a rope, or"):
         resolution.finer(tmp_path / "s.toml")
     with pytest.raises(SceneError, match="is Python, whose shapes have one resolution"):
         resolution.finer(tmp_path / "s.py")

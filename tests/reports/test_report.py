@@ -11,8 +11,8 @@ from speed_support import MadeUp, length, pair, plan
 import taichi_sim as ts
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.source import open_scene, resolve
-from taichi_sim.reports.speed_error import report, rows, statistics
-from taichi_sim.reports.speed_error.findings import Findings, choice
+from taichi_sim.reports.speed_error import budget, report, rows, statistics
+from taichi_sim.reports.speed_error.findings import Findings, choice, equal
 from taichi_sim.reports.speed_error.folder import Folder, parsed
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, duration_of, key_of, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
@@ -439,3 +439,26 @@ def test_a_scene_that_the_reference_cannot_follow_says_so(tmp_path, made_up, mon
 def test_another_folder_key_does_not_touch_the_disk(tmp_path):
     Folder(tmp_path / "r", "a")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_few_of_many_equal_runs_are_named():
+    """The best of each other method, and how many more there are; one, where all are of one method."""
+    many = [
+        replace(row(1.0, 0.1, step=step), method=method)
+        for method in ("verlet", "rk4", "xpbd", "tr_bdf2", "implicit_euler")
+        for step in (1e-3, 5e-4)
+    ]
+    words = equal(many)
+    assert words.startswith(
+        "rk4 at 0.001 s in f64, xpbd at 0.001 s in f64, tr_bdf2 at 0.001 s in f64 and 6 more runs ("
+    )
+    assert equal(many[:2]).startswith("verlet at 0.0005 s in f64 (")
+
+
+def test_what_is_below_rounding_is_said_in_words_and_a_mesh_where_there_is_one():
+    about = {"name": "motion", "unit": "m", "value": 0.8, "time": 1.0, "method": "verlet", "step_length": 1e-3}
+    line = next(budget.Budget(**about, step=3e-16, single=2e-6, meshed=False).lines())
+    assert "800.000 +- 0.002 mm (single precision), step exact to rounding." in line
+    lines = list(budget.Budget(**about, step=1e-4, meshed=True).lines())
+    assert "800.00 +- 0.10 mm (step), mesh not known, single precision not known." in lines[0]
+    assert "--resolutions does that" in lines[1]

@@ -62,7 +62,7 @@ def test_check_knows_what_an_undamped_spring_allows():
     safe = 2 / np.sqrt(200.0)  # s, of small motion
     for part, words in (
         (0.9, f"an undamped spring: large motion can resonate above {0.4 * safe:.4g} s"),
-        (0.35, f"verlet at {0.35 * safe:.4g} s is safe in every shape"),
+        (0.35, f"verlet at {0.35 * safe:.4g} s is safe, however the scene deforms"),
         (1.5, f"above the bound of {safe:.4g} s may blow up; take {0.4 * safe:.4g} s"),
     ):
         settings = SimpleNamespace(integrator=SimpleNamespace(method=VERLET))

@@ -73,8 +73,8 @@ def test_the_grid_of_a_mesh_holds_the_exact_distances():
 
 def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
     """A spiky cup whose wall is thin, and apart from it a cube with a cubic hole, of which the surface of either part is given
-    the wrong way around or not: solid where its windings say so, as the plain distance has it."""
-    from taichi_sim.kernels.contacts.triangle_tree import signed_distance
+    the wrong way around or not: solid where its windings say so, as the plain distance has it. So do the leaves of a cell."""
+    from taichi_sim.kernels.contacts.triangle_tree import distance_by_leaves, signed_distance
 
     from taichi_sim.contacts.distance_grid import distance_grid
     from taichi_sim.device import backend
@@ -94,6 +94,20 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
         for i in range(p.shape[0]):
             d[i], _, _ = signed_distance(box, link, triangle, 0, link[0], 0, ti.Vector([p[i, 0], p[i, 1], p[i, 2]]))
 
+    @ti.kernel
+    def measure_in_cells(
+        box: ti.types.ndarray(),
+        link: ti.types.ndarray(ti.i32, 1),
+        triangle: ti.types.ndarray(),
+        leaf: ti.types.ndarray(ti.i32, 1),
+        row: ti.types.ndarray(ti.i32, 2),
+        p: ti.types.ndarray(),
+        d: ti.types.ndarray(),
+    ):
+        for i in range(p.shape[0]):
+            at = ti.Vector([p[i, 0], p[i, 1], p[i, 2]])
+            d[i], _ = distance_by_leaves(box, link, triangle, leaf, row[i, 1], row[i, 2], row[i, 0], at)
+
     angle = np.arange(14) * 2 * np.pi / 14
     out = [0.01, 0.01, 0.4, 0.41, 0.44, 0.43], [0.0, 0.02, 0.02, 0.5, 0.5, 0.0]
     spiky = 1.0 + 0.5 * (np.arange(14) % 2)
@@ -108,14 +122,24 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
     for turned in (slice(None), slice(None, None, -1)):
         parts = [*walls, CUBE[1][:, turned] + 84, CUBE[1][:, ::-1][:, turned] + 92]
         mesh = collider(ts.Mesh((vertices, np.concatenate(parts)), resolution=32), 3)
-        tree = distance_grid(mesh, 0.1, 0.1).tree
+        grid = distance_grid(mesh, 0.1, 0.1)
+        tree = grid.tree
         p = rng.uniform([-0.8, -0.2, -0.8], [2.7, 0.9, 0.8], (1500, 3))
         d = np.zeros(len(p), dtype=real)
-        tables = (np.ascontiguousarray(a.ravel(), t) for a, t in zip(tree[:3], (real, np.int32, real)))
+        tables = [np.ascontiguousarray(a.ravel(), t) for a, t in zip(tree[:3], (real, np.int32, real))]
         measure(*tables, np.ascontiguousarray(p, dtype=real), d)
         expected = mesh.distance(p, 0.0)
         assert np.sum(expected < 0) > 100
         assert d == pytest.approx(expected, abs=1e-12 if PRECISION == "f64" else 1e-6)
+        i, j, k = np.floor((p - grid.low) / grid.cell).astype(int).T
+        cell = grid.exact[k, j, i]
+        row = np.stack([*grid.cells[cell].T, grid.cells[cell + 1, 1]], axis=1).astype(np.int32)
+        listed = (cell >= 0) & (row[:, 1] < row[:, 2])
+        assert listed.sum() > 100
+        few = np.zeros(listed.sum(), dtype=real)
+        places = np.ascontiguousarray(p[listed], dtype=real)
+        measure_in_cells(*tables, grid.leaves, row[listed], places, few)
+        assert few == pytest.approx(expected[listed], abs=1e-12 if PRECISION == "f64" else 1e-6)
 
 
 def test_turns_of_any_size():

@@ -348,3 +348,22 @@ def test_a_free_net_keeps_its_momentum_in_an_implicit_method():
             sim.step(50)
             whole = float(np.sum(scene.mass * np.linalg.norm(scene.velocity, axis=1)))
             assert np.max(np.abs(sim.momentum() - before)) < (1e-12 if F64 else 1e-6) * whole
+
+
+@pytest.mark.slow
+def test_what_two_passes_leave_of_a_sheet_is_said_of_xpbd():
+    """A long step stretches a sheet with bending, which limits longer steps only, until its springs hold more than it fell."""
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
+    ts.shapes.cloth(scene, resolution=(22, 22))
+    scene.set_springs(damping=0.0)
+    scene.set_balls([0, 21], pinned=True)
+    settings = {"integrator": "xpbd", "dt": 1 / 28, "substeps": 1, "contacts": "off"}
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        with simulate(scene, **settings) as sim:
+            sim.run(2.0)
+    said = [str(w.message) for w in seen if "energy grew" in str(w.message)]
+    assert len(said) == 1
+    assert said[0].endswith(
+        ", as xpbd goes through the springs twice in a step of 0.0357143 s and leaves them stretched; take shorter steps"
+    )

@@ -8,7 +8,7 @@ import taichi_sim as ts
 from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs import export
 from taichi_sim.reports.speed_error.command import settled_scene
-from taichi_sim.simulation.settling import still
+from taichi_sim.simulation.settling import Settled, require_tolerance, still
 
 PIECES, SPAN, MASS, G = 12, 3.0, 0.4, 9.0
 TOLERANCE = 1e-4 if PRECISION == "f64" else 2e-2
@@ -37,7 +37,7 @@ def balance(scene, x):
     return np.linalg.norm(force[~scene.pinned], axis=1).max()
 
 
-def test_a_bridge_rests_and_carries_its_weight():
+def test_a_bridge_rests_and_carries_its_weight(tmp_path):
     """The vertical part of the tension at an end is half of the weight of what hangs."""
     with ts.Simulation(bridge()) as sim:
         found = sim.settle(TOLERANCE)
@@ -50,6 +50,9 @@ def test_a_bridge_rests_and_carries_its_weight():
         lift = -sim.probe("end") * slope[1] / np.linalg.norm(slope)
         assert lift == pytest.approx((PIECES - 1) * MASS * G / 2, rel=2 * TOLERANCE)
         tension = sim.probe("end")
+        sim.save(tmp_path / "state.npz")
+        with ts.Simulation.restore(tmp_path / "state.npz", dt=5e-4) as again:
+            assert again.settled == found
         sim.run(1.0)
         assert sim.probe("end") == pytest.approx(tension, rel=20 * TOLERANCE)
         assert np.abs(sim.position - x).max() < 20 * TOLERANCE * SPAN
@@ -108,11 +111,34 @@ def test_what_cannot_rest_says_so():
         assert not sim.settle(longest=0.05).reached
 
 
+@pytest.mark.skipif(PRECISION == "f64", reason="of single precision")
+def test_what_rounding_keeps_from_rest_names_double_precision():
+    with (
+        ts.Simulation(bridge()) as sim,
+        pytest.warns(UserWarning, match=r'allowed is 1.0e-06 %; single precision .*: try precision = "f64"$'),
+    ):
+        assert not sim.settle(1e-8).reached
+
+
 @pytest.mark.once
-@pytest.mark.parametrize("value", [2.0, -0.1, "yes"])
+@pytest.mark.parametrize("value", [2.0, -0.1, "yes", 1, np.array([0.1]), np.float32("nan"), np.array("x")])
 def test_a_wrong_setting_is_named(value):
-    with pytest.raises(SceneError, match=r"^settle: "):
+    with pytest.raises(SceneError, match=r"^settle: .* is not allowed; it must be true, false, or the part"):
         ts.Simulation(bridge(settle=value))
+
+
+@pytest.mark.once
+def test_numbers_of_any_kind_are_taken():
+    assert require_tolerance(np.float32(0.25)) == require_tolerance(np.array(0.25)) == require_tolerance(0.25) == 0.25
+    assert require_tolerance(np.True_) == require_tolerance(True) == 1e-3
+    assert require_tolerance(np.False_) is require_tolerance(np.array(False)) is None
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("wrong", [3, [1.0, 2.0], [1.0, 2.0, float("nan"), 3, True], [1.0, 2.0, 3.0, 4, 5], "abcde"])
+def test_what_no_simulation_has_saved_is_refused(wrong):
+    with pytest.raises(SceneError, match=r"^settled: "):
+        Settled.of(wrong)
 
 
 @pytest.mark.slow

@@ -164,6 +164,9 @@ def obj_cases():
         ("too far", v.replace("v 0.0", "v 1e200", 1) + f_lines(BOX), "vertex 0 .* too far"),
         ("no area", v + "f 1 1 2\n", "no face with an area"),
         ("pairs", v + "f 1 2\n", "has no faces"),
+        ("underscores", v.replace("2.0", "2_0.0", 1) + f_lines(BOX), "line 2: '2_0.0' is not a number"),
+        ("underscores in a face", v + "f 1 2 0_3\n", "line 9: '0_3' is not the number of a vertex"),
+        ("a place beyond the end", v + "vt 0 0\nf 1/1 2/1 3/5\n", "line 10: place on a texture 5 does not exist"),
     ):
         yield Case(f"{how}.obj", data.encode(), None, says)
 
@@ -223,6 +226,7 @@ def stl_cases():
         ("a text", b"solid nothing\nendsolid nothing\n", "has no faces"),
         ("two corners", text.replace("vertex", "#", 1).encode(), "12 facets.* 35 corners|is not"),
         ("words", text.replace("0.000000e+00", "zero", 1).encode(), "'zero' is not a number"),
+        ("underscores", text.replace("2.000000e+00", "2_0", 1).encode(), "'2_0' is not a number"),
     ):
         yield Case(f"{how}.stl", data, None, says)
 
@@ -292,6 +296,12 @@ def ply(
     return text.encode() + b"".join(b for _, b in parts)
 
 
+def _with_real_index(index):
+    """A file whose lists of corners are of numbers with a decimal point, one of which is this."""
+    data = ply(BOX, "binary_little_endian", index="float")
+    return data.replace(struct.pack("<f", 3.0), struct.pack("<f", index), 1)
+
+
 def ply_cases():
     for form in ENDS:
         for name, body in BODIES.items():
@@ -330,6 +340,18 @@ def ply_cases():
         ("huge", data.replace(b"vertex 8", b"vertex 800000000000"), "PLY"),
         ("no end of the head", data.replace(b"end_header", b"end"), "PLY"),
         ("another type", data.replace(b"float x", b"quad x"), "'quad'"),
+        ("half an index", data.replace(b"4 3 2 1 0", b"4 3 1.5 1 0"), "1.5 stands where a whole number must"),
+        ("half an index, binary", _with_real_index(1.5), "1.5 stands where a whole number must"),
+        ("no index", _with_real_index(float("nan")), "nan stands where a whole number must"),
+        ("half a corner", data.replace(b"4 3 2 1 0", b"4.5 3 2 1 0"), "4.5 stands where a whole number must"),
+        ("underscores", data.replace(b"0 0 0\n", b"0 0_1 0\n", 1), "element vertex: '0_1' is not a number"),
+        ("x twice", data.replace(b"float y", b"float x"), "two properties x"),
+        ("vertices twice", data.replace(b"element face", b"element vertex"), "two elements of one name"),
+        (
+            "lists for x",
+            data.replace(b"property float x", b"property list uchar float x"),
+            "x is a list",
+        ),
     ):
         yield Case(f"{how}.ply", wrong, None, says)
 
@@ -533,17 +555,33 @@ def gltf_cases():
     for how, change, says in (
         ("draco", draco, "is compressed with Draco .*export it without"),
         ("meshopt", meshopt, "is compressed with meshopt .*export it without"),
-        ("beyond its buffer", beyond, "accessor 0"),
+        ("beyond its buffer", beyond, r"accessors\[0\] reaches beyond"),
         ("nodes in a circle", circle, "node 0 .*more than once"),
         ("lines", lines, "has no faces"),
         ("instances", instances, "EXT_mesh_gpu_instancing"),
         ("no mesh", lambda d: d.pop("meshes"), "GLB"),
         ("the first version", lambda d: d.update(asset={"version": "1.0"}), "version 1.0"),
+        ("no such mesh", lambda d: d["nodes"][0].update(mesh=4), r"nodes\[0\].mesh is 4; .* one of the 1 meshes"),
+        ("no such child", lambda d: d["nodes"][0].update(children=[0, 7]), r"children\[1\] is 7"),
+        ("no such view", lambda d: d["accessors"][1].update(bufferView=2), r"accessors\[1\].bufferView is 2"),
+        ("a mesh before the first", lambda d: d["nodes"][0].update(mesh=-1), "mesh is -1"),
+        ("half a count", lambda d: d["accessors"][0].update(count=2.5), r"count is 2.5; it must be a whole number"),
+        ("no count", lambda d: d["accessors"][0].pop("count"), r"accessors\[0\].count is missing"),
+        ("no such type", lambda d: d["accessors"][0].update(type="VEC5"), "'VEC5'; it must be one of SCALAR, "),
+        ("places of two numbers", lambda d: d["accessors"][0].update(type="VEC2"), "'VEC2'; it must be 'VEC3' there"),
+        ("real indices", lambda d: d["accessors"][1].update(componentType=5126, count=9), "must be whole"),
+        ("a turn of three numbers", lambda d: d["nodes"][0].update(rotation=[0, 0, 1]), "must be 4 numbers"),
+        ("a word as a place", lambda d: d["nodes"][0].update(translation=["x", 0, 0]), "must be 3 numbers"),
+        ("a list as a head", lambda d: d.update(asset=[2]), r"asset is \[2\]; it must be a table"),
+        ("a number as a name", lambda d: d["buffers"][0].update(uri=7), r"uri is 7; it must be a text"),
+        ("no primitives", lambda d: d["meshes"][0].pop("primitives"), r"meshes\[0\].primitives is missing"),
     ):
         yield Case(f"{how}.glb", changed(change), None, says)
     header["buffers"][0]["uri"] = "none.bin"
     yield Case("a buffer that is not there.gltf", json.dumps(header).encode(), None, "none.bin")
     yield Case("cut off.glb", one()[:-20], None, "GLB")
+    for how, data in (("damaged", b'{"asset": }'), ("nested", b"[" * 50_000), ("in Latin-1", b'{"a": "\xe9"}')):
+        yield Case(f"{how}.gltf", data, None, "its JSON is damaged")
 
 
 def cases():

@@ -10,6 +10,8 @@ import pytest
 from physics_support import PRECISION
 
 import taichi_sim as ts
+from taichi_sim.analysis.methods import named
+from taichi_sim.analysis.stability import stability
 
 G = 9.81
 STEPS = (1 / 30, 1 / 60, 1 / 120, 1 / 240, 1e-3)
@@ -68,9 +70,13 @@ def bodies(number, seed, h):
     return scene, np.array(body)
 
 
-def gains(number, seed, h, duration, method="xpbd", **settings):
-    """The most that kinetic and gravity energy exceed the start of each body, as a part of what it can turn into motion."""
+def gains(number, seed, h, duration, method="xpbd", restitution=None, **settings):
+    """The most that kinetic and gravity energy exceed the start of each body, as a part of what it can turn into motion.
+    restitution: of a floor, or None where there is none."""
     scene, body = bodies(number, seed, h)
+    if restitution is not None:
+        scene.set_balls(body=1)
+        scene.add_wall((0, 1, 0), -2.5, scene.add_material("floor", restitution=restitution))
     mass = np.where(scene.pinned, 0.0, scene.mass)
     stretch = np.linalg.norm(np.subtract(*scene.position[scene.pairs.T]), axis=1) - scene.rest_length
 
@@ -85,7 +91,14 @@ def gains(number, seed, h, duration, method="xpbd", **settings):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with ts.Simulation(
-            scene, arch="cpu", precision=PRECISION, integrator=method, dt=h, substeps=1, contacts="off", **settings
+            scene,
+            arch="cpu",
+            precision=PRECISION,
+            integrator=method,
+            dt=h,
+            substeps=1,
+            contacts="off" if restitution is None else "auto",
+            **settings,
         ) as sim:
             for _ in range(round(duration / h)):
                 sim.step(1)
@@ -106,3 +119,20 @@ def test_no_body_of_two_hundred_gains_energy(order):
     found = [gains(40, k, h, 3.0, accumulate=order[0], driver=order[1]) for k, h in enumerate(STEPS)]
     print([f"{1 / h:.0f} Hz: {np.max(g):.2g}" for h, g in zip(STEPS, found)])
     assert np.max(found) < GAIN
+
+
+@pytest.mark.long
+def test_no_body_gains_energy_from_a_floor():
+    """Up to a restitution of 0.85: where all speed comes back bodies may gain."""
+    for restitution, seed in ((0.0, 11), (0.5, 12), (0.85, 13)):
+        assert gains(40, seed, 1 / 30, 3.0, restitution=restitution).max() < GAIN
+
+
+@pytest.mark.once
+def test_a_floor_that_gives_back_all_speed_is_said_to_be_outside_of_this():
+    for restitution in (0.85, 0.95):
+        scene = ts.Scene(dim=2, gravity=(0, -G))
+        balls = scene.add_balls([(0, 0), (1, 0)], radius=0.1, material=scene.add_material("m", restitution=restitution))
+        scene.add_springs([balls], stiffness=1e5)
+        reason = stability(scene, named("xpbd")).reason
+        assert ("bounce at a restitution above 0.85 may gain energy" in reason) == (restitution > 0.85)

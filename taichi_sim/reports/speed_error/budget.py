@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taichi_sim.common.quantities import measured
+from taichi_sim.analysis.richardson import error_from
+from taichi_sim.common.quantities import EXACT, measured
 from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.plan import PARTS, Step
 from taichi_sim.reports.speed_error.reference import Reference
@@ -38,15 +39,20 @@ class Budget:
     order: float | None = None
     single: float | None = None
     why: str = ""  # the mesh's error is not known
+    meshed: bool = True  # springs or cells, whose mesh may be finer
 
     def lines(self) -> Iterator[str]:
         """In words: `12.3 +- 0.4 mm (mesh), +- 0.1 mm (step), +- 1.0 µm (single precision)`."""
         parts = {"step": self.step, "mesh": self.mesh, "single precision": self.single}
+        if not self.meshed:
+            del parts["mesh"]
         known = sorted(((value, name) for name, value in parts.items() if value is not None), reverse=True)
+        told = [one for one in known if one[0] > EXACT * self.value]
         words = [
-            measured(self.value, known[0][0], self.unit, known[0][1]) if known else measured(self.value, unit=self.unit)
+            measured(self.value, told[0][0], self.unit, told[0][1]) if told else measured(self.value, unit=self.unit)
         ]
-        words += [f"+- {measured(value, unit=self.unit, source=name)}" for value, name in known[1:]]
+        words += [f"+- {measured(value, unit=self.unit, source=name)}" for value, name in told[1:]]
+        words += [f"{name} exact to rounding" for _, name in known[len(told) :]]
         words += [f"{name} not known" for name, value in parts.items() if value is None]
         yield (
             f"{self.name} with {self.method} at {self.step_length:.3g} s, the scene's own settings, at most until"
@@ -61,7 +67,7 @@ class Budget:
             yield f"The error of the mesh: {self.why}."
         elif self.order is not None:
             yield f"The error of the mesh falls with the order {self.order:.2f} of the spacing, as observed."
-        elif self.mesh is None:
+        elif self.mesh is None and self.meshed:
             yield "The error of the mesh was not measured; --resolutions does that."
 
 
@@ -83,7 +89,8 @@ def made(
     elif compared.quantity is not None:
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
     until = study.plan.duration * parts / PARTS
-    return Budget(name, compared.unit, value, until, method, step.seconds, off, single=rounded)
+    meshed = bool(study.scene.n_springs or len(study.scene.cells))
+    return Budget(name, compared.unit, value, until, method, step.seconds, off, single=rounded, meshed=meshed)
 
 
 def _reached(outcome: Outcome) -> bool:
@@ -93,13 +100,12 @@ def _reached(outcome: Outcome) -> bool:
 def mesh_error(differences: Sequence[float]) -> tuple[float | None, float | None, str]:
     """Error of the coarsest mesh, the order observed, and why one of them is not known.
 
-    Richardson: where the error is C h^p, the differences between h, h/2 and h/4 are in the ratio 2^p, and the error at h is
-    the first of them times 2^p / (2^p - 1). With one difference the order is taken to be 1.
+    Where the error is C h^p, the differences between h, h/2 and h/4 are in the ratio 2^p. With one difference the order is
+    taken to be 1.
     """
     first = differences[0]
     if len(differences) == 1:
-        ratio = 2.0**ASSUMED_ORDER
-        return first * ratio / (ratio - 1.0), None, f"from two meshes alone, its order taken to be {ASSUMED_ORDER:g}"
+        return error_from(first, ASSUMED_ORDER), None, f"from two meshes alone, its order taken to be {ASSUMED_ORDER:g}"
     if first == 0.0 or differences[1] == 0.0:
         return first, None, "the meshes give the same"
     order = math.log2(first / differences[1])
@@ -115,4 +121,4 @@ def mesh_error(differences: Sequence[float]) -> tuple[float | None, float | None
             " and no mesh converges so fast; use finer meshes"
         )
         return None, order, why
-    return first * 2.0**order / (2.0**order - 1.0), order, ""
+    return error_from(first, order), order, ""

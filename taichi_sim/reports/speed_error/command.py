@@ -54,8 +54,6 @@ def read(
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
     checked_output(scene)
     if scene.settings.get("settle"):
-        if resolutions:
-            raise SceneError("--resolutions: cannot be combined with `settle`: finer meshes come to rest elsewhere")
         scene = settled_scene(scene)
     process = {"arch": arch, "threads": threads}
     given = {key: value for key, value in process.items() if value is not None}

@@ -67,7 +67,7 @@ class Compared:
     def size_in_words(self) -> str:
         """What errors are relative to."""
         if self.quantity is None:
-            return "rms displacement"
+            return "rms displacement of the balls"
         if self.quantity.of_energy:
             return "largest kinetic and spring energy"
         return f"{'largest motion' if self.quantity.from_start else 'peak'} of {self.name}"

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from taichi_sim.common.quantities import EXACT
+from taichi_sim.common.quantities import EXACT, measured
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
@@ -24,6 +24,7 @@ from taichi_sim.reports.speed_error.rows import (
 from taichi_sim.reports.speed_error.statistics import Interval
 from taichi_sim.scene.scene import Scene
 
+MOST_NAMED = 3  # runs that are as fast as the best
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6)
 
 
@@ -83,8 +84,8 @@ class Findings:
         """What was done and how well it is known, a sentence each."""
         plan, scene, reference = self.plan, self.scene, self.reference
         yield (
-            f"{scene.n_balls} balls, {scene.n_springs} springs in {scene.dim}D, the first {plan.duration:g} simulated seconds;"
-            f" the size of the scene is {reference.size:.3g} m."
+            f"Balls: {scene.n_balls}, springs: {scene.n_springs}, in {scene.dim}D; simulated: {plan.duration:g} s; size of the"
+            f" scene: {reference.size:.3g} m."
         )
         if not scene.n_springs:
             yield "The scene has no springs: nothing limits the step."
@@ -99,14 +100,13 @@ class Findings:
             yield f"{compared.name} stays 0 all along: there is nothing that an error could be relative to."
         elif reference.parts:
             yield (
-                f"Errors are of {compared.name}, as a part of the {compared.size_in_words()}: {reference.motion:.4g}"
-                f" {compared.unit}".rstrip()
-                + "."
+                f"Errors are of {compared.name}, relative to the {compared.size_in_words()},"
+                f" {measured(reference.motion, unit=compared.unit)}."
             )
             yield (
                 f"Reference: {reference.method} in double precision at {2 * reference.step:.3g} s and {reference.step:.3g} s,"
-                f" which differ by {reference.known / reference.motion:.1g} of that. Errors within"
-                f" {CLEAR_OF_REFERENCE:g} times of it are left out of orders and of the front."
+                f" which differ by {reference.known / reference.motion:.1g} of that. Errors below"
+                f" {CLEAR_OF_REFERENCE:g} times this difference are not used for orders, nor for the comparison of methods."
             )
             if self.budget is not None:
                 yield from self.budget.lines()
@@ -196,6 +196,11 @@ def named(row: Row) -> str:
 
 
 def equal(rows: list[Row]) -> str:
-    """The rows after the first, and how their times compare."""
+    """Some of the rows after the first, the best of each method, how many more there are, and how their times compare."""
+    best: dict[str, Row] = {}
+    for row in rows:
+        best.setdefault(row.method, row)
+    others = [row for row in best.values() if row is not rows[0]][:MOST_NAMED] or rows[1:2]
+    more = len(rows) - 1 - len(others)
     within = f"times within {100.0 * (SAME_TIME - 1.0):.0f} % are taken as equal"
-    return f"{', '.join(map(named, rows[1:]))} ({within})"
+    return f"{', '.join(map(named, others))}{f' and {more} more runs' if more else ''} ({within})"

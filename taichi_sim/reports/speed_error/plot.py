@@ -13,6 +13,11 @@ from taichi_sim.reports.speed_error.rows import CLEAR_OF_REFERENCE, STABLE, UNST
 COLOURS = ("#3d85c6", "#d99a1c", "#2a9d78", "#8c8c8c", "#c5689c", "#d4623a", "#8a6fd6")  # seen on white and on black
 MARKERS = ("o", "s", "D", "x", "^", "v", "P")
 INK = "#010203"  # of words and axes; becomes the page's own colour
+READ = "Each mark is a run with one step. Further left is more accurate, further down is faster."
+FRONT = "no run is both faster\nand more accurate"
+BROKEN = "unstable, error unknown"
+FLOOR = "least error in\nsingle precision"
+UNTOLD = "too near to the reference\nto tell the error"
 NAMES = {"f64": "double precision (f64)", "f32": "single precision (f32)"}
 
 
@@ -57,11 +62,14 @@ def draw(findings: Findings) -> Any:
         for method in findings.plan.methods:
             _curve(axis, findings, [r for r in findings.rows if (r.method, r.precision) == (method, precision)], margin)
         _front(axis, findings, precision)
-        axis.axvline(high, color=INK, lw=0.5, ls=":")
+        if any(row.verdict == UNSTABLE for row in findings.rows):
+            axis.axvline(high, color=INK, lw=0.5, ls=":")
         if findings.reference.parts and findings.reference.known:
-            axis.axvspan(0.1 * low, CLEAR_OF_REFERENCE * findings.reference.known / motion, color=INK, alpha=0.08, lw=0)
+            near = CLEAR_OF_REFERENCE * findings.reference.known / motion
+            axis.axvspan(0.1 * low, near, color=INK, alpha=0.08, lw=0, label=UNTOLD)
         if precision == "f32" and findings.floor is not None:
-            axis.axvline(findings.floor, color=INK, lw=0.9, ls="--", label="floor of f32")
+            axis.axvline(findings.floor, color=INK, lw=0.9, ls="--", label=FLOOR)
+    figure.suptitle(READ, color=INK, fontsize=9)
     axes[0].set_ylabel(f"{known[0].clock} per simulated second [s]", color=INK)
     marks = {label: mark for axis in axes for mark, label in zip(*axis.get_legend_handles_labels())}
     order = {name: k for k, name in enumerate(METHODS)}
@@ -99,7 +107,7 @@ def _curve(axis: Any, findings: Findings, rows: list[Row], margin: float) -> Non
         axis.plot(*zip(*points), color=colour, marker=marker, ms=5, lw=1.6, label=rows[0].method)
     bad = [row.seconds for row in rows if row.verdict == UNSTABLE and row.seconds]
     if bad:
-        axis.plot([margin] * len(bad), bad, color=colour, marker="$\\times$", ms=9, lw=0, label="unstable")
+        axis.plot([margin] * len(bad), bad, color=colour, marker="$\\times$", ms=9, lw=0, label=BROKEN)
 
 
 def _front(axis: Any, findings: Findings, precision: str) -> None:
@@ -109,7 +117,7 @@ def _front(axis: Any, findings: Findings, precision: str) -> None:
         points = [(row.relative_error, row.seconds) for row in front]
         own = [(row.relative_error, row.seconds) for row in front if row.precision == precision] or [(None, None)]
         axis.plot(*zip(*points), color=INK, lw=7, alpha=0.13, solid_capstyle="round", solid_joinstyle="round", zorder=0)
-        axis.plot(*zip(*own), color=INK, lw=0, marker="o", ms=11, mfc="none", mew=0.9, label="Pareto front", zorder=0)
+        axis.plot(*zip(*own), color=INK, lw=0, marker="o", ms=11, mfc="none", mew=0.9, label=FRONT, zorder=0)
 
 
 @styled

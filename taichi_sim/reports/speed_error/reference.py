@@ -24,6 +24,7 @@ APART, PARTED = 1e-8, 1e-3  # of the size, at the start and at the horizon; of a
 GOOD = 1e-6  # of the motion: a reference known to that needs no other method
 FINE = 1e-9  # of the motion: finer steps are tried up to that where they cost little
 QUICK = 2.0  # times the work of a default reference, for which another method need not be compiled
+RUNS = 3  # of a reference that needs no other method
 ATTEMPTS = 3  # at half the step, where it became unstable
 
 

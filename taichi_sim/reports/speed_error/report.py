@@ -1,13 +1,12 @@
 """The report: plan, reference, every method with every step in each precision, statistics where nothing else holds, pages."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from taichi_sim.common.progress import Work, showing
 from taichi_sim.reports.speed_error import budget as budgets
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
@@ -21,6 +20,7 @@ from taichi_sim.reports.speed_error.plan import Plan, fitting, key_of, own_step,
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.resolution import Finer
 from taichi_sim.reports.speed_error.rows import LEFT_OUT
+from taichi_sim.reports.speed_error.runs import Runs, progress_bar
 from taichi_sim.reports.speed_error.study import Study
 from taichi_sim.reports.speed_error.worker import Outcome, Workers
 from taichi_sim.scene.scene import Scene
@@ -47,8 +47,8 @@ def main(
     from taichi_sim.reports.speed_error.pages import write_pages
 
     with closing(Folder(out, key_of(scene, plan), overwrite)) as folder:
-        with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
-            findings = _run_all(Study(scene, plan, workers, folder.outcomes), folder, say, step_done, meshes)
+        with progress_bar(progress) as runs, Workers(scene, plan, runs) as workers:
+            findings = _run_all(Study(scene, plan, workers, folder.outcomes), folder, say, runs, meshes)
         write_pages(findings, folder)
         if folder.rows:
             folder.complete(findings.rows)
@@ -58,11 +58,11 @@ def main(
     return findings
 
 
-def _run_all(
-    study: Study, folder: Folder, say: Say, step_done: Callable[[str], None], meshes: Sequence[Finer]
-) -> Findings:
+def _run_all(study: Study, folder: Folder, say: Say, progress: Runs, meshes: Sequence[Finer]) -> Findings:
     """All runs that the folder does not hold yet."""
     scene, plan = study.scene, study.plan
+    steps = sum(len(steps_of(scene, method, plan)) for method in plan.methods)
+    progress.expect(references.RUNS + len(plan.precisions) * (steps + 1) + len(meshes))
     reference = folder.reference()
     if reference is None:
         reference = references.make(study)
@@ -76,16 +76,17 @@ def _run_all(
             if precision == "f32":
                 for words in coarse(scene, plan, reference):
                     say(words)
-            _rows(study, folder, reference, precision)
+            _rows(study, folder, reference, precision, progress)
             if budget is None:
                 runs[precision] = study.run(precision, own, step)
             if _needs_statistics(reference, folder.rows):
+                progress.expect(len(statistics.steps_of_seeds(study)) * statistics.SEEDS)
                 seeds = _seeds(study, folder, precision)
         if budget is None:
             double = runs.get("f64") or study.run("f64", own, step)
             budget = budgets.made(study, reference, own, step, double, runs.get("f32"))
         if meshes and budget is not None and budget.mesh is None and not budget.why:
-            budget = _with_mesh(study, reference, budget, meshes, step_done)
+            budget = _with_mesh(study, reference, budget, meshes, progress)
         if budget is not None:
             folder.keep_budget(budget)
     asked = [row for row in folder.rows if row.method in plan.methods and row.precision in plan.precisions]
@@ -93,15 +94,13 @@ def _run_all(
     return Findings(plan, scene, reference, ordered, statistics.intervals(seeds), budget)
 
 
-def _with_mesh(
-    study: Study, reference: Reference, budget: Budget, meshes: Sequence[Finer], step_done: Callable[[str], None]
-) -> Budget:
+def _with_mesh(study: Study, reference: Reference, budget: Budget, meshes: Sequence[Finer], progress: Runs) -> Budget:
     """The error of the mesh, from the same with finer ones at a safe step; compared at the balls of the coarse one."""
     plan, before = study.plan, reference
     differences: list[float] = []
     for mesh in meshes:
         step = fitting(plan.duration, own_step(mesh.scene, reference.method)[1])
-        with Workers(mesh.scene, plan, step_done) as workers:
+        with Workers(mesh.scene, plan, progress) as workers:
             finer = Study(mesh.scene, plan, workers)
             outcome = finer.run("f64", reference.method, step, most=MESH_PATIENCE * plan.most)
         failed = outcome.unstable or outcome.left_out
@@ -116,12 +115,14 @@ def _with_mesh(
     return replace(budget, mesh=error, order=order, why=why)
 
 
-def _rows(study: Study, folder: Folder, reference: Reference, precision: str) -> None:
+def _rows(study: Study, folder: Folder, reference: Reference, precision: str, progress: Runs) -> None:
     """Each method from its longest step on, until one takes too long: those after it take longer still."""
     for method in study.plan.methods:
         too_long = None
         for step in steps_of(study.scene, method, study.plan):
             row = next((row for row in folder.rows if row.key == (precision, method, step.seconds)), None)
+            if row is not None or too_long is not None:
+                progress.expect(-1)
             if row is None:
                 if too_long is None:
                     row = measure(study, reference, precision, method, step)
@@ -166,18 +167,3 @@ def coarse(scene: Scene, plan: Plan, reference: Reference) -> Iterator[str]:
     floor = floor_of(scene, plan, reference)
     if "f32" in plan.precisions and floor > plan.tolerance:
         yield f"note: single precision resolves about {floor:.1g} of the motion, more than the tolerance {plan.tolerance:g}"
-
-
-@contextmanager
-def progress_bar(shown: bool) -> Iterator[Callable[[str], None]]:
-    """Show which run is in progress; the function yielded takes each run in words as it begins."""
-    work = Work(what="runs done")
-    work.words = lambda: "starting"
-
-    def begun(what: str) -> None:
-        work.done += not work.words().startswith("starting")
-        work.begin(work.what)
-        work.words = lambda: f"now {what} for {work.elapsed:.0f} s"
-
-    with showing(work, shown):
-        yield begun

@@ -1,4 +1,4 @@
-"""The same scene file with finer meshes: every block and sheet of a material with half and a quarter of the spacing.
+"""The same scene file with finer meshes: every block, sheet and rope of a material with half and a quarter of the spacing.
 
 A grid of n balls along an axis gets 2 n - 1, so that each ball of the coarse mesh is one of the finer ones, where it can be
 compared. Balls that the file names go with it; between two that are pinned or led, new ones are pinned or led as well.
@@ -18,6 +18,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.files.parameters import put
 from taichi_sim.files.toml_reader import Reader
 from taichi_sim.files.toml_schema import SHAPES
+from taichi_sim.reports.speed_error.command import settled_scene
 from taichi_sim.scene.pins import is_described
 from taichi_sim.scene.scene import Scene
 
@@ -31,7 +32,9 @@ LEVELS = 2  # halvings of the spacing
 MATERIAL = {
     "cloth": ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity"),
     "jelly": ("young_modulus",),
+    "rope": (),  # is of a material anyhow, unless it is a CHAIN
 }
+CHAIN = ("stiffness", "bending_stiffness")  # of each spring or piece: with them it is no material
 BY_HAND = ("cells", "bending", "gases", "triangles", "embedded_surfaces")  # of balls that a finer mesh does not have
 Ints = NDArray[np.int64]
 
@@ -64,7 +67,7 @@ def finer(file: Path, levels: int = LEVELS, parameters: Mapping[str, Any] | None
         document = level.refined()
         scene = _read(file, document)[0]
         balls = level.everywhere if balls is None else level.everywhere[balls]
-        found.append(Finer(scene, balls))
+        found.append(Finer(settled_scene(scene) if scene.settings.get("settle") else scene, balls))
     return found
 
 
@@ -87,7 +90,7 @@ class _Level:
         for kind, k in tables:
             named[kind][k].setdefault("name", f"{kind}[{k}]")
         self.coarse, groups = _read(file, named)
-        parts, first, refined = [], 0, 0
+        parts, first, first_ball, refined = [], 0, 0, 0
         for kind, k in tables:
             table = self.document[kind][k]
             number = len(groups[named[kind][k]["name"]])
@@ -96,30 +99,51 @@ class _Level:
             inside = np.arange(number) if grid is None else _nested(grid)
             self.named[named[kind][k]["name"]] = (inside, grid)
             if grid is not None:
-                table["resolution"] = [2 * n - 1 for n in grid]
+                if kind == "rope":
+                    table["n"] = 2 * grid[0] - 1
+                    table.setdefault(
+                        "radius", float(self.coarse.radius[first_ball])
+                    )  # else thinner than the coarse one
+                else:
+                    table["resolution"] = [2 * n - 1 for n in grid]
                 if isinstance(table.get("pinned"), list) and all(type(ball) is int for ball in table["pinned"]):
                     table["pinned"] = _filled(grid, table["pinned"])
                 if kind == "jelly" and "damping" in table and self.coarse.dim == 3:
                     table["damping"] /= 2.0  # of springs that are half as stiff
             parts.append(first + inside)
+            first_ball += number
             first += number if grid is None else int(np.prod([2 * n - 1 for n in grid]))
         if not refined:
             raise SceneError(
-                f"--resolutions: {file}: has nothing to refine, that is [[cloth]] or [[jelly]] of a material with a resolution"
+                f"--resolutions: {file}: has nothing to refine: a rope, or a cloth or jelly of a material with a resolution"
             )
         self.everywhere = np.concatenate(parts)
 
     def _grid(self, kind: str, k: int, table: dict[str, Any], number: int) -> tuple[int, ...]:
         """Balls along each axis. Raises SceneError for springs that are no material, which another mesh makes another body."""
-        if not any(key in table for key in MATERIAL[kind]):
+        chain = next((key for key in CHAIN if key in table), None) if kind == "rope" else None
+        if chain is not None:
+            raise SceneError(
+                f"--resolutions: {self.file}: rope[{k}].{chain}: is of each piece, and more pieces make another rope;"
+                " give EA or EI"
+            )
+        if MATERIAL[kind] and not any(key in table for key in MATERIAL[kind]) and not self._is_preset(kind, table):
             raise SceneError(
                 f"--resolutions: {self.file}: {kind}[{k}]: is another body at another resolution; give it"
                 f" {' or '.join(MATERIAL[kind])}, which make it of a material"
             )
         if isinstance(table.get("pinned"), list) and any(type(ball) is bool for ball in table["pinned"]):
             raise SceneError(f"--resolutions: {self.file}: {kind}[{k}].pinned: name the pinned balls by their numbers")
+        if kind == "rope":
+            return (table.get("n", 32),)
         default = {"cloth": (32, 32), "jelly": (8,) * self.coarse.dim}[kind]
         return tuple(table.get("resolution", default))
+
+    def _is_preset(self, kind: str, table: dict[str, Any]) -> bool:
+        """Whether the material by its name makes the shape of a material."""
+        preset = self.coarse.preset(table.get("material", ""))
+        known = any(getattr(preset, key, None) is not None for key in MATERIAL[kind])
+        return known and not any(key in table for key in CHAIN)
 
     def refined(self) -> dict[str, Any]:
         """The document of the finer scene."""

@@ -14,15 +14,16 @@ from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.quantities import measured, percent
+from taichi_sim.common.quantities import EXACT, measured, percent
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.findings import equal
 from taichi_sim.reports.speed_error.measure import measure
 from taichi_sim.reports.speed_error.plan import FRAME, METHODS, Plan, Step, fitting, halved, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
-from taichi_sim.reports.speed_error.report import coarse, floor_of, progress_bar
+from taichi_sim.reports.speed_error.report import coarse, floor_of
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
+from taichi_sim.reports.speed_error.runs import Runs, progress_bar
 from taichi_sim.reports.speed_error.study import Study
 from taichi_sim.reports.speed_error.worker import Workers
 from taichi_sim.scene.scene import Scene
@@ -50,12 +51,13 @@ def main(
 
     Raises ValueError, OSError, BackendError.
     """
-    with progress_bar(progress) as step_done, Workers(scene, plan, step_done) as workers:
+    with progress_bar(progress) as runs, Workers(scene, plan, runs) as workers:
+        runs.expect(references.RUNS + len(plan.methods) * len(plan.precisions))
         study = Study(scene, plan, workers)
         reference = references.make(study, plan.tolerance / WELL_KNOWN)
         _require(study, reference)
         study = replace(study, plan=_without_coarse(scene, plan, reference, say))
-        rows, untried = _find(study, reference, MOST_METHODS if plan.methods == METHODS else len(METHODS))
+        rows, untried = _find(study, reference, MOST_METHODS if plan.methods == METHODS else len(METHODS), runs)
     compared = study.compared
     allowed = measured(plan.tolerance * reference.motion, unit=compared.unit)
     until = plan.duration * reference.parts / len(reference.parting)
@@ -90,9 +92,10 @@ def _outcome(compared: Compared, reference: Reference, row: Row, tolerance: floa
     value = measured(reference.motion, off, unit, "step")
     yield f"{'value':12} {compared.size_in_words()}: {value}"
     yield f"{'allowed':12} {measured(tolerance * reference.motion, unit=unit)}, {percent(tolerance)} of it"
-    found = measured(off, unit=unit)
-    share = percent(row.relative_error or 0.0)
-    yield f"{'found':12} {found}, {share} of it, the largest error at {reference.parts} times"
+    found = f"{measured(off, unit=unit)}, {percent(row.relative_error or 0.0)} of it"
+    if off <= EXACT * reference.motion:
+        found = "0, exact to rounding"
+    yield f"{'found':12} {found}, the largest of {reference.parts} sample times"
     yield f"{'cost':12} {row.seconds:.3g} s of {row.clock}, {row.passes or 0.0:.4g} passes over the forces, per simulated second"
 
 
@@ -130,7 +133,7 @@ def _require(study: Study, reference: Reference) -> None:
         )
 
 
-def _find(study: Study, reference: Reference, most: int) -> tuple[list[Row], list[str]]:
+def _find(study: Study, reference: Reference, most: int, runs: Runs) -> tuple[list[Row], list[str]]:
     """The cheapest rows that meet the tolerance, see `cheapest`, and the methods that were not tried, once one meets it, because
     `most` were compiled.
 
@@ -147,6 +150,7 @@ def _find(study: Study, reference: Reference, most: int) -> tuple[list[Row], lis
         if precision != plan.precisions[0]:
             best = min((row.seconds or 0.0 for row in good), default=0.0)
             methods, compiled = [row.method for row in good if (row.seconds or 0.0) <= BY_PRECISION * best], set()
+        runs.expect(len(methods) - runs.to_come)
         for method in methods:
             fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
             if fastest is not None and fastest.passes and method != fastest.method:

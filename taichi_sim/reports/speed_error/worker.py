@@ -84,7 +84,7 @@ class Workers:
             self._process.start()
             other.close()
             self._precision = precision
-        self._step_done(f"{precision} {trial.method} {trial.step.seconds:.3g} s")
+        self._step_done(f"{trial.method} in {precision} at {trial.step.seconds:.3g} s")
         try:
             self._pipe.send(trial)
             answer = self._pipe.recv()

@@ -1,0 +1,6 @@
+"""Packages of the wheel, found: those of taichi_sim, and kernels and demos, which lie beside it and are imported from it."""
+
+from setuptools import find_packages, setup
+
+beside = find_packages(include=["kernels*", "demos*"])
+setup(packages=[*find_packages(include=["taichi_sim*"]), *(f"taichi_sim.{name}" for name in beside)])

@@ -1,0 +1,79 @@
+"""The uncertainty of a run: step and rounding, against what mechanics says."""
+
+import numpy as np
+import pytest
+from physics_support import PRECISION
+
+import taichi_sim as ts
+from taichi_sim.analysis.richardson import error_from
+from taichi_sim.outputs import export
+from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
+
+G, WEIGHTS, DURATION = 9.79, 12, 0.3
+RNG = np.random.default_rng(5)
+MASS, STIFFNESS, LENGTH = (
+    RNG.uniform(0.2, 2.0, WEIGHTS),
+    RNG.uniform(300.0, 900.0, WEIGHTS),
+    RNG.uniform(0.3, 3.0, WEIGHTS),
+)
+
+
+def weights(settled=False):
+    """Each on a spring of its own, let go at its rest length, or held where it balances."""
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    hang = -LENGTH - settled * MASS * G / STIFFNESS
+    pins = scene.add_balls(np.stack([np.arange(WEIGHTS) / 7.0, np.zeros(WEIGHTS)], axis=1), radius=0.01, pinned=True)
+    balls = scene.add_balls(np.stack([np.arange(WEIGHTS) / 7.0, hang], axis=1), radius=0.01, mass=MASS)
+    scene.add_springs(np.stack([pins, balls], axis=1), stiffness=STIFFNESS, rest_length=LENGTH)
+    for k in range(WEIGHTS):
+        scene.add_probe(f"w{k}", "tension", spring=k)
+    return scene
+
+
+@pytest.mark.parametrize("settled", [False, True])
+def test_the_truth_lies_within_what_is_stated(settled):
+    """F = m g (1 - cos w t), or m g; the step is so short that rounding shows."""
+    with ts.Simulation(weights(settled), dt=1e-5, contacts="off") as sim:
+        summary = export(sim, None, fps=200, duration=DURATION, error=True)
+        swing = 0.0 if settled else np.cos(np.sqrt(STIFFNESS / MASS) * sim.time)
+    found = np.array([summary.probes[f"w{k}.tension"][0] for k in range(WEIGHTS)])
+    stated = np.array([summary.step_error.probes[f"w{k}.tension"][0] for k in range(WEIGHTS)])
+    off = np.abs(found - MASS * G * (1.0 - swing))
+    assert (off <= stated * (1.0 if PRECISION == "f32" else 1.1) + 1e-12 * MASS * G).all()
+    assert np.median(stated) < 30.0 * np.median(off) + 1e-12
+    said = "\n".join(summary.lines())
+    assert "of all frames (step and rounding)" in said
+    assert "with other rounding" in said or PRECISION == "f64"
+    assert "not included: the mesh" in said
+
+
+def test_the_start_that_has_not_settled_is_named():
+    with ts.Simulation(weights(), dt=1e-3, contacts="off", settle=0.5) as sim:
+        summary = export(sim, None, fps=10, duration=0.1, error=True)
+        assert (
+            f"the net force of {str(sim.settled).split('net force ')[1].split(',')[0]} left at the start"
+            in "\n".join(summary.lines())
+        )
+
+
+@pytest.mark.once
+def test_other_neighbours_enclose_the_number():
+    values = np.array([0.1, 9.81, -0.7, 1.0 / 3.0, 1e-30])
+    usual, other = values.astype(np.float32).astype(float), other_neighbour(values)
+    assert ((usual - values) * (other - values) < 0).all()
+    np.testing.assert_array_equal(
+        np.abs(np.float32(other) - np.float32(usual)), np.spacing(np.float32(np.minimum(abs(usual), abs(other))))
+    )
+    np.testing.assert_array_equal(other_neighbour([0.0, 0.5, -3.0, np.inf]), [0.0, 0.5, -3.0, np.inf])
+    scene = weights()
+    changed = rounded_otherwise(scene)
+    np.testing.assert_array_equal(changed.mass, other_neighbour(scene.mass))
+    np.testing.assert_array_equal(changed.gravity, other_neighbour(scene.gravity))
+    np.testing.assert_array_equal(scene.mass[WEIGHTS:], MASS)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("order", [1.0, 2.0, 3.5])
+def test_richardson(order):
+    at = [3.0 * h**order for h in (0.1, 0.05)]
+    assert error_from(at[0] - at[1], order) == pytest.approx(at[0])
