@@ -1,10 +1,10 @@
-"""devices, verify, bench: whether this machine computes right, and how fast."""
+"""devices, warm, verify, bench: what this machine computes on, whether it computes right, and how fast."""
 
 from typing import Annotated, Any
 
 import typer
 
-from taichi_sim.cli.command import FAILED, echo, fail, flag, subcommand
+from taichi_sim.cli.command import BAD_INPUT, FAILED, echo, fail, flag, subcommand
 
 
 @subcommand()
@@ -32,6 +32,31 @@ def devices() -> None:
         memory = f"{device.memory / 2**30:.1f} GiB" if device.memory else "?"
         table.add_row(arch, device.words, memory, "f32, f64" if arch in backend.WIDE_ARCHES else "f32", said)
     Console().print(table)
+
+
+@subcommand("arch", "precision", "integrator")
+def warm(
+    scenes: Annotated[list[str] | None, typer.Argument(metavar="[SCENE ...]")] = None,
+    **options: Any,
+) -> None:
+    """Compile what SCENEs need, all demos otherwise, so that later runs on this machine need not."""
+    from time import perf_counter
+
+    from taichi_sim.files.source import demos
+    from taichi_sim.reports import warm as warming
+
+    start, failed = perf_counter(), 0
+    for scene in warming.warm(scenes or list(demos()), {key: value for key, value in options.items() if value}):
+        said = f"compiled {scene.kernels} kernels" if scene.kernels else "compiled nothing"
+        echo(f"{scene.name}: {scene.failure or f'{said}, took {scene.seconds:.1f} s'}")
+        failed += bool(scene.failure)
+    cache = warming.kept()
+    where = f"in {cache.folder}" if cache.folder else "nowhere"
+    echo(
+        f"took {perf_counter() - start:.0f} s; {cache.kernels} kernels, {cache.bytes / 2**20:.0f} MiB, are kept {where}"
+    )
+    if failed:
+        fail(f"{failed} of the scenes failed", BAD_INPUT)
 
 
 @subcommand("arch")

@@ -160,17 +160,27 @@ class ContactRule(FoundContacts):
     def advance(self, ball: ti.template(), motion: ti.template(), h, time):
         """Kick all balls, solve their contacts, with friction for `time` seconds, and move them for h seconds. motion: the
         integrator, asked for its kicks and what forces do meanwhile."""
+        self.stop(ball, motion, h, time)
+        self.move(ball, motion, h)
+
+    @ti.func
+    def stop(self, ball: ti.template(), motion: ti.template(), h, time):
+        """Kick all balls and solve their contacts, as `advance` does before it moves them."""
         if ti.static(self.active):
             if ti.static(motion.kicks_first):
                 for i in range(self.n):
                     motion.before_move(i, h)
             self.solve(ball, time, self.iterations, True)
-        self.move(ball, motion, h)
 
     @ti.func
     def move(self, ball: ti.template(), motion: ti.template(), h):
-        """Move all balls for h seconds with their present velocities, then find the contacts where they are. Without contacts
-        the kick before the move needs no loop of its own."""
+        """Move all balls for h seconds with their present velocities, then find the contacts where they are."""
+        self.displace(ball, motion, h)
+        self.refresh(ball)
+
+    @ti.func
+    def displace(self, ball: ti.template(), motion: ti.template(), h):
+        """Move all balls, and find no contacts yet. Without contacts the kick before the move needs no loop of its own."""
         self._correct_positions(ball, h)
         for i in range(self.n):
             if ti.static(motion.kicks_first and not self.active):
@@ -179,7 +189,6 @@ class ContactRule(FoundContacts):
             self.state.shift(i, shift)
             ball[i].v = drift
             motion.after_move(i, h)
-        self.refresh(ball)
 
     @ti.func
     def _way(self, ball: ti.template(), i, v, a, h, change):

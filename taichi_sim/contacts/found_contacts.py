@@ -12,6 +12,7 @@ from taichi_sim.contacts.walls import Walls
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.device.parts import BOTH, PRIME, STEP, Part, run_parts
 from taichi_sim.device.state import State
 from taichi_sim.kernels.contacts import (
     ccd_balls,
@@ -89,6 +90,7 @@ class FoundContacts:
             self.velocity_before = fields.vectors(self.n, model.dim)
             self._allocate_shared(fields)
             self.allocate(fields)
+        self.search_parts = tuple(self.finding())
 
     def _allocate_shared(self, fields: Fields) -> None:
         n, dim, plan = self.n, self.model.dim, self.plan
@@ -174,49 +176,77 @@ class FoundContacts:
             if ti.static(self.model.spins):
                 self.warm_spin[i] = zero_scalar_in_2d(self.model.dim)
 
+    def finding(self) -> list[Part]:
+        """The parts that find contacts: after a move, once ways are cut short that lead through something; or, after positions
+        were set from outside, whatever was known."""
+        if not self.active:
+            return []
+        surfaces = self.plan.triangles
+        tears = surfaces and self.triangles is not None and self.triangles.tears
+        names = [("_expire", PRIME), ("_shorten_ways", BOTH), *([("_limit_ways", STEP)] if surfaces else [])]
+        names += [("_begin", BOTH), *([("_tear", STEP)] if tears else []), ("_detect", BOTH), ("_measure", BOTH)]
+        return [Part(self, name, roles) for name, roles in names]
+
     @ti.func
     def prime(self, ball: ti.template()):
         """Find the contacts after positions were set from outside."""
+        run_parts(self.search_parts, PRIME, 0.0, 0.0)
+
+    @ti.func
+    def refresh(self, ball: ti.template()):
+        """After a move: cut ways short that lead through something, then find the contacts at the present positions."""
+        run_parts(self.search_parts, STEP, 0.0, 0.0)
+
+    @ti.func
+    def _expire(self, role: ti.template(), h, time):
         if ti.static(self.plan.colliders):
             self.walls.colliders.rewind()
         if ti.static(self.plan.pairs):
             self.pairs.grid.expire()
         if ti.static(self.plan.triangles):
             ccd_triangles.expire(self.triangles)
-        self._find(ball, False)
 
     @ti.func
-    def refresh(self, ball: ti.template()):
-        """After a move: cut ways short that lead through something, then find the contacts at the present positions."""
-        self._find(ball, True)
-
-    @ti.func
-    def _find(self, ball: ti.template(), moved: ti.template()):
+    def _shorten_ways(self, role: ti.template(), h, time):
         if ti.static(self.plan.colliders):
             self.walls.colliders.advance()
         if ti.static(self.plan.neighbours):
-            ccd_balls.shorten_ways(self, ball)
-        if ti.static(self.plan.triangles and moved):
-            ccd_triangles.limit(self.triangles, self, ball)
+            ccd_balls.shorten_ways(self, self.state.ball)
+
+    @ti.func
+    def _limit_ways(self, role: ti.template(), h, time):
+        ccd_triangles.limit(self.triangles, self, self.state.ball)
         if ti.static(self.plan.neighbours):
-            if ti.static(self.plan.triangles and moved):
-                for i in range(self.n):
-                    ccd_triangles.cut_short(self.triangles, self, ball, i)
-            self.pairs.grid.build(ball)
+            for i in range(self.n):
+                ccd_triangles.cut_short(self.triangles, self, self.state.ball, i)
+
+    @ti.func
+    def _begin(self, role: ti.template(), h, time):
+        if ti.static(self.plan.neighbours):
+            self.pairs.grid.build(self.state.ball)
         if ti.static(self.plan.triangles):
-            ccd_triangles.decide(self.triangles, self, ball)
+            ccd_triangles.decide(self.triangles, self, self.state.ball)
             for i in range(self.n):
                 if ti.static(not self.plan.neighbours):
-                    if ti.static(moved):
-                        ccd_triangles.cut_short(self.triangles, self, ball, i)
-                    self.pairs.grid.note_origin(ball, i)
-                ccd_triangles.begin(self.triangles, self, ball, i)
-            if ti.static(self.triangles.tears and moved):  # what tears here collides no more from here on
-                self.triangles.tearing.cut_overstretched(ball)
+                    if role == STEP:
+                        ccd_triangles.cut_short(self.triangles, self, self.state.ball, i)
+                    self.pairs.grid.note_origin(self.state.ball, i)
+                ccd_triangles.begin(self.triangles, self, self.state.ball, i)
+
+    @ti.func
+    def _tear(self, role: ti.template(), h, time):  # what tears here collides no more from here on
+        self.triangles.tearing.cut_overstretched(self.state.ball)
+
+    @ti.func
+    def _detect(self, role: ti.template(), h, time):
         for part in ti.static(self.grid_parts):
-            part.detect(ball)
+            part.detect(self.state.ball)
         if ti.static(self.plan.triangles):
-            ccd_triangles.detect(self.triangles, self, ball)
+            ccd_triangles.detect(self.triangles, self, self.state.ball)
+
+    @ti.func
+    def _measure(self, role: ti.template(), h, time):
+        ball = ti.static(self.state.ball)
         if ti.static(self.plan.gathers):
             for i in range(self.n):
                 parallel_search.end(self.pairs.grid, i)

@@ -21,7 +21,17 @@ from taichi_sim.device.devices import find, verdict
 from taichi_sim.device.engine import ENGINE, PREFIX, QUADRANTS_ARCHES, VERSION, finds, program, ti
 from taichi_sim.device.kernel_cache import cache_folder
 
-__all__ = ["ARCHES", "PRECISIONS", "Backend", "check_thread", "has_wide_numbers", "running", "start", "stop"]
+__all__ = [
+    "ARCHES",
+    "PRECISIONS",
+    "Backend",
+    "check_thread",
+    "has_wide_numbers",
+    "kernel_folder",
+    "running",
+    "start",
+    "stop",
+]
 
 ARCHES = ("auto", "cpu", "cuda", "vulkan", "metal")
 PRECISIONS = ("f32", "f64")
@@ -155,6 +165,14 @@ def stop() -> None:
     _running = _owner = _program = None
 
 
+def kernel_folder() -> Path | None:
+    """The folder that compiled kernels are kept in; None, and said, where there is none that can be."""
+    usual = os.environ.get(f"{PREFIX}OFFLINE_CACHE_FILE_PATH") or str(
+        ti.lang.impl.default_cfg().offline_cache_file_path
+    )
+    return cache_folder(Path(usual))
+
+
 def _init(arch: str, precision: str, threads: int) -> Backend:
     ti.set_logging_level(ti.ERROR)
     candidates = [arch]
@@ -167,10 +185,7 @@ def _init(arch: str, precision: str, threads: int) -> Backend:
             " 'auto'"
         )
     real = ti.f64 if precision == "f64" else ti.f32
-    usual = os.environ.get(f"{PREFIX}OFFLINE_CACHE_FILE_PATH") or str(
-        ti.lang.impl.default_cfg().offline_cache_file_path
-    )
-    cache = cache_folder(Path(usual))
+    cache = kernel_folder()
     quicken()
     count_time()
     with _without_banner(), _own_settings():

@@ -81,7 +81,8 @@ def another(part: Any) -> Any:
     return made
 
 
-# whether the engine is that whose private names are touched, see compile_speedup, compiling and shared_kernels
+# whether the engine is that whose private names are touched, see compile_speedup, compiling, host_memory, parts and
+# shared_kernels
 IS_KNOWN = (ENGINE, VERSION) == ("taichi", "1.7.4")
 
 

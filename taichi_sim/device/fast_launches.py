@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.device.engine import IS_KNOWN, ti
+from taichi_sim.device.host_memory import seen
 
 __all__ = ["KEY", "BoundKernel", "by_engine", "copy_in", "quicken"]
 
@@ -218,6 +219,10 @@ def copy_in(field: Any, data: NDArray | dict[str, NDArray]) -> None:
         vectors = isinstance(field, ti.MatrixField)
         if numbers.shape[0] != field.shape[0] or numbers.ndim != 1 + (vectors and (1 if field.m == 1 else 2)):
             raise ValueError(f"numbers of shape {numbers.shape} do not fit into a field of {field.shape[0]}")
+        there = seen(field)
+        if there is not None:
+            there[...] = numbers.reshape(there.shape)
+            return
         if vectors:
             _to_vectors(numbers, field, field.m == 1)
         else:

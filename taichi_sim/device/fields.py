@@ -96,6 +96,11 @@ class Fields:
         return field
 
     @property
+    def layout(self) -> tuple[Any, ...]:
+        """Type, length and way of storage of each field."""
+        return tuple(self._layout)
+
+    @property
     def bytes(self) -> int:
         """Memory of all fields together."""
         return sum(self._bytes.values())

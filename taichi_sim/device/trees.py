@@ -8,6 +8,7 @@ from typing import Any
 
 from taichi_sim.device.engine import forget_launches, program, ti
 from taichi_sim.device.fast_launches import KEY, quicken
+from taichi_sim.device.host_memory import HostMemory
 
 __all__ = ["Tree", "drop", "forget", "kept", "lead", "take", "take_back", "twin"]
 
@@ -28,6 +29,7 @@ class Tree:
         ti.lang.impl.get_runtime().materialize()  # fields learn where their entries lie
         self._program = program()
         self.fields = [twin(field) for field in declared]
+        self._memory = HostMemory(self.fields)
         self._zeros: list[_Zeros] | None = None
         self.lend(declared)
 
@@ -43,6 +45,9 @@ class Tree:
 
     def clear(self) -> None:
         """Set all fields to zero, as a new tree's are."""
+        if self._memory.alive:
+            self._memory.clear()
+            return
         if self._zeros is None:
             alike: dict[int, list[Any]] = {}
             for field in self.fields:
@@ -59,6 +64,7 @@ class Tree:
 
     def destroy(self) -> None:
         """Give the memory back; all kernels of the process are compiled again when they run next."""
+        self._memory.free()
         self._tree.destroy()
         forget_launches()
 

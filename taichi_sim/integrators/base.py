@@ -9,6 +9,7 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.device.parts import PRIME, STEP, Part, run_parts
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import TotalForce
 from taichi_sim.scene.scene import Scene
@@ -38,7 +39,10 @@ class Integrator:
     kernels.springs.edge_blocks; `in_turn`: each sees what those before it changed. `hosted`: a substep has loops that end by what
     they find; `advance` runs one from the host, kernel by kernel, because inside a kernel only the outermost loops run in
     parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None. `kicks_first`: whether `before_move`
-    does anything.
+    does anything. `friction_part`: of a step, for which friction acts where `moving` solves contacts.
+
+    A method has a `substep` and, where that expects more of the one before than contacts, a `prime`; or `parts` in place of both,
+    each of which is compiled by itself where a kernel runs on one thread.
     """
 
     method = Method("user-defined")
@@ -49,6 +53,7 @@ class Integrator:
     in_turn = False
     hosted = False
     pins: Any = None
+    friction_part = 1.0
 
     def fit(self, scene: Scene) -> None:
         """Choose what depends on the scene. Called first of all."""
@@ -66,6 +71,48 @@ class Integrator:
         self.ball = state.ball
         self.kicks_first = type(self).before_move is not Integrator.before_move
         self.allocate(fields)
+        self.recipe = tuple(self._recipe())
+
+    def parts(self) -> list[Part]:
+        """The parts of a substep, and of what makes the state that it starts from; none where `substep` and `prime` are given.
+        Called once the method is bound."""
+        return []
+
+    def _recipe(self) -> list[Part]:
+        """The parts, or, where a class derived from theirs has a substep of its own, that as a whole."""
+        given = next(kind for kind in type(self).__mro__ if {"parts", "substep", "prime"} & vars(kind).keys())
+        self.own_parts = tuple(self.parts())
+        if given is not Integrator and "parts" in vars(given):
+            return list(self.own_parts)
+        return [Part(self, "_whole", STEP), Part(self, "_whole_prime", PRIME)]
+
+    def moving(self) -> list[Part]:
+        """The parts that kick balls, solve their contacts, move them, and find the contacts where they are then."""
+        return [Part(self, "_stop", STEP), Part(self, "_displace", STEP), *self.contacts.finding()]
+
+    @ti.func
+    def _stop(self, role: ti.template(), h, time):
+        self.contacts.stop(self.ball, self, h, self.friction_part * h)
+
+    @ti.func
+    def _displace(self, role: ti.template(), h, time):
+        self.contacts.displace(self.ball, self, h)
+
+    @ti.func
+    def _relax(self, role: ti.template(), h, time):
+        self.contacts.relax(self.ball, 0.0)
+
+    @ti.func
+    def _hold(self, role: ti.template(), h, time):
+        self.contacts.solve(self.ball, 0.5 * h, 1, False)
+
+    @ti.func
+    def _whole(self, role: ti.template(), h, time):
+        self.substep(h, time)
+
+    @ti.func
+    def _whole_prime(self, role: ti.template(), h, time):
+        self.prime(h, time)
 
     def allocate(self, fields: Fields) -> None:
         """Declare fields of the method's own."""
@@ -111,6 +158,14 @@ class Integrator:
         """Kick of ball i once it has moved with the velocity that it had."""
 
     @ti.func
+    def substep(self, h, time):
+        """One substep of h seconds that begins at `time`."""
+        run_parts(self.own_parts, STEP, h, time)
+
+    @ti.func
     def prime(self, h, time):
-        """Make what a substep expects from the one before: here, the contacts at the present positions."""
-        self.contacts.prime(self.ball)
+        """Make what a substep expects from the one before: here, where no parts do, the contacts at the present positions."""
+        if ti.static(len(self.own_parts) > 0):
+            run_parts(self.own_parts, PRIME, h, time)
+        else:
+            self.contacts.prime(self.ball)

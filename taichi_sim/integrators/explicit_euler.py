@@ -2,6 +2,7 @@
 
 from taichi_sim.analysis.methods import EXPLICIT_EULER
 from taichi_sim.device.engine import ti
+from taichi_sim.device.parts import STEP, Part
 from taichi_sim.integrators.base import Integrator
 
 __all__ = ["ExplicitEuler"]
@@ -13,11 +14,17 @@ class ExplicitEuler(Integrator):
 
     method = EXPLICIT_EULER
 
-    @ti.func
-    def substep(self, h, time):
+    def parts(self) -> list[Part]:
         """Move with the old velocity, then change it by the old forces."""
+        move = [Part(self, "_displace", STEP), *self.contacts.finding()]
+        return [Part(self, "_sum_forces", STEP), *move, Part(self, "_solve_contacts", STEP)]
+
+    @ti.func
+    def _sum_forces(self, role: ti.template(), h, time):
         self.forces.total(self.ball, h, time)
-        self.contacts.move(self.ball, self, h)
+
+    @ti.func
+    def _solve_contacts(self, role: ti.template(), h, time):
         self.contacts.solve(self.ball, h, self.contacts.iterations, True)
 
     @ti.func

@@ -5,6 +5,7 @@ from typing import Any
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
+from taichi_sim.device.parts import PRIME, STEP, Part, run_parts
 from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator, SolverStatistics
 from taichi_sim.integrators.host_launch import Launched
@@ -17,9 +18,9 @@ __all__ = ["Implicit"]
 class Implicit(Integrator):
     """A method of stages, each solved implicitly; springs and their damping are stable at any step.
 
-    A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finish(h)`, which moves.
-    `part`: the length of a stage in steps. `takes_gas`: gas is solved for together with springs. `opening`: how many of the
-    `stages` run only in a step after `prime`.
+    A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`,
+    parts that move. `part`: the length of a stage in steps. `takes_gas`: gas is solved for together with springs. `opening`: how
+    many of the `stages` run only in a step after `prime`.
     tolerance: of each solution, see StageSolver.
     """
 
@@ -32,7 +33,7 @@ class Implicit(Integrator):
     tolerance = 1e-3
     begin: Callable[..., None]
     end: Callable[..., None]
-    finish: Callable[..., None]
+    finishing: Callable[..., list[Part]]
 
     def __init__(self, tolerance: float | None = None) -> None:
         if tolerance is not None:
@@ -63,18 +64,20 @@ class Implicit(Integrator):
         """Not before the first step."""
         return bool(self.fresh[0] == 0)
 
+    def parts(self) -> list[Part]:
+        """All stages, then contacts and the move, for one thread; see `advance`."""
+        self.last_parts = tuple(self.finishing())
+        return [Part(self, "_forget", PRIME), Part(self, "_solve_stages", STEP), *self.last_parts]
+
     @ti.func
-    def prime(self, h, time):
-        """Contacts at the present positions; what the step before left is void."""
+    def _forget(self, role: ti.template(), h, time):  # what the step before left is void
         self.fresh[0] = 1
         if ti.static(self.has_springs):
             for i in range(self.model.n * self.stages):
                 self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
-        self.contacts.prime(self.ball)
 
     @ti.func
-    def substep(self, h, time):
-        """All on one thread; see `advance`."""
+    def _solve_stages(self, role: ti.template(), h, time):
         for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
             self.begin(stage, h, time)
             if ti.static(self.has_springs):
@@ -82,7 +85,7 @@ class Implicit(Integrator):
             else:
                 self._free()
             self.end(stage, h)
-        self.finish(h)
+        self.fresh[0] = 0
 
     def advance(self, h: float, time: float) -> None:
         """The same from the host, with loops that run in parallel."""
@@ -93,7 +96,7 @@ class Implicit(Integrator):
             else:
                 self._launch_free()
             self._end(stage, h)
-        self._finish(h)
+        self._finish(h, time)
 
     @ti.func
     def _free(self):
@@ -115,5 +118,6 @@ class Implicit(Integrator):
         self.end(stage, h)
 
     @ti.kernel
-    def _finish(self, h: float):
-        self.finish(h)
+    def _finish(self, h: float, time: float):
+        self.fresh[0] = 0
+        run_parts(self.last_parts, STEP, h, time)

@@ -2,6 +2,7 @@
 
 from taichi_sim.analysis.methods import IMPLICIT_EULER
 from taichi_sim.device.engine import ti
+from taichi_sim.device.parts import STEP, Part
 from taichi_sim.integrators.implicit_base import Implicit
 
 __all__ = ["ImplicitEuler"]
@@ -29,12 +30,9 @@ class ImplicitEuler(Implicit):
     def end(self, stage, h):
         """Nothing to keep."""
 
-    @ti.func
-    def finish(self, h):
+    def finishing(self) -> list[Part]:
         """Contacts on the new velocity, then move."""
-        self.fresh[0] = 0
-        self.contacts.advance(self.ball, self, h, h)
-        self.contacts.relax(self.ball, 0.0)
+        return [*self.moving(), Part(self, "_relax", STEP)]
 
     @ti.func
     def before_move(self, i, h):

@@ -4,6 +4,7 @@ from taichi_sim.analysis import methods
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
+from taichi_sim.device.parts import STEP, Part
 from taichi_sim.integrators.base import Integrator
 
 __all__ = ["RK4"]
@@ -15,6 +16,7 @@ class RK4(Integrator):
 
     method = methods.RK4
     relaxes = True
+    friction_part = 0.5
 
     def allocate(self, fields: Fields) -> None:
         """`stage`: where forces are asked next; `sum` (as x and v): the weighted change over the step."""
@@ -38,19 +40,27 @@ class RK4(Integrator):
             self.stage[i].x = self.ball[i].x + ahead * dx
             self.stage[i].v = self.ball[i].v + ahead * dv
 
-    @ti.func
-    def substep(self, h, time):
+    def parts(self) -> list[Part]:
         """Four stages; then, as in Verlet, one part of the kick, contacts, the move, the rest of the kick, contacts."""
+        first = [Part(self, "_half_of_stages", STEP), Part(self, "_other_half", STEP)]
+        return [*first, *self.moving(), Part(self, "_kick_by_rest", STEP), Part(self, "_hold", STEP)]
+
+    @ti.func
+    def _half_of_stages(self, role: ti.template(), h, time):
         self._stage(self.ball, h, time, 1.0, 0.5)
         self.forces.flex(0.5)
         self._stage(self.stage, h, time + 0.5 * h, 2.0, 0.5)
+
+    @ti.func
+    def _other_half(self, role: ti.template(), h, time):
         self._stage(self.stage, h, time + 0.5 * h, 2.0, 1.0)
         self.forces.flex(1.0)
         self._stage(self.stage, h, time + h, 1.0, 0.0)
-        self.contacts.advance(self.ball, self, h, 0.5 * h)
+
+    @ti.func
+    def _kick_by_rest(self, role: ti.template(), h, time):
         for i in range(self.model.n):
             self.state.kick(i, self.stage[i].v)
-        self.contacts.solve(self.ball, 0.5 * h, 1, False)
 
     @ti.func
     def before_move(self, i, h):

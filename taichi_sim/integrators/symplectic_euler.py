@@ -2,6 +2,7 @@
 
 from taichi_sim.analysis.methods import SYMPLECTIC_EULER
 from taichi_sim.device.engine import ti
+from taichi_sim.device.parts import STEP, Part
 from taichi_sim.integrators.base import Integrator
 
 __all__ = ["SymplecticEuler"]
@@ -14,12 +15,13 @@ class SymplecticEuler(Integrator):
     method = SYMPLECTIC_EULER
     relaxes = True
 
-    @ti.func
-    def substep(self, h, time):
+    def parts(self) -> list[Part]:
         """Forces first, contacts on the new velocity, then move."""
+        return [Part(self, "_sum_forces", STEP), *self.moving(), Part(self, "_relax", STEP)]
+
+    @ti.func
+    def _sum_forces(self, role: ti.template(), h, time):
         self.forces.total(self.ball, h, time)
-        self.contacts.advance(self.ball, self, h, h)
-        self.contacts.relax(self.ball, 0.0)
 
     @ti.func
     def before_move(self, i, h):

@@ -6,6 +6,7 @@ from taichi_sim.analysis.methods import GAMMA, TR_BDF2
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
+from taichi_sim.device.parts import STEP, Part
 from taichi_sim.forces.driven_pins import DrivenPinSlopes
 from taichi_sim.integrators.implicit_base import Implicit
 
@@ -29,6 +30,7 @@ class TRBDF2(Implicit):
     tolerance = 1e-3
     stages, opening = 3, 1
     part = 0.5 * GAMMA
+    friction_part = 0.5
 
     def allocate(self, fields: Fields) -> None:
         """`slope` [m/s^2]: what springs did at the end of the step before; `kick` [m/s] by other forces over a step, in the
@@ -88,16 +90,19 @@ class TRBDF2(Implicit):
             if stage != 1:
                 self.slope[i] = (self.solver.base[i].v - self.solver.q[i]) / (self.part * h)
 
-    @ti.func
-    def finish(self, h):
+    def finishing(self) -> list[Part]:
         """To the mean velocity of the step, contacts, the move, the rest of the change, contacts."""
-        self.fresh[0] = 0
-        self.contacts.advance(self.ball, self, h, 0.5 * h)
+        last = [Part(self, "_renew", STEP)] if self.driven else []
+        return [*self.moving(), Part(self, "_kick_by_rest", STEP), Part(self, "_hold", STEP), *last]
+
+    @ti.func
+    def _kick_by_rest(self, role: ti.template(), h, time):
         for i in range(self.model.n):
             self.state.kick(i, self.rest[i])
-        self.contacts.solve(self.ball, 0.5 * h, 1, False)
-        if ti.static(self.driven):
-            self.corners.renew(self.slope)
+
+    @ti.func
+    def _renew(self, role: ti.template(), h, time):
+        self.corners.renew(self.slope)
 
     @ti.func
     def before_move(self, i, h):

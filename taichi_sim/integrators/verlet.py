@@ -9,6 +9,7 @@ from taichi_sim.analysis.methods import VERLET
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
+from taichi_sim.device.parts import BOTH, PRIME, STEP, Part, run_parts
 from taichi_sim.forces.driven_pins import DrivenPinSlopes
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.integrators.damped_kick import DampedKick
@@ -38,6 +39,7 @@ class Verlet(Integrator):
 
     method = VERLET
     relaxes = True
+    friction_part = 0.5
     reflects = True
 
     def fit(self, scene: Scene) -> None:
@@ -79,19 +81,28 @@ class Verlet(Integrator):
         own = [self.pull] if self.predicts or self.delayed else []
         return [*own, self.kick.brake] if self.network else own
 
+    def parts(self) -> list[Part]:
+        """Half kick, contacts, drift, forces, half kick, contacts. With damping in stages one launch does `move_parts`."""
+        first = last = []
+        if self.network:
+            first, last = [Part(self, "_first_stages", STEP)], [Part(self, "_last_stages", STEP)]
+        half = [Part(self, "_end_first_half", STEP)] if self.splits else []
+        drift = [Part(self, "_drift", STEP)] if self.predicts and not self.contacts.active else self.moving()
+        forces = [
+            Part(self, "_before_forces", STEP),
+            Part(self, "_sum_forces", BOTH),
+            Part(self, "_after_forces", STEP),
+        ]
+        remembered = [Part(self, "_note_start", PRIME)] if self.network or self.predicts or self.delayed else []
+        self.move_parts = (*half, *drift, *forces)
+        return [*first, *self.move_parts, *last, Part(self, "_close", STEP), *remembered, Part(self, "_hold", STEP)]
+
     @ti.func
-    def prime(self, h, time):
-        """The forces and the contacts at the present positions."""
-        if ti.static(self.predicts):
-            self.forces.total(self.ball, h, time)
-        elif ti.static(self.network):
-            self.forces.elastic_and_damping(self.ball, h, 0.5 * h, time)
+    def _note_start(self, role: ti.template(), h, time):
+        if ti.static(self.network):
             self.kick.prime(h)
-        else:
-            self.forces.elastic(self.ball, h, time)
         if ti.static(self.predicts or self.delayed):
             self._note_pull(h)
-        self.contacts.prime(self.ball)
 
     @ti.func
     def _note_pull(self, h):
@@ -99,18 +110,7 @@ class Verlet(Integrator):
             self.pull[i] = self.forces.change(i, h) / h
 
     @ti.func
-    def substep(self, h, time):
-        """Half kick, contacts, drift, half kick, contacts."""
-        if ti.static(self.predicts):
-            self._predicted(h, time)
-        elif ti.static(self.splits):
-            self._damped(h, time)
-        else:
-            self._undamped(h, time)
-        self._hold(h)
-
-    @ti.func
-    def _hold(self, h):
+    def _hold(self, role: ti.template(), h, time):
         """The contacts after the second half kick, whose friction brings balls to what driven pins do next."""
         if ti.static(self.meets_pins):
             self.pins.look_ahead()
@@ -119,17 +119,15 @@ class Verlet(Integrator):
             self.pins.set_velocities(False)
 
     @ti.func
-    def _damped(self, h, time):
-        """With strong damping in stages before and after the drift."""
-        if ti.static(self.network):
-            self._open(h)
-            for j in range(1, self.kick.count[0]):
-                self.kick.stage(0, j, h, self.pull, self.delayed)
-        self._move(h, time)
-        if ti.static(self.network):
-            for j in range(1, self.kick.count[1]):
-                self.kick.stage(1, j, h, self.pull, False)
-        self._close(h)
+    def _first_stages(self, role: ti.template(), h, time):
+        self._open(h)
+        for j in range(1, self.kick.count[0]):
+            self.kick.stage(0, j, h, self.pull, self.delayed)
+
+    @ti.func
+    def _last_stages(self, role: ti.template(), h, time):
+        for j in range(1, self.kick.count[1]):
+            self.kick.stage(1, j, h, self.pull, False)
 
     def advance(self, h: float, time: float) -> None:
         """The same from the host, where the number of stages is not known when loops are compiled."""
@@ -152,12 +150,12 @@ class Verlet(Integrator):
 
     @ti.kernel
     def _launch_move(self, h: float, time: float):
-        self._move(h, time)
+        run_parts(self.move_parts, STEP, h, time)
 
     @ti.kernel
     def _launch_close(self, h: float):
-        self._close(h)
-        self._hold(h)
+        self._close(STEP, h, 0.0)
+        self._hold(STEP, h, 0.0)
 
     @ti.func
     def before_move(self, i, h):
@@ -182,57 +180,64 @@ class Verlet(Integrator):
         self.kick.start(0, h, self.pull, self.delayed)
 
     @ti.func
-    def _move(self, h, time):
-        """The end of the first half, contacts, drift, and the first stage of the second half."""
+    def _end_first_half(self, role: ti.template(), h, time):
         if ti.static(not self.network):
             self.kick.undamped(0, h, self.pull, self.delayed)
         self.kick.lone_springs(0, h, self.pull, self.delayed)
-        self.contacts.advance(self.ball, self, h, 0.5 * h)
-        self.forces.flex(1.0)
-        if ti.static(self.network):
-            self.forces.elastic_and_damping(self.ball, h, 0.5 * h, time + h)
-            self.kick.start(1, h, self.pull, False)
-            if ti.static(self.has_corners):
-                self.corners.renew(self.kick.brake)
-        else:
-            self.forces.elastic(self.ball, h, time + h)
-            self.kick.undamped(1, h, self.pull, False)
 
     @ti.func
-    def _close(self, h):
-        """The end of the second half."""
-        self.kick.lone_springs(1, h, self.pull, False)
-        if ti.static(self.delayed):
-            self._note_pull(h)
+    def _drift(self, role: ti.template(), h, time):
+        """With the whole kick of old forces, half of it before the drift, where nothing is in the way."""
+        for i in range(self.model.n):
+            change = h * self.pull[i]
+            self.state.shift(i, h * (self.ball[i].v + 0.5 * change))
+            self.state.kick(i, change)
 
     @ti.func
-    def _predicted(self, h, time):
-        """With the whole kick of old forces, half of it before the drift; then half of what the new ones differ by."""
-        if ti.static(self.contacts.active):
-            self.contacts.advance(self.ball, self, h, 0.5 * h)
+    def _before_forces(self, role: ti.template(), h, time):
+        """Predicted velocities, and springs as they are at the end of the step."""
+        if ti.static(self.predicts and self.contacts.active):
             for i in range(self.model.n):
                 self.state.kick(i, self.contacts.second_half(i, 0.5 * h * self.pull[i]))
-        else:
-            for i in range(self.model.n):
-                change = h * self.pull[i]
-                self.state.shift(i, h * (self.ball[i].v + 0.5 * change))
-                self.state.kick(i, change)
         if ti.static(self.driven):  # what acts here acts half in this step and half in the next
             self.pins.set_velocities(True)
         self.forces.flex(1.0)
-        self.forces.total(self.ball, h, time + h)
-        if ti.static(self.driven):
-            self.pins.set_velocities(False)
-        for i in range(self.model.n):
-            a = self.forces.change(i, h) / h
-            self.state.kick(i, self.contacts.second_half(i, 0.5 * h * (a - self.pull[i])))
-            self.pull[i] = a
 
     @ti.func
-    def _undamped(self, h, time):
-        """With neither damping nor user-defined forces."""
-        self.contacts.advance(self.ball, self, h, 0.5 * h)
-        self.forces.flex(1.0)
-        self.forces.elastic(self.ball, h, time + h)
-        for i in range(self.model.n):
-            self.state.kick(i, self.contacts.second_half(i, 0.5 * self.forces.change(i, h)))
+    def _sum_forces(self, role: ti.template(), h, time):
+        """The forces at the end of a step, or where it starts."""
+        at = time + ti.select(role == STEP, h, 0.0)
+        if ti.static(self.predicts):
+            self.forces.total(self.ball, h, at)
+        elif ti.static(self.network):
+            self.forces.elastic_and_damping(self.ball, h, 0.5 * h, at)
+        else:
+            self.forces.elastic(self.ball, h, at)
+
+    @ti.func
+    def _after_forces(self, role: ti.template(), h, time):
+        """The second half kick, or its first stage; or half of what the forces differ by from those predicted."""
+        if ti.static(self.driven):
+            self.pins.set_velocities(False)
+        if ti.static(self.predicts):
+            for i in range(self.model.n):
+                a = self.forces.change(i, h) / h
+                self.state.kick(i, self.contacts.second_half(i, 0.5 * h * (a - self.pull[i])))
+                self.pull[i] = a
+        elif ti.static(self.network):
+            self.kick.start(1, h, self.pull, False)
+            if ti.static(self.has_corners):
+                self.corners.renew(self.kick.brake)
+        elif ti.static(self.splits):
+            self.kick.undamped(1, h, self.pull, False)
+        else:
+            for i in range(self.model.n):
+                self.state.kick(i, self.contacts.second_half(i, 0.5 * self.forces.change(i, h)))
+
+    @ti.func
+    def _close(self, role: ti.template(), h, time):
+        """The end of the second half where it is damped."""
+        if ti.static(self.splits):
+            self.kick.lone_springs(1, h, self.pull, False)
+            if ti.static(self.delayed):
+                self._note_pull(h)

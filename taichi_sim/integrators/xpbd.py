@@ -5,6 +5,7 @@ import numpy as np
 from taichi_sim.analysis import methods
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
+from taichi_sim.device.parts import STEP, Part
 from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.integrators.implicit_gas import GasConstraints
@@ -119,9 +120,13 @@ class XPBD(Integrator):
         self.state.kick(i, self.model.inverse_mass[i] * p)
         self.state.kick(j, -self.model.inverse_mass[j] * p)
 
-    @ti.func
-    def substep(self, h, time):
+    def parts(self) -> list[Part]:
         """Other forces, springs, contacts on the new velocity, then move."""
+        springs = [Part(self, "_kick_by_springs", STEP)] if self.active else []
+        return [Part(self, "_kick_by_others", STEP), *springs, *self.moving(), Part(self, "_relax", STEP)]
+
+    @ti.func
+    def _kick_by_others(self, role: ti.template(), h, time):
         self.forces.external(self.ball, h, time)
         for i in range(self.model.n):
             if ti.static(self.notes_load):
@@ -129,15 +134,11 @@ class XPBD(Integrator):
             self.state.kick(i, self.forces.external_change(i, h))
         if ti.static(self.inflated):
             self.gas.push(self.ball, self.state, h)
-        if ti.static(self.active):
-            self.forces.flex(1.0)
-            self._kick_by_springs(h)
-        self.contacts.advance(self.ball, self, h, h)
-        self.contacts.relax(self.ball, 0.0)
 
     @ti.func
-    def _kick_by_springs(self, h):
+    def _kick_by_springs(self, role: ti.template(), h, time):
         """All at once, or there and back by batches, colours or blocks."""
+        self.forces.flex(1.0)
         if ti.static(self.at_once):
             edge_blocks.sums(self, self.springs, h)
             for i in range(self.model.n):

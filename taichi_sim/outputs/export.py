@@ -44,7 +44,8 @@ class Summary:
     steady: int = 0  # of them, after what `starting` counts
     duration: float = 0.0  # simulated
     wall: float = 0.0  # all of it
-    compiling: float = 0.0  # and loading what was compiled before
+    compiling: float = 0.0  # or loading what was compiled before
+    loaded: bool = False  # most of it was
     starting: float = 0.0  # all else up to the end of the first frame, which no later one needs, in each process
     simulating: float = 0.0
     drawing: float = 0.0
@@ -161,8 +162,9 @@ class Summary:
         simulated = self.duration * self.steady / max(1, self.frames - 1)
         rate = (self.wall - self.compiling - self.starting) / simulated if simulated else 0.0
         per = f": {rate:.3g} s per simulated second without compiling and starting" if simulated else ""
+        kernels = "loading kernels" if self.loaded else "compiling"
         parts = (
-            f"compiling {self.compiling:.2f}, starting {self.starting:.2f}, simulation {self.simulating:.2f},"
+            f"{kernels} {self.compiling:.2f}, starting {self.starting:.2f}, simulation {self.simulating:.2f},"
             f" pictures {self.drawing:.2f}, writing {self.writing:.2f}"
         )
         if self.resumed:
@@ -432,6 +434,7 @@ def export(
                 expected.spent()
             if log is not None and log.due and index + 1 < count:
                 keep(index)
+        summary.loaded = compiling.loaded()
         summary.duration, summary.units = duration, units_of(simulation.scene)
         summary.settled = str(getattr(simulation, "settled", None) or summary.settled)
         summary.device, summary.decisions = str(simulation.backend), simulation.decisions()

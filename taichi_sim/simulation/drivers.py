@@ -5,6 +5,7 @@ scenes run up to a hundred times faster fused; both give the same bits where sum
 from typing import Any
 
 from taichi_sim.device.engine import ti
+from taichi_sim.device.parts import PRIME, STEP, Chain, Part, run_parts
 from taichi_sim.scene.motion import counted
 
 __all__ = ["Drivers"]
@@ -22,56 +23,62 @@ class Drivers:
         self.integrator, self.pins, self.motors, self.tearing = integrator, pins, motors, tearing
         self.leads, self.flexes = pins is not None, motors is not None
         self.tears = tearing is not None and not tearing.before_contacts
+        lead = [Part(self, "_lead", STEP), Part(self, "_stay", PRIME)] if self.leads or self.flexes else []
+        tear = [Part(self, "_tear", STEP)] if self.tears else []
+        self.recipe = (*lead, *integrator.recipe, *tear)
+        self.chain = Chain(self.recipe)
 
     @ti.func
-    def _lead(self, forth: ti.template()):
+    def _lead(self, role: ti.template(), h, time):
+        self._drive(True)
+
+    @ti.func
+    def _stay(self, role: ti.template(), h, time):
+        self._drive(False)
+
+    @ti.func
+    def _drive(self, forth: ti.template()):
         if ti.static(self.leads):
             self.pins.drive(forth)
         if ti.static(self.flexes):
             self.motors.drive(forth)
 
     @ti.func
-    def _tear(self):
-        if ti.static(self.tears):
-            self.tearing.cut_overstretched(self.integrator.ball)
+    def _tear(self, role: ti.template(), h, time):
+        self.tearing.cut_overstretched(self.integrator.ball)
 
     @ti.kernel
-    def prime(self, h: float, time: float, fused: ti.template()):
-        """Forces and contacts at the present positions."""
-        if ti.static(fused):
-            ti.loop_config(serialize=True)
-            for _ in range(1):
-                self._lead(False)
-                self.integrator.prime(h, time)
-        else:
-            self._lead(False)
-            self.integrator.prime(h, time)
+    def _prime(self, h: float, time: float):
+        run_parts(self.recipe, PRIME, h, time)
 
     @ti.kernel
     def parallel(self, number: int, h: float, time: float):
         """Substep `number` of those of h seconds from `time` on."""
-        self._lead(True)
-        self.integrator.substep(h, time + number * h)
-        self._tear()
+        run_parts(self.recipe, STEP, h, time + number * h)
 
     @ti.kernel
-    def fused(self, first: int, steps: int, h: float, time: float):
-        """`steps` substeps from number `first` on, the same."""
+    def fused(self, role: int, first: int, steps: int, h: float, time: float):
+        """`steps` substeps from number `first` on, the same; or, in the role PRIME, what makes the state before them."""
         ti.loop_config(serialize=True)
         for k in range(first, first + steps):
-            self._lead(True)
-            self.integrator.substep(h, time + k * h)
-            self._tear()
+            self.chain.run(role, h, time + k * h)
 
     @ti.kernel
     def lead(self):
         """Moving pins and motors, for methods that launch a substep in parts."""
-        self._lead(True)
+        self._drive(True)
 
     @ti.kernel
     def tear(self):
         """Springs that are too long, likewise."""
-        self._tear()
+        self.tearing.cut_overstretched(self.integrator.ball)
+
+    def prime(self, h: float, time: float, fused: bool) -> None:
+        """Forces and contacts at the present positions."""
+        if fused:
+            self.fused(PRIME, 0, 1, h, time)
+        else:
+            self._prime(h, time)
 
     def run(self, first: int, steps: int, h: float, time: float, fused: bool) -> None:
         """`steps` substeps of h seconds by the chosen driver, from number `first` of those from `time` on. If `time` is a whole
@@ -88,7 +95,7 @@ class Drivers:
 
     def _run(self, first: int, steps: int, h: float, time: float, fused: bool) -> None:
         if fused:
-            self.fused(first, steps, h, time)
+            self.fused(STEP, first, steps, h, time)
         elif self.integrator.hosted:
             for k in range(first, first + steps):
                 if self.leads or self.flexes:

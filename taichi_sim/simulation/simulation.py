@@ -358,8 +358,8 @@ class Simulation(Reader):
 
     def reset(self, scene: Scene) -> None:
         """Begin anew at time 0 with another scene of the same structure, in milliseconds: with the same arguments, memory and
-        kernels, nothing being compiled, and with the same bits as a new Simulation of it. The first reset of a process may take
-        some seconds: it compiles, or loads, what empties the memory.
+        kernels, nothing being compiled, and with the same bits as a new Simulation of it. On a device the first
+        reset of a process may take some seconds: it compiles, or loads, what empties the memory.
 
         Numbers may differ: places, velocities, masses, radii, stiffnesses, materials, walls, gravity, the step. What is compiled
         in may not: how many balls and springs there are and which these join, whether there is friction or gravity at all. Raises

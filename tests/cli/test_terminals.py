@@ -65,7 +65,9 @@ def test_any_encoding(tmp_path):
     assert "Bälle".encode("latin-1") + rb"\u2603" in done.stderr
     for encoding in ("ascii", "cp1252"):
         done = command(
-            "-c", "'import taichi_sim.common.printable as m; m.settle_streams(); print(chr(0x2603))'", PYTHONIOENCODING=encoding
+            "-c",
+            "'import taichi_sim.common.printable as m; m.settle_streams(); print(chr(0x2603))'",
+            PYTHONIOENCODING=encoding,
         )
         assert (done.returncode, done.stdout) == (0, rb"\u2603" + b"\n")
 

@@ -63,7 +63,8 @@ def test_estimates_learn_how_fast_the_machine_is():
 def test_a_second_scene_of_its_kind_in_a_process_tells_nothing_of_the_next_process(monkeypatch):
     monkeypatch.setattr(compiling, "_met", set())
     monkeypatch.setattr(compiling, "_spent", 100.0)
-    kind = SimpleNamespace(kernels=lambda: ["a"], scene=SimpleNamespace(dim=2), backend="cpu")
+    parts = SimpleNamespace(fields=SimpleNamespace(layout=(5,)), keeps_kernels="")
+    kind = SimpleNamespace(kernels=lambda: ["a"], scene=SimpleNamespace(dim=2), backend="cpu", parts=parts)
     for spent, words in ((20.0, "compiling kernels (about 4 s, less where they are cached)"), (0.0, "starting")):
         one = compiling.Expected.of(kind, False)
         assert one.words() == words
@@ -71,6 +72,26 @@ def test_a_second_scene_of_its_kind_in_a_process_tells_nothing_of_the_next_proce
         one.spent()
     monkeypatch.setattr(compiling, "_met", set())
     assert compiling.Expected.of(kind, False).words() == "loading kernels (about 8 s)"
+    parts.keeps_kernels = "user-defined parts"
+    assert compiling.Expected.of(kind, False).words() == "loading kernels (about 8 s)"
+    parts.fields.layout = (6,)
+    assert compiling.Expected.of(kind, False).words().startswith("compiling")
+
+
+def test_what_was_only_loaded_is_not_called_compiled(monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(compiling.time, "perf_counter", lambda: clock[0])
+    for took, is_loaded in ((0.1, True), (9.0, False)):
+        monkeypatch.setattr(compiling, "_spent", 0.0)
+        monkeypatch.setattr(compiling, "_in_compiler", 0.0)
+
+        def prepare(took=took):  # 2 s to trace, and the compiler
+            clock[0] += 2.0
+            compiling._compiler(lambda: clock.__setitem__(0, clock[0] + took))()
+
+        compiling._timed(prepare)()
+        assert compiling.seconds() == pytest.approx(2.0 + took)
+        assert compiling.loaded() == is_loaded
 
 
 class Kernel:
@@ -144,7 +165,7 @@ def test_the_bar_says_what_is_waited_for_and_the_summary_how_long_it_took(monkey
     assert summary.compiling > 0.0
     parts = summary.compiling + summary.starting + summary.simulating + summary.drawing + summary.writing
     assert parts == pytest.approx(summary.wall)
-    assert summary.lines()[-1].count("compiling") == 2
+    assert ("(loading kernels" if summary.loaded else "(compiling") in summary.lines()[-1]
     with simulate(falling(3.0), dt=1e-3) as sim:
         export(sim, None, fps=50, duration=0.1, progress=True)
     assert "compiling kernels" not in capsys.readouterr().err

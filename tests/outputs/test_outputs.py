@@ -31,7 +31,7 @@ class FakeSimulation:
     scene = Scene(dim=2)
     settings = Settings.resolve(scene, {})
     backend = Backend("cpu", "f32", 2)
-    parts = SimpleNamespace(arguments=[()])
+    parts = SimpleNamespace(arguments=[()], fields=SimpleNamespace(layout=()), keeps_kernels="")
     time, dt, substeps = 0.0, 1e-3, 1
     torn = None
     dt, substeps = 1e-3, 1

@@ -1,0 +1,98 @@
+"""Parts of which a substep is made, and the kernels' way to run them.
+
+Taichi inlines all that a kernel calls into one function, and LLVM takes more than twice as long for one of twice the length. So
+in a kernel that runs on one thread each part is compiled by itself, as a function that calls the next one at its end. It calls no
+other: the engine lists what a function calls in the order of addresses, so that one which calls two would be known to the cache
+on disk by another name in each process.
+
+Private names are touched, so this holds for one version of Taichi only; in any other parts are inlined.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from taichi_sim.device.engine import IS_KNOWN, program, ti
+
+__all__ = ["BOTH", "PRIME", "STEP", "Chain", "Part", "run_parts"]
+
+STEP, PRIME = 1, 2  # roles: what a substep does, and what makes the state that it starts from
+BOTH = STEP | PRIME
+
+real_function = ti.real_func if IS_KNOWN else ti.func  # one that is not inlined
+
+
+class Part(NamedTuple):
+    """A function `name(role, h, time)` of an object, `owner`, and the roles in which it runs."""
+
+    owner: Any
+    name: str
+    roles: int
+
+
+@ti.func
+def run_parts(parts: ti.template(), role: ti.template(), h, time):
+    """All parts of a role, fixed when this is compiled, in turn."""
+    for part in ti.static(parts):
+        if ti.static(part.roles & role):
+            ti.static(getattr(part.owner, part.name))(role, h, time)
+
+
+@ti.data_oriented
+class Chain:
+    """Parts, run in turn on one thread, whose role may be chosen when they run."""
+
+    _program: Any = None  # of the engine, which the functions were compiled for
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self.parts = tuple(parts)
+        self.linked = IS_KNOWN
+        if IS_KNOWN:
+            _install()
+            Chain._forget()
+
+    @classmethod
+    def _forget(cls) -> None:
+        """Drop what belonged to an engine that was stopped."""
+        if cls._program is not program():
+            cls._program = program()
+            link = cls.link.func
+            link.compiled, link.taichi_functions = None, {}
+            link.mapper.mapping.clear()
+
+    @ti.func
+    def run(self, role, h, time):
+        """All parts of a role."""
+        if ti.static(self.linked):
+            self.link(0, role, h, time)
+        else:
+            for part in ti.static(self.parts):
+                if role & part.roles != 0:
+                    ti.static(getattr(part.owner, part.name))(role, h, time)
+
+    @real_function
+    def link(self, number: ti.template(), role: int, h: float, time: float):
+        """Part `number`, and all after it."""
+        if role & self.parts[number].roles != 0:
+            ti.static(getattr(self.parts[number].owner, self.parts[number].name))(role, h, time)
+        if ti.static(number + 1 < len(self.parts)):
+            if role == STEP:  # a function that is called in one place only would be inlined there, whatever its length
+                self.link(number + 1, STEP, h, time)
+            else:
+                self.link(number + 1, role, h, time)
+
+
+def _install() -> None:
+    """Let what is inlined into a function be written there; the engine would write it into the kernel."""
+    from taichi.lang import impl, kernel_impl
+
+    tree_and_context = kernel_impl._get_tree_and_ctx
+    if tree_and_context.__module__ == __name__:
+        return
+
+    def in_place(*args: Any, **named: Any) -> Any:
+        tree, context = tree_and_context(*args, **named)
+        if not context.is_kernel and not context.is_real_function:
+            context.ast_builder = impl.get_runtime().compiling_callable.ast_builder()
+        return tree, context
+
+    kernel_impl._get_tree_and_ctx = in_place

@@ -1,0 +1,138 @@
+"""Parts of a substep: run in turn by their roles, compiled apart on one thread, and found in the cache by a second process."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from taichi_sim.device import backend
+from taichi_sim.device.engine import IS_KNOWN, ti
+from taichi_sim.device.parts import BOTH, PRIME, STEP, Chain, Part, run_parts
+from taichi_sim.integrators.symplectic_euler import SymplecticEuler
+
+pytestmark = pytest.mark.once
+
+
+@ti.data_oriented
+class Numbers:
+    """Some numbers, and parts that each change them in a loop; `last` is compiled in."""
+
+    def __init__(self, last=3.0):
+        self.last = last
+        self.x = ti.field(float, 5)
+        names = {"_add": STEP, "_double": BOTH, "_subtract": PRIME, "_multiply": BOTH}
+        self.parts = tuple(Part(self, name, roles) for name, roles in names.items())
+        self.chain = Chain(self.parts)
+
+    @ti.func
+    def _add(self, role: ti.template(), h, time):
+        for i in range(5):
+            self.x[i] = self.x[i] + h + time
+
+    @ti.func
+    def _double(self, role: ti.template(), h, time):
+        for i in range(5):
+            self.x[i] = 2.0 * self.x[i]
+
+    @ti.func
+    def _subtract(self, role: ti.template(), h, time):
+        for i in range(5):
+            self.x[i] = self.x[i] - h
+
+    @ti.func
+    def _multiply(self, role: ti.template(), h, time):
+        for i in range(5):
+            if role == STEP:
+                self.x[i] = self.last * self.x[i]
+
+    @ti.kernel
+    def fused(self, role: int, steps: int, h: float):
+        ti.loop_config(serialize=True)
+        for k in range(steps):
+            self.chain.run(role, h, 1.0 * k)
+
+    @ti.kernel
+    def parallel(self, role: ti.template(), h: float, time: float):
+        run_parts(self.parts, role, h, time)
+
+
+def _chained(last=3.0):
+    """What two steps and a start make of 1, on one thread."""
+    numbers = Numbers(last)
+    numbers.x.fill(1.0)
+    numbers.fused(STEP, 2, 0.5)
+    numbers.fused(PRIME, 1, 0.25)
+    return numbers.x.to_numpy()
+
+
+def test_parts_run_in_turn_by_their_roles():
+    backend.start("cpu")
+    numbers = Numbers()
+    numbers.x.fill(1.0)
+    for time in (0.0, 1.0):
+        numbers.parallel(STEP, 0.5, time)
+    numbers.parallel(PRIME, 0.25, 0.0)
+    expected = 2.0 * (6.0 * (6.0 * 1.5 + 1.5)) - 0.25
+    assert np.all(numbers.x.to_numpy() == expected)
+    assert np.all(_chained() == expected)
+
+
+@pytest.mark.skipif(not IS_KNOWN, reason="parts are inlined")
+def test_a_second_process_finds_parts_and_a_changed_one_is_compiled_anew(tmp_path):
+    """Also where other functions were made before. A part that is called once would be inlined by LLVM: all are functions."""
+    kept = [_kept_by(tmp_path, *arguments) for arguments in (("3.0", "0"), ("3.0", "17"), ("7.0", "0"))]
+    assert kept[0] == kept[1] > 0
+    assert kept[2] == kept[0] + 1  # the kernel of Numbers alone, though only the end of the chain differs
+
+
+def _kept_by(folder, last, others):
+    """Kernels in a cache after a process that has run the chain, having made so many other functions before."""
+    code = (
+        "import sys; sys.path.insert(0, 'tests/device')\n"
+        "from taichi_sim.device.engine import ti\n"
+        "from taichi_sim.device import backend\n"
+        "from test_parts import _chained\n"
+        f"made = [ti.func(lambda x: x) for _ in range({others})]\n"
+        "backend.start('cpu', 'f32')\n"
+        f"print(_chained({last}))"
+    )
+    environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(folder)}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment, cwd=Path(__file__).parents[2])
+    return len(list(folder.glob("*.tic")))
+
+
+@ti.data_oriented
+class Floating(SymplecticEuler):
+    """A method whose substep replaces the parts that it inherits: nothing acts on balls."""
+
+    @ti.func
+    def substep(self, h, time):
+        for i in range(self.model.n):
+            self.state.shift(i, h * self.ball[i].v)
+
+
+@ti.data_oriented
+class Halved(SymplecticEuler):
+    """A method that calls the substep that it inherits, twice."""
+
+    @ti.func
+    def substep(self, h, time):
+        SymplecticEuler.substep(self, 0.5 * h, time)
+        SymplecticEuler.substep(self, 0.5 * h, time)
+
+
+def _moved(method, dt, steps):
+    scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
+    scene.add_balls([[0.0, 0.0]], velocity=[[1.0, 0.0]], radius=0.1)
+    with ts.Simulation(scene, integrator=method, dt=dt) as sim:
+        sim.step(steps)
+        return sim.position
+
+
+def test_a_substep_of_its_own_replaces_inherited_parts():
+    assert np.array_equal(_moved(Floating(), 0.25, 4), [[1.0, 0.0]])
+    assert np.array_equal(_moved(Halved(), 0.25, 2), _moved("symplectic_euler", 0.125, 4))
