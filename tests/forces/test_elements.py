@@ -69,7 +69,7 @@ def joined() -> ts.Scene:
     scene = square()
     scene.add_cells([[0, 1, 3], [1, 2, 3]], bulk_modulus=[25.0, 15.0], rest_volume=[0.4, 0.6])
     crushed = {"rest_volume": 2.5 * scene.rest_volume, "crush_modulus": np.array([40.0, 30.0, 10.0, 60.0])}
-    scene._cells.replace(slice(None), together=[0, -1, 0, 0], **crushed)
+    scene.tables["cells"].replace(slice(None), together=[0, -1, 0, 0], **crushed)
     return scene
 
 

@@ -124,7 +124,7 @@ def _round(scene: ts.Scene, digits: int, names: tuple[str, ...] = ROUNDED) -> No
 def _set(scene: ts.Scene, name: str, values: Any) -> None:
     """Give a column of balls, springs or cells other values."""
     if name == "bulk_modulus":
-        scene._cells.replace(slice(None), bulk_modulus=values)
+        scene.tables["cells"].replace(slice(None), bulk_modulus=values)
         return
     change = scene.set_springs if name in ("stiffness", "damping", "rest_length", "break_strain") else scene.set_balls
     change(**{name: values})
