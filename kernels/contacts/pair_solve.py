@@ -1,7 +1,8 @@
 """One iteration over the pairs: further impulses from the present velocities, in turn (Gauss-Seidel) or all at once."""
 
+from typing import NamedTuple
+
 from taichi_sim.kernels.contacts import contact_law, pair_colours, pair_impacts
-from taichi_sim.kernels.contacts.interfaces import Iteration
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_measures import tangent
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
@@ -9,6 +10,18 @@ from taichi_sim.kernels.contacts.pairs import RIGID, law_of
 from taichi_sim.kernels.vectors import lever, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
+
+
+class Iteration(NamedTuple):
+    """Switches of an iteration over pairs, fixed when it is compiled."""
+
+    prepares: bool = False  # masses, target speeds, bias velocities, viscous friction: the first of a solve
+    impacts: bool = False  # of these, whether what closes fast is solved too, or left for the next solve
+    stops_first: bool = False  # where the energy limiter compares both, what touches is stopped before it bounces
+    yields_to_loads_only: bool = False  # soft contacts let go of a part of their load, not of what an impact gave them
+    takes_back: bool = False  # the speed with which the solve before the move pushed out overlap
+    starts: bool = True  # this solve began with what contacts accumulated before; else that was applied before the move
+
 
 FIRST = Iteration(prepares=True, impacts=True, stops_first=True)
 NEXT = Iteration(stops_first=True)

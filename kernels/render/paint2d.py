@@ -8,11 +8,9 @@ Colours are linear.
 """
 
 from taichi_sim.kernels.render.finish import alpha_byte, encode
-from taichi_sim.kernels.render.interfaces import Shapes
 
 from taichi_sim.device.engine import ti
 
-READS = {"scene": Shapes}
 vec2 = ti.types.vector(2, ti.f32)
 vec3 = ti.types.vector(3, ti.f32)
 Look = ti.types.matrix(5, 3, ti.f32)  # rows: background at the top, at the bottom, wall, its hatching, its edge

@@ -6,11 +6,21 @@ balls: `impulse` takes h times the elastic force, `damping_impulse` takes `tau` 
 `impulse` takes both.
 """
 
+from typing import NamedTuple
+
 from taichi_sim.kernels.loops import list_entry
 from taichi_sim.kernels.reductions import even_then_odd
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
+
+
+class Terms(NamedTuple):
+    """Terms of the law that a loop sums, fixed when it is compiled."""
+
+    elastic: bool  # k (d - l) n
+    damped: bool  # c (u . n) n
+    apart: bool  # damping apart from the rest
 
 
 @ti.func

@@ -3,20 +3,18 @@
 Springs of a batch share no ball, so none waits for another one of it: all loads and arithmetic come before all stores.
 """
 
-from taichi_sim.kernels.springs.interfaces import BatchSweep
 from taichi_sim.kernels.springs.padded_blocks import COINCIDENT
 
 from taichi_sim.device.engine import ti
 
 BATCH_WIDTH = 8
-READS = {"sweep": BatchSweep}
 
 
 @ti.func
 def there_and_back(sweep: ti.template(), springs: ti.template(), h):
     """For all springs e from ball i to ball j sweep.take(i, j, sweep.give(i, j, e, h)), in order and then in the reverse order,
-    each seeing what those before it changed; sweep.change(i, j, e, h) is the same for ends that may coincide. For batches see
-    forces.spring_batches."""
+    each seeing what those before it changed. give returns the impulse [N s] on ball i and the square of the distance of both
+    ends [m^2]; sweep.change(i, j, e, h) is the same for ends that may coincide. For batches see forces.spring_batches."""
     ti.loop_config(serialize=True)
     for step in range(2 * springs.batches):
         e = ti.min(step, 2 * springs.batches - 1 - step) * BATCH_WIDTH

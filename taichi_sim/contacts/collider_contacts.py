@@ -17,19 +17,19 @@ STEEPEST_FALL = 0.25
 
 @ti.data_oriented
 class ColliderContacts:
-    """What was found when contacts were last looked for, see kernels.contacts.interfaces. rounding: of a coordinate, as a part of
-    it."""
+    """Slots as they were filled when contacts were last looked for. rounding: of a coordinate, as a part of it."""
 
     def __init__(self, model: Model, fields: Fields, colliders: Colliders, rounding: float) -> None:
         self.model, self.colliders, self.rounding = model, colliders, rounding
         self.moves, self.faces = colliders.moves, colliders.faces
         self.count = SLOTS[model.dim]
         vector = ti.types.vector(model.dim, fields.real)
+        # key: collider times `faces` plus its face, or EMPTY; gap [m], negative inside; normal: toward the ball
         columns = {"key": ti.i32, "gap": fields.real, "normal": vector}
         if self.moves:
-            columns["velocity"] = vector
+            columns["velocity"] = vector  # m/s, of the surface, along the chord of the step to come
         self.slot = fields.table(columns, model.n * self.count)
-        self.filled = fields.integers(model.n)
+        self.filled = fields.integers(model.n)  # slots in use
 
     @ti.func
     def gap(self, i, s):

@@ -20,14 +20,15 @@ KIND = {ROUND: kinds.ROUND, BOX: kinds.BOX, MESH: kinds.MESH, CUSTOM: kinds.CUST
 
 @ti.data_oriented
 class Colliders:
-    """All colliders of a scene, see kernels.contacts.interfaces. Motions are worked out on the host in float64, for TICKS
-    substeps at a time: `motion`, of which `tick` is the present one. grids: of `distance_grids`."""
+    """All colliders of a scene. Motions are worked out on the host in float64, for TICKS substeps at a time: `motion`, of which
+    `tick` is the present one. grids: of `distance_grids`."""
 
     def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
         scene = model.scene
         self.dim, self.scene, self.count = model.dim, scene, len(scene.colliders)
         kinds = {c.kind for c in scene.colliders}
         self.has_round, self.has_box, self.has_mesh = ROUND in kinds, BOX in kinds, MESH in kinds
+        # number of each that the user defines, and its Taichi function distance(p) [m], p in its own frame
         self.custom = [(k, c.shape.distance) for k, c in enumerate(scene.colliders) if c.kind == CUSTOM]
         self.has_custom = bool(self.custom)
         eps = float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
@@ -41,6 +42,7 @@ class Colliders:
         self.rotates = any(bool(np.any(scene.colliders[k].motion.turns)) for k in moving)
         self._shapes(model, fields, grids)
         vector = ti.types.vector(model.dim, fields.real)
+        # x: centre [m]; along, across: images of its local x and y axes; v [m/s]; spin: angular velocity [1/s]
         columns = {"x": vector, "along": vector, "v": vector, "spin": fields.real if model.dim == 2 else vector}
         if model.dim == 3:
             columns["across"] = vector
@@ -59,6 +61,7 @@ class Colliders:
         colliders = model.scene.colliders
         real, dim = fields.real, model.dim
         vector, whole = ti.types.vector(dim, real), ti.types.vector(3, ti.i32)
+        # half: of its size; radius: of what is round; hollow: thickness, 0 if solid; extent: radius of the sphere around it [m]
         columns = {"kind": ti.i32, "half": vector, "radius": real, "hollow": real, "surface": ti.i32, "extent": real}
         data: dict[str, NDArray] = {
             "kind": np.array([KIND[c.kind] for c in colliders]),
@@ -73,16 +76,18 @@ class Colliders:
             data |= {"group": np.array([c.group for c in colliders]), "mask": np.array([c.mask for c in colliders])}
             columns |= {"group": ti.i32, "mask": ti.i32}
         if self.has_mesh:
+            # of the grid of each mesh: first value, corner [m], inverse_cell [1/m], cells along each axis
             data["first"] = np.cumsum([0, *(g.value.size for g in grids[:-1])])
             data["low"] = np.array([g.low for g in grids])
             data["inverse_cell"] = np.array([1.0 / g.cell for g in grids])
             data["cells"] = np.array([g.value.shape[::-1] for g in grids])
             columns |= {"first": ti.i32, "low": vector, "inverse_cell": real, "cells": whole}
-            self.grid = fields.reals(np.concatenate([g.value.ravel() for g in grids]))
+            self.grid = fields.reals(np.concatenate([g.value.ravel() for g in grids]))  # m, distances
             nodes, triangles = (
                 np.cumsum([0, *(len(part) for part in parts)])
                 for parts in ([g.tree.boxes for g in grids], [g.tree.triangles for g in grids])
             )
+            # of the tree of each mesh
             data |= {"first_node": nodes[:-1], "last_node": nodes[1:]}
             columns |= {"first_node": ti.i32, "last_node": ti.i32}
             cells, leaves = (
@@ -94,9 +99,11 @@ class Colliders:
             leaf = [g.leaves + k for g, k in zip(grids, nodes)]
             link = [(g.tree.links + np.array([k, t, t])).ravel() for g, k, t in zip(grids, nodes, triangles)]
             tables = (exact, cell, leaf, link)
+            # exact: number of the cell that begins at a node of the grid, -1 where distances are not taken from triangles;
+            # cell (2 for each): a triangle near it, its leaves; leaf: nodes that may hold the closest triangle; link (3 nodes)
             self.exact, self.cell, self.leaf, self.link = (fields.integers(np.concatenate(one)) for one in tables)
-            self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))
-            self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))
+            self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))  # m, (6 nodes)
+            self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))  # (30 triangles)
         self.shape = fields.table(columns, self.count, data)
 
     @ti.func

@@ -43,7 +43,7 @@ class ContactParts(NamedTuple):
 
 @ti.data_oriented
 class FoundContacts:
-    """The parts of a plan and the fields that kernels.contacts.interfaces.Solver describes.
+    """The parts of a plan, and the fields in which kernels find contacts and solve them: their `solver`.
 
     Class attributes: `in_turn`: each pair sees what those before it changed, which needs a fixed order; `split`: each ball splits
     its mass between its contacts, see kernels.contacts.contact_law.share; `sums_plainly`: none does; `warm_starts`, `softens`,
@@ -78,6 +78,7 @@ class FoundContacts:
         self.grid_parts = [part for part in (self.pairs, self.sticks) if part is not None and plan.neighbours]
         self.sticks_and_triangles = [part for part in (self.sticks, self.triangles) if part is not None]
         self.parts = [part for part in parts if part is not None]
+        # threshold: (1) m/s, approach speed below which nothing bounces
         self.threshold, self.active, self.iterations = threshold, plan.active, plan.iterations
         # by the directions of contacts, not only their number; friction pushes sideways as well
         self.splits_by_direction = plan.active and self.split and not model.has_friction
@@ -86,8 +87,8 @@ class FoundContacts:
         self.corrects_positions = plan.active and (not plan.soft or joint or plan.walls)
         self.counts_pairs = self.split or plan.walls_in_turn  # the pairs that touch each ball, whoever lists them
         if plan.active:
-            self.rate = fields.reals(np.array([1.0 / h]))
-            self.velocity_before = fields.vectors(self.n, model.dim)
+            self.rate = fields.reals(np.array([1.0 / h]))  # 1/s
+            self.velocity_before = fields.vectors(self.n, model.dim)  # m/s, before the solve
             self._allocate_shared(fields)
             self.allocate(fields)
         self.search_parts = tuple(self.finding())
@@ -95,34 +96,39 @@ class FoundContacts:
     def _allocate_shared(self, fields: Fields) -> None:
         n, dim, plan = self.n, self.model.dim, self.plan
         if plan.neighbours:  # see ccd_balls
-            self.displacement = self.velocity_before  # one memory: neither lasts from the move to the solve
+            # m, of the move just made; one memory: neither lasts from the move to the solve
+            self.displacement = self.velocity_before
+            # moved_fast: 1, something did; balls, sticks: how many to look at; shortened: 1, a way was in the last round
             self.swept = fields.table(dict.fromkeys(("moved_fast", "balls", "sticks", "shortened"), ti.i32), 1)
-            self.longest_displacement = fields.reals(1)
+            self.longest_displacement = fields.reals(1)  # m, of what moved fast
+            # parts of the move that are made: so far, and after this round
             self.time_of_impact, self.next_time_of_impact = fields.reals(n), fields.reals(n)
         if plan.sticks:
             smallest = float(np.min(self.model.scene.radius))
-            self.crossing_squared = fields.reals(np.array([(STICK_CROSSING * smallest) ** 2]))
+            self.crossing_squared = fields.reals(np.array([(STICK_CROSSING * smallest) ** 2]))  # m^2
         if self.corrects_positions:
-            self.position_correction = fields.vectors(n, dim)
+            self.position_correction = fields.vectors(n, dim)  # m
         if plan.limits_energy:
             self.energy_type = fields.wide
             self.energy_parts = parts_of(n)
+            # [J] of each part, then of their groups: lost by what has stopped; linear, square: terms of the changes since
             columns = dict.fromkeys(("lost", "linear", "square"), self.energy_type)
             self.energy = fields.table(columns, self.energy_parts + groups_of(self.energy_parts))
-            self.energy_scaling = fields.doubles(1)
-            self.stopped_velocity = fields.vectors(n, dim)  # where all that touched has stopped
+            self.energy_scaling = fields.doubles(1)  # part of the changes that is taken back, negative
+            self.stopped_velocity = fields.vectors(n, dim)  # m/s, where all that touched has stopped
             if self.model.spins:
+                # [m/s] before the solve, and where all that touched has stopped
                 self.spin_before, self.stopped_spin = (fields.spins(n, dim) for _ in range(2))
         if self.shares_mass:
-            self.effective_inverse_mass = fields.reals(n)
+            self.effective_inverse_mass = fields.reals(n)  # 1/kg, of the part that each contact gets
         if self.counts_pairs:
-            self.pair_count = fields.integers(n)
+            self.pair_count = fields.integers(n)  # pairs that touch each ball
         if self.splits_by_direction:
-            self.normal_tensor = fields.matrices(n, dim)
+            self.normal_tensor = fields.matrices(n, dim)  # sum of n n^T over the pairs of each ball
         if plan.warm_starts and plan.pairs:
-            self.warm_velocity = fields.vectors(n, dim)
+            self.warm_velocity = fields.vectors(n, dim)  # m/s, by the impulses with which pairs start
             if self.model.spins:
-                self.warm_spin = fields.spins(n, dim)
+                self.warm_spin = fields.spins(n, dim)  # m/s, likewise
 
     def allocate(self, fields: Fields) -> None:
         """Declare fields of the rule's own."""

@@ -23,16 +23,23 @@ class GaussSeidel(IteratedRule):
         """For impacts in turn see pair_impacts, for line searches of islands of balls impact_iterations."""
         n, dim = self.n, self.model.dim
         if self.plan.impacts_in_turn:
-            self.block_limit = n // LIST_BLOCK + 2
+            self.block_limit = n // LIST_BLOCK + 2  # blocks, at most
+            # 1: something closes fast in the block, in this round or in the next; 1: something bounced in it in this step
             self.block_is_active = fields.integers(2 * self.block_limit)
             self.block_was_struck = fields.integers(self.block_limit)
+            # disturbed: round after the last impact on a ball or one in its list, 0: one closes fast, or UNDISTURBED;
+            # impacts: on a ball in this step
             self.disturbed, self.impacts = fields.integers(n), fields.integers(n)
         if self.plan.line_search:
+            # island: a ball of the same one, in the end its root; island_was_struck: 1 of a root, something bounced in it
             self.island, self.island_was_struck = fields.integers(n), fields.integers(n)
+            # iterations of this step, -1: none. The last that took the contacts a ball lists; that counted its change; of a root
             self.last_iteration, self.last_extension, self.island_iteration = (fields.integers(n) for _ in range(3))
-            self.velocity_change = fields.vectors(n, dim)
+            self.velocity_change = fields.vectors(n, dim)  # m/s, by the last iteration
+            # of a root: slope and curvature [J] along that change, and how many times it may be made again
             self.slope, self.curvature, self.longest_extension = (fields.reals(n) for _ in range(3))
         if self.plan.loaded:
+            # [m/s] when contacts were found, and what forces added since
             self.velocity_when_found, self.velocity_from_forces = fields.vectors(n, dim), fields.vectors(n, dim)
 
     @ti.func

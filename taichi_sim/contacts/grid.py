@@ -32,7 +32,7 @@ class Grid:
     Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
     its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
     Nothing is looked for while cells hold more than `pair_limit` pairs. parallel: as parallel_search does it. by_colours: with
-    the blocks of pair_colours, or SceneError where they are too many. What kernels read: kernels.contacts.interfaces.Grid.
+    the blocks of pair_colours, or SceneError where they are too many.
     """
 
     def __init__(
@@ -47,36 +47,39 @@ class Grid:
     ) -> None:
         self.model, self.parallel = model, parallel
         self.n, self.dim = model.n, model.dim
-        self.skin, self.enlarged = skin, 1.0 + skin + gap
+        self.skin, self.enlarged = skin, 1.0 + skin + gap  # of a radius; times a radius
         self.margin = 1.001  # for rounded coordinates
         bounds = levels(model.scene.radius, model.dim)  # largest radius [m] of each level, the finest first
         self.levels = len(bounds)
         level = np.searchsorted(bounds, model.scene.radius)
         balls = np.bincount(level, minlength=self.levels)
-        self.bound = fields.reals(np.array(bounds))
+        self.bound = fields.reals(np.array(bounds))  # (levels) m
+        # (levels) 1/m, of a cell across x
         self.inverse_width = fields.reals(1.0 / (2.0 * np.array(bounds) * self.enlarged * self.margin))
         fewest = 64 if self.levels == 1 else FEWEST_BUCKETS_OF_LEVEL
         sizes = [max(fewest, 1 << int(np.ceil(np.log2(max(1, BUCKETS_PER_BALL * n))))) for n in balls.tolist()]
-        self.size = sum(sizes)
+        self.size = sum(sizes)  # buckets of all levels; `chunk` of them one thread sums
         self.chunk = parallel_search.SUMMED_BUCKETS if parallel or self.size < 4096 else 1024
         self.size = -(-self.size // self.chunk) * self.chunk
         if self.levels > 1:
-            self.table_size = fields.integers(np.array(sizes))
-            self.table_first = fields.integers(np.cumsum([0, *sizes[:-1]]))
-            self.top = fields.integers(self.levels * model.dim)
+            self.table_size = fields.integers(np.array(sizes))  # (levels) buckets
+            self.table_first = fields.integers(np.cumsum([0, *sizes[:-1]]))  # (levels) the first of these
+            self.top = fields.integers(self.levels * model.dim)  # the highest cell in which a search may look
         else:
-            self.extent = fields.integers(model.dim)
+            self.extent = fields.integers(model.dim)  # cells of the box around all balls
         if self.levels == 1 and not parallel:
             self.slabs = max(self.chunk, self.size // 4)
+            # slab: where its balls begin; rank: place of a ball in the order by slabs
             self.slab, self.rank = fields.integers(self.slabs + 1), fields.integers(self.n)
+            # slab_axis: across which slabs lie; slab_shift: bits of the cells of one
             self.slab_axis, self.slab_shift = fields.integers(1), fields.integers(1)
-        self.count = fields.integers(self.size)
-        self.start = fields.integers(self.size + 1)
-        self.partial = fields.integers(self.size // self.chunk)
+        self.count = fields.integers(self.size)  # balls in a bucket, while it is made
+        self.start = fields.integers(self.size + 1)  # the first sorted copy of a bucket
+        self.partial = fields.integers(self.size // self.chunk)  # sums over chunks
         if parallel:
             self.second_parts = -(-self.size // parallel_search.SUMMED_BUCKETS**2)
-            self.second_partial = fields.integers(self.second_parts)
-            self.copy_of = fields.integers(self.n)
+            self.second_partial = fields.integers(self.second_parts)  # sums of these
+            self.copy_of = fields.integers(self.n)  # the sorted copy of each ball
         if by_colours:
             self.colours = self.levels << model.dim
             if self.colours > MOST_COLOURS:
@@ -85,20 +88,27 @@ class Grid:
                     says=f"'gauss_seidel' takes pairs by {2**model.dim} colours for each level of sizes, {MOST_COLOURS} at most,"
                     f" and these radii have {self.levels} levels; use 'jacobi'",
                 )
-            self.block = fields.integers(self.colours * self.n)
-            self.block_count = fields.integers(self.colours)
-        self.bucket = fields.integers(self.n)
+            self.block = fields.integers(self.colours * self.n)  # the first sorted copy in each block of a colour
+            self.block_count = fields.integers(self.colours)  # blocks
+        self.bucket = fields.integers(self.n)  # of each ball
+        # sorted: the ball of each sorted copy; order: balls in the order of iterations
         self.sorted, self.order = fields.integers(self.n), fields.integers(self.n)
-        self.origin = fields.vectors(self.n, model.dim)
+        self.origin = fields.vectors(self.n, model.dim)  # m, of each ball at the last search
+        # stale: 1, the last search does not hold any more; searches: number
         self.stale, self.searches = fields.integers(1), fields.integers(1)
+        # how much each loop of the present search has to do: all or nothing. parts: one thread measures the box of each
         self.work = fields.table(dict.fromkeys(("balls", "buckets", "parts", "ranked", "slabs"), ti.i32), 1)
+        # pairs in crowded cells: in the last search, at most in one that was given up, and for which there is memory
         self.crowded_pairs, self.most_crowded_pairs = fields.reals(1), fields.reals(1)
         self.pair_limit = fields.reals(np.array([float(pair_limit)]))
         self.parts = 1 if parallel else -(-self.n // LONG_PART)
+        # cells: the lowest and the highest of each part and level
         self.low, self.high = (fields.cells(self.levels * self.parts, model.dim) for _ in range(2))
+        # corner: the lowest cell in which a search may look; pitch: of rows, where they lie side by side
         self.corner, self.pitch = (fields.integers(self.levels * model.dim) for _ in range(2))
-        self.dense = fields.integers(self.levels)
+        self.dense = fields.integers(self.levels)  # (levels) 1: rows lie side by side
         vector = ti.types.vector(model.dim, fields.real)
+        # [m] of each ball as it was when the grid was made
         self.copy = fields.table({"x": vector, "radius": fields.real}, self.n)
 
     @property

@@ -26,6 +26,7 @@ class Received:
         number = {body: k for k, body in enumerate(bodies)}
         planes = [number.get(("wall", k), -1) for k in range(len(scene.walls))]
         solids = [number.get(("collider", k), -1) for k in range(len(scene.colliders))]
+        # number of each wall and each collider among the bodies, or -1
         self.plane = fields.integers(np.array([*planes, -1]))  # a field may not be empty
         self.solid = fields.integers(np.array([*solids, -1]))
         self.sum = fields.vectors(self.n * self.count, model.dim)

@@ -27,12 +27,12 @@ class Jacobi(IteratedRule):
         self.relaxation = RELAXATION
         if self.iterations < FEW_ITERATIONS:  # one changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
             self.relaxation = min(RELAXATION, 2.0 / (1.0 + max_restitution(self.model.scene)))
-        self.impulse = fields.vectors(self.n, self.model.dim)
+        self.impulse = fields.vectors(self.n, self.model.dim)  # N s
         self.solved_at_once = max(
             [self.n, *(part.most_solved for part in self.sticks_and_triangles)]
         )  # balls and contacts
         if self.model.spins:
-            self.angular_impulse = fields.spins(self.n, self.model.dim)
+            self.angular_impulse = fields.spins(self.n, self.model.dim)  # N s, in units of the radius
 
     @ti.func
     def iterate(self, ball: ti.template(), time, how: ti.template()):

@@ -26,7 +26,7 @@ LISTED_GAP = 0.02
 class Pairs:
     """Ball-ball contacts: each ball lists the later balls near it, or all where the plan gathers, those that touch it first; with
     colours both list it and keep their places, see kernels.contacts.pair_colours.
-    `link` holds what a contact keeps from step to step, `contact` what only one step needs, see kernels.contacts.interfaces.
+    `link` holds what a contact keeps from step to step, `contact` what only one step needs.
     capacity: links that are known to be needed."""
 
     what = "pairs of balls within reach of each other"
@@ -41,52 +41,58 @@ class Pairs:
         self.pool_start = -(-model.n // balls) * self.block_capacity
         self.capacity = max(capacity, self.pool_start + max(model.n // 2, min(model.n**2, POOL_LINKS)))
         before = fields.bytes
+        # links of the pool: in use, and how many would have been needed
         self.used, self.overflow = fields.integers(1), fields.integers(1)
+        # longest_reach: places in the order between balls of a pair; block_length: of a block, see kernels.contacts.pair_sweeps
         self.longest_reach, self.block_length, self.blocks = fields.integers(1), fields.integers(1), fields.integers(1)
         self.single_precision = fields.real == ti.f32
         self.has_rebounds = model.has_restitution and not plan.impacts_in_turn
         self.has_target = self.has_rebounds or (plan.soft and not plan.impacts_in_turn)
         vector = ti.types.vector(model.dim, fields.real)
-        columns = {"other": ti.i32, "impulse": fields.real}
+        columns = {"other": ti.i32, "impulse": fields.real}  # the ball that does not list it; N s
         if model.has_friction:
+            # [N s], in 2D along the normal turned by 90 degrees
             columns["tangential_impulse"] = fields.real if model.dim == 2 else vector
         if plan.soft:
-            columns["bias_velocity"] = fields.real
+            columns["bias_velocity"] = fields.real  # m/s, with which overlap is pushed out, or RIGID
         if self.has_rebounds:
-            columns["rebound_speed"] = fields.real
-        if plan.by_colours:
+            columns["rebound_speed"] = fields.real  # m/s, 0 if it did not bounce
+        if plan.by_colours:  # colour, or SOLVED_BY_OTHER; twin: link in the other ball's list, or NO_LINK
             columns["colour"] = columns["twin"] = ti.i32
         self.link = fields.table(columns, self.capacity, by_column=self.interleaved)
+        # normal: from the ball that lists it; depth: overlap [m], negative where they are apart; mass [kg] of a lone contact
         columns = {"normal": vector, "depth": fields.real, "mass": fields.real}
         if self.has_target:
-            columns["target"] = fields.real
+            columns["target"] = fields.real  # m/s, normal speed to come to
         if self.has_rebounds:
-            columns["rebound_speed"] = fields.real
+            columns["rebound_speed"] = fields.real  # m/s, of the link before lists were made anew
         if plan.impacts_in_turn and plan.warm_starts:
-            columns["starting_impulse"] = fields.real
+            columns["starting_impulse"] = fields.real  # N s, before the solve
         if plan.line_search:
-            columns["previous_impulse"] = fields.real
+            columns["previous_impulse"] = fields.real  # N s, before the last iteration
         if plan.impacts_in_turn:
+            # lister: the ball that lists it; next_from_others: the next contact with the same other ball, or NO_CONTACT
             columns["lister"] = columns["next_from_others"] = ti.i32
-            self.first_from_others = fields.integers(model.n)
+            self.first_from_others = fields.integers(model.n)  # contact in which others list it, or NO_CONTACT
         if model.spins:
-            columns["arm"] = fields.real
+            columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
         self.contact = fields.table(columns, self.capacity, by_column=self.interleaved)
         if plan.by_colours:
-            self.turn = fields.integers(self.capacity)
+            self.turn = fields.integers(self.capacity)  # place in a list, and colour, see kernels.contacts.pair_colours
         self.most = loops.COUNT_LIMIT
         self.bytes_each = (fields.bytes - before) / self.capacity
+        # of the list of each ball: first link, number of links, of these that touch, or with colours that it solves
         self.first, self.number, self.touching = (fields.integers(model.n) for _ in range(3))
         if plan.by_colours:
-            self.colours = fields.integers(model.n)
-        self.held = self.number if plan.by_colours else self.touching
-        if plan.warm_starts:
+            self.colours = fields.integers(model.n)  # of each ball, a bit for each colour of its pairs
+        self.held = self.number if plan.by_colours else self.touching  # from the first on, that may hold anything
+        if plan.warm_starts:  # as they were before the last search
             self.old_first, self.old_held = fields.integers(model.n), fields.integers(model.n)
         kinds = np.unique(scene.material)
         self.only_law = int(kinds[0]) * (model.surfaces + 1) if len(kinds) == 1 else -1  # of balls of one material
         self.has_bodies = bool(np.any(scene.body > 0))
         if self.has_bodies:
-            self.body = fields.integers(scene.body)
+            self.body = fields.integers(scene.body)  # of each ball, 0: none
         self.has_springs = scene.n_springs > 0
         if self.has_springs:
             start, other = model.joined()

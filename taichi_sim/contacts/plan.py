@@ -20,7 +20,7 @@ class ContactPlan:
 
     pairs: bool  # of balls
     neighbours: bool  # balls or sticks look for balls
-    walls: bool
+    walls: bool  # or colliders
     colliders: bool
     sticks: bool  # that balls touch
     triangles: bool  # that collide

@@ -17,8 +17,8 @@ LARGEST_CAPACITY = 1 << 29  # contacts; each has three entries
 
 @ti.data_oriented
 class Sticks:
-    """Ball-stick contacts, see kernels.contacts.interfaces.Sticks: the stick is its two end balls, each taking part by how near
-    the hit is. capacity: contacts known to be needed."""
+    """Ball-stick contacts: the stick is its two end balls, each taking part by how near the hit is: the weights are 1 on the
+    ball and -(1 - at), -at on the ends. Contacts of a stick lie together. capacity: contacts known to be needed."""
 
     what = "balls that touch sticks"
     balls_per_contact = 3
@@ -30,20 +30,27 @@ class Sticks:
         self.model, self.pairs, self.grid, self.plan = model, pairs, pairs.grid, pairs.plan
         self.m = len(ends)
         self.most_solved = self.m  # one by one
+        # (m) ball at either end
         self.one, self.two = fields.integers(ends[:, 0]), fields.integers(ends[:, 1])
         usual = max(MINIMUM_CAPACITY if model.n > 64 else self.m * model.n, 4 * (model.n + self.m))
         self.capacity = max(capacity, usual)
         before = fields.bytes
         real, vector = fields.real, ti.types.vector(model.dim, fields.real)
+        # impulse: along the normal [N s]; tangential_impulse [N s]
         accumulated = {"impulse": real, **({"tangential_impulse": vector} if model.has_friction else {})}
+        # starting_impulse: before the solve [N s]; gained_speed: of approach since it was last seen, last_speed: of then [m/s]
         seen = dict.fromkeys(("starting_impulse", "gained_speed", "last_speed"), real) if self.plan.warm_starts else {}
+        # normal: from stick to ball; at: part of the stick at which it touches; distance [m]
         found = {"ball": ti.i32, "stick": ti.i32, "normal": vector, **dict.fromkeys(("at", "distance"), real)}
+        # target: normal speed to come to [m/s]; previous_impulse: before the last iteration [N s]
         solved = dict.fromkeys(("target", "previous_impulse"), real)
         self.contact = fields.table({**found, **solved, **accumulated, **seen}, self.capacity)
+        # of each stick: its first contact, and their number
         self.begin, self.length = fields.integers(self.m), fields.integers(self.m)
         if self.plan.warm_starts:
+            # what contacts had accumulated, and with which ball, while they are listed anew
             self.old = fields.table({"other": ti.i32, **accumulated}, self.capacity)
-        self.applied_impulse = fields.vectors(self.capacity, model.dim)
+        self.applied_impulse = fields.vectors(self.capacity, model.dim)  # N s, still to be applied
         self.entry = fields.integers(3 * self.capacity)
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number = fields.integers(model.n), fields.integers(model.n)

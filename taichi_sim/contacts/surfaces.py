@@ -23,6 +23,7 @@ class Surfaces:
 
     def __init__(self, model: Model, fields: Fields, colliders: Colliders | None, limits_energy: bool) -> None:
         self.model, self.colliders = model, colliders
+        # of a coordinate, as a part of it
         self.rounding = 4.0 * float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
         self.planes = Planes(model, fields)
         self.has_colliders = colliders is not None

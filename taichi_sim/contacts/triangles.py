@@ -36,9 +36,8 @@ UNBOUNDED_SPACING = 1e12  # m, the same of a ball without triangles
 @ti.data_oriented
 class TriangleContacts:
     """Contacts of balls and triangles, and of edges, with thickness: two things touch where they are as far apart as the radii
-    there, those of a triangle's balls weighted by how near they are. See kernels.contacts.interfaces.Triangles, for what
-    becomes of a pair kernels.contacts.triangle_pairs, and for how pairs are found triangle_bvh. capacity: contacts known to be
-    needed."""
+    there, those of a triangle's balls weighted by how near they are. For what becomes of a pair see
+    kernels.contacts.triangle_pairs, for how pairs are found triangle_bvh. capacity: contacts known to be needed."""
 
     what = "surfaces that touch"
     balls_per_contact = 4
@@ -52,59 +51,74 @@ class TriangleContacts:
         self.tearing: Any = None  # see forces.tearing
         of_triangles = np.where(bare[:, None] > 0, -1, edges)  # sticks do not tear
         self.severed = [Severed(part, fields) for part in (triangles, of_triangles)] if self.tears else []
+        # (n + 1) where those that each ball owns begin
         self.triangle_start, self.edge_start = (
             fields.integers(np.searchsorted(part[:, 0], np.arange(n + 1))) for part in (triangles, edges)
         )
+        # beyond_a: third ball of the triangle beyond the edge across from a, or BORDER or NOT_OWNED
         names = ("a", "b", "c", "beyond_a", "beyond_b", "beyond_c")
         columns = dict(zip(names, np.concatenate([triangles, beyond], axis=1).T))
         if self.tears:
             self.severed_triangles, self.severed_edges = self.severed
+            # across_a: the triangle of beyond_a, or the one that owns the edge
             columns |= dict(zip(("across_a", "across_b", "across_c"), across.T))
         self.triangle = fields.table(dict.fromkeys(columns, ti.i32), len(triangles), columns)
+        # bare: 1, a stick of no triangle
         columns = {"one": edges[:, 0], "two": edges[:, 1], "bare": bare}
         self.edge = fields.table(dict.fromkeys(columns, ti.i32), len(edges), columns)
-        self.spacing = fields.reals(spacing(scene))
+        self.spacing = fields.reals(spacing(scene))  # m, distance that springs keep
         self.may_spin = fields.integers(
             1 - np.isin(np.arange(n), triangles)
         )  # balls of a surface, being points of it, do not
         vector = ti.types.vector(3, fields.real)
-        self.expected_displacement = fields.vectors(n, 3)
+        self.expected_displacement = fields.vectors(n, 3)  # m, of a step, at the speeds with which pairs were found
         leaf_balls, self.leaf_count = leaf_order(scene, edges)
         self.leaves_per_node = LEAVES_PER_NODE
         self.bottom_nodes = 1 << (max(1, -(-self.leaf_count // LEAVES_PER_NODE)) - 1).bit_length()
         self.subtree_nodes = 1 << (self.bottom_nodes.bit_length() - 1) // 2
         self.stages = stages(self.bottom_nodes)
-        self.leaf_ball = fields.integers(leaf_balls)
+        self.leaf_ball = fields.integers(leaf_balls)  # the ball of each slot, those that own nothing last
+        # low, high: corners of the box; reach: within which others concern it; displacement: of the step to come [m]
         box = {"low": vector, "high": vector, "reach": fields.real}
         self.leaf = fields.table({**box, "displacement": vector}, self.leaf_count)
         spread = {"lowest_displacement": vector, "highest_displacement": vector}
         self.node = fields.table({**box, **spread}, 2 * self.bottom_nodes)
+        # allowed_part: of its way that each ball may make; effective_inverse_mass [1/kg]: see share_mass
         self.allowed_part, self.effective_inverse_mass = fields.reals(n), fields.reals(n)
+        # 1 or 0. lists: pairs are listed; searches: candidates are looked for; expired: those of the last search hold no more;
+        # left_path: some ball is not where it was expected; left_path_later: as what was found then cut its way short
         self.work = fields.table(
             dict.fromkeys(("lists", "searches", "expired", "left_path", "left_path_later"), ti.i32), 1
         )
-        self.left_path = fields.integers(n)
+        self.left_path = fields.integers(n)  # 1: not where it was expected
         self.capacity = max(capacity, MINIMUM_CAPACITY, CONTACTS_PER_BALL * len(np.unique(triangles)))
         self.most_solved = self.capacity  # one by one
         before = fields.bytes
         self.candidates_per_contact = CANDIDATES_PER_CONTACT
         self.candidate_capacity = CANDIDATES_PER_CONTACT * self.capacity
+        # owner: the ball whose leaf found it; place: among its own; first: a ball or an edge; second: a triangle, or -1 - edge
         columns = dict.fromkeys(("owner", "place", "first", "second"), ti.i32)
         self.candidate = fields.table(columns, self.candidate_capacity)
+        # distance [m]; thickness: distance at touch [m], negative: may not be gone through, but does not push; target [m/s];
+        # impulse [N s]; planes: along the normal [m], see kernels.contacts.triangle_pairs.planes; normal: toward the upper side
         lengths = ("distance", "thickness", "target", "impulse", "upper_plane", "lower_plane")
         columns = {**dict.fromkeys(("owner", "place", "kind"), ti.i32), "normal": vector}
         self.contact = fields.table({**columns, **dict.fromkeys(lengths, fields.real)}, self.capacity)
-        self.applied_impulse = fields.vectors(self.capacity, 3)
+        self.applied_impulse = fields.vectors(self.capacity, 3)  # N s
         if model.has_friction:
-            self.tangential_impulse = fields.vectors(self.capacity, 3)
+            self.tangential_impulse = fields.vectors(self.capacity, 3)  # N s
         self.member, self.entry = fields.integers(4 * self.capacity), fields.integers(4 * self.capacity)
-        self.weight = fields.reals(4 * self.capacity)
+        self.weight = fields.reals(4 * self.capacity)  # of each member
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number = fields.integers(n), fields.integers(n)
         self.used, self.candidates, self.entries, self.overflow = (fields.integers(1) for _ in range(4))
+        # skin: by which candidates may be further apart than pairs that are listed [m], widest_skin or 0; fastest: longest way
+        # of a ball in this step beside the common one [m]
         self.widest_skin = fields.reals(np.array([SURFACE_SKIN * float(np.min(scene.radius[np.unique(triangles)]))]))
         self.skin, self.fastest = fields.reals(1), fields.reals(1)
+        # [m] where balls were at the last search, and the expected displacement of then
         self.searched_position, self.searched_displacement = fields.vectors(n, 3), fields.vectors(n, 3)
+        # [m] in common to all: way since then, change of the expected displacement, way of this step
         self.common_way, self.common_change, self.common_step = (fields.vectors(1, 3) for _ in range(3))
 
     def names(self) -> list[str]:

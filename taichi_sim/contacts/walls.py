@@ -29,25 +29,27 @@ __all__ = ["Walls"]
 
 @ti.data_oriented
 class Walls(Surfaces):
-    """A contact of each ball with each surface, see kernels.contacts.interfaces.Walls."""
+    """Contacts of each ball with each surface: that of ball i with surface k is i count + k."""
 
     def __init__(
         self, model: Model, state: State, fields: Fields, plan: ContactPlan, threshold: Any, colliders: Colliders | None
     ):
         super().__init__(model, fields, colliders, plan.limits_energy)
         self.state, self.plan, self.threshold = state, plan, threshold
+        # impulse: along the normal [N s]; target: normal speed to come to [m/s]; role: see kernels.contacts.kinds
         columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
         if model.has_friction:
-            columns["tangential_impulse"] = ti.types.vector(model.dim, fields.real)
-        if plan.walls_in_turn:
+            columns["tangential_impulse"] = ti.types.vector(model.dim, fields.real)  # N s
+        if plan.walls_in_turn:  # [N s] before the solve, and before the last iteration
             columns |= {"starting_impulse": fields.real, "previous_impulse": fields.real}
-            self.crowded = fields.integers(model.n)
+            self.crowded = fields.integers(model.n)  # see kernels.contacts.kinds
         self.contact = fields.table(columns, model.n * self.count)
-        self.mass_parts = fields.reals(model.n)
+        self.mass_parts = fields.reals(model.n)  # into which a ball splits its mass between surfaces
         if not self.has_colliders:
-            self.clearance = fields.reals(model.n)
-        self.touching = fields.integers(model.n)
+            self.clearance = fields.reals(model.n)  # m, to the nearest wall: most reach none in a step
+        self.touching = fields.integers(model.n)  # surfaces that a ball touches: most touch none and are passed over
         if plan.reflects:
+            # sqrt((1 + e) t / h) n of the last impact in this step, see kernels.contacts.impact
             self.reflected = fields.vectors(model.n, model.dim)
 
     def names(self) -> list[str]:

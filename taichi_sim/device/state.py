@@ -39,7 +39,7 @@ class State:
 
     @ti.func
     def shift(self, i, dx):
-        """x += dx for ball i."""
+        """x += dx [m] for ball i."""
         if ti.static(self.compensated):
             change = dx + self.low[i].x
             moved = self.ball[i].x + change
@@ -50,7 +50,7 @@ class State:
 
     @ti.func
     def kick(self, i, dv):
-        """v += dv for ball i."""
+        """v += dv [m/s] for ball i."""
         if ti.static(self.compensated):
             change = dv + self.low[i].v
             faster = self.ball[i].v + change

@@ -12,7 +12,7 @@ from taichi_sim.forces.slices import Slices
 from taichi_sim.forces.spring_batches import batches
 from taichi_sim.forces.spring_colours import colours
 from taichi_sim.kernels.springs import law, padded_blocks, simd_batches
-from taichi_sim.kernels.springs.interfaces import Terms
+from taichi_sim.kernels.springs.law import Terms
 
 __all__ = ["Springs"]
 
@@ -53,23 +53,25 @@ class Springs:
             other = high[spring]
             start = np.zeros(self.n + 1, dtype=np.int32)
             np.cumsum(np.bincount(low, minlength=self.n), out=start[1:])
-        self.start = fields.integers(start)
+        self.start = fields.integers(start)  # (n + 1) the first entry of each ball
+        # other: the ball at the other end; stiffness [N/m], rest_length [m]
         columns = {"other": ti.i32, "stiffness": fields.real, "rest_length": fields.real}
         data = {"other": other, "stiffness": scene.stiffness[spring], "rest_length": scene.rest_length[spring]}
         if self.damped:
-            columns["damping"] = fields.real
+            columns["damping"] = fields.real  # N s/m
             data["damping"] = damping[spring]
         self.placed = order in ("batches", "colours")  # not stored by ball
         if order == "ends":
             end_start, _, ends = incidence(scene.pairs[spring], self.n)
+            # end_start (n + 1): where the list of each ball begins, as lower or upper end; end_spring (2 m): its entries
             self.end_start, self.end_spring = fields.integers(end_start), fields.integers(ends)
         if order in ("atomic", "ends") or self.placed:
-            columns["one"] = ti.i32
+            columns["one"] = ti.i32  # the lower ball
             data["one"] = low[spring]
         self.number = spring  # in the scene, of each stored here; -1 of idle ones
         self.sliced = slices is not None
         if slices is not None:
-            self.slice_start = fields.integers(slices.start)
+            self.slice_start = fields.integers(slices.start)  # (slices) the first entry of each
             data = {name: slices.spread(values) for name, values in data.items()}
             self.entries, self.number = slices.room, slices.spread(spring, -1)
         if order == "batches":
@@ -83,11 +85,11 @@ class Springs:
             self.colours = (0, *np.cumsum(np.bincount(colour)).tolist())  # entries of colour c: from [c] to [c + 1]
         if order == "padded":
             width = padded_blocks.width(self.dim)
-            self.phase = fields.table(phase_type(width, fields.real), self.n)
-            # [N s]; `damping_sum`: of damping, where it is summed apart
+            self.phase = fields.table(phase_type(width, fields.real), self.n)  # padded copies of balls
+            # [N s], padded; `damping_sum`: of damping, where it is summed apart
             self.sum, self.damping_sum = (fields.vectors(n, width) for n in (self.n, self.n if self.damped else 0))
         self.spring = fields.table(columns, self.entries, data, by_column=self.sliced)
-        self.block = max(SMALLEST_BLOCK, bandwidth(model) + 1)
+        self.block = max(SMALLEST_BLOCK, bandwidth(model) + 1)  # balls in each
         self.blocks = -(-self.n // self.block)
         orders = {
             "gather": law.gather,
@@ -100,7 +102,7 @@ class Springs:
 
     def _placed_as(self, chosen: NDArray, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
         """The same springs in another order, with idle ones from ball 0 to ball 1 where it is -1."""
-        # where the springs of `start` lie
+        # (m) entry of each spring of `start`
         self.place = fields.integers(np.argsort(chosen, kind="stable")[-self.m :])
         self.entries = len(chosen)
         self.number = np.where(chosen < 0, -1, self.number[chosen])

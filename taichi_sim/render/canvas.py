@@ -28,14 +28,15 @@ class Visibility:
         self.depth_only, self.wide = depth_only, fields.has_wide_numbers and not depth_only
         self.samples, self._size = samples, size
         if self.wide:
-            self.key = fields.keys(n)
+            self.key = fields.keys(n)  # (closeness << 32) | identity
         else:
-            self.bits = fields.integers(n)
+            self.bits = fields.integers(n)  # of the closeness
         if not self.wide and not depth_only:
+            # identity: kind << 28 | index, 0 for nothing; stage 0: the closeness is looked for, 1: the identity
             self.identity, self.stage = fields.integers(n), fields.integers(1)
-        self.marked = fields.integers(tiles(*size))
+        self.marked = fields.integers(tiles(*size))  # 1: anything may be seen there
         if depth_only:
-            self.thin = fields.integers(tiles(*size))
+            self.thin = fields.integers(tiles(*size))  # 1: anything there is too thin for the distance of taps
 
     def stages(self) -> Iterator[None]:
         """Once for each time that all must be drawn."""
@@ -75,8 +76,10 @@ class Canvas:
         self.samples, self.transparent, self.shadow_size = samples, transparent, SHADOW_SIDE[samples]
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
         self.seen = Visibility(fields, size, samples)
-        self.packed = fields.integers(pixels + 3)
-        self.image = fields.vectors(pixels if samples == 1 else 1, 3)
+        self.packed = fields.integers(pixels + 3)  # bytes of the picture
+        self.image = fields.vectors(pixels if samples == 1 else 1, 3)  # linear colours
+        # plane: the one that lies behind, from 1 on, negative where samples differ, 0 for the sky; backdrop: colour of sky and
+        # ground in all light
         self.plane, self.backdrop, self.backdrop_packed = (
             fields.integers(pixels),
             fields.vectors(pixels, 3),
@@ -86,14 +89,18 @@ class Canvas:
         if shadow:
             cells = (self.shadow_size // COARSE_TEXELS) ** 2
             self.shadow = Visibility(fields, (self.shadow_size,) * 2, 1, depth_only=True)
+            # closeness to the lamp, the largest in each cell, and near it; thin: 1, anything near is too thin for taps
             self.cell, self.coarse, self.thin = fields.reals(cells), fields.reals(cells), fields.integers(cells)
             corners = (size[0] // shadow_lattice.STEP + 2) * (size[1] // shadow_lattice.STEP + 2)
+            # every fourth pixel of every fourth row: share of the lamp, negative where not known; what is seen, its closeness
             self.lattice_share, self.lattice_depth = fields.reals(corners), fields.reals(corners)
             self.lattice_identity = fields.integers(corners)
+            # coarse cell that the plane lies in, -1 for none; closeness to the lamp of what casts a shadow there
             self.backdrop_cell, self.backdrop_level = fields.integers(pixels), fields.reals(pixels)
         self.openness: Any = None
         if occlusion:
             few = -(-size[0] // 2) * -(-size[1] // 2)
+            # share of the sky that is seen, smoothed and, at every fourth pixel, not yet; closeness there
             self.openness, self.open_raw, self.open_depth = fields.reals(pixels), fields.reals(few), fields.reals(few)
         fields.build()
         self.image.fill(0.0)  # see Buffers

@@ -256,14 +256,16 @@ class Canvas:
 
     def __init__(self, shapes: int, walls: int, bodies: int, pixels: int, transparent: bool) -> None:
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
+        # shape: see kernels.render.paint2d; kind: DISC, ROD or TRIANGLE
         self.shape, self.colour, self.kind = (
             fields.vectors(shapes, 8),
             fields.vectors(shapes, 3),
             fields.integers(shapes),
         )
-        self.wall = fields.vectors(walls, 3)
+        self.wall = fields.vectors(walls, 3)  # (a, b, c): a x + b y + c px above it
+        # body: see kernels.render.paint2d; tint: linear colour, negative for that of walls
         self.body, self.tint = fields.vectors(bodies, 8), fields.vectors(bodies, 3)
-        self.packed = fields.integers(pixels + 3)
+        self.packed = fields.integers(pixels + 3)  # bytes of the picture
         self.transparent = transparent
         fields.build()
         self.wall.fill(0.0)  # a tree that is destroyed before any kernel ran leaves Taichi with dangling fields
