@@ -100,7 +100,7 @@ class Colliders:
             link = [(g.tree.links + np.array([k, t, t])).ravel() for g, k, t in zip(grids, nodes, triangles)]
             tables = (exact, cell, leaf, link)
             # exact: number of the cell that begins at a node of the grid, -1 where distances are not taken from triangles;
-            # cell (2 for each): a triangle near it, its leaves; leaf: nodes that may hold the closest triangle; link (3 nodes)
+            # cell (2 for each): a triangle near it, its first in `leaf`: nodes that may hold the closest triangle; link (3 nodes)
             self.exact, self.cell, self.leaf, self.link = (fields.integers(np.concatenate(one)) for one in tables)
             self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))  # m, (6 nodes)
             self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))  # (30 triangles)

@@ -24,7 +24,7 @@ class GaussSeidel(IteratedRule):
         n, dim = self.n, self.model.dim
         if self.plan.impacts_in_turn:
             self.block_limit = n // LIST_BLOCK + 2  # blocks, at most
-            # 1: something closes fast in the block, in this round or in the next; 1: something bounced in it in this step
+            # 1: something closes fast in a block, in this round, then the same for the next; 1: something bounced in it
             self.block_is_active = fields.integers(2 * self.block_limit)
             self.block_was_struck = fields.integers(self.block_limit)
             # disturbed: round after the last impact on a ball or one in its list, 0: one closes fast, or UNDISTURBED;

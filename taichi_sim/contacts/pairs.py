@@ -43,7 +43,7 @@ class Pairs:
         before = fields.bytes
         # links of the pool: in use, and how many would have been needed
         self.used, self.overflow = fields.integers(1), fields.integers(1)
-        # longest_reach: places in the order between balls of a pair; block_length: of a block, see kernels.contacts.pair_sweeps
+        # longest_reach: places between balls of a pair, at most; block_length: of a block, see kernels.contacts.pair_sweeps
         self.longest_reach, self.block_length, self.blocks = fields.integers(1), fields.integers(1), fields.integers(1)
         self.single_precision = fields.real == ti.f32
         self.has_rebounds = model.has_restitution and not plan.impacts_in_turn
