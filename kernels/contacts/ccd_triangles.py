@@ -45,8 +45,8 @@ def expire(triangles: ti.template()):
 
 @ti.func
 def decide(triangles: ti.template(), solver: ti.template(), ball: ti.template()):
-    """Whether anything is looked for, and what balls have moved in common since the last search, as a sample of them says. Only
-    how balls move relative to each other brings them together: whatever is taken as common, drifts are apart as before."""
+    """Decide whether to search at all, and find what balls have moved in common since the last search, from a sample of them.
+    Only how balls move relative to each other brings them together: whatever is taken as common, drifts are apart as before."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         triangles.work[0].lists = 1

@@ -1,5 +1,8 @@
-"""For each ball, the sorted list of its entries in contacts of several balls: gathered by ball, sums come out the same whatever
-the threads did, and nothing is added by atomics. The entries of ball i are first[i] to first[i] + number[i]."""
+"""Sorted list, for each ball, of its entries in contacts of several balls.
+
+Sums that are gathered by ball come out the same whatever the threads did, and nothing is added by atomics. The entries of ball
+i are first[i] to first[i] + number[i].
+"""
 
 from taichi_sim.kernels.loops import each
 

@@ -89,7 +89,7 @@ def spread(
 
 @ti.kernel
 def winding(corner: ti.types.ndarray(ndim=2), windings: ti.types.ndarray(ti.i32, 3), frame: ti.types.ndarray(ndim=1)):
-    """How often the surface winds around each grid corner: crossings of the line along x, counted with their sign.
+    """Count how often the surface winds around each grid corner: crossings of the line along x, counted with their sign.
 
     Lines are shifted by frame[4] of a cell, so that none runs along an edge of a mesh with round coordinates.
     """

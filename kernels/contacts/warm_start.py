@@ -1,5 +1,5 @@
-"""What contacts accumulate and keep from step to step: scaled to another step, bounded, and for contacts of several balls found
-again.
+"""Impulses that contacts accumulate and keep from step to step: scaled to another step, bounded, and for contacts of several
+balls found again.
 
 Before the contacts of sticks are listed anew, what they accumulated goes to `old`, `begin` and `length` of which say where each
 stick has its own.
@@ -23,8 +23,8 @@ def scale(table: ti.template(), count, ratio, friction: ti.template()):
 
 @ti.func
 def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
-    """Of what contact c of a table accumulated, what may be a load: the next solve starts with it, and would throw back what was
-    an impact's."""
+    """Limit what contact c of a table accumulated to `most` [N s], which may be a load: the next solve starts with it, and
+    would throw back what was an impact's."""
     accumulated = table[c].impulse
     if accumulated > most:
         table[c].impulse = most
@@ -40,7 +40,7 @@ def store(sticks: ti.template()):
 
 @ti.func
 def store_contact(c, sticks: ti.template()):
-    """The same for contact c."""
+    """Keep what contact c accumulated, and its ball, while contacts are listed anew."""
     sticks.old[c].other = sticks.contact[c].ball
     sticks.old[c].impulse = sticks.contact[c].impulse
     if ti.static(sticks.model.has_friction):

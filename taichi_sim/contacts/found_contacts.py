@@ -128,7 +128,7 @@ class FoundContacts:
         """Declare fields of the rule's own."""
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         return [f"contacts.{self.name}", *(name for part in self.parts for name in part.names())] if self.active else []
 
     def forget(self) -> None:

@@ -40,14 +40,14 @@ class Received:
 
     @ti.func
     def note(self, i):
-        """What ball i gives from now on may be scaled."""
+        """Mark the start of the impulses of ball i that `scale` may change."""
         if ti.static(self.scaled):
             for e in range(i * self.count, (i + 1) * self.count):
                 self.mark[e] = self.sum[e]
 
     @ti.func
     def scale(self, i, less):
-        """What it gave since then, by 1 + less."""
+        """Scale by 1 + less the impulses that ball i gave since `note`."""
         for e in range(i * self.count, (i + 1) * self.count):
             self.sum[e] = self.sum[e] + less * (self.sum[e] - self.mark[e])
 

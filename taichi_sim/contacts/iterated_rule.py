@@ -70,7 +70,7 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def limit_energy(self, ball: ti.template(), iterations: ti.template(), impacts: ti.template()):
-        """Let what has stopped bounce, as far as energy allows."""
+        """Make stopped contacts bounce, as far as energy allows."""
         if ti.static(self.plan.limits_energy):
             if ti.static(impacts):
                 energy_limiter.note_stopped(self, ball)
@@ -81,7 +81,8 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def impulses_of_sticks_and_triangles(self, ball: ti.template(), i, how: ti.template()):
-        """What an iteration gives ball i: nothing where all they accumulated was applied before the move."""
+        """Impulse and angular impulse on ball i from sticks and triangles in an iteration: zero where all they accumulated was
+        applied before the move."""
         p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
         if ti.static(how.starts):
             p, t = self.gather_sticks_and_triangles(ball, i)

@@ -93,7 +93,7 @@ class Pairs:
             self.spring_start, self.spring_other = fields.integers(start), fields.integers(other)
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         return ["grid", "pairs"]
 
     def forget(self) -> None:
