@@ -11,12 +11,13 @@ LONG_PART = 1024  # terms that one thread sums, where one thread then adds up al
 
 
 def part_size() -> int:
-    """The same where parts are joined first: fewer on a device, which has thousands of threads."""
+    """Terms in a part that one thread sums, where the parts are joined next: fewer on a device, which has thousands of
+    threads."""
     return 64 if on_device() else LONG_PART
 
 
 def parts_of(number: int) -> int:
-    """In how many parts so many balls are summed."""
+    """Number of parts in which `number` balls are summed."""
     return -(-number // part_size())
 
 
@@ -36,7 +37,7 @@ def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template
 
 @ti.func
 def members(c, parts: ti.template(), n):
-    """How many of n balls part c of `parts` has. On a CPU `parts` is parts_of(n)."""
+    """Number of n balls that part c of `parts` has. On a CPU `parts` is parts_of(n)."""
     number = ti.min(LONG_PART, n - c * LONG_PART)
     if ti.static(on_device()):
         number = (n - c + parts - 1) // parts
@@ -101,7 +102,7 @@ def total(column: ti.template(), parts: ti.template()):
 
 @ti.func
 def good(ball, far):
-    """Whether x and v are numbers below `far`. One by one: a comparison with nan is false, and a maximum may drop it."""
+    """True if x and v are numbers below `far`. One by one: a comparison with nan is false, and a maximum may drop it."""
     fine = True
     for a in ti.static(range(ball.x.n)):
         fine = fine and ti.abs(ball.x[a]) < far and ti.abs(ball.v[a]) < far

@@ -33,7 +33,7 @@ def row(look, k):
 
 @ti.func
 def segment_distance(p, a, b, blunt):
-    """From p to the segment a b; blunt: nothing lies beyond the ends, so that joined segments do not overlap."""
+    """Distance from p to the segment a b; blunt: nothing lies beyond the ends, so that joined segments do not overlap."""
     d = b - a
     t = (p - a).dot(d) / ti.max(d.dot(d), ti.f32(1e-12))
     result = (p - a - d * unit(t)).norm()
