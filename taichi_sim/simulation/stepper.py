@@ -246,7 +246,7 @@ class Stepper:
         self._check((target - first) * self.substeps)
 
     def _check(self, substeps: int) -> None:
-        """What is looked at after so many substeps; it changes nothing."""
+        """Check the run after so many substeps; it changes nothing."""
         self._check_solver()
         if (
             self.strays
@@ -273,7 +273,7 @@ class Stepper:
         return totals
 
     def scales(self) -> Scales:
-        """What the run is judged by."""
+        """Scales by which the run is judged."""
         scene, monitor = self.scene, self.monitor
         part = self.h / self.safe.dt_any_shape if self.safe.dt_any_shape > 0 else 0.0
         touches = self.parts.contacts.active
@@ -424,7 +424,7 @@ class Stepper:
         self._warn("growth", f"energy grew {_from_to(growth)} by t = {time:.6g} s, which nothing explains{cure}")
 
     def _works(self, growth: Growth) -> bool:
-        """Whether the chunk so far comes to the same energy with half of the substep; then as it was."""
+        """True if the chunk so far comes to the same energy with half of the substep. Afterwards all is as it was."""
         before, now = self.substeps, self.steps
         self._divide(2 * before)
         sample = self._run(now)
@@ -433,7 +433,7 @@ class Stepper:
         return sample.bad is None and growth.after / SAME_ENERGY < sample.motion < growth.after * SAME_ENERGY
 
     def _check_solver(self) -> None:
-        """Whether an implicit method has left a stage unsolved."""
+        """Warn if an implicit method has left a stage unsolved."""
         if not self.solves or "solver" in self._warned:
             return
         found = self.parts.integrator.solver_report()
@@ -446,7 +446,7 @@ class Stepper:
             )
 
     def _check_bound(self) -> None:
-        """Whether the shape has stiffened so that the step is not safe, where it is not safe in every shape."""
+        """Warn if the shape has stiffened so that the step is not safe, where it is not safe in every shape."""
         if self._warned & {"bound", "growth"}:
             return
         limit, spring = self._present()
@@ -497,7 +497,7 @@ class Stepper:
             self._keep(goes_on=False)
 
     def _kind(self) -> str:
-        """What a run depends on besides the scene and what is kept: none with other settings has the same bits."""
+        """Settings that a run depends on besides the scene and what is kept: none with other settings has the same bits."""
         parts = self.parts
         own = (type(self).__name__, self.method, self.dt, parts.backend.precision, parts.contacts.name)
         return " ".join(map(str, (*own, parts.contacts.iterations, parts.order_of_sums)))
@@ -573,7 +573,7 @@ class Stepper:
 
 
 def _monitored(given: Any) -> tuple[float, float, StateSample] | None:
-    """What an energy monitor goes on from, of a snapshot's plain values."""
+    """Values from which an energy monitor goes on, of a snapshot's plain values."""
     if given is None:
         return None
     least, most, (bad, *numbers) = given
