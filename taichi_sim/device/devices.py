@@ -1,4 +1,4 @@
-"""Which devices this machine has, by name, and which of them may be taken without being asked for."""
+"""Devices that this machine has, by name, and which of them may be taken without being asked for."""
 
 import ctypes
 import ctypes.util
@@ -65,7 +65,8 @@ def verdict(device: Device, version: str, again: bool = False) -> str:
 
 
 def examine(arch: str) -> str:
-    """What is wrong with a device, or "" where it passed. In a process of its own, which a broken driver may end."""
+    """Fault of a device, or "" where it passed the self-test. It runs in a process of its own, which a broken driver may
+    end."""
     try:
         command = [sys.executable, "-c", START, SELF_TEST, arch]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
