@@ -102,7 +102,7 @@ class FreeBodies:
 
     @ti.func
     def mean(self, i):
-        """Of the body of ball i; 0 where that has a pin."""
+        """Velocity [m/s] of the centre of mass of ball i's body; 0 where that has a pin. See `find_means`."""
         v = ti.Vector.zero(float, self.dim)
         k = self.body_of_ball[i]
         if k >= 0:

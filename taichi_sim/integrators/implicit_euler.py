@@ -19,7 +19,7 @@ class ImplicitEuler(Implicit):
 
     @ti.func
     def begin(self, stage, h, time):
-        """From the present places; gravity, the user's forces and all elements but gas act on old values."""
+        """Begin from the present places; gravity, the user's forces and all elements but gas act on old values."""
         self.forces.external(self.ball, h, time)
         self.forces.flex(1.0)
         for i in range(self.model.n):

@@ -47,7 +47,7 @@ class TRBDF2(Implicit):
             self.corners = DrivenPinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
 
     def memory(self) -> list[Any]:
-        """What springs did at the end of the step before."""
+        """Field of what springs did at the end of the step before."""
         return [self.slope]
 
     def recall(self) -> None:
