@@ -16,8 +16,8 @@ SPARSEST = 1.5
 
 
 class Slices(NamedTuple):
-    """Where lists lie that kernels.loops.list_entry reads. start (slices): the first place of each slice; place (entries): that
-    of each entry; room: all places, of which some are idle."""
+    """Layout of the lists that kernels.loops.list_entry reads. start (slices): the first place of each slice; place (entries):
+    that of each entry; room: all places, of which some are idle."""
 
     start: NDArray[np.int32]
     place: NDArray[np.int64]
