@@ -1,5 +1,5 @@
 """Work in parts of a fixed size, in an order that does not depend on threads, so that sums have the same bits for any number of
-them; and what is summed of balls so, in double precision where the device has it."""
+them; and sums over balls so, in double precision where the device has it."""
 
 from taichi_sim.device.engine import on_device, ti
 
@@ -22,7 +22,7 @@ def parts_of(number: int) -> int:
 
 
 def groups_of(parts: int) -> int:
-    """In how many groups a device sums the sums of so many parts before one thread adds up the rest; 0 on a CPU."""
+    """Number of groups in which a device sums the sums of so many parts before one thread adds up the rest; 0 on a CPU."""
     return parts_of(parts) if on_device() else 0
 
 
@@ -68,7 +68,7 @@ def odd_then_even(count: ti.template(), visit: ti.template(), arguments: ti.temp
 
 @ti.func
 def by_parity(count: ti.template(), visit: ti.template(), arguments: ti.template(), parities: ti.template()):
-    """At the top level of a kernel only an unrolled loop leaves the inner ones parallel."""
+    """Loop over parts of each parity. At the top level of a kernel only an unrolled loop leaves the inner ones parallel."""
     grain = ti.static(1 if on_device() else GRAIN)
     for parity in ti.static(parities):
         for k in range((count + 1 - parity) // 2 * grain):

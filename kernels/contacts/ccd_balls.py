@@ -59,7 +59,7 @@ def one_round(solver: ti.template(), ball: ti.template(), fixed: ti.template()):
 
 @ti.func
 def begin_path(solver: ti.template(), i):
-    """Nothing is known to stop ball i."""
+    """Reset the path of ball i: nothing is known to stop it."""
     solver.time_of_impact[i] = 1.0
     solver.next_time_of_impact[i] = 1.0
 

@@ -17,7 +17,7 @@ def each_contact(contacts: ti.template(), visit: ti.template(), arguments: ti.te
 
 @ti.func
 def begin_entries(contacts: ti.template(), i):
-    """Nothing is listed yet, and ball i has no entry; for each ball, in a loop before contacts are found."""
+    """Clear the list of contacts and the entries of ball i; for each ball, in a loop before contacts are found."""
     contacts.number[i] = 0
     if i == 0:
         contacts.used[0] = 0

@@ -123,7 +123,7 @@ def winding(corner: ti.types.ndarray(ndim=2), windings: ti.types.ndarray(ti.i32,
 
 @ti.func
 def corner_value(value: ti.template(), k, j, i, c: ti.template()):
-    """At corner c, 0 to 7, of the cell whose lowest one is i, j, k."""
+    """Value at corner c, 0 to 7, of the cell whose lowest one is i, j, k."""
     return value[k + ti.static(c >> 2 & 1), j + ti.static(c >> 1 & 1), i + ti.static(c & 1)]
 
 

@@ -176,7 +176,7 @@ def iterate_islands(solver: ti.template(), ball: ti.template(), now):
 
 @ti.func
 def begin_island(solver: ti.template(), r, now):
-    """Iteration `now` has changed nothing yet in the island of root r, if this is the first that is asked."""
+    """Clear the sums of the island of root r, if iteration `now` has not asked for it before."""
     if solver.island_iteration[r] != now:
         solver.island_iteration[r] = now
         solver.slope[r], solver.curvature[r], solver.longest_extension[r] = 0.0, 0.0, FURTHEST_EXTENSION
@@ -210,7 +210,7 @@ def reach_of(solver: ti.template(), b):
 
 @ti.func
 def find_islands(solver: ti.template()):
-    """Balls of the struck blocks that touch, directly or through loose others, get the same root."""
+    """Give the same root to balls of the struck blocks that touch, directly or through loose others."""
     for b in range(solver.pairs.blocks[0]):
         for k in range(b * solver.pairs.block_length[0], reach_of(solver, b)):
             i = solver.pairs.grid.order[k]

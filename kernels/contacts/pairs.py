@@ -159,7 +159,7 @@ def forget_impulse(pairs: ti.template(), e):
 
 @ti.func
 def store(pairs: ti.template()):
-    """Before new lists are made: keep links of what touches in `contact`, whose own content only lasts until then."""
+    """Keep links of what touches in `contact`, before new lists are made. Its own content only lasts until then."""
     for i in range(pairs.grid.work[0].balls):
         store_links(pairs, i)
 

@@ -76,7 +76,7 @@ def triangle_coverage(p, s):
 
 @ti.func
 def body_distance(s, q):
-    """px from q, in the axes of a collider, to its surface; negative inside."""
+    """Distance [px] from q, in the axes of a collider, to its surface; negative inside."""
     inner = vec2(ti.max(ti.abs(q[0]) - s[4], ti.f32(0.0)), ti.max(ti.abs(q[1]) - s[5], ti.f32(0.0)))
     d = inner.norm() + ti.min(ti.max(ti.abs(q[0]) - s[4], ti.abs(q[1]) - s[5]), ti.f32(0.0)) * ti.f32(s[6] == 0)
     d -= s[6]

@@ -74,7 +74,7 @@ def mark(seen: ti.template(), x0, x1, y0, y1, width):
 
 @ti.func
 def mark_thin(seen: ti.template(), x0, x1, y0, y1, width):
-    """In a shadow map: what is drawn at these pixels is too thin to be sure to be met by taps about other places."""
+    """Mark, in a shadow map, that what is drawn at these pixels is too thin to be sure to be met by taps about other places."""
     if ti.static(seen.depth_only):
         if x0 < x1 and y0 < y1:
             across = tiles_across(width)
@@ -85,7 +85,7 @@ def mark_thin(seen: ti.template(), x0, x1, y0, y1, width):
 
 @ti.kernel
 def clear(seen: ti.template(), samples: ti.template(), width: ti.i32, height: ti.i32, tiles: ti.i32):
-    """Nothing is seen, in the tiles of a picture that bear a mark."""
+    """Clear the tiles of a picture that bear a mark: nothing is seen there."""
     for k in range(tiles * TILE):  # rows of tiles
         tile = k // TILE
         if seen.marked[tile] > 0:

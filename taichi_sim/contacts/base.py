@@ -73,7 +73,7 @@ class ContactRule(FoundContacts):
 
     @ti.func
     def relax(self, ball: ti.template(), time):
-        """After a move that ends a step: take back what pushing out overlap added to velocities."""
+        """Take back, after a move that ends a step, what pushing out overlap added to velocities."""
 
     @ti.func
     def begin(self, ball: ti.template(), impacts: ti.template()):

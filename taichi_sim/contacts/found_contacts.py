@@ -157,7 +157,7 @@ class FoundContacts:
 
     @ti.func
     def clear(self, i):
-        """Before pairs are measured: nothing of the rule's own is known of ball i yet."""
+        """Clear what the rule itself keeps of ball i, before pairs are measured."""
 
     @ti.func
     def found(self, ball: ti.template()):
@@ -165,7 +165,7 @@ class FoundContacts:
 
     @ti.func
     def _clear(self, i):
-        """Nothing is summed yet of what pairs do to ball i."""
+        """Clear the sums of what pairs do to ball i."""
         self.clear(i)
         if ti.static(self.counts_pairs):
             self.pair_count[i] = 0
@@ -194,7 +194,7 @@ class FoundContacts:
 
     @ti.func
     def refresh(self, ball: ti.template()):
-        """After a move: cut ways short that lead through something, then find the contacts at the present positions."""
+        """Cut ways short that lead through something, after a move, then find the contacts at the present positions."""
         run_parts(self.search_parts, STEP, 0.0, 0.0)
 
     @ti.func

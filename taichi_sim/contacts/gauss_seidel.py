@@ -80,7 +80,7 @@ class GaussSeidel(IteratedRule):
 
     @ti.func
     def clear(self, i):
-        """Nothing has moved fast yet."""
+        """Clear the marks of what moves fast at ball i."""
         if ti.static(self.plan.impacts_in_turn):
             self.disturbed[i], self.impacts[i] = pair_impacts.UNDISTURBED, 0
             self.pairs.first_from_others[i] = pair_impacts.NO_CONTACT

@@ -66,6 +66,6 @@ class Received:
         return self.total + given.reshape(self.n, self.count, self.model.dim).sum(axis=0)
 
     def set(self, total: NDArray[np.float64]) -> None:
-        """Go on from a total (bodies, dim) [N s]."""
+        """Continue from a total (bodies, dim) [N s]."""
         self.total = total.copy()
         self.sum.fill(0)

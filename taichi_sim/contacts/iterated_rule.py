@@ -12,7 +12,7 @@ __all__ = ["IteratedRule"]
 
 @ti.data_oriented
 class IteratedRule(ContactRule):
-    """To be given: `iterate`, one iteration; what comes before the first and after the last one."""
+    """Base of rules that iterate. To be given: `iterate`, one iteration; what comes before the first and after the last one."""
 
     velocity_when_found: Any  # where the plan is `loaded`
     velocity_from_forces: Any
@@ -23,11 +23,11 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def before_iterations(self, ball: ti.template(), time, impacts: ti.template()):
-        """Before accumulated impulses are applied."""
+        """Do what comes first, before accumulated impulses are applied."""
 
     @ti.func
     def after_iterations(self, ball: ti.template(), impacts: ti.template()):
-        """Before the energy limiter."""
+        """Do what comes last, before the energy limiter."""
 
     @ti.func
     def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
@@ -60,7 +60,7 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def repeat(self, ball: ti.template(), number: ti.template(), how: ti.template()):
-        """So many iterations."""
+        """Run so many iterations."""
         if ti.static(self.plan.serial):
             for _ in range(number):
                 self.iterate(ball, 0.0, how)

@@ -36,7 +36,7 @@ class Jacobi(IteratedRule):
 
     @ti.func
     def iterate(self, ball: ti.template(), time, how: ti.template()):
-        """All contacts from the same velocities."""
+        """Solve all contacts from the same velocities."""
         if ti.static(self.plan.gathers):
             for k in range(self.solved_at_once):
                 if ti.static(how.starts):

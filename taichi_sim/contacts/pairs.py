@@ -97,7 +97,7 @@ class Pairs:
         return ["grid", "pairs"]
 
     def forget(self) -> None:
-        """Nothing is accumulated, once the next search asks what was."""
+        """Clear what contacts have accumulated, from the next search on."""
         self.held.fill(0)
 
     @ti.func

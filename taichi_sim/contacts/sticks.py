@@ -54,7 +54,7 @@ class Sticks:
         return ["sticks"]
 
     def forget(self) -> None:
-        """Nothing is accumulated, once sticks are looked at again."""
+        """Clear what contacts have accumulated, once sticks are looked at again."""
         if self.plan.warm_starts:
             self.length.fill(0)
 
@@ -139,7 +139,7 @@ class Sticks:
 
     @ti.func
     def inverse_mass(self, solver: ti.template(), contact):
-        """sum w_i g_i^2 s_i over the three balls."""
+        """Sum of w_i g_i^2 s_i over the three balls [1/kg]."""
         one, two = (
             solver.effective_inverse_mass[self.one[contact.stick]],
             solver.effective_inverse_mass[self.two[contact.stick]],

@@ -157,7 +157,7 @@ class TriangleContacts:
 
     @ti.func
     def relative_velocity(self, ball: ti.template(), c):
-        """sum g_i v_i of a contact."""
+        """Relative velocity sum g_i v_i of a contact [m/s]."""
         u = ti.Vector.zero(float, 3)
         for k in ti.static(range(4)):
             u += self.weight[4 * c + k] * ball[self.member[4 * c + k]].v

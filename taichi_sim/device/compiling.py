@@ -177,7 +177,7 @@ class Expected:
         return sum(AT_FIRST.get(name, 0.0) for name in ["", *self._names])
 
     def spent(self) -> None:
-        """They are all there: remember what they took."""
+        """Remember what the kernels took, when they are all there."""
         if not self._again:
             self.remember(seconds() - self._since)
 

@@ -29,8 +29,8 @@ START = (
 
 
 class Device(NamedTuple):
-    """name and driver as the driver says them, memory in bytes, of the CPU what is free; "" and 0 where that is not known.
-    software: the CPU computes in its place, right but slowly."""
+    """Device of the machine: name and driver as the driver says them, memory in bytes, of the CPU what is free; "" and 0 where
+    that is not known. software: the CPU computes in its place, right but slowly."""
 
     arch: str
     name: str

@@ -106,8 +106,8 @@ def program() -> Any:
 
 
 def forget_launches() -> None:
-    """To be called where kernels were dropped: Quadrants 1.4.0 keeps their prepared launches by address, and a new kernel that
-    gets the address of a dropped one is refused ("kernel_ == other.kernel_")."""
+    """Forget prepared launches, where kernels were dropped: Quadrants 1.4.0 keeps them by address, and a new kernel that gets
+    the address of a dropped one is refused ("kernel_ == other.kernel_")."""
     if ENGINE == "quadrants":
         for kernel in ti.lang.impl.get_runtime().kernels:
             prepared = getattr(kernel, "launch_context_buffer_cache", None)  # other versions may have none

@@ -98,7 +98,7 @@ def take_back(tree: Tree) -> None:
 
 
 def drop(tree: Tree) -> None:
-    """Like `take_back`, on any thread: it is kept when the next one is looked for."""
+    """Give back a tree on any thread: it is kept when the next one is looked for."""
     _dropped.append(tree)
 
 
@@ -141,7 +141,7 @@ def _numbers(field: Any) -> list[Any]:
 
 
 def twin(field: Any) -> Any:
-    """Another field that means the same memory."""
+    """Copy of a field that means the same memory."""
     if isinstance(field, ti.StructField):
         other = ti.StructField({name: twin(one) for name, one in field._items}, field.struct_methods, field.name)
     else:

@@ -48,7 +48,7 @@ class Bending(Corners):
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
-        """By the curvature, and by the rate of its size."""
+        """Force on ball i [N] by the curvature, and by the rate of its size."""
         bent = self._curve(ball, i, row)
         pull = row.stiffness * bent
         if ti.static(self.damped):

@@ -139,7 +139,7 @@ class DrivenPinSlopes:
 
     @ti.func
     def renew(self, slope: ti.template()):
-        """At the end of a step: from the velocities of pins in this step to those in the next, in slope (n) [m/s^2]."""
+        """Change slope (n) [m/s^2], at the end of a step, from the velocities of pins in this step to those in the next."""
         for b in range(self.m):
             i = self.ball[b]
             change = ti.Vector.zero(float, self.model.dim)

@@ -80,7 +80,7 @@ class Corners:
 
     @ti.func
     def prepare(self, ball: ti.template()):
-        """Before forces are asked for: what elements have in common."""
+        """Compute what elements have in common, before forces are asked for."""
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):

@@ -37,7 +37,7 @@ def bisected(x: NDArray[np.float64], parts: int) -> NDArray[np.int64]:
 
 @ti.data_oriented
 class Aggregates:
-    """Those of a scene's free balls. `spring_block`: of each spring, see kernels.springs.newton_terms."""
+    """Aggregates of a scene's free balls. `spring_block`: of each spring, see kernels.springs.newton_terms."""
 
     def __init__(self, model: Model, springs: Springs, spring_block: ti.StructField, fields: Fields) -> None:
         scene = model.scene

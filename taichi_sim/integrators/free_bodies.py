@@ -132,7 +132,7 @@ class StageWork:
     @ti.func
     def find(self, base: ti.template(), residual: ti.template(), first: ti.template(), bodies: ti.template(),
              number: ti.template()):  # fmt: skip
-        """residual (n) [kg m/s] of the velocities base.v, which were `first` (n) before the stage; bodies: FreeBodies, whose
+        """Residual (n) [kg m/s] of the velocities base.v, which were `first` (n) before the stage; bodies: FreeBodies, whose
         means are those of this stage: what the residual gives counts in the frame of each."""
         each_part(self.parts, self._find_part, (base, residual, first, bodies))
         ti.loop_config(serialize=True)

@@ -61,7 +61,7 @@ class Implicit(Integrator):
         return [self.solver.number] if self.has_springs else []
 
     def remembers(self) -> bool:
-        """Not before the first step."""
+        """True after the first step."""
         return bool(self.fresh[0] == 0)
 
     def parts(self) -> list[Part]:
@@ -100,7 +100,7 @@ class Implicit(Integrator):
 
     @ti.func
     def _free(self):
-        """Without springs."""
+        """Solve the stage without springs."""
         for i in range(self.model.n):
             self.solver.first[i] = self.solver.base[i].v
             self.solver.base[i].v = self.solver.q[i]

@@ -94,7 +94,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _sum(self, column: ti.template()):
-        """Over all parts, joined before."""
+        """Sum of a column over all parts, joined before."""
         return total(column, self.parts)
 
     # Residual and matrix

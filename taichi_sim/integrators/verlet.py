@@ -167,7 +167,7 @@ class Verlet(Integrator):
 
     @ti.func
     def acceleration(self, i, h):
-        """By the forces at the start of the step."""
+        """Acceleration of ball i [m/s^2] by the forces at the start of the step."""
         if ti.static(self.predicts):
             return self.pull[i]
         else:
@@ -187,7 +187,7 @@ class Verlet(Integrator):
 
     @ti.func
     def _drift(self, role: ti.template(), h, time):
-        """With the whole kick of old forces, half of it before the drift, where nothing is in the way."""
+        """Drift with the whole kick of old forces, half of it before the drift, where nothing is in the way."""
         for i in range(self.model.n):
             change = h * self.pull[i]
             self.state.shift(i, h * (self.ball[i].v + 0.5 * change))

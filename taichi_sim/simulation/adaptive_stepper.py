@@ -164,7 +164,7 @@ class AdaptiveStepper(Stepper):
         self.lost = self.unsure = None
 
     def _begin(self) -> None:
-        """Here is where both go back to."""
+        """Store the present state of both solutions as the one to go back to."""
         self._second.copy(START, FINE)
         self._second.copy(BEGUN, COARSE)
         self.began = self.remembers
@@ -203,7 +203,7 @@ class AdaptiveStepper(Stepper):
         return self.share * max(self.taken + 1, HEAD / self.dt)
 
     def _lose(self, sample: Any, error: float) -> bool:
-        """True if nothing can be done about this error; then the tolerance counts as lost, with a warning."""
+        """Warn that the tolerance is lost, if nothing can be done about this error. Returns True if so."""
         before = max(self.past, self._mark[2])
         if self.many < self.ceiling and (before < AIM * self._allowed() or not np.isfinite(error)):
             return False

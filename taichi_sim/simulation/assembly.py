@@ -279,7 +279,7 @@ class Assembly:
 
     @property
     def keeps_kernels(self) -> str:
-        """Why others of the same structure cannot use the same kernels; "" where they can."""
+        """Reason why others of the same structure cannot use the same kernels; "" where they can."""
         if self._shared.known_by:
             return ""
         if not IS_KNOWN:

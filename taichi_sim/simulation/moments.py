@@ -150,7 +150,7 @@ class Moments:
         self.h[into] = self.h[out]
 
     def remember(self, out: int) -> None:
-        """Only a method's own memory, from a moment."""
+        """Load only a method's own memory, from a moment."""
         self._remember(out)
 
     # To a file and back ----------------------------------------------------------------------------------------------

@@ -438,7 +438,7 @@ class Simulation(Reader):
         return replace(found, stepping={**found.stepping, "readings": self.readings.memory()})
 
     def resume(self, snapshot: Snapshot) -> None:
-        """Go on from a snapshot of this scene. Raises SceneError for what does not fit."""
+        """Continue from a snapshot of this scene. Raises SceneError for what does not fit."""
         if not isinstance(snapshot, Snapshot):
             raise SceneError("snapshot", snapshot, "a ts.Snapshot")
         assert self.parts is not None  # not closed

@@ -110,7 +110,7 @@ class Stepper:
         return self.begin + self.steps * self.dt
 
     def set_time(self, time: float) -> None:
-        """Go on from `time` [s]: a number of steps, or, saved with another step, whatever it is."""
+        """Continue from `time` [s]: a number of steps, or, saved with another step, whatever it is."""
         self.steps, self.begin = round(time / self.dt), 0.0
         if abs(self.time - time) > 1e-9 * time:
             self.steps, self.begin = 0, time
@@ -190,7 +190,7 @@ class Stepper:
         self._begun = True
 
     def _make_room(self, needed: ContactCapacity) -> None:
-        """To what is kept, with room for what is needed. Raises SceneError where there is none."""
+        """Go back to what is kept, with room for what is needed. Raises SceneError where there is none."""
         self._back()
         self.parts = self.parts.with_capacity(needed)
         self.parts.moments.load(KEPT, self.h)
@@ -199,14 +199,14 @@ class Stepper:
             self.decisions.append(said)
 
     def _back(self) -> None:
-        """To what is kept."""
+        """Go back to what is kept."""
         self.parts.state.restore()
         self.parts.moments.load(KEPT, self.h)
         self.steps, self._begun, self._halfway = self.mark, False, False
 
     def _run(self, target: int) -> StateSample:
-        """Up to a number of steps. Where contacts did not fit, from what is kept again with more room, to the same bits as if it
-        had been there from the beginning."""
+        """Run up to a number of steps. Where contacts did not fit, run from what is kept again with more room, to the same bits
+        as if it had been there from the beginning."""
         if self._halfway:  # interrupted, perhaps in the midst of a step
             self._back()
         self._start()
@@ -225,7 +225,7 @@ class Stepper:
         self.steps, self._halfway = target, False
 
     def _go_on(self, target: int) -> None:
-        """Up to a number of steps, the end of the chunk at most, and a look at the result."""
+        """Run up to a number of steps, the end of the chunk at most, and look at the result."""
         first = self.steps
         sample = self._run(target)
         if sample.bad is not None:
@@ -503,7 +503,7 @@ class Stepper:
         return " ".join(map(str, (*own, parts.contacts.iterations, parts.order_of_sums)))
 
     def resume(self, snapshot: Snapshot) -> None:
-        """Go on from there. Raises SceneError, and changes nothing, for what does not fit."""
+        """Continue from a snapshot. Raises SceneError, and changes nothing, for what does not fit."""
         if not self.scene.n_balls or snapshot.stepping.get("of") != self._kind():
             self._begin_at(snapshot)
             return
@@ -563,7 +563,8 @@ class Stepper:
             self.monitor.least, self.monitor.most, self.monitor.last = monitored
 
     def _reaches(self, snapshot: Snapshot) -> bool:
-        """Go on from what was kept. Returns whether that leads to where the snapshot is: on the same kind of machine it does."""
+        """Run on from what was kept. Returns True if that leads to where the snapshot is: on the same kind of machine it
+        does."""
         steps = self.steps
         self._back()
         if self.primed:
