@@ -11,7 +11,7 @@ LONG_PART = 1024  # terms that one thread sums, where one thread then adds up al
 
 
 def part_size() -> int:
-    """Terms in a part that one thread sums, where the parts are joined next: fewer on a device, which has thousands of
+    """Number of terms that one thread sums, where parts are joined in groups first: fewer on a device, which has thousands of
     threads."""
     return 64 if on_device() else LONG_PART
 

@@ -217,8 +217,8 @@ def _without_banner() -> Iterator[None]:
 
 @contextmanager
 def _own_settings() -> Iterator[None]:
-    """Remove environment variables that change what `start` sets, as TI_ARCH, of which a wrong one would end the process.
-    Raises BackendError where another one is wrong."""
+    """Context without environment variables that change what `start` sets, as TI_ARCH, of which a wrong one would end the
+    process. Raises BackendError where another one is wrong."""
     with restored_environment():
         for name in OWN_SETTINGS:
             os.environ.pop(PREFIX + name, None)

@@ -111,9 +111,9 @@ class DrivenPins:
 @ti.data_oriented
 class DrivenPinSlopes:
     """Accelerations by springs to driven pins at the start of a step. A pin has one velocity through a step and another through
-    the next. Accelerations that the first left at its end have damping by it; the next step needs that by the second: w c (n .
-    du) n more for each damped spring from a free ball to a pin whose velocity changes by du. Without that the error is of first
-    order in the step, at corners and where pins speed up."""
+    the next. Accelerations that the first left at its end have damping by it; the next step needs that by the second: more by w
+    c (n . du) n for each damped spring from a free ball to a pin whose velocity changes by du. Without that the error is of
+    first order in the step, at corners and where pins speed up."""
 
     def __init__(self, model: Model, state: State, pins: DrivenPins, springs: Springs, fields: Fields) -> None:
         scene = model.scene

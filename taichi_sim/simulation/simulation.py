@@ -307,8 +307,7 @@ class Simulation(Reader):
         return self.contacts().penetration
 
     def crossings(self) -> int:
-        """Number of times that an edge of the triangles pierces one of them, all that have not torn taken together; 0 in 2D. In
-        NumPy."""
+        """Number of times that an edge of the triangles pierces one of them, of all that have not torn; 0 in 2D. In NumPy."""
         return len(crossings(self.position, self.frame().triangles)) if self.scene.dim == 3 else 0
 
     def frame(self) -> Frame:
